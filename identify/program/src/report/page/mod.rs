@@ -126,12 +126,12 @@ pub(super) fn is_page(text: &str) -> bool {
     text.contains("<div class=\"verdict")
 }
 
-/// A page that loads nothing and runs nothing, whatever a name in a log may contain.
+/// A page whose content security policy forbids to load or to run anything, whatever a name in a log may contain.
 pub(super) fn document(title: &str, body: &Markup) -> Markup {
     document_with(title, &[], body)
 }
 
-/// A page that loads nothing and runs these scripts alone, after what it shows.
+/// [`document`] with scripts at the end of its body, which the policy allows by their hashes.
 fn document_with(title: &str, scripts: &[&str], body: &Markup) -> Markup {
     let hash = |script: &&str| format!(" 'sha256-{}'", STANDARD.encode(Sha256::digest(script)));
     let hashes: String = scripts.iter().map(hash).collect();

@@ -31,7 +31,7 @@ pub(super) fn numbers(page: &Page<'_>) -> Markup {
     }
 }
 
-/// Figures and tables of each file.
+/// Figures and tables of each file, and its clocks; its data set comes after those of the runs with a bar.
 pub(super) fn section(page: &Page<'_>) -> Result<Markup, PlotError> {
     if page.rows.is_empty() {
         return Ok(html! {});
@@ -49,7 +49,8 @@ pub(super) fn section(page: &Page<'_>) -> Result<Markup, PlotError> {
 
 /// The errors of a file, nominal and calibrated.
 fn panels(set: &RowSet) -> Result<Markup, PlotError> {
-    let Stages { nominal, joints, .. } = &set.errors;
+    // The last stage, with errors of joints, is the calibrated robot.
+    let Stages { nominal, joints: calibrated, .. } = &set.errors;
     let panel = |title: &str, y: &str, colour, stage: &[PoseError], value: Value| {
         let points = |rows: &[usize]| {
             rows.iter().filter_map(|&row| Some((row as f64 + 1.0, value(stage.get(row)?)?))).collect()
@@ -62,10 +63,10 @@ fn panels(set: &RowSet) -> Result<Markup, PlotError> {
     };
     Ok(html! {
         (panel("Nominal robot", "[mm]", GREY, nominal, POSITION_MM)?)
-        (panel("Calibrated robot", "[mm]", BLUE, joints, POSITION_MM)?)
-        @if joints.iter().any(|error| error.rotation_rad.is_some()) {
+        (panel("Calibrated robot", "[mm]", BLUE, calibrated, POSITION_MM)?)
+        @if calibrated.iter().any(|error| error.rotation_rad.is_some()) {
             (panel("Rotation, nominal", "[mrad]", GREY, nominal, ROTATION_MRAD)?)
-            (panel("Rotation, calibrated", "[mrad]", BLUE, joints, ROTATION_MRAD)?)
+            (panel("Rotation, calibrated", "[mrad]", BLUE, calibrated, ROTATION_MRAD)?)
         }
     })
 }

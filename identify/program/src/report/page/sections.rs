@@ -97,7 +97,7 @@ pub(super) fn bar(page: &Page<'_>) -> Markup {
 pub(super) fn parameters(file: &CalibrationFile, first_heading: &str, other_headings: &[String]) -> Markup {
     let applied = file.applied();
     let (entries, waves) = applied.reported();
-    let [exact, held] = ParameterEntry::fixed(entries.iter().copied());
+    let [exact, uncertain] = ParameterEntry::fixed(entries.iter().copied());
     // Parameters that a later run has for itself have its number: `ox@2`.
     let is_of_run = |entry: &ParameterEntry, run: usize| match entry.name.split_once('@') {
         Some((_, number)) => number.parse() == Ok(run + 1),
@@ -124,8 +124,8 @@ pub(super) fn parameters(file: &CalibrationFile, first_heading: &str, other_head
             (about_links(file)) " "
             @if waves > 0 { (waves) " amplitudes of waves of the axes are in calibration.toml. " }
             "sigma: one standard deviation. (p): data and prior. Fixed at nominal: " (exact.join(", ")) "."
-            @if !held.is_empty() {
-                " Fixed at nominal, with an uncertainty that is part of all sigmas: " (held.join(", ")) "."
+            @if !uncertain.is_empty() {
+                " Fixed at nominal, with an uncertainty that is part of all sigmas: " (uncertain.join(", ")) "."
             }
         }
     }
@@ -210,6 +210,7 @@ fn table(caption: &str, entries: &[&ParameterEntry]) -> Markup {
     } }
 }
 
+/// Residuals by joint, as figures, if any joint of the bar has an encoder.
 pub(super) fn joints(page: &Page<'_>) -> Result<Markup, PlotError> {
     if !page.evidence.by_encoders {
         return Ok(html! {});
@@ -236,6 +237,7 @@ pub(super) fn coverage(page: &Page<'_>) -> Result<Markup, PlotError> {
     })
 }
 
+/// Figures of the solve, correlations above 0.9, twelve at most, and all correlations as a map.
 pub(super) fn dependence(file: &CalibrationFile) -> Markup {
     let named = file.knowledge.iter().flat_map(|knowledge| &knowledge.correlations);
     let strongest: Vec<_> = named.filter(|one| one.correlation.abs() > 0.9).take(12).collect();

@@ -11,7 +11,7 @@ use super::{PageError, document};
 use crate::report::result::file::{FileError, replace};
 use crate::study::{Curve, CurvePoint, Definition, Figure, Finding, Kind, Measure, Reach, Summary, short};
 
-/// \[px\]
+/// Width and height of a panel \[px\].
 const PANEL: (u32, u32) = (450, 330);
 /// The right panel of a figure shows errors up to this multiple of the limit.
 const NEAR: f64 = 2.0;
@@ -106,10 +106,8 @@ impl StudyPage<'_> {
             let at = estimators.iter().position(|(name, _)| *name == estimator).unwrap_or_default();
             COLOURS[at % COLOURS.len()]
         };
-        let highest = curves
-            .iter()
-            .flat_map(|curve| medians(curve, figure.measure))
-            .fold(0.0, |most, (_, y)| y.max(most));
+        let points = curves.iter().flat_map(|curve| medians(curve, figure.measure));
+        let highest = points.fold(0.0, |most, (_, y)| y.max(most));
         let mut panels = Vec::new();
         for series in &figure.series {
             let curves_of_series = curves.iter().filter(|curve| curve.series == series.name);
@@ -151,18 +149,7 @@ impl StudyPage<'_> {
                     @if zoomed { " Right: the same up to " (short(near)) ", with the limit of " (short(limit)) "." }
                 }
             }
-            div.wide { table {
-                thead { tr {
-                    th.text { (figure.x) }
-                    @for x in x_values(&curves) { th { (x) } }
-                    @if figure.measure == Measure::Euclidean { th { "reaches " (short(limit)) " at" } }
-                } }
-                tbody { @for curve in &curves { tr {
-                    td.text { (row_name(curve)) }
-                    @for x in x_values(&curves) { (cell(curve, x, figure.measure)) }
-                    @if figure.measure == Measure::Euclidean { td { (reached(curve.limit_at)) } }
-                } } }
-            } }
+            (value_table(figure, &curves, limit))
         })
     }
 
@@ -202,6 +189,22 @@ fn findings(title: &str, [asked, found]: [&str; 2], findings: &[&Finding]) -> Ma
             }
         }
     }
+}
+
+/// Median errors, a row for each curve, and the value of the condition at which they reach the limit.
+fn value_table(figure: &Figure, curves: &[&Curve], limit: f64) -> Markup {
+    html! { div.wide { table {
+        thead { tr {
+            th.text { (figure.x) }
+            @for x in x_values(curves) { th { (x) } }
+            @if figure.measure == Measure::Euclidean { th { "reaches " (short(limit)) " at" } }
+        } }
+        tbody { @for curve in curves { tr {
+            td.text { (row_name(curve)) }
+            @for x in x_values(curves) { (cell(curve, x, figure.measure)) }
+            @if figure.measure == Measure::Euclidean { td { (reached(curve.limit_at)) } }
+        } } }
+    } } }
 }
 
 fn row_name(curve: &Curve) -> String {

@@ -8,7 +8,7 @@ use super::plot::{Panel, PlotError};
 use crate::evaluate::{PlaceError, WorkspaceError};
 use crate::report::page::sections::mm;
 
-/// From the fifth of the places with the smallest errors to that with the largest.
+/// Colour of each fifth of the places, from the smallest errors to the largest.
 const FIFTHS: [RGBColor; 5] = [
     RGBColor(186, 212, 236),
     RGBColor(124, 174, 214),
@@ -20,7 +20,7 @@ const FIFTHS: [RGBColor; 5] = [
 /// Size of one map; both are side by side on the certificate \[px\].
 const SHEET: (u32, u32) = (450, 300);
 
-/// Two maps: a place by its distance from the first axis and its height.
+/// Two maps, with the nominal and with the calibrated robot; nothing without places.
 pub(in crate::report::page) fn map(workspace: &WorkspaceError) -> Result<Markup, PlotError> {
     if workspace.places.is_empty() {
         return Ok(html! {});
@@ -37,10 +37,11 @@ pub(in crate::report::page) fn map(workspace: &WorkspaceError) -> Result<Markup,
     } })
 }
 
+/// The places as dots, a series for each fifth; its legend is its largest error.
 fn one_map(title: &str, places: &[PlaceError], error_m: fn(&PlaceError) -> f64) -> Result<Markup, PlotError> {
     let mut sorted: Vec<&PlaceError> = places.iter().collect();
     sorted.sort_by(|a, b| error_m(a).total_cmp(&error_m(b)));
-    // Distance from the first axis and height.
+    // Distance from the first axis and height [mm].
     let point = |place: &&PlaceError| {
         let [x, y, z] = place.position_m;
         (x.hypot(y) * 1e3, z * 1e3)

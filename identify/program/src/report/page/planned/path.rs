@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use maud::{Markup, html};
 
 use super::path_view::{self, Carried, View, view};
+use crate::kinematics::BAR_JOINTS;
 use crate::logs::RobotLog;
 use crate::model::ParameterId;
 use crate::plan::{Bodies, Checked, Constraints, Path as BarPath};
@@ -14,7 +15,7 @@ use crate::report::page::{PageError, document_with};
 use crate::report::path::has_prismatic;
 use crate::report::result::file::replace;
 
-/// Points of a curve on the page.
+/// Points of a curve on the page, at most.
 const POINTS: usize = 600;
 
 /// Content of the page.
@@ -147,15 +148,15 @@ impl PathPage<'_> {
         let log = self.robot_path;
         let series = self.by_joint("joint ", log.axes(), |_, row, joint| {
             let next = row + 1;
-            let change_rad = log.q_rad.get(next)?[joint] - log.q_rad.get(row)?[joint];
-            Some(change_rad / (log.q_rad.t_s.get(next)? - log.q_rad.t_s.get(row)?))
+            let change = log.q_rad.get(next)?[joint] - log.q_rad.get(row)?[joint];
+            Some(change / (log.q_rad.t_s.get(next)? - log.q_rad.t_s.get(row)?))
         });
         let y = if has_prismatic(self.constraints.robot()) { "[rad/s, m/s]" } else { "[rad/s]" };
         over_time("Their speeds", y, series)
     }
 
     fn winding(&self) -> Result<Markup, PlotError> {
-        let series = self.by_joint("joint ", 5, |t_s, _, joint| {
+        let series = self.by_joint("joint ", BAR_JOINTS, |t_s, _, joint| {
             Some((self.path.at(t_s)[joint] - self.path.start_rad[joint]).to_degrees())
         });
         over_time("Bar joints from the start", "[deg]", series)

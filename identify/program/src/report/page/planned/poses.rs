@@ -168,6 +168,7 @@ impl PosesPage<'_> {
         self.planned.moves().map(of_move).sum()
     }
 
+    /// Range, limits and travel of each joint.
     fn travel(&self) -> Markup {
         let joints = &self.planned.joints;
         html! { table {
@@ -178,6 +179,7 @@ impl PosesPage<'_> {
                 @let [low, high] = crate::statistics::extremes(joints.iter().map(|q| q[joint]));
                 @let travel = self.travelled(joint);
                 @let (factor, unit) = self.unit(joint);
+                // Adding zero turns -0 into 0.
                 @let [lowest, highest, from, to, in_all] =
                     [low, high, limits[0], limits[1], travel].map(|value| format!("{:.0}", value * factor + 0.0));
                 tr {
@@ -192,6 +194,7 @@ impl PosesPage<'_> {
         } }
     }
 
+    /// Number of parameters of each kind, and their standard deviations before and after.
     fn determined(&self) -> Markup {
         let size =
             |one: &Determined, si: f64| one.ids.first().map_or_else(String::new, |id| id.unit().display(si));
@@ -213,6 +216,7 @@ impl PosesPage<'_> {
         }
     }
 
+    /// The parameters whose expected standard deviation is the largest part of that before.
     fn weakest(&self) -> Markup {
         let parts_left = self.planned.determined.iter().flat_map(|kind| kind.ids.iter().zip(&kind.left));
         let mut parts_left: Vec<(&ParameterId, &f64)> = parts_left.collect();

@@ -11,27 +11,8 @@ use crate::report::page::drawing::plot::{BLUE, COLOURS, Mark, ORANGE, Panel, Plo
 use crate::statistics::extremes;
 
 const RED: RGBColor = COLOURS[5];
-/// A log with more holes is shown as dots.
+/// A curve that gaps divide into more parts is shown as dots.
 const PARTS_MAX: usize = 200;
-
-/// A line across the figure; `None` if the instant is unknown or the figure is empty.
-fn mark(time: &TimeAxis, at_s: Option<f64>, series: &[Series]) -> Option<Series> {
-    let x = time.at(at_s?);
-    let heights = series.iter().flat_map(|one| &one.points).map(|(_, y)| *y);
-    let [low, high] = extremes(heights);
-    (low <= high).then(|| Series::new("", RED, Mark::Segments, vec![(x, low), (x, high)]))
-}
-
-fn panel(
-    title: String,
-    y: &str,
-    time: &TimeAxis,
-    mut series: Vec<Series>,
-    at_s: Option<f64>,
-) -> Result<Markup, PlotError> {
-    series.extend(mark(time, at_s, &series));
-    Panel::new(title, [&time.since_first(), y], THIRD, series).draw()
-}
 
 /// One figure for each joint of a log.
 pub(super) fn joints(curves: &[Curve], at_s: Option<f64>) -> Result<Vec<Markup>, PlotError> {
@@ -59,8 +40,7 @@ pub(super) fn deviations(deviations: &Deviations, at_s: Option<f64>) -> Result<V
     let measured = deviations.measured.iter().enumerate().filter(|(_, measured)| **measured);
     let of_joint = |joint: usize| {
         let points = samples.iter().map(|(t_s, error_rad)| (time.at(*t_s), error_rad[joint] * 1e3));
-        let number = joint as u8 + 1;
-        panel(format!("b{number}"), "[mrad]", &time, vec![dots("", BLUE, points.collect())], at_s)
+        panel(format!("b{}", joint + 1), "[mrad]", &time, vec![dots("", BLUE, points.collect())], at_s)
     };
     let mut panels =
         measured.map(|(joint, _)| of_joint(joint)).collect::<Result<Vec<Markup>, PlotError>>()?;
@@ -70,4 +50,23 @@ pub(super) fn deviations(deviations: &Deviations, at_s: Option<f64>) -> Result<V
         panels.push(panel("Alignment".into(), "shift [ms]", &time, series, at_s)?);
     }
     Ok(panels)
+}
+
+fn panel(
+    title: String,
+    y: &str,
+    time: &TimeAxis,
+    mut series: Vec<Series>,
+    at_s: Option<f64>,
+) -> Result<Markup, PlotError> {
+    series.extend(mark(time, at_s, &series));
+    Panel::new(title, [&time.since_first(), y], THIRD, series).draw()
+}
+
+/// A line across the figure; `None` if the instant is unknown or the figure is empty.
+fn mark(time: &TimeAxis, at_s: Option<f64>, series: &[Series]) -> Option<Series> {
+    let x = time.at(at_s?);
+    let heights = series.iter().flat_map(|one| &one.points).map(|(_, y)| *y);
+    let [low, high] = extremes(heights);
+    (low <= high).then(|| Series::new("", RED, Mark::Segments, vec![(x, low), (x, high)]))
 }

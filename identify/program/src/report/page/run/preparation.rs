@@ -1,4 +1,4 @@
-//! Preparation of the two logs of a run: figures 5.2 to 5.4 of the thesis.
+//! Preparation of the two logs of a run: figures 5.2 to 5.4 of the thesis (Brand and Nilsson 2016).
 
 use maud::{Markup, html};
 

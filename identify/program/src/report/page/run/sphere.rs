@@ -1,5 +1,5 @@
 //! Section on the deviation of the robot's end from the sphere of a rigid bar, over time and by direction, and on the force
-//! on the bar: section 5.3 of the thesis.
+//! on the bar: section 5.3 of the thesis (Brand and Nilsson 2016).
 
 use maud::{Markup, html};
 use plotters::style::RGBColor;
@@ -119,7 +119,8 @@ fn deviation_over_time(sphere: &SphereDeviation) -> Result<Markup, PlotError> {
     Ok(html! { (panel("Nominal robot, the bar fitted to it", before)?) (panel("Calibrated robot", after)?) })
 }
 
-/// The force over time, and the deviation against it.
+/// The force over time, and the deviation against it. The line is the elongation: compliance \[m/N\] times force \[N\], or half of
+/// the play \[m\] times the sign of the force.
 fn forces(after: &Deviation, elongation: &Elongation) -> Result<Markup, PlotError> {
     // Play is identified from the sign of the force alone.
     let has_only_signs = elongation.parameter == ParameterId::BarPlay;
@@ -152,7 +153,7 @@ fn sphere_map(title: &str, deviation: &Deviation) -> Result<Markup, PlotError> {
         let colour = colour(f64::from(step) / f64::from(STEPS));
         dots(name, colour, of_step.map(|sample| from_above(&sample.direction)).collect())
     };
-    // The strongest colours are drawn last, on top.
+    // The strongest colours are drawn last, on top; zero has no sign and is drawn once.
     sphere_from_above(title, (0..=STEPS).flat_map(|size| [-size, size]).skip(1).map(series))
 }
 

@@ -69,10 +69,7 @@ impl<'a> Scene<'a> {
         let mut capsules = Vec::new();
         let in_frames =
             |place: &dyn Fn(&Skeleton) -> Vector3<f64>| skeletons.iter().map(place).collect::<Vec<_>>();
-        points.push(in_frames(&|one| one.links.first().map_or_else(Vector3::zeros, |[before, ..]| *before)));
-        let is_long = |from: &[Vector3<f64>], to: &[Vector3<f64>]| {
-            from.iter().zip(to).any(|(from, to)| (to - from).norm() > PIECE_M_MIN)
-        };
+        points.push(in_frames(&|one| one.links.first().map_or_else(Vector3::zeros, |[start, ..]| *start)));
         let links = arm.links.len();
         let mut add = |to: Vec<Vector3<f64>>, colour: &'static str, radius_m: f64| {
             let from = points.len() - 1;
@@ -91,15 +88,9 @@ impl<'a> Scene<'a> {
             }
         }
         add(in_frames(&|one| one.end), "plate", bodies.rod_radius_m);
-        let (far_end, is_target): (Vec<Vector3<f64>>, bool) = match view.carried {
-            Carried::Bar(gimbal) => (vec![gimbal; times_s.len()], false),
-            Carried::Target(target) => {
-                let place = |(_, q): &(f64, Joints)| (arm.forward(q) * Point3::from(target)).coords;
-                (view.motion.iter().map(place).collect(), true)
-            }
-        };
-        add(far_end, "rod", bodies.rod_radius_m);
-        let ends = points.len().saturating_sub(if is_target { 1 } else { 2 });
+        add(far_end(view), "rod", bodies.rod_radius_m);
+        // The end of the plate is before the gimbal; the target is last.
+        let ends = points.len().saturating_sub(if matches!(view.carried, Carried::Bar(_)) { 2 } else { 1 });
         let rounded_to_mm = |x_m: f64| (x_m * 1e3).round() / 1e3;
         let frame = |row: usize| {
             points.iter().filter_map(|point| point.get(row)).flatten().map(|x| rounded_to_mm(*x)).collect()
@@ -115,6 +106,20 @@ impl<'a> Scene<'a> {
             reach_m: arm.reach_m(),
         }
     }
+}
+
+/// Whether two points are further apart than [`PIECE_M_MIN`] in any frame.
+fn is_long(from: &[Vector3<f64>], to: &[Vector3<f64>]) -> bool {
+    from.iter().zip(to).any(|(from, to)| (to - from).norm() > PIECE_M_MIN)
+}
+
+/// Gimbal of the bar, or target, in the robot's base frame in each frame of the animation \[m\].
+fn far_end(view: &View<'_>) -> Vec<Vector3<f64>> {
+    let place = |(_, q): &(f64, Joints)| match view.carried {
+        Carried::Bar(gimbal) => gimbal,
+        Carried::Target(target) => (view.arm.forward(q) * Point3::from(target)).coords,
+    };
+    view.motion.iter().map(place).collect()
 }
 
 /// The view with its controls.
