@@ -83,9 +83,10 @@ pub fn corrections(file: &CalibrationFile, deployment: Deployment) -> Vec<Correc
     joints
 }
 
-/// The joint offsets of a deployment for the columns of the log, as a mapping or the robot's file names and converts them. These are
-/// a controller's joint values where the log has them: applied instead of those of the model's joints. With the conversion
-/// `q = (raw - raw_offset) T` of the log they are the `change` in `q + offset = (raw + change - raw_offset) T`.
+/// The joint offsets of a deployment as changes of the columns of the robot's log. The mapping, or else the robot's file, has
+/// names and conversion of the columns. A controller whose joint values are those of its log takes these changes in place of the
+/// offsets of the model's joints. With the log's conversion `q = (raw - raw_offset) T`, the `change` of each column follows from
+/// `q + offset = (raw + change - raw_offset) T`.
 ///
 /// # Errors
 /// [`LogError::SingularConversion`].
@@ -104,7 +105,7 @@ pub fn log_corrections(
             *offset = entry.correction;
         }
     }
-    // Name, unit, and factor to rad or m of each column.
+    // Name and unit of each column, and that unit in the unit of `to_raw`: the log's own, with a mapping rad or m.
     let column_of_robot = |(column, kind): (String, JointKind)| match kind {
         JointKind::Revolute => (column, robot.log.unit.suffix(), 1.0),
         JointKind::Prismatic => (column, kind.si_symbol(), 1.0),

@@ -59,11 +59,11 @@ const fn reason(why: Rejection) -> &'static str {
 /// # Errors
 /// [`FileError::Csv`].
 pub fn residuals_csv(calibration: &Calibration, lines: &[&[u64]]) -> Result<String, FileError> {
-    let bars = calibration.runs.len() - calibration.rows.len();
+    let bar_runs = calibration.runs.len() - calibration.rows.len();
     let mut all = Vec::new();
     for (number, run) in calibration.runs.iter().enumerate() {
         // Runs with a bar are first, then files of rows.
-        let row_file = number.checked_sub(bars);
+        let row_file = number.checked_sub(bar_runs);
         let deviations = match row_file.and_then(|index| calibration.rows.get(index)) {
             Some(set) => set.deviations(run),
             None => {

@@ -13,7 +13,7 @@ use crate::kinematics::{Chain, DhLink, Pose, flange_chain, robot_chain, roll_pit
 use crate::logs::{LogError, RobotLogMapping};
 use crate::model::ParameterId;
 
-/// Why there is no such file.
+/// Why the files of the robot cannot be written.
 #[derive(Debug, thiserror::Error)]
 pub enum RobotFileError {
     /// The robot's log cannot be converted.
@@ -113,7 +113,7 @@ pub fn urdf(robot: &RobotConfig, identified: &Chain, bar: Option<&BallBarConfig>
     for ((index, link), limits) in identified.links.iter().enumerate().zip(robot.joint_limits()) {
         let child = format!("axis_{}", index + 1);
         let axis = Some((link.joint, limits));
-        joint(&mut text, &format!("joint_{}", index + 1), &parent, &child, &from_parent, axis);
+        append_joint(&mut text, &format!("joint_{}", index + 1), &parent, &child, &from_parent, axis);
         from_parent = link.transform(0.0);
         parent = child;
     }
@@ -122,16 +122,16 @@ pub fn urdf(robot: &RobotConfig, identified: &Chain, bar: Option<&BallBarConfig>
     let behind_flange =
         |bar: &BallBarConfig| DhLink { a_m: bar.plate_m, d_m: bar.tool_m, ..DhLink::default() };
     let flange = bar.map_or(end, |bar| end * behind_flange(bar).transform(0.0).inverse());
-    joint(&mut text, "to_flange", &parent, "flange", &flange, None);
+    append_joint(&mut text, "to_flange", &parent, "flange", &flange, None);
     if bar.is_some() {
-        joint(&mut text, "to_ball_bar_end", &parent, "ball_bar_end", &end, None);
+        append_joint(&mut text, "to_ball_bar_end", &parent, "ball_bar_end", &end, None);
     }
     text.push_str("</robot>\n");
     text
 }
 
-/// A joint and the link after it; fixed where it has no axis.
-fn joint(
+/// Appends a joint and the link after it; fixed where it has no axis.
+fn append_joint(
     text: &mut String,
     name: &str,
     parent: &str,

@@ -82,6 +82,21 @@ pub struct ValidationEntry {
     pub left_out: usize,
 }
 
+/// Samples of a segment or part share their errors: it counts as one independent error along each axis.
+const INDEPENDENT_OF_SEGMENT: usize = 3;
+
+/// Root mean square errors on held-out data of one kind.
+pub(in crate::report) struct HeldOutErrors {
+    pub what: String,
+    /// Number of independent errors in each root mean square.
+    pub independent: usize,
+    pub nominal: PoseError,
+    /// `None` if the deployment's fit did not converge or does not predict these data.
+    pub calibrated: Option<PoseError>,
+    /// Of the calibrated robot on the data of the fit.
+    pub fitted: PoseError,
+}
+
 impl CalibrationFile {
     /// Adds the held-out figures of the calibration, of each part of an instrument and of each deployment.
     pub fn with_validation(mut self, evidence: &Evidence) -> Self {
@@ -156,9 +171,6 @@ impl CalibrationFile {
     }
 }
 
-/// Samples of a segment or part share their errors: it counts as one independent error along each axis.
-const INDEPENDENT_OF_SEGMENT: usize = 3;
-
 /// Root mean square of groups with these numbers of errors and root mean squares.
 fn pooled_rms(groups: impl Iterator<Item = (usize, f64)>) -> f64 {
     let sums = groups.fold([0.0, 0.0], |[count, squares], (number, rms)| {
@@ -167,19 +179,7 @@ fn pooled_rms(groups: impl Iterator<Item = (usize, f64)>) -> f64 {
     (sums[1] / sums[0]).sqrt()
 }
 
-/// Root mean square errors on held-out data of one kind.
-pub(in crate::report) struct HeldOutErrors {
-    pub what: String,
-    /// Number of independent errors in each root mean square.
-    pub independent: usize,
-    pub nominal: PoseError,
-    /// `None` if the fit did not converge or not on these data.
-    pub calibrated: Option<PoseError>,
-    /// Of the calibrated robot on the data of the fit.
-    pub fitted: PoseError,
-}
-
-/// Lines for a terminal.
+/// The line for the terminal on held-out segments; empty without them.
 pub(in crate::report) fn describe(file: &CalibrationFile) -> String {
     let mut text = String::new();
     // Writing to a string cannot fail.
