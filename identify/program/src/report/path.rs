@@ -21,44 +21,16 @@ const PLACES_SHOWN: usize = 10;
 /// Parameters of a kind that are named, at most.
 const NAMED: usize = 12;
 
-/// The lines about a path, each ended. `found` is how it was found.
+/// Lines about a path: expected accuracy, search, place of the bar, motion, margins and violations. `found` is the search that
+/// found it; a path that is only checked has none.
 pub fn summary(
     checked: &Checked,
     constraints: &Constraints<'_>,
     information: &Information,
     found: Option<&Found>,
 ) -> String {
-    let mut text = String::new();
-    let mm = |m: f64| format!("{:.4} mm", m * 1e3);
-    let expected = information.position(&checked.normal);
+    let mut text = accuracy(checked, constraints, information);
     // Writing to a string cannot fail.
-    let _ = writeln!(
-        text,
-        "{:.1} s; expected RMS position error over the workspace after a calibration, from white noise:\n\
-         {} where the axes have no errors, {} with all terms of the axes, {} with the plate's length, too;\n\
-         of the terms a calibration takes those that it finds, each of them alone:",
-        checked.duration_s,
-        mm(expected.axes_exact_m),
-        mm(expected.with_terms_m),
-        mm(expected.with_plate_m)
-    );
-    for with_group in information.with_each(&checked.normal) {
-        let _ = writeln!(text, "  {:<33} {}", with_group.group.name(), mm(with_group.position_m));
-    }
-    let names =
-        |group: &Vec<ParameterId>| group.iter().map(ToString::to_string).collect::<Vec<_>>().join("|");
-    let not_separated: Vec<String> = information.not_separated(&checked.normal).iter().map(names).collect();
-    if !not_separated.is_empty() {
-        let _ = writeln!(text, "not separated by the data of this path: {}", not_separated.join(", "));
-    }
-    if let Some(least_m) = position_m_min(checked, constraints, information) {
-        let _ = writeln!(
-            text,
-            "efficiency {:.0} %: no run of this length in this configuration of the arm leaves less than {} with all terms",
-            100.0 * (least_m / expected.with_terms_m).powi(2),
-            mm(least_m)
-        );
-    }
     if let Some(found) = found {
         let best = found.random_scores.iter().copied().fold(f64::INFINITY, f64::min);
         let _ = writeln!(
@@ -80,8 +52,7 @@ pub fn summary(
     text.push_str(&ends(checked, arm));
     let rates = [&checked.speed_rad_s, &checked.acceleration_rad_s2, &checked.jerk_rad_s3];
     text.push_str(&joint_rows(&checked.joint_range_rad, rates, arm));
-    let winding =
-        |end: usize| checked.winding_rad.iter().map(|range| range[end].to_degrees()).collect::<Vec<_>>();
+    let winding = |end: usize| checked.winding_rad.iter().map(move |range| range[end].to_degrees());
     text.push_str(&row("bar joint from start [deg]", winding(0), 1));
     text.push_str(&row("", winding(1), 1));
     let clearance =
@@ -107,8 +78,48 @@ pub fn summary(
     text
 }
 
-fn row(name: &str, values: Vec<f64>, digits: usize) -> String {
-    let values: String = values.iter().map(|value| format!("{:>9.digits$}", value + 0.0)).collect();
+/// Expected position error with the terms of a calibration, parameters that the path does not separate, and its efficiency.
+fn accuracy(checked: &Checked, constraints: &Constraints<'_>, information: &Information) -> String {
+    let mut text = String::new();
+    let expected = information.position(&checked.normal);
+    let _ = writeln!(
+        text,
+        "{:.1} s; expected RMS position error over the workspace after a calibration, from white noise:\n\
+         {} where the axes have no errors, {} with all terms of the axes, {} with the plate's length, too;\n\
+         of the terms a calibration takes those that it finds, each of them alone:",
+        checked.duration_s,
+        mm(expected.axes_exact_m),
+        mm(expected.with_terms_m),
+        mm(expected.with_plate_m)
+    );
+    for with_group in information.with_each(&checked.normal) {
+        let _ = writeln!(text, "  {:<33} {}", with_group.group.name(), mm(with_group.position_m));
+    }
+    let names =
+        |group: &Vec<ParameterId>| group.iter().map(ToString::to_string).collect::<Vec<_>>().join("|");
+    let not_separated: Vec<String> = information.not_separated(&checked.normal).iter().map(names).collect();
+    if !not_separated.is_empty() {
+        let _ = writeln!(text, "not separated by the data of this path: {}", not_separated.join(", "));
+    }
+    // Efficiency is a ratio of variances.
+    if let Some(least_m) = position_m_min(checked, constraints, information) {
+        let _ = writeln!(
+            text,
+            "efficiency {:.0} %: no run of this length in this configuration of the arm leaves less than {} with all terms",
+            100.0 * (least_m / expected.with_terms_m).powi(2),
+            mm(least_m)
+        );
+    }
+    text
+}
+
+fn mm(length_m: f64) -> String {
+    format!("{:.4} mm", length_m * 1e3)
+}
+
+/// A line with a name and its values; adding zero turns -0 into 0.
+fn row(name: &str, values: impl IntoIterator<Item = f64>, digits: usize) -> String {
+    let values: String = values.into_iter().map(|value| format!("{:>9.digits$}", value + 0.0)).collect();
     format!("{name:<28}{values}\n")
 }
 
@@ -120,9 +131,7 @@ pub fn has_prismatic(arm: &Chain) -> bool {
 /// Extremes of the robot's joints and their speeds, accelerations and jerks, each in the unit of its axis.
 fn joint_rows(ranges: &[[f64; 2]], [speed, acceleration, jerk]: [&Joints; 3], arm: &Chain) -> String {
     let range = |end: usize| {
-        let shown =
-            ranges.iter().zip(&arm.links).map(|(range, link)| range[end] * link.joint.display_factor());
-        shown.collect::<Vec<_>>()
+        ranges.iter().zip(&arm.links).map(move |(range, link)| range[end] * link.joint.display_factor())
     };
     let units = match has_prismatic(arm) {
         true => ["deg,mm", "rad/s,m/s", "rad/s2,m/s2", "rad/s3,m/s3"],
@@ -131,9 +140,9 @@ fn joint_rows(ranges: &[[f64; 2]], [speed, acceleration, jerk]: [&Joints; 3], ar
     [
         row(&format!("robot joint, lowest [{}]", units[0]), range(0), 1),
         row(&format!("  highest [{}]", units[0]), range(1), 1),
-        row(&format!("  speed [{}]", units[1]), speed.to_vec(), 2),
-        row(&format!("  acceleration [{}]", units[2]), acceleration.to_vec(), 2),
-        row(&format!("  jerk [{}]", units[3]), jerk.to_vec(), 0),
+        row(&format!("  speed [{}]", units[1]), speed.iter().copied(), 2),
+        row(&format!("  acceleration [{}]", units[2]), acceleration.iter().copied(), 2),
+        row(&format!("  jerk [{}]", units[3]), jerk.iter().copied(), 0),
     ]
     .concat()
 }

@@ -14,6 +14,9 @@ use crate::model::{Model, ParameterId, Phase, Waves};
 use crate::report::result::validation::ValidationEntry;
 use crate::statistics::Sizes;
 
+/// Lines of a file that are named, at most.
+const NAMED: usize = 8;
+
 /// Errors of the nominal and the calibrated robot on another file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Validation {
@@ -50,7 +53,6 @@ impl Validation {
 
     /// Clause on the rows with gross errors.
     fn left_out(&self) -> String {
-        const NAMED: usize = 8;
         match self.gross.len() {
             0 => String::new(),
             count => format!(
@@ -62,7 +64,6 @@ impl Validation {
 
     /// Clause on the rows at which the calibration is not supported.
     fn unsupported(&self) -> String {
-        const NAMED: usize = 8;
         let (outside, rows) = (self.outside.len(), self.entry.nominal.rows + self.gross.len());
         if outside == 0 {
             return String::new();
@@ -82,8 +83,8 @@ impl Validation {
     }
 }
 
-/// A line with number of rows and errors of one stage.
-fn line(text: &mut String, name: &str, figures: &PoseFigures) {
+/// Appends a line with number of rows and errors \[mm, mrad\]: mean, RMS, 95 % quantile and largest.
+fn append_errors(text: &mut String, name: &str, figures: &PoseFigures) {
     let sizes = |Sizes { mean, rms, p95, max, .. }: &Sizes| {
         format!("{:>8.3} {:>8.3} {:>8.3} {:>8.3}", mean * 1e3, rms * 1e3, p95 * 1e3, max * 1e3)
     };
@@ -92,13 +93,13 @@ fn line(text: &mut String, name: &str, figures: &PoseFigures) {
     let _ = writeln!(text, "{name:<44}{:>6} {}   {rotation}", figures.rows, sizes(&figures.position_m));
 }
 
-/// A line for each stage of the model. `instrument_parts` were fitted in all of them; `last` names what the last stage adds.
-fn stages(text: &mut String, name: &str, [instrument_parts, last]: [&str; 2], stages: &Stages) {
+/// Appends a line for each stage of the model. `instrument_parts` were fitted in all; `last` names what the last stage adds.
+fn append_stages(text: &mut String, name: &str, [instrument_parts, last]: [&str; 2], stages: &Stages) {
     let _ = writeln!(text, "{name}");
-    line(text, &format!("  nominal robot, {instrument_parts} fitted"), &stages.nominal);
-    line(text, "  and joint offsets", &stages.offsets);
-    line(text, "  and the other numbers of links", &stages.links);
-    line(text, &format!("  and {last}"), &stages.joints);
+    append_errors(text, &format!("  nominal robot, {instrument_parts} fitted"), &stages.nominal);
+    append_errors(text, "  and joint offsets", &stages.offsets);
+    append_errors(text, "  and the other numbers of links", &stages.links);
+    append_errors(text, &format!("  and {last}"), &stages.joints);
 }
 
 /// Heading of the errors of a line.
@@ -124,17 +125,17 @@ pub fn table(
     };
     let last = if set.drift.is_some() { "joint errors and drift" } else { "joint errors" };
     let names = [instrument.parts(), last];
-    stages(&mut text, "fitted", names, &fitted);
-    stages(&mut text, "held out", names, &held_out);
+    append_stages(&mut text, "fitted", names, &fitted);
+    append_stages(&mut text, "held out", names, &held_out);
     if with_rejected.nominal.rows != held_out.nominal.rows {
-        stages(&mut text, "held out, with faulty rows", names, &with_rejected);
+        append_stages(&mut text, "held out, with faulty rows", names, &with_rejected);
     }
     for validation in validations {
         let ValidationEntry { name, nominal, calibrated, .. } = &validation.entry;
         let beside = validation.unsupported() + &validation.left_out();
         let _ = writeln!(text, "{name}, {} fitted to other rows of it{beside}", instrument.parts());
-        line(&mut text, "  nominal robot", nominal);
-        line(&mut text, "  calibrated robot", calibrated);
+        append_errors(&mut text, "  nominal robot", nominal);
+        append_errors(&mut text, "  calibrated robot", calibrated);
     }
     if let Some(drift) = &set.drift {
         let _ = writeln!(
@@ -219,14 +220,12 @@ fn rejected_rows(set: &RowSet, remarks: &[(usize, String)], lines: &[u64]) -> St
     text
 }
 
-/// Errors of link lengths that were typed by hand are smaller: a nominal robot further from its rows is another robot \[m\].
+/// RMS error of the nominal robot above which rows are of another robot \[m\]: link lengths that were typed by hand err by less.
 pub(crate) const OTHER_ROBOT_M: f64 = 0.01;
 
 /// The limit that rows of a data set are rejected, with their number by reason; `name` is the instrument with its data set,
 /// `lines` are the line numbers of the rows.
 pub fn left_out(set: &RowSet, run: &Run, [name, robot]: [&str; 2], lines: &[u64]) -> Option<Limit> {
-    /// Named, at most.
-    const NAMED: usize = 8;
     /// If more than this part of a file is rejected, the other rows may be wrong, too.
     const SERIOUS: f64 = 0.05;
     let mut rejected = Vec::new();

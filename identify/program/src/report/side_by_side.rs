@@ -1,4 +1,5 @@
-//! Several calibrations of one robot side by side: a table, and the figure that the thesis drew by path (5.12 to 5.17).
+//! Several calibrations of one robot side by side: a table, and parameters with their intervals as figures, as in figures 5.12
+//! to 5.17 of the thesis (Brand and Nilsson 2016).
 
 use std::fmt::Write;
 
@@ -37,6 +38,7 @@ pub fn table(consistency: &Consistency, names: &[String]) -> String {
     text
 }
 
+/// An identified value and its sigma, times `factor`.
 fn shown(value: Option<(f64, f64)>, factor: f64) -> String {
     value.map_or_else(
         || "fixed".into(),

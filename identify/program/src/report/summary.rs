@@ -53,7 +53,7 @@ pub fn summary(
         )),
         (!parts.is_empty()).then(|| format!("held-out data with a part of the model: {}", parts.join("; "))),
         file.scale.as_ref().map(|scale| format!("scale: {scale}")),
-        Some(format!("limited by: {}{}", limit(file).trim_end_matches('.'), measured(file))),
+        Some(format!("limited by: {}{}", limit(file).trim_end_matches('.'), supported(file))),
         not_separated(file),
         Some(files(written, page)),
         Some(format!("next: {}", next(file))),
@@ -81,8 +81,8 @@ fn limit(file: &CalibrationFile) -> &str {
     file.other_limits().next().map_or("nothing that is known", |limit| &limit.sentence)
 }
 
-/// Where the calibration is supported.
-fn measured(file: &CalibrationFile) -> String {
+/// Clause on the joint ranges in which the calibration is supported.
+fn supported(file: &CalibrationFile) -> String {
     let validity = file.validity.as_ref().filter(|validity| !validity.joints.is_empty());
     validity.map_or_else(String::new, |validity| format!("; supported (deg): {validity}"))
 }
@@ -94,6 +94,7 @@ fn files(written: &[PathBuf], page: &Path) -> String {
     format!("in {}: {}", directory.display(), names.collect::<Vec<_>>().join(", "))
 }
 
+/// What to do next, by the verdict and the tables of corrections that are written.
 fn next(file: &CalibrationFile) -> &'static str {
     let grade = file.verdict.as_ref().map(|verdict| verdict.grade);
     match (file.serves(Deployment::Dh), grade) {

@@ -59,9 +59,9 @@ pub fn calibration(file: &CalibrationFile) -> String {
 }
 
 /// Each data set of a mix: its samples, and the noise by which the solve weights it.
-pub fn data_sets(found: &Calibration) -> String {
+pub fn data_sets(calibration: &Calibration) -> String {
     let mut text = format!("{:<12}{:>8}{:>24}\n", "instrument", "samples", "noise");
-    for (Run { instrument, .. }, sigma) in found.runs.iter().zip(&found.solved.sigmas) {
+    for (Run { instrument, .. }, sigma) in calibration.runs.iter().zip(&calibration.solved.sigmas) {
         let (name, samples) = (instrument.name(), instrument.samples());
         let noise = match instrument.noise() {
             Noise::Angles(angles) => {
@@ -90,7 +90,7 @@ fn parameters(file: &CalibrationFile) -> String {
     let applied = file.applied();
     let _ = writeln!(text, "\n{:<16}{:>14}{:>12}{:>10}  unit", "parameter", "nominal", "correction", "sigma");
     let (entries, waves) = applied.reported();
-    let [exact, held] = ParameterEntry::fixed(entries.iter().copied());
+    let [exact, uncertain] = ParameterEntry::fixed(entries.iter().copied());
     for entry in entries.into_iter().filter(|entry| entry.status != Status::Fixed) {
         let ReadIn { factor, unit, decimals } = entry.read_in();
         let sigma = entry.sigma.map_or_else(|| "-".into(), |sigma| format!("{:.5}", sigma * factor));
@@ -109,8 +109,9 @@ fn parameters(file: &CalibrationFile) -> String {
         let _ = writeln!(text, "and {waves} amplitudes of waves of the axes");
     }
     let _ = writeln!(text, "fixed: {}", exact.join(" "));
-    if !held.is_empty() {
-        let _ = writeln!(text, "fixed, with an uncertainty that is part of all sigmas: {}", held.join(", "));
+    if !uncertain.is_empty() {
+        let _ =
+            writeln!(text, "fixed, with an uncertainty that is part of all sigmas: {}", uncertain.join(", "));
     }
     text
 }

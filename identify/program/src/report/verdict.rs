@@ -190,7 +190,7 @@ impl CalibrationFile {
         self.limits.iter().filter(move |limit| Some(&limit.sentence) != reason)
     }
 
-    /// Held-out data are not predicted as well by the nominal robot.
+    /// Held-out data are predicted better than by the nominal robot, or no data were held out.
     pub fn may_be_applied(&self) -> bool {
         self.verdict.as_ref().and_then(|verdict| verdict.better) != Some(false)
     }
