@@ -21,9 +21,9 @@ fn main() -> ExitCode {
     match commands::run(arguments) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            let told = format!("error: {}", explained(error.as_ref()));
+            let message = format!("error: {}", explained(error.as_ref()));
             // Another program gets each sentence whole; a reader that has gone (`2>&1 | head`) wants none.
-            let _ = writeln!(std::io::stderr(), "{}", if on_terminal { wrapped(&told) } else { told });
+            let _ = writeln!(std::io::stderr(), "{}", if on_terminal { wrapped(&message) } else { message });
             ExitCode::FAILURE
         }
     }
