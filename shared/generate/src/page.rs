@@ -18,7 +18,7 @@ pub fn commands(command: &Command) -> Vec<&Command> {
     iter::once(command).chain(below.flat_map(commands)).collect()
 }
 
-/// The words that call a command of a program that is built.
+/// The words that call a command, such as `identify robot check`, after [`Command::build`] of its program.
 pub fn name(command: &Command) -> &str {
     command.get_bin_name().unwrap_or_else(|| command.get_name())
 }
@@ -40,11 +40,13 @@ pub fn page(mut program: Command) -> String {
     commands(&program).into_iter().map(section).collect()
 }
 
+/// The text after the options in `--help`.
 fn end_of_help(command: &Command) -> String {
     let text = command.get_after_long_help().or_else(|| command.get_after_help());
     text.map(ToString::to_string).unwrap_or_default()
 }
 
+/// Heading, description, usage with the example, a table of arguments for each heading, and the other text after the help.
 fn section(command: &Command) -> String {
     let name = name(command);
     let about = command.get_long_about().or_else(|| command.get_about());
@@ -75,6 +77,7 @@ fn section(command: &Command) -> String {
     text + "\n"
 }
 
+/// A row of the table: argument, default, and meaning with the possible values.
 fn row(argument: &Arg) -> String {
     let has_value = argument.get_action().takes_values() && !argument.is_hide_default_value_set();
     let values = argument.get_default_values().iter().map(|value| value.to_string_lossy());
