@@ -5,7 +5,7 @@ use std::path::{Component, Path, PathBuf};
 
 use super::ConfigError;
 
-/// Directories with configuration, the first that has a name counts: of the working directory, of the machine.
+/// Directories with configuration, of the working directory and of the machine; the first that has a name counts.
 pub const PLACES: [&str; 2] = ["config", "/etc/ballbard"];
 /// Directory of robots in each of [`PLACES`].
 const ROBOTS: &str = "robots";

@@ -15,8 +15,8 @@ pub(super) fn line_of_syntax(text: &str, error: &toml::de::Error) -> Option<usiz
     line_at(text, error.span()?.start)
 }
 
-/// The line that a message of serde on `key` is about, from 1; `None` if it concerns the whole file. What is absent is absent from
-/// a table.
+/// The line that a message of serde on `key` is about, from 1: of an unknown key its own, of a missing key that of its table;
+/// `None` if it concerns the whole file.
 pub(super) fn line(text: &str, key: &str, original: &str) -> Option<usize> {
     match names(original)[..] {
         [wrong, ..] if original.starts_with("unknown field") => line_of(text, &in_table(key, wrong)),

@@ -179,7 +179,7 @@ pub fn parse<T: DeserializeOwned + Validate>(text: &str, path: &Path) -> Result<
     Ok(value)
 }
 
-/// Reader of TOML that is the same for every type, and follows the keys on the way.
+/// Reader of TOML that is compiled once for all types. It notes in `keys` the path of the key that is being read.
 fn reader<'a>(
     text: &'a str,
     path: &Path,
@@ -196,7 +196,7 @@ fn reader<'a>(
     Ok(Box::new(<dyn erased_serde::Deserializer>::erase(following)))
 }
 
-/// A configuration of one kind whose `key` cannot be read.
+/// The error that `key` cannot be read, or that the text is a configuration of another kind.
 fn malformed(
     text: &str,
     path: &Path,

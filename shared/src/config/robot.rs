@@ -162,7 +162,7 @@ pub struct LogConversion {
 }
 
 impl LogConversion {
-    /// Joint variables as the model takes them.
+    /// For a log with the joint variables of the model: offsets of zero and the unit matrix.
     pub fn direct(unit: AngleUnit, axes: usize) -> Self {
         let row = |i: usize| (0..axes).map(|j| f64::from(u8::from(i == j))).collect();
         let raw_to_joint = (0..axes).map(row).collect();
