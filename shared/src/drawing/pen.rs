@@ -133,11 +133,11 @@ impl Pen {
 
     /// A cylinder between the centres of its ends: its outline, then the end that the observer sees.
     pub fn cylinder(&mut self, class: &str, ends: [Vector; 2], radius: f64) {
-        // Its ends are ellipses; this is the ratio of their axes.
-        let towards = (ends[1] - ends[0]).unit().dot(self.towards);
-        let [near, far] = if towards < 0.0 { ends } else { [ends[1], ends[0]] }.map(|end| self.project(end));
+        // Its ends are ellipses; this is the ratio of their axes, below zero if the observer sees the first end.
+        let ratio = (ends[1] - ends[0]).unit().dot(self.towards);
+        let [near, far] = if ratio < 0.0 { ends } else { [ends[1], ends[0]] }.map(|end| self.project(end));
         let [x, y] = unit(far, near).map(|part| part * radius);
-        let [minor, turned_deg] = [radius * towards.abs(), x.atan2(-y).to_degrees()].map(px);
+        let [minor, turned_deg] = [radius * ratio.abs(), x.atan2(-y).to_degrees()].map(px);
         let arc = format!("A{radius} {minor} {turned_deg} 0 1");
         let [[right, left], [far_right, far_left]] = [near, far].map(|[centre_x, centre_y]| {
             self.include([centre_x - radius, centre_y - radius]);
