@@ -136,7 +136,7 @@ pub(super) struct Decoder {
 }
 
 impl Decoder {
-    /// For files whose beginning may be lost: until they declare their channels these are taken for those that
+    /// For files whose beginning may be lost: channels that are not declared yet have the numbers that
     /// [`RecordingWriter`](super::RecordingWriter) gives them.
     pub fn with_usual_channels(layout: CycleLayout) -> Self {
         let [cycles, events] = USUAL_CHANNELS;

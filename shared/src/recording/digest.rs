@@ -106,9 +106,10 @@ const FLAG_REASONS: [(u32, &str); 9] = [
     (flags::NO_DC, "no distributed clock"),
 ];
 
-/// Bits of a whole bus: the status words of such a cycle may be old.
+/// Flags of cycles whose status words may be old, because the bus did not reply.
 const NO_STATUS: u32 = flags::LOST | flags::BUS_DOWN | flags::NO_REPLY;
 
+/// Why a sample is not valid: by the status word of its terminal, unless that may be old, otherwise by the flags of its cycle.
 fn reason(encoder: Option<&EncoderSample>, flags: u32) -> &'static str {
     let status = encoder.filter(|_| flags & NO_STATUS == 0).map_or(0, |encoder| encoder.status);
     let by_status = STATUS_REASONS.iter().find(|(bit, _)| status & bit != 0).map(|(_, reason)| *reason);

@@ -100,6 +100,7 @@ fn summary_of(file: &mut OpenFile<'_>) -> Result<Vec<u8>, ReadErrorKind> {
     Ok(summary)
 }
 
+/// The metadata record of this name, from the place that the summary gives.
 fn metadata(
     file: &mut OpenFile<'_>,
     indexes: &[MetadataIndex],

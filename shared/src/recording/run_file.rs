@@ -126,10 +126,7 @@ impl RunFile {
         };
         while self.length < other.length {
             let wanted = COPY_BYTES.min((other.length - self.length) as usize);
-            let count = match read(&mut buffer[..wanted], self.length) {
-                Ok(count) => count,
-                Err(error) => return Err(unreadable(error)),
-            };
+            let count = read(&mut buffer[..wanted], self.length).map_err(&unreadable)?;
             self.write_all(&buffer[..count]).map_err(io_error(&self.place.path))?;
         }
         if self.checksum.clone().finalize() != other.checksum.clone().finalize() {
@@ -203,7 +200,7 @@ fn is_plain(c: char) -> bool {
 /// Turns typed text into the name of a run: letters, digits, `-`, `_`, `+` and `.` stay, anything else becomes `-`. Absent if
 /// no letter or digit is left.
 pub fn run_name(typed: &str) -> Option<String> {
-    // Accents as characters of their own, as some keyboards send them.
+    // Combining characters: accents apart from their letters, as some keyboards send them.
     let is_accent = |c: &char| ('\u{300}'..='\u{36f}').contains(c);
     let mut plain = String::new();
     for c in typed.trim().chars().filter(|c| !is_accent(c)) {
@@ -218,8 +215,8 @@ pub fn run_name(typed: &str) -> Option<String> {
     }
     let mut name = String::new();
     for (index, part) in plain.trim_end_matches(['.', '-']).split('.').enumerate() {
-        let joint = if RESERVED_ENDINGS.contains(&part) { "-" } else { "." };
-        name.push_str(if index > 0 { joint } else { "" });
+        let separator = if RESERVED_ENDINGS.contains(&part) { "-" } else { "." };
+        name.push_str(if index > 0 { separator } else { "" });
         name.push_str(part);
     }
     let name = name.trim_start_matches(['.', '-']);

@@ -121,8 +121,8 @@ impl Shown {
             let name = format!("ballbard: encoder of joint {}", sample.joint);
             self.status(name, valid, second.cycles, values.into_iter())
         }));
-        let bad = self.ports.keys().map(|(position, _)| *position).collect::<BTreeSet<_>>();
-        status.extend(bad.into_iter().map(|position| self.ports_status(position, &second)));
+        let positions = self.ports.keys().map(|(position, _)| *position).collect::<BTreeSet<_>>();
+        status.extend(positions.into_iter().map(|position| self.ports_status(position, &second)));
         Some(messages::encode_diagnostics(record.sample_time, status))
     }
 

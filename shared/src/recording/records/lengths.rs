@@ -35,8 +35,8 @@ pub fn parse_record(opcode: u8, data: &[u8]) -> Result<Record<'_>, McapError> {
     mcap::parse_record(opcode, data)
 }
 
-/// Whether a record ends with the last length in it, so that its own length is right, too. Of records that have fixed parts
-/// behind their lengths it is not.
+/// Whether a record ends with the bytes that its last length field counts: its own length is then right, too. False for records
+/// with fixed parts after them.
 pub(in crate::recording) fn ends_with_its_content(opcode: u8, data: &[u8]) -> bool {
     after_parts(data, layout(opcode)).is_some_and(<[u8]>::is_empty)
 }

@@ -245,11 +245,12 @@ impl Surroundings {
 /// A part of a source, kept as long as it may be read again.
 struct Window<R> {
     source: R,
+    /// Length of the source.
     source_bytes: u64,
     buffer: Vec<u8>,
-    /// Where in the buffer the window begins,
+    /// Beginning of the window in the buffer \[bytes\].
     start: usize,
-    /// and where in the source \[bytes\].
+    /// The same in the source \[bytes\].
     at: u64,
     /// Position at which the disk has failed once \[bytes\].
     refused_at: Option<u64>,
