@@ -222,7 +222,7 @@ fn a_calibration_of_schema_1_is_read_with_all_of_its_clocks() {
         [[other_clocks]]
         data_set = 3
         instrument = "tracker"
-        reference_utc = "12.000 s (the tracker's clock, zero unknown)"
+        reference_utc = "12.000 s (the tracker's clock, its epoch is unknown)"
         robot_minus_instrument_ns = 7
         skew_ppm = 2.0
         correlation = 0.98

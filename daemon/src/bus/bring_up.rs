@@ -40,7 +40,10 @@ impl Bus {
         let mut attempt = || {
             catch_unwind(AssertUnwindSafe(|| self.try_bring_up(plan))).unwrap_or_else(|panic| {
                 // Its frames were released while the panic unwound their owners.
-                let (doing, error) = ("it failed unexpectedly".into(), panic_text(panic.as_ref()));
+                let (doing, error) = (
+                    "bringing the bus up (an internal error of the EtherCAT stack)".into(),
+                    panic_text(panic.as_ref()),
+                );
                 Err(Fact::BusStackFailed { doing, error }.into())
             })
         };

@@ -55,7 +55,7 @@ async fn by_service(
 ) -> anyhow::Result<()> {
     let reply: Reply = service.post("home", &HomeRequest {}).map_err(|error| {
         if error.is::<NoService>() {
-            error.context("to home without a service add --bus INTERFACE")
+            error.context("to home without a service, add --bus INTERFACE")
         } else {
             error
         }

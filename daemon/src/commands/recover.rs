@@ -68,7 +68,7 @@ pub fn run(arguments: &RecoverArguments) -> anyhow::Result<()> {
     let Outcome { file, torn, cycles, damage, timing, .. } = &outcome;
     match &recovery {
         Recovery::Whole { .. } => say(format_args!("{file}: intact, {cycles} cycles; nothing to recover"))?,
-        Recovery::Renamed { .. } => say(format_args!("{file}: was finished, {cycles} cycles; renamed"))?,
+        Recovery::Renamed { .. } => say(format_args!("{file}: complete, {cycles} cycles; only renamed"))?,
         Recovery::Recovered { content, .. } => {
             say(format_args!("{file}: {}", salvaged_text(content)))?;
             timing.iter().try_for_each(say)?;
@@ -88,7 +88,7 @@ fn salvaged_text(content: &Salvaged) -> String {
                 0 => String::new(),
                 lost => format!("; {lost} cycles between them are lost"),
             };
-            format!("recovered {intact} cycles, {cycles_valid} valid, the last of {last}{lost}")
+            format!("recovered {intact} cycles, {cycles_valid} valid, the last at {last}{lost}")
         }
         None => "recovered, but without any intact cycle".into(),
     }

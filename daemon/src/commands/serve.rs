@@ -156,7 +156,7 @@ async fn serve(listener: TcpListener, remote: Option<Remote>, service: Service, 
         // The file has priority over clients: requests are served until it is finished.
         while tokio::time::timeout(PATIENCE, ending.ended()).await.is_err() {
             let Status { run, reason, .. } = ending.status();
-            let what = run.map_or("the bus has ended".into(), |run| {
+            let what = run.map_or("the bus is closed".into(), |run| {
                 format!("run `{}` is on disk, so far {} cycles", run.name, run.cycles)
             });
             tracing::warn!("not ended yet: waiting until {what}; {}", reason.unwrap_or_default());

@@ -81,7 +81,7 @@ impl TransformConfig {
         if within(self.xyz_m, LENGTH_M_MAX) && within(self.rpy_deg, ANGLE_DEG_MAX) {
             return Ok(());
         }
-        let problem = format!("{:?} m, {:?} deg is not on a robot", self.xyz_m, self.rpy_deg);
+        let problem = format!("{:?} m, {:?} deg is beyond 10 m or 360 degrees", self.xyz_m, self.rpy_deg);
         Err(Violation::new(key, problem, "lengths are in metres, angles in degrees"))
     }
 }

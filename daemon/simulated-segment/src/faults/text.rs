@@ -31,8 +31,8 @@ pub struct FaultSwitch {
     "`{0}` is not a fault; write one of lost:SHARE, late:SHARE,TIME, duplicated:SHARE, corrupted:SHARE, \
      short:SHARE,BY, noise:POSITION,SHARE, gone:POSITION, safe-op:POSITION,CODE, \
      no-signal:POSITION, too-fast:POSITION, abort:POSITION,CODE, silent:POSITION, \
-     emergency:POSITION,CODE, link-down, clock-step:TIME, each followed by @FROM-UNTIL or @FROM if it is not \
-     permanent, such as gone:3@10s-15s, or preceded by `on` or `off` to switch it now"
+     emergency:POSITION,CODE, link-down, clock-step:TIME, each may be followed by @FROM or @FROM-UNTIL, times since \
+     the first frame, such as gone:3@10s-15s; a preceding `on` or `off` switches it now"
 )]
 pub struct FaultText(String);
 

@@ -207,7 +207,7 @@ pub fn status(arguments: &StatusArguments) -> anyhow::Result<()> {
     }
     status.homing.iter().try_for_each(say)?;
     if let Some(usable) = status.disk_usable_mb {
-        say(format_args!("disk: {usable} MB above the floor"))?;
+        say(format_args!("disk: {usable} MB usable"))?;
     }
     if let Some(remote) = &status.remote {
         say(format_args!("for other machines: {remote}"))?;

@@ -128,12 +128,12 @@ fn reference_marks(controller: &Controller, found: Option<&Found>) -> Finding {
         Err(error) => return Err(vec![Fact::MarksUnreadable { error: error.clone() }.into()]),
     };
     let Some(session) = controller.bus.session() else {
-        return Ok("known when the bus is in operation".into());
+        return Ok("checked when the bus is in operation".into());
     };
     // On a copy, because only the result is of interest.
     let stale = homing.apply(&mut session.encoders.clone(), &session.live.latches());
     if stale.is_empty() {
-        return Ok(format!("of all joints, homed {}", homing.homed));
+        return Ok(format!("valid for all joints, homed {}", homing.homed));
     }
     Err(vec![Fact::MarksStale { joints: stale }.into()])
 }
@@ -168,7 +168,7 @@ fn disk(controller: &Controller) -> Finding {
         format!("; {:.1} s wait to be written, {}", progress.backlog_s, progress.longest)
     });
     let usable_mb = usable / 1_000_000;
-    Ok(format!("{usable_mb} MB above the floor, some {hours:.0} hours at {rate_hz} Hz{waited}"))
+    Ok(format!("{usable_mb} MB usable, some {hours:.0} hours at {rate_hz} Hz{waited}"))
 }
 
 fn realtime(controller: &Controller) -> Finding {

@@ -87,7 +87,7 @@ pub enum LogError {
     /// The header's unit and the robot's configuration disagree.
     #[error(
         "{}: column `{column}` is in {in_header} but the configuration of {robot} (log.unit) says {in_config}; \
-         correct whichever is wrong, the values are not converted on a guess", path.display()
+         correct the one that is wrong: values are never converted automatically", path.display()
     )]
     UnitMismatch {
         /// Path of the file concerned.
@@ -204,8 +204,8 @@ pub enum LogError {
     },
     /// The robot's configuration describes motors, the log has joints.
     #[error(
-        "{}: it has joint angles ({format}), but the configuration of {robot} says how its motors become joints; \
-         say how the controller's joints become the model's with --log-mapping, see config/robot_log.toml",
+        "{}: it has joint angles ({format}), but the configuration of {robot} converts motor angles; \
+         give the conversion of the joints in a mapping (--log-mapping), see config/robot_log.toml",
         path.display()
     )]
     NeedsMapping {

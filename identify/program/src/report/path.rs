@@ -105,7 +105,7 @@ fn accuracy(checked: &Checked, constraints: &Constraints<'_>, information: &Info
     if let Some(least_m) = position_m_min(checked, constraints, information) {
         let _ = writeln!(
             text,
-            "efficiency {:.0} %: no run of this length in this configuration of the arm leaves less than {} with all terms",
+            "efficiency {:.0} %: no run of this length in this configuration of the arm has an expected error below {} with all terms",
             100.0 * (least_m / expected.with_terms_m).powi(2),
             mm(least_m)
         );

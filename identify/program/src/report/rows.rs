@@ -56,7 +56,7 @@ impl Validation {
         match self.gross.len() {
             0 => String::new(),
             count => format!(
-                "; {count} rows (lines {}) are further from both robots than they can be off and do not count",
+                "; {count} rows (lines {}) are gross errors for both robots and are not in the figures",
                 named(&self.gross, NAMED)
             ),
         }

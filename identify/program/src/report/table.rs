@@ -163,7 +163,7 @@ pub(in crate::report) fn about_links(file: &CalibrationFile) -> String {
     let use_of_links = if file.serves(Deployment::Dh) {
         "Links as in corrections.csv, for a controller without the terms of joints (calibration.toml has those of the full model)"
     } else {
-        "Links of the full model, of use together with its terms alone"
+        "Links of the full model, valid only together with its terms"
     };
     format!("{use_of_links}. A joint's offset, rtheta, is added to {TO_JOINT}.")
 }

@@ -16,8 +16,8 @@ const USUAL: &str = "bar_joint_";
 
 const WANTED: Wanted = Wanted {
     what: "the bar's encoders",
-    remedy: "their joints are called bar_joint_1 to 5, one for each encoder of the bar's configuration, or what \
-             [[encoders]] joint = 1, column = \"...\" says in a mapping file (--recording-mapping)",
+    remedy: "name their joints bar_joint_1 to bar_joint_5, one for each encoder of the bar's configuration, or assign them by \
+             [[encoders]] joint = 1, column = \"...\" in a mapping file (--recording-mapping)",
     choose: "choose with topic = \"...\" in a mapping file (--recording-mapping)",
     record: "record the topic on which the encoders are published",
 };

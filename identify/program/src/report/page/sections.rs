@@ -216,11 +216,11 @@ pub(super) fn joints(page: &Page<'_>) -> Result<Markup, PlotError> {
         return Ok(html! {});
     }
     Ok(html! {
-        h2 { "What is left, by joint and direction" }
+        h2 { "Residuals by joint and direction" }
         figure {
             div.panels.three { @for panel in figures::by_joint(page.evidence)? { (panel) } }
             figcaption {
-                "By how much each joint alone would have to turn on to bring the robot's end nearest to the bar's. A wave over the "
+                "Further rotation of each joint alone that would bring the robot's end nearest to the bar's. A wave over the "
                 "angle points at the gear, two branches by direction at backlash, a slope at the gear's ratio."
             }
         }

@@ -59,7 +59,7 @@ impl ClockEntry {
             reference_utc: if is_dated {
                 reference.to_string()
             } else {
-                format!("{reference_s:.3} s (the {instrument}'s clock, zero unknown)")
+                format!("{reference_s:.3} s (the {instrument}'s clock, its epoch is unknown)")
             },
             robot_minus_instrument_ns: alignment.solved_difference_ns(value(ParameterId::ClockShift)),
             sigma_ns: sigma(ParameterId::ClockShift).map(|sigma_s| sigma_s * 1e9),

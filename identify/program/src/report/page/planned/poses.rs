@@ -88,7 +88,7 @@ impl PosesPage<'_> {
                     (self.travel())
                     h2 { "What a calibration is expected to know" }
                     (self.determined())
-                    h2 { "What it is expected to know least" }
+                    h2 { "Least determined parameters" }
                     (self.weakest())
                 }
             },
@@ -201,7 +201,7 @@ impl PosesPage<'_> {
         html! {
             table {
                 thead { tr {
-                    th.text { "Error of" } th { "parameters" } th { "before" } th { "after" } th { "left" } th { "hardly determined" }
+                    th.text { "Error of" } th { "parameters" } th { "before" } th { "after" } th { "after / before" } th { "undetermined" }
                 } }
                 tbody { @for one in &self.planned.determined { tr {
                     td.text { (one.name) }

@@ -116,8 +116,9 @@ impl RefusedPage<'_> {
             if self.runs.len() > 1 { format!("{}, {files}", self.number(run)) } else { files }
         });
         let instant = place.bar_s.map(|bar_s| {
-            let in_robot_log =
-                place.robot_s.map(|robot_s| format!(", {robot_s:.2} s after that of the robot's log"));
+            let in_robot_log = place
+                .robot_s
+                .map(|robot_s| format!(", {robot_s:.2} s after the first sample of the robot's log"));
             format!("{bar_s:.2} s after the recording's first sample{}", in_robot_log.unwrap_or_default())
         });
         let joint = place.joint.map(|joint| format!("joint {joint} of the bar"));
@@ -138,9 +139,9 @@ impl RefusedPage<'_> {
                     @for panel in figures::deviations(deviations, self.refusal.place.bar_s)? { (panel) }
                 }
                 figcaption {
-                    "What each encoder says beyond what the robot's log and the geometry that fits best ask of it, weighed down "
-                    "near singular poses of the bar. Waves are errors of the geometry, a step of one encoder alone is a slip, "
-                    "steps of several by their speeds are a clock"
+                    "Measured minus predicted angle of each encoder, for the geometry that fits best, with less weight near singular "
+                    "poses of the bar. Waves are errors of the geometry, a step of one encoder alone is a slip, steps of several in "
+                    "proportion to their speeds are a step of a clock"
                     @if !deviations.local_shifts.is_empty() {
                         "; the last figure is the time shift of each 5 s alone"
                     }
@@ -152,7 +153,7 @@ impl RefusedPage<'_> {
 
     /// What the red line is, where there is one.
     fn legend(&self) -> &'static str {
-        if self.refusal.place.bar_s.is_some() { " Red: where it is." } else { "" }
+        if self.refusal.place.bar_s.is_some() { " Red: time of the problem." } else { "" }
     }
 
     fn run(&self, number: usize, [recording, robot_log]: &[Source; 2]) -> Result<Markup, PlotError> {
@@ -182,7 +183,7 @@ fn log(what: &str, run: Option<&str>, log: &Source, at_s: Option<f64>) -> Result
                 div.panels.three { @for panel in panels { (panel) } }
                 figcaption {
                     "Joints by this log alone, on its own clock."
-                    @if at_s.is_some() { " Red: where it is." }
+                    @if at_s.is_some() { " Red: time of the problem." }
                 }
             }
         }

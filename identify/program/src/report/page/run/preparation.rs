@@ -103,7 +103,7 @@ fn sphere(prepared: &Prepared) -> Markup {
     let centre_m = sphere.centre_m;
     html! {
         p {
-            b { "Sphere: " } (format!("{:.1}", 100.0 * sphere.inliers)) " % of the positions in the robot's log lie on one of radius "
+            b { "Sphere: " } (format!("{:.1}", 100.0 * sphere.inliers)) " % of the positions in the robot's log lie on a sphere of radius "
             (format!("{:.2}", sphere.radius_m * 1e3)) " mm about (" (format!("{:.4}, {:.4}, {:.4}", centre_m.x, centre_m.y, centre_m.z))
             ") m, " (format!("{:.2}", sphere.rms_m * 1e3)) " mm from it (RMS, nominal robot)."
         }

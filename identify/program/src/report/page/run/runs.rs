@@ -72,7 +72,7 @@ fn alignment(
                 "Clocks: " (clock.difference()) ". "
             }
             @if let Some(minimum_s) = run.shift_near.minimum_s {
-                "The gap is smallest " (format!("{:+.1}", minimum_s * 1e6)) " us from the solution."
+                "The gap is smallest at a shift " (format!("{:+.1}", minimum_s * 1e6)) " us from that of the solution."
             }
         }
         figure {
