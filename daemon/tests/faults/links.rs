@@ -51,3 +51,20 @@ fn a_terminal_that_comes_and_goes_is_a_lost_link_of_the_one_before() {
         "{told:?}"
     );
 }
+
+#[test]
+fn a_terminal_stays_away_when_one_before_it_comes_back() {
+    let mut rig = Rig::new(8);
+    rig.run_to(300);
+    rig.faults.begin(Fault::DevicesGone { from: 5 });
+    rig.run_to(320);
+    rig.faults.begin(Fault::DevicesGone { from: 3 });
+    rig.run_to(340);
+    rig.faults.end(Fault::DevicesGone { from: 3 });
+    rig.run_to(900);
+    assert!(rig.records[400..900].iter().all(|record| !record.is_valid()), "terminal 5 was back");
+    rig.faults.end(Fault::DevicesGone { from: 5 });
+    rig.run_to(1800);
+    assert!(rig.records[1700..].iter().all(|record| record.is_valid()));
+    rig.assert_true();
+}

@@ -308,5 +308,22 @@ impl FaultySegment {
             }
             _ => {}
         }
+        if !on {
+            // The end of one fault must not end another of the same device or cable.
+            let lasting = |fault: &Fault| {
+                use Fault::{DevicesGone, MailboxAbort, MailboxSilent, SignalLost, SignalTooFast};
+                matches!(
+                    fault,
+                    DevicesGone { .. }
+                        | MailboxAbort { .. }
+                        | MailboxSilent { .. }
+                        | SignalLost { .. }
+                        | SignalTooFast { .. }
+                )
+            };
+            for fault in self.active.clone().into_iter().filter(lasting) {
+                self.apply(FaultSwitch { fault, on: true }, now_ns);
+            }
+        }
     }
 }
