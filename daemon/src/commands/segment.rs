@@ -28,9 +28,9 @@ pub struct SegmentArguments {
     /// Recording whose motion the encoders repeat, with its terminals, each time the line `play` is typed
     #[arg(long, help_heading = "Simulation", value_name = "FILE", conflicts_with_all = ["terminals", "lines"])]
     replay: Option<PathBuf>,
-    /// Number of EL5021 terminals behind the EK1100
-    #[arg(long, help_heading = "Simulation", default_value_t = SegmentConfig::default().terminals)]
-    terminals: usize,
+    /// Number of EL5021 terminals behind the EK1100, at most 16
+    #[arg(long, help_heading = "Simulation", default_value_t = 5, value_parser = clap::value_parser!(u8).range(0..=16))]
+    terminals: u8,
     /// Signal periods per revolution of the simulated encoders
     #[arg(long, help_heading = "Simulation", default_value_t = 3600)]
     lines: u32,
@@ -48,7 +48,7 @@ pub struct SegmentArguments {
 
 pub fn run(arguments: &SegmentArguments) -> anyhow::Result<()> {
     let mut config = SegmentConfig {
-        terminals: arguments.terminals,
+        terminals: usize::from(arguments.terminals),
         seed: arguments.seed,
         revision: Revision::from_number(arguments.revision).unwrap_or_default(),
         ..SegmentConfig::default()
