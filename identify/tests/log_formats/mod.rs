@@ -243,6 +243,17 @@ fn telegrams_of_rsi_give_measured_joints_or_commanded_ones_where_a_mapping_asks(
 }
 
 #[test]
+fn a_counter_of_telegrams_is_not_taken_for_a_date() {
+    let joints: String =
+        (1..=6).map(|joint| format!("[[joints]]\ncolumn = \"A{joint}\"\nunit = \"deg\"\n")).collect();
+    for unit in ["date_time", "filetime"] {
+        let dated = mapping(&format!("{joints}[time]\ncolumn = \"IPOC\"\nunit = \"{unit}\"\n"));
+        let message = read_as(&telegrams(60, 4), Some(dated)).unwrap_err().to_string();
+        assert!(message.contains("IPOC is a counter") && message.contains("period_ms"), "{message}");
+    }
+}
+
+#[test]
 fn a_counter_of_telegrams_is_not_taken_for_milliseconds() {
     let message = read_as(&telegrams(60, 1), None).unwrap_err().to_string();
     assert!(message.contains("IPOC") && message.contains("[time]"), "{message}");

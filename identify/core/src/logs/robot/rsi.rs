@@ -42,6 +42,13 @@ pub(in crate::logs) fn read(
     raw.remark_unused_force(mapping);
     let element = if raw.origin == Origin::Commanded { "ASPos" } else { "AIPos" };
     let time = mapping.and_then(|mapping| mapping.time.clone());
+    if time.as_ref().is_some_and(|time| time.unit.is_dated()) {
+        return Err(LogError::Content {
+            path: path.to_owned(),
+            problem: "[time] of the mapping has a unit with a date, but IPOC is a counter".into(),
+            remedy: "write unit = \"ms\", or cycles with their period_ms".into(),
+        });
+    }
     let mut stamps = StampReader::new(&time.unwrap_or_else(|| TimeColumn::new("IPOC", TimeUnit::Ms)));
     let telegrams = parse(text, path, element)?;
     check_counter(&telegrams, path, mapping.is_some_and(|mapping| mapping.time.is_some()))?;
