@@ -2,7 +2,7 @@
 //! length as a varint (what protobuf calls delimited).
 //!
 //! Fields as in ABB's public `egm.proto` (proto2, package `abb.egm`); those that are not used are left out. Joints are in
-//! degrees. `feedBack.time` is UTC since RobotWare 6.07; older controllers give only `header.tm`, milliseconds of
+//! degrees. The times of `feedBack` and `planned` are UTC since RobotWare 6.07; older controllers give only `header.tm`, milliseconds of
 //! their own that wrap after 49 days.
 
 use std::path::Path;
@@ -57,9 +57,16 @@ struct EgmRobot {
 }
 
 impl EgmRobot {
-    /// `feedBack.time`, since 1970; `None` if the controller does not set it.
+    /// The position that a log with this origin has.
+    fn position(&self, origin: Option<Origin>) -> Option<&EgmPosition> {
+        if origin == Some(Origin::Commanded) { self.planned.as_ref() } else { self.feed_back.as_ref() }
+    }
+}
+
+impl EgmPosition {
+    /// Its time since 1970; `None` if the controller does not set it.
     fn utc_ns(&self) -> Option<i64> {
-        let EgmClock { sec, usec } = self.feed_back.as_ref()?.time.filter(|time| time.sec > 0)?;
+        let EgmClock { sec, usec } = self.time.filter(|time| time.sec > 0)?;
         i64::try_from(sec)
             .ok()?
             .checked_mul(1_000_000_000)?
@@ -77,18 +84,17 @@ pub(in crate::logs) fn read(
     let messages = decode(bytes, path)?;
     let names = (1..=robot.axes()).map(|joint| format!("joint {joint}")).collect();
     let (meaning, to_unit) = Meaning::of_degrees(robot, mapping, names, LogFormat::Egm, path)?;
-    let utc: Option<Vec<i64>> = messages.iter().map(EgmRobot::utc_ns).collect();
+    let origin = mapping.and_then(|mapping| mapping.values);
+    let utc: Option<Vec<i64>> = messages.iter().map(|message| message.position(origin)?.utc_ns()).collect();
     let clock = if utc.is_some() { "controller, UTC" } else { "controller, ms of its own" };
     let mut raw = RawLog::measured(path, "message", mapping, clock);
     raw.remark_unused_force(mapping);
-    let commanded = raw.origin == Origin::Commanded;
     let stamps_ns = match utc {
         Some(stamps_ns) => stamps_ns,
         None => controller_stamps(&messages, path)?,
     };
     for ((message, stamp_ns), number) in messages.iter().zip(stamps_ns).zip(1..) {
-        let position = if commanded { &message.planned } else { &message.feed_back };
-        let joints = position.as_ref().and_then(|position| position.joints.as_ref());
+        let joints = message.position(origin).and_then(|position| position.joints.as_ref());
         let values = joints.map_or(&[][..], |joints| &joints.joints);
         let value = |joint: usize| values.get(joint).map_or(f64::NAN, |value| value * to_unit[joint]);
         let joints = Joints::from_fn(robot.axes(), value);
