@@ -420,6 +420,19 @@ fn spoils() -> Vec<(&'static str, &'static [Kind], Spoil)> {
     ]
 }
 
+/// Joint 3 of this arm moves with the drive of joint 2, so this is no ratio of a drive. Waves of the joint describe it in the
+/// measured range only.
+#[test]
+fn a_joint_that_is_logged_wrong_by_one_per_cent_is_not_green() {
+    let mut spoiled = rows(Kind::Tracker, &irb2400(), 1, &USUAL);
+    spoiled.all(|q| q[1] *= 1.01);
+    let Told::Calibrated(grade, _, _, reason) = spoiled.reported() else { panic!("refused") };
+    assert!(
+        grade == Grade::Amber && reason.contains("contradict the prior of rsinj1_2"),
+        "{grade:?} {reason}"
+    );
+}
+
 #[test]
 #[ignore = "a hundred calibrations of two robots each, most of which end early: minutes"]
 fn spoiled_rows_are_refused_or_flagged_or_do_no_harm() {

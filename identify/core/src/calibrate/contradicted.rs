@@ -20,6 +20,9 @@ const STRAINED_BY_CHANCE: f64 = 1e-3;
 /// Relative nonlinearity of a prior's influence. The influence on a parameter that the samples do not determine is linear
 /// except for this part.
 const NONLINEAR: f64 = 0.1;
+/// A deviation of more standard deviations of its prior is not an error of this kind: another cause has its shape where the robot was
+/// measured, and not elsewhere.
+const OTHER_CAUSE: f64 = 10.0;
 /// Minimum fraction of a deviation that remains with the prior. A smaller fraction is not accurate.
 const REMAINING_MIN: f64 = 0.01;
 
@@ -107,9 +110,10 @@ impl ContradictedPrior {
         Some(Self { id: parameter.id, off: x.get(column)? - value, s0, s, g, spread })
     }
 
-    /// Whether it biases the result by more than the uncertainty: without it the estimate would differ more from the expected value.
-    pub fn biases(&self) -> bool {
-        self.off.abs() * self.g > self.s * (self.s0 - self.g)
+    /// Whether it invalidates the result: it has another cause, or the prior biases the result by more than the uncertainty
+    /// (without it the estimate would differ more from the expected value).
+    pub fn is_serious(&self) -> bool {
+        self.off.abs() > OTHER_CAUSE * self.s0 || self.off.abs() * self.g > self.s * (self.s0 - self.g)
     }
 
     /// Deviation of the estimate, relative to its standard deviation if all priors are correct.

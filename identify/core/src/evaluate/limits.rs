@@ -249,11 +249,11 @@ fn strained_priors(strained: &[ContradictedPrior]) -> Option<Limit> {
     (!strained.is_empty()).then(|| Limit {
         sentence: format!(
             "The data contradict the prior of {}. Look for the cause (the ratio in the controller, a worn gear or grating, a plate or \
-             rod of another length), or widen the prior under [priors] or [joint_terms] of the configuration: with this width it \
-             biases the result. The stated uncertainty includes the change of the result without it.",
+             rod of another length), or widen the prior under [priors] or [joint_terms] of the configuration: with this width the \
+             result is biased, or wrong where the robot was not measured. The stated uncertainty includes the change of the result without it.",
             named(strained, NAMED)
         ),
-        serious: strained.iter().any(ContradictedPrior::biases),
+        serious: strained.iter().any(ContradictedPrior::is_serious),
     })
 }
 
