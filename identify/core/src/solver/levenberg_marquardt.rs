@@ -17,6 +17,7 @@ struct QuadraticModel {
     fits: Vec<SampleFit>,
 }
 
+/// Reduces the samples of a pass to the model at its point. The number of rows is not needed here and stays zero.
 fn quadratic_model(pass: &Pass<'_>) -> Result<QuadraticModel, PassError> {
     let Pass { problem, x, .. } = *pass;
     let (products, fits) = pass.run(|| Products::new(problem.columns()))?;
@@ -179,7 +180,7 @@ fn accept_step(
         }
         let trial_x = &now.x + &step;
         let mut pass = Pass::new(problem, trial_x.as_slice(), options, Taking::These(&now.model.fits));
-        pass.progress = (now.iterations, options.iterations_max, Some(now.model.cost));
+        (pass.progress.iteration, pass.progress.cost) = (now.iterations, Some(now.model.cost));
         let trial = quadratic_model(&pass);
         now.evaluations += 1;
         match trial {

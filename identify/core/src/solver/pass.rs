@@ -185,8 +185,8 @@ pub(super) struct Pass<'a> {
     /// Highest number of threads; `None`: as many as are efficient.
     pub(super) threads: Option<usize>,
     pub(super) watch: Option<&'a dyn Watch>,
-    /// Accepted steps, their limit, and the cost, for the observer.
-    pub(super) progress: (usize, usize, Option<f64>),
+    /// For the observer; [`Pass::run`] adds the completed samples.
+    pub(super) progress: Progress,
 }
 
 impl<'a> Pass<'a> {
@@ -194,9 +194,10 @@ impl<'a> Pass<'a> {
     pub(super) fn new(
         problem: &'a dyn Problem,
         x: &'a [f64],
-        options: &'a Options<'_>,
+        options: &Options<'a>,
         taking: Taking<'a>,
     ) -> Self {
+        let (iterations_max, samples) = (options.iterations_max, problem.samples());
         Self {
             problem,
             x,
@@ -204,7 +205,7 @@ impl<'a> Pass<'a> {
             taking,
             threads: options.threads.map(usize::from),
             watch: options.watch,
-            progress: (0, options.iterations_max, None),
+            progress: Progress { iteration: 0, iterations_max, cost: None, samples_done: 0, samples },
         }
     }
 
@@ -239,11 +240,9 @@ impl<'a> Pass<'a> {
     /// Reports that `samples` more samples are completed.
     fn report_progress(&self, samples_done: &AtomicUsize, samples: usize) -> Result<(), PassError> {
         let Some(watch) = self.watch else { return Ok(()) };
-        let (iteration, iterations_max, cost) = self.progress;
         let samples_done = samples_done.fetch_add(samples, Ordering::Relaxed) + samples;
-        let samples = self.problem.samples();
-        let progress = Progress { iteration, iterations_max, cost, samples_done, samples };
-        if watch.goes_on(&progress) { Ok(()) } else { Err(PassError::Cancelled) }
+        let goes_on = watch.goes_on(&Progress { samples_done, ..self.progress });
+        if goes_on { Ok(()) } else { Err(PassError::Cancelled) }
     }
 
     /// Reduces the samples of one part, in order.
@@ -322,8 +321,7 @@ pub(super) fn threads_that_pay(problem: &dyn Problem) -> usize {
 
 /// A pass without loss and observer.
 fn unweighted<'a>(problem: &'a dyn Problem, x: &'a [f64]) -> Pass<'a> {
-    let taking = Taking::WhatIsThere;
-    Pass { problem, x, loss: Loss::Squared, taking, threads: None, watch: None, progress: (0, 0, None) }
+    Pass::new(problem, x, &Options::default(), Taking::WhatIsThere)
 }
 
 /// Fit of each sample at `x`, without loss. Empty if one is not finite.

@@ -68,8 +68,8 @@ impl Schedule {
     /// Half of the samples are assumed to be good throughout.
     const USUAL: Self = Self { good: [GoodShare::HALF; 2], narrowing: 0.0, sharper: None, rounds_max: 20 };
 
-    /// Parameters and standard deviation of a residual when the spread has converged. `solve` improves parameters with a loss
-    /// for that standard deviation ([`LossName::Cauchy`], [`Loss::on_the_way`]).
+    /// Alternates `spread`, the standard deviation of a residual at some parameters, and `solve`, which improves parameters with
+    /// a loss for this standard deviation ([`Loss::on_the_way`]). Returns both when the standard deviation has converged.
     ///
     /// # Errors
     /// As `solve`.

@@ -2,11 +2,12 @@
 //! solution; used by `calibrate/change.rs`.
 //!
 //! A change adds columns to the problem: those of the parameters that change, each multiplied by its course in time, which is a
-//! step (zero before an instant, one after it) or a ramp. With `C` these columns, `J` those of the estimated parameters, `r` the
-//! residuals, `N = J'J` and `g = J'r` (both with the priors), the extended problem has the score `q = C'r - (J'C)' N^-1 g`, the
-//! information `S = C'C - (J'C)' N^-1 J'C` (a Schur complement) and the solution `b = -S^-1 q` for the change. Its sum of
-//! squares is lower by `q' S^-1 q` (score test, Rao 1948). The other parameters are estimated again with the change, so neither
-//! an uneven motion nor an early end of the solve is mistaken for a change.
+//! step (zero before an instant, one from it on) or a ramp (from -1/2 to 1/2, by the number of the sample). With `C` these
+//! columns, `J` those of the estimated parameters, `r` the residuals, `N = J'J` and `g = J'r` (both with the priors), the
+//! extended problem has the score `q = C'r - (J'C)' N^-1 g`, the information `S = C'C - (J'C)' N^-1 J'C` (a Schur complement)
+//! and the solution `b = -S^-1 q` for the change. Its sum of squares is lower by `q' S^-1 q` (score test, Rao 1948). The other
+//! parameters are estimated again with the change, so neither an uneven motion nor an early end of the solve is mistaken for a
+//! change.
 //!
 //! A change is significant relative to its own uncertainty, and residuals are not independent: errors of gears and encoders are
 //! correlated over seconds. Their scatter is therefore estimated from sums over blocks of the run, in two ways. `pooled`: ratio
@@ -64,9 +65,10 @@ pub struct Change {
     pub explained: f64,
 }
 
-/// The most significant change in `samples`, in the order of time, of `problem` at its solution `x` for the columns
-/// `estimated`. `None` if a run without changes shows as much in more than this part `false_alarms` of runs, or if there are
-/// too few samples. An alternative is one column, or several that change together.
+/// The change in `samples`, in the order of time, of `problem` at its solution `x` for the columns `estimated`: of all
+/// significant ones that with the smallest Bayesian information criterion. `None` if none is significant, or if there are too
+/// few samples. A change is significant if at most the part `false_alarms` of runs without changes show as much. An alternative
+/// is one column, or several that change together.
 pub fn change_point(
     problem: &dyn Problem,
     x: &[f64],
@@ -77,29 +79,17 @@ pub fn change_point(
     false_alarms: f64,
 ) -> Option<Change> {
     let run = Run::new(problem, x, loss, samples, estimated)?;
-    let instants: Vec<usize> = (1..INSTANTS).map(|part| part * samples.len() / INSTANTS).collect();
-    let spacing = samples.len().div_ceil(INSTANTS);
-    let tests = (alternatives.len() * (instants.len() + 1)) as f64;
+    // The evenly spaced instants of a step, and the drift.
+    let tests = (alternatives.len() * INSTANTS) as f64;
     let best_change = |alternative: usize| {
         let columns = &alternatives[alternative];
         let mut best: Option<(f64, Change)> = None;
-        // With a wrong instant, the samples between it and the right one would increase the scatter.
-        let near = |instant: usize| -> Vec<usize> {
-            (instant.saturating_sub(spacing).max(1)..(instant + spacing).min(samples.len())).collect()
-        };
-        let coarse = run.best_step(columns, &instants);
-        let step = coarse.and_then(|instant| run.best_step(columns, &near(instant))).map(Course::Step);
-        for course in step.into_iter().chain([Course::Drift]) {
+        for course in run.courses(columns) {
             let Some(test) = ChangeTest::new(&run, columns, course) else { continue };
             if test.chance() * tests > false_alarms {
                 continue;
             }
-            // Bayesian information criterion for independent groups of blocks; the instant counts as one more parameter
-            // (Schwarz 1978).
-            let groups = (run.blocks.len() / POOLED_SIZES[POOLED_SIZES.len() - 1]) as f64;
-            let parameters = columns.len() as f64 + if course == Course::Drift { 0.0 } else { 1.0 };
-            let remaining = (run.squared - test.reduction).max(f64::MIN_POSITIVE);
-            let criterion = groups * remaining.ln() + parameters * groups.ln();
+            let criterion = run.criterion(&test, course);
             if best.as_ref().is_none_or(|(least, _)| criterion < *least) {
                 let explained = test.reduction / run.squared.max(f64::MIN_POSITIVE);
                 let by = test.b.iter().copied().collect();
@@ -114,8 +104,9 @@ pub fn change_point(
 
 /// Weighted residuals and Jacobian of a run.
 struct Run {
+    /// `r`, weighted by the robust loss like the Jacobian.
     r: DVector<f64>,
-    /// Jacobian of all columns.
+    /// Jacobian of all columns, of which some change.
     jacobian: DMatrix<f64>,
     /// `J`: Jacobian of the estimated columns.
     j: DMatrix<f64>,
@@ -175,6 +166,29 @@ impl Run {
         let n_inverse_g = n_factor.solve(&g);
         let squared = r.rows(0, first_rows[samples.len()]).norm_squared() - g.dot(&n_inverse_g);
         Some(Self { r, jacobian, j, first_rows, blocks, n_factor, n_inverse_g, squared })
+    }
+
+    /// The best step of these columns, unless other columns explain every step, and the drift.
+    fn courses(&self, columns: &[usize]) -> impl Iterator<Item = Course> {
+        let samples = self.first_rows.len() - 1;
+        let evenly_spaced: Vec<usize> = (1..INSTANTS).map(|part| part * samples / INSTANTS).collect();
+        let spacing = samples.div_ceil(INSTANTS);
+        // With a wrong instant, the samples between it and the right one would increase the scatter.
+        let near = |instant: usize| -> Vec<usize> {
+            (instant.saturating_sub(spacing).max(1)..(instant + spacing).min(samples)).collect()
+        };
+        let coarse = self.best_step(columns, &evenly_spaced);
+        let step = coarse.and_then(|instant| self.best_step(columns, &near(instant)));
+        step.map(Course::Step).into_iter().chain([Course::Drift])
+    }
+
+    /// Bayesian information criterion of the solution with a change, for independent groups of blocks; the instant of a step
+    /// counts as one more parameter (Schwarz 1978).
+    fn criterion(&self, test: &ChangeTest, course: Course) -> f64 {
+        let groups = (self.blocks.len() / POOLED_SIZES[POOLED_SIZES.len() - 1]) as f64;
+        let parameters = test.b.len() as f64 + if course == Course::Drift { 0.0 } else { 1.0 };
+        let remaining = (self.squared - test.reduction).max(f64::MIN_POSITIVE);
+        groups * remaining.ln() + parameters * groups.ln()
     }
 
     /// `C`: the changing columns multiplied by a course, one row for each residual.
@@ -238,7 +252,7 @@ impl ChangeSums {
         self.cr += c.tr_mul(&run.r.rows(from, count));
     }
 
-    /// `None` if other columns explain the change.
+    /// The solution `b` of the extended problem; `None` if other columns explain the change.
     fn solve(&self, run: &Run) -> Option<ChangeSolution> {
         let mut n_inverse_jc = self.jc.clone();
         for mut column in n_inverse_jc.column_iter_mut() {
@@ -269,10 +283,11 @@ struct ChangeSolution {
     reduction: f64,
 }
 
-/// Contribution of one block of the run, or of a group of blocks.
-#[derive(Clone)]
+/// Contribution of one block of the run, or of a group of blocks, to score and information of some columns `c`.
 struct BlockSums {
+    /// `c'r`, with the residuals of the solution with the change.
     score: DVector<f64>,
+    /// `c'c`
     information: DMatrix<f64>,
 }
 
@@ -281,9 +296,9 @@ struct ChangeTest {
     b: DVector<f64>,
     reduction: f64,
     information: DMatrix<f64>,
-    /// Contribution of each block to score and information of the change, without the part that `J` explains.
+    /// Blocks of the changing columns without the part that `J` explains: `C - J N^-1 J'C`.
     of_change: Vec<BlockSums>,
-    /// The same for the columns without a course in time, with the part that `J` explains.
+    /// Blocks of the same columns without a course in time, with the part that `J` explains.
     of_columns: Vec<BlockSums>,
 }
 
@@ -344,6 +359,7 @@ impl ChangeTest {
         let groups = sum_groups(&self.of_change, group_size);
         let (mut scatter, mut shares, mut squared_shares) = (&inverse * 0.0, 0.0, 0.0);
         for BlockSums { score, information } in &groups {
+            // Leverage of the group: the part of the information that it contributes, averaged over the changing columns.
             let share = (&inverse * information).trace() / self.b.len() as f64;
             scatter.ger((1.0 - share).max(INDEPENDENT_MIN).powi(-2), score, score, 1.0);
             (shares, squared_shares) = (shares + share, squared_shares + share * share);
@@ -358,15 +374,11 @@ impl ChangeTest {
 
 /// Sums over groups of `group_size` neighbouring blocks.
 fn sum_groups(blocks: &[BlockSums], group_size: usize) -> Vec<BlockSums> {
-    let sum = |group: &[BlockSums]| {
-        let mut group = group.iter().cloned();
-        let first = group.next()?;
-        Some(group.fold(first, |sum, block| BlockSums {
-            score: sum.score + block.score,
-            information: sum.information + block.information,
-        }))
+    let sum = |group: &[BlockSums]| BlockSums {
+        score: group.iter().map(|block| &block.score).sum(),
+        information: group.iter().map(|block| &block.information).sum(),
     };
-    blocks.chunks(group_size).filter_map(sum).collect()
+    blocks.chunks(group_size).map(sum).collect()
 }
 
 /// Probability that Hotelling's T squared of this number of variables exceeds `squared`, from its F distribution.

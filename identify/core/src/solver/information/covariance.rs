@@ -290,12 +290,12 @@ impl Covariance {
         self
     }
 
-    /// Change of all columns if the prior of a column is wrong by its standard deviation `sigma`.
+    /// Change of all columns if the prior of a column is wrong by its standard deviation `sigma`: the contribution of the prior,
+    /// or `P e / sigma` with the unit covariance `P` and the unit vector `e` of the column.
     pub(crate) fn by_prior_on_all(&self, column: usize, sigma: f64) -> DVector<f64> {
         let Spread { by_source, sources } = &self.spread;
         let of_prior = sources.iter().position(|source| *source == Source::Prior { column });
-        // Without separate sources the covariance is that of least squares. A shift of a row by one has the effect of the unit
-        // covariance, whatever the noise of the rows.
+        // Without separate sources the covariance is that of least squares; the factor of the noise is divided out.
         let unit = self.variance_factor.filter(|factor| *factor > 0.0).unwrap_or(1.0);
         of_prior.map_or_else(
             || self.matrix.column(column) / (unit * sigma),

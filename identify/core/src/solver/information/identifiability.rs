@@ -65,21 +65,6 @@ pub struct Unidentifiable {
     pub fix: String,
 }
 
-/// Groups of columns that a projection `P` combines: `i` and `j` with an entry `P_ij` belong to one group.
-pub fn combined(projection: &DMatrix<f64>) -> Vec<Vec<usize>> {
-    /// A column with a smaller component in the projection's directions counts as determined.
-    const COMPONENT_MIN: f64 = 0.1;
-    let mut groups: Vec<Vec<usize>> = Vec::new();
-    for i in (0..projection.ncols()).filter(|i| projection[(*i, *i)] > COMPONENT_MIN) {
-        let is_connected =
-            |group: &Vec<usize>| group.iter().any(|j| projection[(i, *j)].abs() > COMPONENT_MIN);
-        let (connected, others): (Vec<_>, Vec<_>) = groups.into_iter().partition(is_connected);
-        groups = others;
-        groups.push([connected.concat(), vec![i]].concat());
-    }
-    groups
-}
-
 impl Identifiability {
     /// Whether every free parameter is determined.
     pub fn is_full(&self) -> bool {
@@ -188,7 +173,92 @@ impl Identifiability {
     }
 }
 
-/// Limit of the iterations; singular values need about two each.
+/// Groups of columns that a projection `P` combines: `i` and `j` with an entry `P_ij` belong to one group.
+pub fn combined(projection: &DMatrix<f64>) -> Vec<Vec<usize>> {
+    /// A column with a smaller component in the projection's directions counts as determined.
+    const COMPONENT_MIN: f64 = 0.1;
+    let mut groups: Vec<Vec<usize>> = Vec::new();
+    for i in (0..projection.ncols()).filter(|i| projection[(*i, *i)] > COMPONENT_MIN) {
+        let is_connected =
+            |group: &Vec<usize>| group.iter().any(|j| projection[(i, *j)].abs() > COMPONENT_MIN);
+        let (connected, others): (Vec<_>, Vec<_>) = groups.into_iter().partition(is_connected);
+        groups = others;
+        groups.push([connected.concat(), vec![i]].concat());
+    }
+    groups
+}
+
+/// Identifiability at `x` without a solve, for the selection of parameters and poses.
+///
+/// # Errors
+/// [`SolveError`] if no sample is usable or the pass was cancelled.
+pub fn identifiability(
+    problem: &dyn Problem,
+    x: &[f64],
+    options: &Options<'_>,
+) -> Result<Identifiability, SolveError> {
+    require_start(problem, x)?;
+    let (triangle, fits) = sample_triangle(problem, x, options, Taking::WhatIsThere)
+        .map_err(|error| error.at_start(problem.samples()))?;
+    if !fits.iter().any(|fit| fit.present) {
+        return Err(SolveError::NoSamples { samples: problem.samples() });
+    }
+    Ok(examine(problem, &triangle, &fits, options).0)
+}
+
+/// Identifiability and covariance at the end of a solve of this number of iterations.
+pub(in crate::solver) fn at_solution(
+    problem: &dyn Problem,
+    x: &[f64],
+    options: &Options<'_>,
+    fits: &[SampleFit],
+    iterations: usize,
+) -> Result<(Identifiability, Covariance), SolveError> {
+    let triangle = match sample_triangle(problem, x, options, Taking::These(fits)) {
+        Ok((triangle, _)) => triangle,
+        Err(PassError::Cancelled) => return Err(SolveError::Cancelled { iterations }),
+        // The same samples were finite at this point during the solve; only squares of derivatives can overflow.
+        Err(PassError::Lost | PassError::NotFinite(_)) => DMatrix::zeros(0, problem.columns()),
+    };
+    let (identifiability, spectrum) = examine(problem, &triangle, fits, options);
+    let factor = options.noise.variance_factor(problem, x, fits);
+    let covariance = Covariance::new(&spectrum, &identifiability.undetermined(), factor);
+    Ok((identifiability, covariance))
+}
+
+/// Identifiability from the triangle of the samples' Jacobian, and the spectrum of samples and priors for the covariance.
+fn examine(
+    problem: &dyn Problem,
+    triangle: &DMatrix<f64>,
+    fits: &[SampleFit],
+    options: &Options<'_>,
+) -> (Identifiability, ScaledSpectrum) {
+    let (columns, priors, tolerance) = (problem.columns(), problem.priors(), options.rank_tolerance);
+    let open = Open::new(triangle, 0..columns, priors, tolerance);
+    let mut spectrum = ScaledSpectrum::new(&with_priors(priors.iter(), triangle), tolerance);
+    // A prior determines its column even if its singular value is below the tolerance.
+    spectrum.rank = columns - open.missing();
+    let mut prior_sigmas = vec![None; columns];
+    priors.iter().for_each(|prior| prior_sigmas[prior.column] = Some(prior.sigma));
+    let identifiability = Identifiability {
+        prior_sigmas,
+        names: (0..columns).map(|column| problem.column_name(column)).collect(),
+        rank: spectrum.rank,
+        rank_of_samples: if priors.is_empty() {
+            spectrum.rank
+        } else {
+            rank(&scaled(triangle).0.singular_values(), tolerance)
+        },
+        singular_values: spectrum.singular_values.iter().copied().collect(),
+        groups: open.groups(),
+        zero_columns: open.zero_columns(),
+        triangle: triangle.clone(),
+        samples: fits.iter().filter(|fit| fit.present).count(),
+    };
+    (identifiability, spectrum)
+}
+
+/// Limit of the iterations of a singular value decomposition, which needs about two for each column.
 const SVD_ITERATIONS_PER_COLUMN: usize = 100;
 
 /// Singular values and right singular vectors of a triangle with columns scaled to unit length.
@@ -201,6 +271,26 @@ pub(in crate::solver) struct ScaledSpectrum {
     pub(in crate::solver) v_transposed: DMatrix<f64>,
     /// Number of singular values that count as nonzero.
     pub(in crate::solver) rank: usize,
+}
+
+impl ScaledSpectrum {
+    fn new(triangle: &DMatrix<f64>, tolerance: f64) -> Self {
+        let (scaled, lengths) = scaled(triangle);
+        let columns = lengths.len();
+        // Limited, because the iteration does not end for a matrix that is not finite.
+        let svd = scaled.try_svd(false, true, 5.0 * f64::EPSILON, SVD_ITERATIONS_PER_COLUMN * columns);
+        let (singular_values, v_transposed) = svd
+            .and_then(|svd| Some((svd.singular_values, svd.v_t?)))
+            .unwrap_or_else(|| (DVector::zeros(columns), DMatrix::identity(columns, columns)));
+        let rank = rank(&singular_values, tolerance);
+        Self { lengths, singular_values, v_transposed, rank }
+    }
+
+    /// Orthonormal basis of the null space, one column for each missing rank.
+    fn null_basis(&self) -> DMatrix<f64> {
+        let missing = self.v_transposed.nrows() - self.rank;
+        self.v_transposed.rows(self.rank, missing).transpose()
+    }
 }
 
 /// A triangle with columns scaled to unit length, and their lengths before scaling, zero for a zero column.
@@ -229,26 +319,6 @@ fn rank(singular_values: &DVector<f64>, tolerance: f64) -> usize {
     singular_values.iter().filter(|s| **s > floor).count()
 }
 
-impl ScaledSpectrum {
-    fn new(triangle: &DMatrix<f64>, tolerance: f64) -> Self {
-        let (scaled, lengths) = scaled(triangle);
-        let columns = lengths.len();
-        // Limited, because the iteration does not end for a matrix that is not finite.
-        let svd = scaled.try_svd(false, true, 5.0 * f64::EPSILON, SVD_ITERATIONS_PER_COLUMN * columns);
-        let (singular_values, v_transposed) = svd
-            .and_then(|svd| Some((svd.singular_values, svd.v_t?)))
-            .unwrap_or_else(|| (DVector::zeros(columns), DMatrix::identity(columns, columns)));
-        let rank = rank(&singular_values, tolerance);
-        Self { lengths, singular_values, v_transposed, rank }
-    }
-
-    /// Orthonormal basis of the null space, one column for each missing rank.
-    fn null_basis(&self) -> DMatrix<f64> {
-        let missing = self.v_transposed.nrows() - self.rank;
-        self.v_transposed.rows(self.rank, missing).transpose()
-    }
-}
-
 /// Triangle of the samples' weighted Jacobian.
 pub(in crate::solver) fn sample_triangle(
     problem: &dyn Problem,
@@ -263,7 +333,7 @@ pub(in crate::solver) fn sample_triangle(
     if triangle.iter().all(|entry| entry.is_finite()) { Ok((triangle, fits)) } else { Err(PassError::Lost) }
 }
 
-/// Adds the rows of the priors to a triangle.
+/// Triangle of the rows of `triangle`, and of one row for each prior: `1 / sigma` in its column.
 pub(in crate::solver) fn with_priors<'a>(
     priors: impl Iterator<Item = &'a Prior> + Clone,
     triangle: &DMatrix<f64>,
@@ -284,7 +354,7 @@ pub(in crate::solver) fn require_start(problem: &dyn Problem, x: &[f64]) -> Resu
     Err(SolveError::StartLength { found: x.len(), expected: problem.columns() })
 }
 
-/// Spectrum of the columns without prior.
+/// Spectrum of the samples' columns without prior (`J_f` above), which only the samples can determine.
 pub(in crate::solver) struct Open {
     /// Numbers of the columns without prior.
     columns: Vec<usize>,
@@ -328,74 +398,4 @@ impl Open {
         }
         groups
     }
-}
-
-/// Identifiability from the triangle of the samples' Jacobian, and the spectrum of samples and priors for the covariance.
-fn examine(
-    problem: &dyn Problem,
-    triangle: &DMatrix<f64>,
-    fits: &[SampleFit],
-    options: &Options<'_>,
-) -> (Identifiability, ScaledSpectrum) {
-    let (columns, priors, tolerance) = (problem.columns(), problem.priors(), options.rank_tolerance);
-    let open = Open::new(triangle, 0..columns, priors, tolerance);
-    let mut spectrum = ScaledSpectrum::new(&with_priors(priors.iter(), triangle), tolerance);
-    // A prior determines its column even if its singular value is below the tolerance.
-    spectrum.rank = columns - open.missing();
-    let mut prior_sigmas = vec![None; columns];
-    priors.iter().for_each(|prior| prior_sigmas[prior.column] = Some(prior.sigma));
-    let identifiability = Identifiability {
-        prior_sigmas,
-        names: (0..columns).map(|column| problem.column_name(column)).collect(),
-        rank: spectrum.rank,
-        rank_of_samples: if priors.is_empty() {
-            spectrum.rank
-        } else {
-            rank(&scaled(triangle).0.singular_values(), tolerance)
-        },
-        singular_values: spectrum.singular_values.iter().copied().collect(),
-        groups: open.groups(),
-        zero_columns: open.zero_columns(),
-        triangle: triangle.clone(),
-        samples: fits.iter().filter(|fit| fit.present).count(),
-    };
-    (identifiability, spectrum)
-}
-
-/// Identifiability at `x` without a solve, for the selection of parameters and poses.
-///
-/// # Errors
-/// [`SolveError`] if no sample is usable or the pass was cancelled.
-pub fn identifiability(
-    problem: &dyn Problem,
-    x: &[f64],
-    options: &Options<'_>,
-) -> Result<Identifiability, SolveError> {
-    require_start(problem, x)?;
-    let (triangle, fits) = sample_triangle(problem, x, options, Taking::WhatIsThere)
-        .map_err(|error| error.at_start(problem.samples()))?;
-    if !fits.iter().any(|fit| fit.present) {
-        return Err(SolveError::NoSamples { samples: problem.samples() });
-    }
-    Ok(examine(problem, &triangle, &fits, options).0)
-}
-
-/// Identifiability and covariance at the end of a solve of this number of iterations.
-pub(in crate::solver) fn at_solution(
-    problem: &dyn Problem,
-    x: &[f64],
-    options: &Options<'_>,
-    fits: &[SampleFit],
-    iterations: usize,
-) -> Result<(Identifiability, Covariance), SolveError> {
-    let triangle = match sample_triangle(problem, x, options, Taking::These(fits)) {
-        Ok((triangle, _)) => triangle,
-        Err(PassError::Cancelled) => return Err(SolveError::Cancelled { iterations }),
-        // The same samples were finite at this point during the solve; only squares of derivatives can overflow.
-        Err(PassError::Lost | PassError::NotFinite(_)) => DMatrix::zeros(0, problem.columns()),
-    };
-    let (identifiability, spectrum) = examine(problem, &triangle, fits, options);
-    let factor = options.noise.variance_factor(problem, x, fits);
-    let covariance = Covariance::new(&spectrum, &identifiability.undetermined(), factor);
-    Ok((identifiability, covariance))
 }
