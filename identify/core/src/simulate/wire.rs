@@ -15,8 +15,9 @@ const ANCHOR_M: [f64; 3] = [0.6, -1.1, 0.1];
 /// Reading of the instrument minus the length of the wire \[m\].
 const OFFSET_M: f64 = 0.15;
 
-/// `count` random postures within the joint limits, each with the length that an instrument with this noise \[m\] measures, and
-/// the true parameters up to the flange.
+/// `count` random postures within the joint limits, and the true parameters up to the flange. A row has the joints that the robot
+/// reports and the measured length: distance of attachment and anchor, plus offset and white noise of standard deviation
+/// `noise_m`.
 ///
 /// # Errors
 /// [`SimulateError`] if the experiment is invalid.
@@ -32,13 +33,13 @@ pub fn wire_rows(
     let limits = experiment.robot.joint_limits();
     let mut postures = random(experiment.seed, Stream::Postures);
     let mut noise = random(experiment.seed, Stream::Wire);
-    let mut reading = experiment.robot_reading();
+    let mut robot_reading = experiment.robot_reading();
     let row = |_| {
         let q_rad = Joints::random(&limits, &mut postures);
-        let attachment_m: Vector3<f64> = (robot.forward(&q_rad) * Point3::from(ATTACHMENT_M)).coords;
+        let attachment_in_base_m: Vector3<f64> = (robot.forward(&q_rad) * Point3::from(ATTACHMENT_M)).coords;
         let error_m = noise_m * noise.sample::<f64, _>(StandardNormal);
-        let length_m = (attachment_m - Vector3::from(ANCHOR_M)).norm() + OFFSET_M + error_m;
-        LengthRow { joints_rad: reading.of(&q_rad), length_m, ..LengthRow::default() }
+        let length_m = (attachment_in_base_m - Vector3::from(ANCHOR_M)).norm() + OFFSET_M + error_m;
+        LengthRow { joints_rad: robot_reading.of(&q_rad), length_m, ..LengthRow::default() }
     };
     Ok(((0..count).map(row).collect(), truth))
 }
