@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 use shared::config::{BallBarConfig, RobotConfig};
 
 use crate::kinematics::{
-    BAR_JOINTS, Configuration, InverseError, Joints, ball_bar_chain, first_ball_bar_inverse, nearest_turn,
-    robot_chain,
+    BAR_JOINTS, Chain, Configuration, InverseError, Joints, Pose, ball_bar_chain, first_ball_bar_inverse,
+    nearest_turn, robot_chain,
 };
 use crate::logs::{RobotLog, Stream};
 use crate::plan::PlannedPath;
@@ -69,7 +69,8 @@ pub struct Driven {
 }
 
 impl Driven {
-    /// Finds the longest part of a log in which the robot's end is on a sphere.
+    /// Finds the longest part of a log in which the end of the nominal robot is on a sphere, and computes the joints of a bar whose
+    /// base is at the centre of the sphere.
     ///
     /// # Errors
     /// [`ReferenceError`].
@@ -86,12 +87,13 @@ impl Driven {
         let positions: Vec<Vector3<f64>> =
             rows.iter().map(|q_rad| arm.forward(q_rad).translation.vector).collect();
         let sphere = fit_sphere(&positions, ON_SPHERE_M).ok_or(ReferenceError::NoSphere { rows: 0 })?;
-        let is_on =
+        let is_on_sphere =
             |row: usize| ((positions[row] - sphere.centre_m).norm() - sphere.radius_m).abs() < ON_SPHERE_M;
         let mut longest = 0..0;
         for part in rows.parts_within(GAP_S) {
             let indices: Vec<usize> = part.collect();
-            for run in indices.chunk_by(|a, b| is_on(*a) == is_on(*b)).filter(|run| is_on(run[0])) {
+            let runs = indices.chunk_by(|a, b| is_on_sphere(*a) == is_on_sphere(*b));
+            for run in runs.filter(|run| is_on_sphere(run[0])) {
                 if run.len() > longest.len() {
                     longest = run[0]..run[0] + run.len();
                 }
@@ -102,26 +104,33 @@ impl Driven {
         }
         bar.root_from_base = Translation3::from(sphere.centre_m).into();
         let driven = rows.slice(longest);
-        let start_rad = driven[0];
-        let mut bar_rad: Vec<[f64; BAR_JOINTS]> = Vec::new();
-        for q_rad in driven.iter() {
-            let first = first_ball_bar_inverse(&bar, &arm.forward(q_rad))?;
-            let previous = bar_rad.last().copied().unwrap_or(first);
-            let in_configurations = Configuration::ALL.map(|configuration| {
-                let joints = configuration.carry(&first);
-                std::array::from_fn(|i| nearest_turn(joints[i], previous[i]))
-            });
-            let squared_distance = |joints: &[f64; BAR_JOINTS]| {
-                joints.iter().zip(&previous).map(|(a, b)| (a - b).powi(2)).sum::<f64>()
-            };
-            let nearest = in_configurations
-                .into_iter()
-                .min_by(|a, b| squared_distance(a).total_cmp(&squared_distance(b)));
-            bar_rad.extend(nearest);
-        }
-        let start_rad = std::array::from_fn(|joint| start_rad[joint]);
+        let bar_rad = bar_joints(&bar, driven.iter().map(|q_rad| arm.forward(q_rad)))?;
+        let start_rad = std::array::from_fn(|joint| driven[0][joint]);
         Ok(Self { base_m: sphere.centre_m.into(), start_rad, t_s: driven.t_s, bar_rad })
     }
+}
+
+/// Joints of the bar at each pose of its end, in the configuration and turn that are nearest to the joints before \[rad\].
+fn bar_joints(
+    bar: &Chain,
+    poses: impl Iterator<Item = Pose>,
+) -> Result<Vec<[f64; BAR_JOINTS]>, InverseError> {
+    let mut bar_rad: Vec<[f64; BAR_JOINTS]> = Vec::new();
+    for pose in poses {
+        let first = first_ball_bar_inverse(bar, &pose)?;
+        let previous = bar_rad.last().copied().unwrap_or(first);
+        let in_configurations = Configuration::ALL.map(|configuration| {
+            let joints = configuration.carry(&first);
+            std::array::from_fn(|i| nearest_turn(joints[i], previous[i]))
+        });
+        let squared_distance = |joints: &[f64; BAR_JOINTS]| {
+            joints.iter().zip(&previous).map(|(a, b)| (a - b).powi(2)).sum::<f64>()
+        };
+        let nearest =
+            in_configurations.into_iter().min_by(|a, b| squared_distance(a).total_cmp(&squared_distance(b)));
+        bar_rad.extend(nearest);
+    }
+    Ok(bar_rad)
 }
 
 /// A path, and the nominal robot's joints at its start \[rad\].

@@ -257,7 +257,8 @@ impl Results {
     }
 }
 
-/// Merges the results of the directories `shards` of one study into `out`; returns the study and all results.
+/// Merges the results of the directories `shards` of one study with those in `out`; returns the study and all results, which
+/// [`Results::put_in_order`] writes.
 ///
 /// # Errors
 /// [`ResultsError`] if they are of different studies.

@@ -176,13 +176,12 @@ fn curves_of(definition: &Definition, figure: &Figure, of_figure: &[&Placed<'_>]
             let points: Vec<CurvePoint> = series.x.iter().map(|&x| point(x, &of_curve)).collect();
             let median = |point: &CurvePoint| Some((point.x, point.errors.get(&Measure::Euclidean)?.median));
             let medians: Vec<(f64, f64)> = points.iter().filter_map(median).collect();
+            let label = study.estimator(estimator).map_or_else(String::new, |found| found.label.clone());
             curves.push(Curve {
                 figure: figure.id.clone(),
                 series: series.name.clone(),
                 estimator: estimator.clone(),
-                label: study
-                    .estimator(estimator)
-                    .map_or_else(String::new, |estimator| estimator.label.clone()),
+                label,
                 limit_at: reach(&medians, study.limit_mm_mrad),
                 points,
             });

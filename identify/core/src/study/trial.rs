@@ -48,35 +48,36 @@ pub fn trials(definition: &Definition) -> impl Iterator<Item = Trial<'_>> {
 
 /// Simulates one experiment and solves it with its estimators. A failed estimate is a row with its reason.
 pub fn run(definition: &Definition, trial: &Trial<'_>) -> TrialRows {
-    let study = &definition.study;
-    let names = study.estimators_of(trial.figure, trial.series);
-    let with_errors = trial.figure.kind != Kind::Curves;
-    let solve_all = || -> Result<Vec<Row>, String> {
-        let conditions = Conditions::of(study, trial.series, trial.x).map_err(|error| error.to_string())?;
-        let estimators = || names.iter().map(|name| study.estimator(name));
-        let uses_bar = |estimator: &Estimator| estimator.instrument == StudyInstrument::BallBar;
-        // All estimators with the bar solve the same readings.
-        let simulated = if estimators().flatten().any(uses_bar) {
-            Some(simulate(definition, trial.seed, &conditions).map_err(|error| error.to_string())?)
-        } else {
-            None
-        };
-        let solve = |estimator: Option<&Estimator>| {
-            let row = match (estimator, &simulated) {
-                (Some(Estimator { instrument: StudyInstrument::Wire, .. }), _) => {
-                    solve_wire(definition, trial.seed, &conditions)
-                }
-                (Some(estimator), Some(simulated)) => {
-                    solve_bar(definition, simulated, &estimator.config, with_errors)
-                }
-                _ => Err("there is no such estimator".into()),
-            };
-            row.unwrap_or_else(Row::failed)
-        };
-        Ok(estimators().map(solve).collect())
-    };
-    let rows = solve_all().unwrap_or_else(|reason| vec![Row::failed(reason); names.len()]);
+    let names = definition.study.estimators_of(trial.figure, trial.series);
+    let rows = solve_all(definition, trial, names);
+    let rows = rows.unwrap_or_else(|reason| vec![Row::failed(reason); names.len()]);
     TrialRows { trial: trial.number, rows }
+}
+
+/// A row for each of the named estimators; an error if the experiment cannot be simulated.
+fn solve_all(definition: &Definition, trial: &Trial<'_>, names: &[String]) -> Result<Vec<Row>, String> {
+    let study = &definition.study;
+    let conditions = Conditions::of(study, trial.series, trial.x).map_err(|error| error.to_string())?;
+    let estimators = || names.iter().map(|name| study.estimator(name));
+    let is_of_bar = |estimator: &Estimator| estimator.instrument == StudyInstrument::BallBar;
+    // All estimators with the bar solve the same readings.
+    let is_simulated = estimators().flatten().any(is_of_bar);
+    let simulated = is_simulated.then(|| simulate(definition, trial.seed, &conditions)).transpose();
+    let simulated = simulated.map_err(|error| error.to_string())?;
+    let with_errors = trial.figure.kind != Kind::Curves;
+    let solve = |estimator: Option<&Estimator>| {
+        let row = match (estimator, &simulated) {
+            (Some(Estimator { instrument: StudyInstrument::Wire, .. }), _) => {
+                solve_wire(definition, trial.seed, &conditions)
+            }
+            (Some(estimator), Some(simulated)) => {
+                solve_bar(definition, simulated, &estimator.config, with_errors)
+            }
+            _ => Err("there is no such estimator".into()),
+        };
+        row.unwrap_or_else(Row::failed)
+    };
+    Ok(estimators().map(solve).collect())
 }
 
 /// Readings of robot and bar for each station of the bar, with the true values, which all stations share.
@@ -118,8 +119,8 @@ fn simulate(definition: &Definition, seed: u32, conditions: &Conditions) -> Resu
     Ok(Simulated { stations, truth: truth.ok_or(SimulateError::Empty)? })
 }
 
-/// Pairs of angles as after the preparation: aligned, with encoder angles from the reference marks, nearly nominal links and
-/// the bar at `base_m`. `measured`: bar joints with an encoder.
+/// Pairs of angles as samples that need no preparation: robot and bar on one clock, encoder angles from the reference marks,
+/// links near the nominal ones, and the bar at `base_m`. `measured`: bar joints with an encoder.
 ///
 /// # Errors
 /// [`SimulateError::Empty`] if there are too few pairs to interpolate.
@@ -133,6 +134,7 @@ pub fn prepared(pairs: &Pairs, measured: [bool; 5], base_m: [f64; 3]) -> Result<
         measured,
         ..Observation::bar(t_s - middle_s, *bar_rad)
     };
+    // `t_s` has the robot's rows, of which the first `LEAD_ROWS` have no pair.
     let observations = pairs.t_s.iter().skip(LEAD_ROWS).zip(&pairs.bar_rad).map(observation).collect();
     let motion = AlignedLog::new(motion, middle_s - first_s);
     Ok(Prepared::aligned(UtcNs(0), observations, motion, measured, base_m.into()))
