@@ -32,15 +32,11 @@ pub fn run(arguments: &CompareArguments) -> anyhow::Result<()> {
         );
     }
     let consistency = Consistency::new(&files)?;
-    let names: Vec<String> = arguments
-        .calibrations
-        .iter()
-        .zip(&files)
-        .map(|(path, file)| {
-            let simulated = if file.is_simulated() { ", SIMULATED" } else { "" };
-            format!("{} ({}, {}{simulated})", path.display(), file.solve.cost, file.created)
-        })
-        .collect();
+    let name = |(path, file): (&PathBuf, &CalibrationFile)| {
+        let simulated = if file.is_simulated() { ", SIMULATED" } else { "" };
+        format!("{} ({}, {}{simulated})", path.display(), file.solve.cost, file.created)
+    };
+    let names: Vec<String> = arguments.calibrations.iter().zip(&files).map(name).collect();
     show(side_by_side::table(&consistency, &names))?;
     if let Some(out) = &arguments.out {
         let robot = files.first().map_or("", |file| file.robot.as_str());

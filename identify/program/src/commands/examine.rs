@@ -37,10 +37,8 @@ pub fn run(arguments: &ExamineArguments) -> anyhow::Result<()> {
     let robot: RobotConfig = config::load(&arguments.robot)?;
     let bar: BallBarConfig = config::load(&arguments.bar)?;
     let costs = if arguments.cost.is_empty() { &ALL[..] } else { &arguments.cost };
-    let found = costs
-        .iter()
-        .map(|&cost| examine(&robot, &bar, cost, arguments.poses, arguments.seed))
-        .collect::<Result<Vec<_>, _>>()?;
+    let examined = |&cost: &CostName| examine(&robot, &bar, cost, arguments.poses, arguments.seed);
+    let found = costs.iter().map(examined).collect::<Result<Vec<_>, _>>()?;
     say(format_args!("{} with {}, {} random poses\n", robot.name, bar.name, arguments.poses))?;
     show(examinations(&found))?;
     Ok(())

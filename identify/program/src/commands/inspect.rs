@@ -159,12 +159,8 @@ fn propose(path: &Path, robot: &RobotConfig, out: &Path) -> anyhow::Result<()> {
         _ => anyhow::Error::new(error).context(format!("cannot create {}", out.display())),
     })?;
     file.write_all(text.as_bytes()).with_context(|| format!("cannot write {}", out.display()))?;
-    show(
-        text.lines()
-            .take_while(|line| line.starts_with('#'))
-            .map(|line| format!("{line}\n"))
-            .collect::<String>(),
-    )?;
+    let comments = text.lines().take_while(|line| line.starts_with('#'));
+    show(comments.map(|line| format!("{line}\n")).collect::<String>())?;
     Ok(say(out.display())?)
 }
 

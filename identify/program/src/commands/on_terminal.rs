@@ -10,6 +10,7 @@ use crate::solver::{Progress, Watch};
 
 /// Ctrl-C was pressed.
 static INTERRUPTED: AtomicBool = AtomicBool::new(false);
+/// Set when the handler of Ctrl-C has been installed.
 static HANDLER: OnceLock<()> = OnceLock::new();
 /// The running command polls [`INTERRUPTED`] and keeps its partial result: the first Ctrl-C does not end the program.
 static POLLED: AtomicBool = AtomicBool::new(false);

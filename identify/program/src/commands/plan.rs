@@ -15,7 +15,7 @@ use super::ensure_can_write;
 use super::on_terminal::OnTerminal;
 use super::simulate::numbers;
 use crate::cost::PoseNoise;
-use crate::kinematics::{Chain, ball_bar_chain, flange_chain, robot_chain};
+use crate::kinematics::{Chain, Joints, ball_bar_chain, flange_chain, robot_chain};
 use crate::logs::{self, JointTableMapping, LogOptions, joints_of_robot};
 use crate::model::ParameterId;
 use crate::plan::{
@@ -316,17 +316,8 @@ impl Cell {
                 robot.name
             );
         }
-        Ok(Loaded {
-            calibration,
-            robot,
-            bar,
-            arm,
-            bar_chain,
-            design,
-            bodies,
-            acceleration_rad_s2: self.acceleration,
-            criterion,
-        })
+        let acceleration_rad_s2 = self.acceleration;
+        Ok(Loaded { robot, bar, arm, bar_chain, design, bodies, acceleration_rad_s2, criterion, calibration })
     }
 }
 
@@ -360,6 +351,7 @@ pub fn run(arguments: &PlanArguments) -> anyhow::Result<()> {
     }
 }
 
+/// Searches a path, checks it, and writes the planned path, the robot's joints, the page and programs.
 fn find_path(arguments: &PathArguments) -> anyhow::Result<()> {
     let mut loaded = arguments.cell.load(arguments.criterion)?;
     ensure_programs_can_be_written(&arguments.program, &loaded.robot)?;
@@ -367,18 +359,7 @@ fn find_path(arguments: &PathArguments) -> anyhow::Result<()> {
     set_posture(&mut loaded.design, &arguments.posture, &loaded.robot)?;
     loaded.design.duration_s = arguments.duration.as_secs_f64();
     let (constraints, information) = (loaded.constraints(), loaded.information(loaded.design.duration_s)?);
-
-    let terminal = OnTerminal::new();
-    let found = plan::search(&constraints, &information, arguments.seed, arguments.budget, |progress| {
-        !terminal.says(|| match progress {
-            None => "first paths; Ctrl-C takes the best so far".into(),
-            Some(Progress { tried, taken, score }) => format!(
-                "{tried} changes tried, {taken} taken, criterion {score:.3e}; Ctrl-C takes the path as it is"
-            ),
-        })
-    });
-    drop(terminal);
-    let found = found?;
+    let found = search_path(arguments, &constraints, &information)?;
     let robot_path = plan::robot_path(&loaded.robot.name, &constraints, &found.route)
         .map_err(|(t_s, error)| anyhow::anyhow!("the robot cannot follow the path at {t_s:.3} s: {error}"))?;
     let checked = plan::check(&robot_path, &constraints, &information)?;
@@ -390,7 +371,7 @@ fn find_path(arguments: &PathArguments) -> anyhow::Result<()> {
     );
     let out = &arguments.out;
     fs::create_dir_all(out).with_context(|| format!("cannot create {}", out.display()))?;
-    let Found { route, .. } = &found;
+    let route = &found.route;
     let start = route.robot_rad.first().copied().unwrap_or_default();
     let planned_path = PlannedPath {
         robot: loaded.robot.name.clone(),
@@ -417,6 +398,24 @@ fn find_path(arguments: &PathArguments) -> anyhow::Result<()> {
     write_programs(&arguments.program, &loaded.robot, Task::Path, out, |language| {
         plan::program(language, &robot_path, &loaded.robot, &constraints)
     })
+}
+
+/// Searches for the given time or until Ctrl-C, with progress on the terminal.
+fn search_path(
+    arguments: &PathArguments,
+    constraints: &Constraints<'_>,
+    information: &Information,
+) -> anyhow::Result<Found> {
+    let terminal = OnTerminal::new();
+    let found = plan::search(constraints, information, arguments.seed, arguments.budget, |progress| {
+        !terminal.says(|| match progress {
+            None => "first paths; Ctrl-C takes the best so far".into(),
+            Some(Progress { tried, taken, score }) => format!(
+                "{tried} changes tried, {taken} taken, criterion {score:.3e}; Ctrl-C takes the path as it is"
+            ),
+        })
+    });
+    Ok(found?)
 }
 
 /// Checks before the search that the programs can be written.
@@ -450,40 +449,17 @@ fn write_programs(
     Ok(())
 }
 
+/// Selects poses of the candidates, and writes their table with its mapping, the page and programs.
 fn select_poses(arguments: &PosesArguments) -> anyhow::Result<()> {
     let PosesArguments { measures, out, count, anchor, noise_mm, noise_mrad, seed, .. } = arguments;
     let robot: RobotConfig = config::load(&arguments.robot)?;
     ensure_programs_can_be_written(&arguments.program, &robot)?;
     ensure_can_write(out)?;
-    above_zero("noise-mm", *noise_mm)?;
-    above_zero("noise-mrad", noise_mrad.unwrap_or(1.0))?;
-    anyhow::ensure!(
-        noise_mrad.is_none() || *measures == Measures::Poses,
-        "--noise-mrad is that of orientations; give it with --measures poses"
-    );
-    anyhow::ensure!(
-        anchor.is_some() == (*measures == Measures::Lengths),
-        "--anchor is the outlet of a wire; give it with --measures lengths, and with no other"
-    );
-    anyhow::ensure!(
-        arguments.mapping.is_none() || arguments.candidates.is_some(),
-        "--mapping names the columns of --candidates that are joints; give both or none"
-    );
-    in_metres("target", &arguments.target, REACH_M_MAX)?;
-    in_metres("anchor", anchor.as_ref().map_or(&[], |anchor| anchor), CELL_M_MAX)?;
+    ensure_valid(arguments)?;
     let bodies = arguments.around.bodies(flange_chain(&robot).reach_m())?;
+    let candidates = candidates(arguments, &robot, &bodies)?;
     // Poses of a table are taken as reachable: only those that are drawn here are checked for collisions.
-    let (candidates, bodies) = match arguments.candidates.as_deref().zip(arguments.mapping.as_deref()) {
-        Some((file, mapping)) => {
-            let joint_mapping: JointTableMapping = config::load(mapping)?;
-            joints_of_robot(&joint_mapping.joints, &robot, mapping)?;
-            (joint_mapping.load(file)?, None)
-        }
-        None => {
-            let design = Design::for_robot(&robot);
-            (plan::random_postures(&robot, &bodies, &design, arguments.draw, *seed)?, Some(&bodies))
-        }
-    };
+    let bodies = arguments.candidates.is_none().then_some(&bodies);
     let request = PoseRequest {
         robot: &robot,
         measures: *measures,
@@ -527,6 +503,43 @@ fn select_poses(arguments: &PosesArguments) -> anyhow::Result<()> {
         planned.joints.len() - 1
     );
     Ok(())
+}
+
+/// Checks the options that describe measurement and candidates.
+fn ensure_valid(arguments: &PosesArguments) -> anyhow::Result<()> {
+    let PosesArguments { measures, anchor, noise_mm, noise_mrad, .. } = arguments;
+    above_zero("noise-mm", *noise_mm)?;
+    above_zero("noise-mrad", noise_mrad.unwrap_or(1.0))?;
+    anyhow::ensure!(
+        noise_mrad.is_none() || *measures == Measures::Poses,
+        "--noise-mrad is that of orientations; give it with --measures poses"
+    );
+    anyhow::ensure!(
+        anchor.is_some() == (*measures == Measures::Lengths),
+        "--anchor is the outlet of a wire; give it with --measures lengths, and with no other"
+    );
+    anyhow::ensure!(
+        arguments.mapping.is_none() || arguments.candidates.is_some(),
+        "--mapping names the columns of --candidates that are joints; give both or none"
+    );
+    in_metres("target", &arguments.target, REACH_M_MAX)?;
+    in_metres("anchor", anchor.as_ref().map_or(&[], |anchor| anchor), CELL_M_MAX)?;
+    Ok(())
+}
+
+/// The postures to choose from: those of the table that is given, or random ones.
+fn candidates(
+    arguments: &PosesArguments,
+    robot: &RobotConfig,
+    bodies: &Bodies,
+) -> anyhow::Result<Vec<Joints>> {
+    let Some((file, mapping)) = arguments.candidates.as_deref().zip(arguments.mapping.as_deref()) else {
+        let design = Design::for_robot(robot);
+        return Ok(plan::random_postures(robot, bodies, &design, arguments.draw, arguments.seed)?);
+    };
+    let joint_mapping: JointTableMapping = config::load(mapping)?;
+    joints_of_robot(&joint_mapping.joints, robot, mapping)?;
+    Ok(joint_mapping.load(file)?)
 }
 
 /// Writes a file and prints its path.

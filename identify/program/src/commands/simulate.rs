@@ -226,6 +226,25 @@ struct BarArguments {
     force_noise_n: f64,
 }
 
+impl BarArguments {
+    fn effects(&self) -> Effects {
+        if self.exact {
+            return Effects::NONE;
+        }
+        Effects {
+            robot_noise_urad: self.robot_noise_urad,
+            encoder_noise_urad: self.encoder_noise_urad,
+            gear_sine_urad: self.gear_sine_urad,
+            cycloid_urad: self.cycloid_urad,
+            backlash_urad: self.backlash_urad,
+            encoder_ellipticity_urad: self.encoder_ellipticity_urad,
+            encoder_eccentricity_urad: self.encoder_eccentricity_urad,
+            encoder_step_urad: self.encoder_step_urad,
+            base_tilt_urad: self.base_tilt_urad,
+        }
+    }
+}
+
 /// `N` numbers between commas.
 pub(super) fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
     let numbers: Vec<f64> = text
@@ -336,18 +355,7 @@ fn simulate_bar(arguments: &BarArguments) -> anyhow::Result<()> {
         ensure_within("robot-clock-s", clock_s, CLOCK_S_MAX)?;
         experiment.clocks.robot_at_bar_start_ns = (clock_s * 1e9).round() as i64;
     }
-    let sizes = Effects {
-        robot_noise_urad: arguments.robot_noise_urad,
-        encoder_noise_urad: arguments.encoder_noise_urad,
-        gear_sine_urad: arguments.gear_sine_urad,
-        cycloid_urad: arguments.cycloid_urad,
-        backlash_urad: arguments.backlash_urad,
-        encoder_ellipticity_urad: arguments.encoder_ellipticity_urad,
-        encoder_eccentricity_urad: arguments.encoder_eccentricity_urad,
-        encoder_step_urad: arguments.encoder_step_urad,
-        base_tilt_urad: arguments.base_tilt_urad,
-    };
-    experiment.effects = if arguments.exact { Effects::NONE } else { sizes };
+    experiment.effects = arguments.effects();
     experiment.load = BarLoad {
         force_n: arguments.force_n,
         compliance_um_per_n: arguments.compliance_um_per_n,

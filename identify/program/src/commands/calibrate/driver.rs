@@ -14,7 +14,7 @@ use super::result::{conclude, limited, write_files};
 use super::rows::{self, Aligned, Beside, Others, WithLogs};
 use super::{ResultArguments, inputs};
 use crate::calibrate::validation::unseen::UnseenPart;
-use crate::calibrate::{self, Calibration, DataSets, RunInput};
+use crate::calibrate::{self, CalibrateError, Calibration, DataSets, RunInput};
 use crate::commands::ensure_can_write;
 use crate::commands::on_terminal::OnTerminal;
 use crate::evaluate::{Evidence, Limit, Validity, evidence, scale_sentence};
@@ -55,26 +55,14 @@ pub(super) fn calibrate(
     let (rows, beside) = rows_of(&experiment, robot, &logs, directory)?;
     experiment.state(&rows);
     let experiment = &experiment;
-    let numbers = experiment.bars.len() + 1..;
-    let read_others = |(((kind, file), rows), number): (((_, _), &Rows), usize)| {
-        Others::read(kind, file, number, rows.seed(), robot)
-    };
-    let others = experiment.rows().zip(&rows).zip(numbers).map(read_others);
-    let others = others.collect::<anyhow::Result<Vec<Others<'_>>>>()?;
+    let numbered = experiment.rows().zip(&rows).zip(experiment.bars.len() + 1..);
+    let others = numbered
+        .map(|(((kind, file), rows), number)| Others::read(kind, file, number, rows.seed(), robot))
+        .collect::<anyhow::Result<Vec<_>>>()?;
     let (inputs, bars) = both(|| inputs(&experiment.files()), || bar::runs(experiment, robot, &logs));
     let (mut bars, inputs) = (bars?, inputs?);
     experiment.ensure_distinct(&inputs)?;
-    let solved = bar::solved(experiment.split_at_changes, &mut bars, |inputs| {
-        experiment.identify.require_usual_selection()?;
-        let bars = RunInput::prepare_all(inputs, robot, &experiment.identify.prepare)?;
-        let data = DataSets { bars, rows: rows.clone() };
-        calibrate::calibrate(&data, robot, &experiment.identify, Some(&on_terminal))
-    });
-    let validated = solved.and_then(|calibration| {
-        let evidence = evidence(&calibration, &robot.joint_limits());
-        let evidence = evidence.with_validation(&calibration, Some(&on_terminal))?;
-        Ok((calibration, evidence))
-    });
+    let validated = solved_and_validated(experiment, robot, &rows, &mut bars, &on_terminal);
     drop(on_terminal);
     let (calibration, evidence) =
         validated.map_err(|error| refused(directory, robot, experiment, &bars, error))?;
@@ -131,6 +119,25 @@ fn rows_of(
         Ok(error) => refused(directory, robot, experiment, &[], error),
         Err(error) => error,
     })
+}
+
+/// Solves all data sets together, and validates on held-out data; a run of `bars` that is split at a change point becomes two.
+fn solved_and_validated(
+    experiment: &Experiment,
+    robot: &RobotConfig,
+    rows: &[Rows],
+    bars: &mut Vec<RunFiles<'_>>,
+    on_terminal: &OnTerminal,
+) -> Result<(Calibration, Evidence), CalibrateError> {
+    let calibration = bar::solved(experiment.split_at_changes, bars, |inputs| {
+        experiment.identify.require_usual_selection()?;
+        let bars = RunInput::prepare_all(inputs, robot, &experiment.identify.prepare)?;
+        let data = DataSets { bars, rows: rows.to_vec() };
+        calibrate::calibrate(&data, robot, &experiment.identify, Some(on_terminal))
+    })?;
+    let evidence = evidence(&calibration, &robot.joint_limits());
+    let evidence = evidence.with_validation(&calibration, Some(on_terminal))?;
+    Ok((calibration, evidence))
 }
 
 /// The content of `calibration.toml` for any instruments, without the figures of files of rows.

@@ -109,40 +109,46 @@ impl Validate for Experiment {
             Violation::unless(!is_given || has_file, key, problem, "leave it out")?;
         }
         for (kind, files) in self.kinds() {
-            let key = kind.key();
-            for (index, row) in files.iter().enumerate() {
-                for (is_right, name, problem, remedy) in [
-                    (
-                        row.sockets.is_some() == (kind == Kind::Contact),
-                        "sockets",
-                        "a table of sockets goes with each [[contact]] block and with no other",
-                        "write sockets = \"sockets.toml\" there, and there alone",
-                    ),
-                    (
-                        row.faces.is_none() || kind == Kind::Touch,
-                        "faces",
-                        "a table of faces goes with a [[touch]] block",
-                        "leave it out",
-                    ),
-                    (
-                        row.robot_log.is_none() || kind == Kind::Tracker,
-                        "robot_log",
-                        "it goes with a [[tracker]] block whose rows have times",
-                        "leave it out",
-                    ),
-                    (
-                        row.validate_mapping.is_none() || !row.validate.is_empty(),
-                        "validate_mapping",
-                        "it is the mapping of no file",
-                        "name the files in validate, or leave it out",
-                    ),
-                ] {
-                    Violation::unless(is_right, format!("{key}[{index}].{name}"), problem, remedy)?;
-                }
+            for (index, file) in files.iter().enumerate() {
+                check_row_file(kind, index, file)?;
             }
         }
         self.identify.validate()
     }
+}
+
+/// Checks that the files beside a file of rows suit its instrument.
+fn check_row_file(kind: Kind, index: usize, file: &RowFile) -> Result<(), Violation> {
+    let key = kind.key();
+    for (is_right, name, problem, remedy) in [
+        (
+            file.sockets.is_some() == (kind == Kind::Contact),
+            "sockets",
+            "a table of sockets goes with each [[contact]] block and with no other",
+            "write sockets = \"sockets.toml\" there, and there alone",
+        ),
+        (
+            file.faces.is_none() || kind == Kind::Touch,
+            "faces",
+            "a table of faces goes with a [[touch]] block",
+            "leave it out",
+        ),
+        (
+            file.robot_log.is_none() || kind == Kind::Tracker,
+            "robot_log",
+            "it goes with a [[tracker]] block whose rows have times",
+            "leave it out",
+        ),
+        (
+            file.validate_mapping.is_none() || !file.validate.is_empty(),
+            "validate_mapping",
+            "it is the mapping of no file",
+            "name the files in validate, or leave it out",
+        ),
+    ] {
+        Violation::unless(is_right, format!("{key}[{index}].{name}"), problem, remedy)?;
+    }
+    Ok(())
 }
 
 impl Experiment {

@@ -331,10 +331,17 @@ impl Aligned {
     }
 }
 
-/// Files of `--validate` with the line numbers of their rows: the same instrument, but no data of the calibration.
+/// Files of `--validate`: the same instrument, but no data of the calibration.
 pub(super) struct Others<'a> {
     seed: u64,
-    files: Vec<(&'a PathBuf, Instrument, Vec<u64>)>,
+    files: Vec<ValidationFile<'a>>,
+}
+
+struct ValidationFile<'a> {
+    path: &'a Path,
+    instrument: Instrument,
+    /// Line number of each row.
+    lines: Vec<u64>,
 }
 
 impl<'a> Others<'a> {
@@ -360,7 +367,7 @@ impl<'a> Others<'a> {
         let read_file = |path: &'a PathBuf| {
             let (instrument, beside) =
                 rows_with_joints(kind, options, [path, mapping_file], data_set, robot)?;
-            Ok((path, instrument, beside.lines))
+            Ok(ValidationFile { path, instrument, lines: beside.lines })
         };
         Ok(Self { seed, files: options.validate.iter().map(read_file).collect::<anyhow::Result<_>>()? })
     }
@@ -373,7 +380,7 @@ impl<'a> Others<'a> {
         validity: &Validity,
         model: &Model,
     ) -> anyhow::Result<Vec<rows_report::Validation>> {
-        let validate_file = |(path, instrument, lines): &(&PathBuf, Instrument, Vec<u64>)| {
+        let validate_file = |ValidationFile { path, instrument, lines }: &ValidationFile<'_>| {
             let name = path.display().to_string();
             let Validated { figures: [nominal, calibrated], gross } =
                 validate(instrument, robot, model, self.seed).with_context(|| name.clone())?;
