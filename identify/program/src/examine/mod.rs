@@ -22,7 +22,7 @@ use crate::solver::{
     Identifiability, Influence, Observability, Options, SolveError, identifiability, influence,
 };
 
-/// Noise by which the cost `pose` is weighted. Rank and dependence need no realistic values: both kinds are equal.
+/// Noise by which the cost `pose` is weighted. Rank and dependence need no realistic values: encoders and robot have the same.
 const NOISE: AngleNoise = AngleNoise { encoder_rad: 1e-5, robot_rad: 1e-5 };
 
 /// Why a cost cannot be examined.
@@ -89,6 +89,8 @@ pub fn examine(
     }
 }
 
+/// Examines the cost with this residual: rank and groups with all geometry free, without and with the rotations of the bar's base;
+/// then influence and observability with the thesis' selection, as far as its parameters are independent.
 fn examine_with<R: Residual + Clone>(
     mut model: Model,
     poses: &Poses,

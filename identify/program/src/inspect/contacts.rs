@@ -53,11 +53,8 @@ fn few_orientations(inspection: &mut Inspection, rows: &[TipRow], table: &Socket
     /// Largest angle to the first orientation in a socket, below which it is reported \[rad\].
     const TURN_MIN_RAD: f64 = 0.35;
     for (socket, name) in table.names().into_iter().enumerate() {
-        let turns: Vec<_> = rows
-            .iter()
-            .filter(|row| row.part == socket)
-            .map(|row| chain.forward(&row.joints_rad).rotation)
-            .collect();
+        let visits = rows.iter().filter(|row| row.part == socket);
+        let turns: Vec<_> = visits.map(|row| chain.forward(&row.joints_rad).rotation).collect();
         let Some(first) = turns.first() else { continue };
         let most = turns.iter().map(|turn| turn.angle_to(first)).fold(0.0, f64::max);
         if turns.len() > 1 && most < TURN_MIN_RAD {
@@ -71,7 +68,8 @@ fn few_orientations(inspection: &mut Inspection, rows: &[TipRow], table: &Socket
 
 /// Reports the distances of ball and socket for the nominal robot, with the sockets placed by a fit to the rows.
 fn closure(inspection: &mut Inspection, mut contact: Contact, chain: &Chain, rows: &[TipRow]) {
-    /// Placing the sockets and rejecting rows depend on each other: repeated at most this number of times.
+    /// Placing the sockets (`place`) and rejecting rows (`screen`) depend on each other: repeated until the same rows are rejected,
+    /// at most this number of times.
     const ROUNDS: usize = 4;
     let mut model = contact.fitted_out(Model::alone(chain));
     for _ in 0..ROUNDS {

@@ -127,12 +127,12 @@ fn joint_lines<R: Row>(
             *fastest = fastest.max((after - before).abs() / (t_s[1] - t_s[0]));
         }
     }
-    let line = |(((joint, kind), range_si), fastest_si): (((usize, JointKind), [f64; 2]), f64)| {
+    let line = |(joint, kind): (usize, JointKind)| {
         let factor = kind.display_factor();
-        let (range, speed_max) = (range_si.map(|value| value * factor), fastest_si * factor);
-        JointLine { name: format!("{prefix}{joint}"), kind, range, speed_max }
+        let (range, speed_max) = (ranges_si[joint].map(|value| value * factor), fastest_si[joint] * factor);
+        JointLine { name: format!("{prefix}{}", joint + 1), kind, range, speed_max }
     };
-    (1..).zip(kinds).zip(ranges_si).zip(fastest_si).map(line).collect()
+    kinds.take(ranges_si.len()).enumerate().map(line).collect()
 }
 
 /// A revolute joint that hardly moves does not determine its link; `check` is what to do if it did move.

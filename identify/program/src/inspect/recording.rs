@@ -138,12 +138,8 @@ fn motion_of(inspection: &mut Inspection, angles: &BarAngles) {
     let Some(longest) = parts.into_iter().max_by_key(std::ops::Range::len) else { return };
     let kinds = std::iter::repeat(JointKind::Revolute);
     let lines = joint_lines('b', kinds, &angles.readings.t_s[longest.clone()], &angles.readings[longest]);
-    inspection.joints = lines
-        .into_iter()
-        .zip(angles.measured)
-        .filter(|(_, measured)| *measured)
-        .map(|(line, _)| line)
-        .collect();
+    let measured = lines.into_iter().zip(angles.measured).filter(|(_, measured)| *measured);
+    inspection.joints = measured.map(|(line, _)| line).collect();
     let jumps = |JointLine { name, speed_max, .. }: &JointLine| {
         (*speed_max > SPEED_MAX_DEG_S).then(|| format!("{name} ({speed_max:.0} deg/s)"))
     };

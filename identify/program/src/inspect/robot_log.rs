@@ -57,6 +57,7 @@ pub fn robot_log(log: &RobotLog, robot: &RobotConfig) -> Inspection {
 fn suspect_constant_columns(inspection: &mut Inspection, log: &RobotLog) {
     let rows = &log.q_rad;
     let is_long = |part: &Range<usize>| part.len() >= FROZEN_ROWS_MIN;
+    // A range counts at the end of the log, too.
     let constant = rows.constant_ranges(is_long, |_, _| true);
     for (joint, part) in (1..).zip(constant).filter_map(|(joint, part)| Some((joint, part?))) {
         let (from_s, to_s) = (rows.t_s[part.start], rows.t_s[part.end - 1]);

@@ -172,6 +172,7 @@ fn for_sheet(
     // Columns of the robot's own log, as its file names them.
     let log_columns = own_columns(robot);
     let is_own_log = log_columns.iter().all(|name| columns.iter().any(|column| column.name == *name));
+    // Apart from the other notes: they come first, and are replaced if the table is the robot's own log.
     let mut joint_notes = Notes::default();
     let joints = joints(&columns, robot, csv.header, &mut joint_notes);
     if joints.is_none() && !is_own_log {

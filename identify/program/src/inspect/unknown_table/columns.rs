@@ -30,6 +30,7 @@ impl Column {
         })
     }
 
+    /// Largest absolute value; zero without numbers.
     pub(super) fn largest(&self) -> f64 {
         self.numbers.iter().fold(0.0, |most, number| most.max(number.abs()))
     }
@@ -50,6 +51,7 @@ impl Column {
         all > 0 && 2 * rising > all && 100 * falling <= all
     }
 
+    /// Unit of a length, by the header or by the size of the numbers, with the reason.
     pub(super) fn length_unit(&self) -> (LengthUnit, String) {
         /// No arm reaches so far in metres; its positions in millimetres are larger.
         const M_MAX: f64 = 20.0;
@@ -62,7 +64,7 @@ impl Column {
     }
 }
 
-/// Units, each with its other spellings.
+/// Units, each with its other spellings; those of torques, currents, forces and speeds show that a column has no joint angles.
 const UNITS: [&str; 13] = [
     "deg degree degrees ° grad",
     "rad radian radians",
@@ -150,6 +152,7 @@ pub(super) fn group<'c>(columns: &[&'c Column], words: &[&str]) -> Option<Vec<&'
     (preferred < found.len()).then(|| found.swap_remove(preferred))
 }
 
+/// [`group`] of three words.
 pub(super) fn triple<'c>(columns: &[&'c Column], words: &[&str; 3]) -> Option<[&'c Column; 3]> {
     group(columns, words).and_then(|group| group.try_into().ok())
 }

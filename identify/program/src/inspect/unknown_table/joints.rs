@@ -55,6 +55,11 @@ fn families(columns: &[Column], axes: usize) -> Vec<Vec<&Column>> {
     by_pattern.values().filter_map(consecutive).collect()
 }
 
+/// Whether the values of all columns, taken in this unit, are within the limits of their joints.
+fn are_within(family: &[&Column], robot: &RobotConfig, unit: AngleUnit) -> bool {
+    family.iter().zip(&robot.joint_limits_deg).all(|(column, limits)| is_within(column, *limits, unit))
+}
+
 /// Whether all values, taken in this unit, are within the limits of the joint.
 fn is_within(column: &Column, limits_deg: [f64; 2], unit: AngleUnit) -> bool {
     /// Zeros of controllers and models differ by quarter turns.
@@ -78,34 +83,9 @@ pub(super) fn joints(
     if axes < robot.axes() {
         return None;
     }
-    let is_possible = |family: &[&Column], unit| {
-        family.iter().zip(&robot.joint_limits_deg).all(|(column, limits)| is_within(column, *limits, unit))
-    };
-    // Empirical weights: a certain contradiction outweighs all favourable signs.
-    let score = |family: &[&Column]| {
-        let has = |words| i32::from(family.iter().any(|column| column.has_word(words)));
-        let still = family.iter().all(|column| column.numbers.windows(2).all(|pair| pair[0] == pair[1]));
-        let has_other_unit = family
-            .iter()
-            .any(|column| column.unit.as_deref().is_some_and(|unit| !["deg", "rad"].contains(&unit)));
-        let has_angle_unit =
-            family.iter().all(|column| matches!(column.unit.as_deref(), Some("deg" | "rad")));
-        2 * i32::from(has_angle_unit)
-            - has(COMMANDED)
-            - 5 * has(NOT_ANGLES)
-            - 5 * i32::from(has_other_unit)
-            - 3 * i32::from(still)
-            - 9 * i32::from(!is_possible(family, AngleUnit::Deg))
-    };
     let mut choices = families(columns, axes);
     if choices.is_empty() && !header {
-        let numeric: Vec<&Column> = columns.iter().filter(|column| column.is_number()).collect();
-        choices = numeric.windows(axes).map(<[&Column]>::to_vec).collect();
-        // The first neighbouring columns that are neither times nor millimetres.
-        choices.retain(|family| {
-            is_possible(family, AngleUnit::Deg) && !family.iter().any(|column| column.rises())
-        });
-        choices.truncate(1);
+        choices.extend(first_neighbours(columns, robot));
         if !choices.is_empty() {
             notes.doubt(format!(
                 "the table has no header: the first {axes} columns that can be angles are taken for the joints"
@@ -113,10 +93,10 @@ pub(super) fn joints(
         }
     }
     // `max_by_key` takes the last of equals, and the reversed order makes it the first.
-    let scored = choices.iter().rev().map(|family| (score(family), family));
+    let scored = choices.iter().rev().map(|family| (score(family, robot), family));
     let (_, family) = scored.filter(|(score, _)| *score > -5).max_by_key(|(score, _)| *score)?;
     let unit = angle_unit(family, notes);
-    if !is_possible(family, unit) {
+    if !are_within(family, robot, unit) {
         notes.doubt(format!(
             "some joints leave the robot's limits by more than half a turn: is this a log of {}?",
             robot.name
@@ -141,6 +121,31 @@ pub(super) fn joints(
         offset_m: 0.0,
     };
     Some(family.iter().map(joint).collect())
+}
+
+/// Of a table without header: the first neighbouring columns that are neither times nor millimetres.
+fn first_neighbours<'c>(columns: &'c [Column], robot: &RobotConfig) -> Option<Vec<&'c Column>> {
+    let numeric: Vec<&Column> = columns.iter().filter(|column| column.is_number()).collect();
+    let are_angles = |family: &&[&Column]| {
+        are_within(family, robot, AngleUnit::Deg) && !family.iter().any(|column| column.rises())
+    };
+    numeric.windows(robot.joint_limits_deg.len()).find(are_angles).map(<[&Column]>::to_vec)
+}
+
+/// Empirical weights: a certain contradiction outweighs all favourable signs, and -5 or less excludes a candidate.
+fn score(family: &[&Column], robot: &RobotConfig) -> i32 {
+    let has = |words| i32::from(family.iter().any(|column| column.has_word(words)));
+    let still = family.iter().all(|column| column.numbers.windows(2).all(|pair| pair[0] == pair[1]));
+    let has_other_unit = family
+        .iter()
+        .any(|column| column.unit.as_deref().is_some_and(|unit| !["deg", "rad"].contains(&unit)));
+    let has_angle_unit = family.iter().all(|column| matches!(column.unit.as_deref(), Some("deg" | "rad")));
+    2 * i32::from(has_angle_unit)
+        - has(COMMANDED)
+        - 5 * has(NOT_ANGLES)
+        - 5 * i32::from(has_other_unit)
+        - 3 * i32::from(still)
+        - 9 * i32::from(!are_within(family, robot, AngleUnit::Deg))
 }
 
 /// The unit by the size of the values; a note states whether the header agrees.

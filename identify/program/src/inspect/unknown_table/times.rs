@@ -23,6 +23,8 @@ fn is_date_in_digits(number: f64) -> bool {
 
 /// The time stamps, if there are some.
 pub(super) fn time(columns: &[&Column], notes: &mut Notes) -> Option<TimeColumn> {
+    /// Windows FILETIME, 100 ns since 1601, of the years 1980 to 2100.
+    const FILETIME: std::ops::Range<f64> = 1.19e17..1.58e17;
     let dated = columns.iter().find(|column| column.is_date && column.has_word(TIMES));
     if let Some(column) = dated.or_else(|| columns.iter().find(|column| column.is_date)) {
         notes.reason(format!("`{}` has dates", column.name));
@@ -37,8 +39,6 @@ pub(super) fn time(columns: &[&Column], notes: &mut Notes) -> Option<TimeColumn>
     let mut steps: Vec<f64> =
         column.numbers.windows(2).map(|pair| pair[1] - pair[0]).filter(|step| *step > 0.0).collect();
     let step = median(&mut steps)?;
-    /// Windows FILETIME, 100 ns since 1601, of the years 1980 to 2100.
-    const FILETIME: std::ops::Range<f64> = 1.19e17..1.58e17;
     if column.numbers.iter().all(|number| is_date_in_digits(*number)) {
         notes.reason(format!("`{}` has dates (YYYYMMDDhhmmss), too coarse for times of rows", column.name));
         return None;

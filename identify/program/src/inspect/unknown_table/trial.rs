@@ -43,6 +43,8 @@ impl Trial<'_> {
         others: &[&Column],
         notes: &mut Notes,
     ) -> MeasuredPoseMapping {
+        /// The nominal robot is within this of the right reading; any wrong one is further away \[rad\].
+        const FITS_RAD: f64 = 0.1;
         // Positions alone show mistakes in the joints; the orientation is tried with corrected joints.
         if let Some(rows) = self.rows(&mapping) {
             let chain = flange_chain(self.robot);
@@ -64,8 +66,6 @@ impl Trial<'_> {
             let mapping = with(rotation);
             Some((self.misfit(&mapping)?.rotation_rad.unwrap_or(0.0), mapping))
         });
-        /// The nominal robot is within this of the right reading; any wrong one is further away \[rad\].
-        const FITS_RAD: f64 = 0.1;
         match trials.min_by(|a, b| a.0.total_cmp(&b.0)) {
             Some((rms_rad, best)) if rms_rad < FITS_RAD => {
                 notes.reason(format!(
