@@ -148,11 +148,8 @@ fn compared(id: ParameterId, files: &[CalibrationFile]) -> Compared {
         let from = file.knowledge.as_ref().map(|knowledge| knowledge.sigmas_from).unwrap_or_default();
         from.sigmas_of_95()
     };
-    let half_widths = values
-        .iter()
-        .zip(files)
-        .map(|(one, file)| one.map(|(_, sigma)| sigmas_of_95(file) * sigma))
-        .collect();
+    let by_file = values.iter().zip(files);
+    let half_widths = by_file.map(|(one, file)| one.map(|(_, sigma)| sigmas_of_95(file) * sigma)).collect();
     let known: Vec<(f64, f64)> = values.iter().copied().flatten().collect();
     let weight: f64 = known.iter().map(|(_, sigma)| sigma.powi(-2)).sum();
     let mean = known.iter().map(|(value, sigma)| value * sigma.powi(-2)).sum::<f64>() / weight;

@@ -86,15 +86,10 @@ fn influences(text: &mut String, influence: &Influence) {
         writeln!(text, "  an error of 1 mm|mrad in what is held fixed affects (by more than {AFFECTED}):");
     for (column, held) in influence.held.iter().enumerate() {
         let changes = influence.change.column(column);
-        let mut affected: Vec<(&str, f64)> = influence
-            .estimated
-            .iter()
-            .map(String::as_str)
-            .zip(changes.iter().copied())
-            // Rounded as displayed, so that rounding errors change neither selection nor order.
-            .map(|(name, change)| (name, (change * 100.0).round() / 100.0))
-            .filter(|(_, change)| change.abs() > AFFECTED)
-            .collect();
+        // Rounded as displayed, so that rounding errors change neither selection nor order.
+        let rounded = changes.iter().map(|change| (change * 100.0).round() / 100.0);
+        let changed = influence.estimated.iter().map(String::as_str).zip(rounded);
+        let mut affected: Vec<(&str, f64)> = changed.filter(|(_, change)| change.abs() > AFFECTED).collect();
         affected.sort_by(|a, b| b.1.abs().total_cmp(&a.1.abs()));
         let shown: Vec<String> =
             affected.iter().take(NAMES_MAX).map(|(name, change)| format!("{name} {change:+.2}")).collect();

@@ -46,12 +46,8 @@ fn view(
     project: fn(&Vector3<f64>) -> (f64, f64),
 ) -> Result<(String, (u32, u32)), PlotError> {
     let reach_m = check.reached_m.iter().map(|p| p.norm()).fold(0.0, f64::max);
-    let mut series = vec![Series::new(
-        "flange, random postures",
-        GREY,
-        Mark::Dots,
-        check.reached_m.iter().take(3000).map(project).collect(),
-    )];
+    let reached = check.reached_m.iter().take(3000).map(project).collect();
+    let mut series = vec![Series::new("flange, random postures", GREY, Mark::Dots, reached)];
     for ((name, points), colour) in check.postures.iter().zip([BLUE, GREEN]) {
         series.push(Series::new(*name, colour, Mark::Line, points.iter().map(project).collect()));
     }

@@ -32,21 +32,18 @@ pub(in crate::report::page) fn figure(covariance: &CovarianceEntry) -> Markup {
     let side = NAMES + names.len() * CELL;
     let mut svg = format!("<svg viewBox=\"0 0 {side} {side}\" role=\"img\" aria-label=\"correlations\">");
     let label = format!("font-size=\"9\" fill=\"#46505c\" font-family=\"{FONT}\"");
+    let beside_cells = NAMES - 4;
     // Writing to a string cannot fail.
     for (row, name) in names.iter().enumerate() {
-        let y = NAMES + row * CELL;
+        let baseline = NAMES + row * CELL + 9;
         let name = maud::html! { (name) }.into_string();
         let _ = write!(
             svg,
-            "<text x=\"{}\" y=\"{}\" text-anchor=\"end\" {label}>{name}</text>",
-            NAMES - 4,
-            y + 9
+            "<text x=\"{beside_cells}\" y=\"{baseline}\" text-anchor=\"end\" {label}>{name}</text>"
         );
         let _ = write!(
             svg,
-            "<text transform=\"translate({} {}) rotate(-90)\" {label}>{name}</text>",
-            NAMES + row * CELL + 9,
-            NAMES - 4
+            "<text transform=\"translate({baseline} {beside_cells}) rotate(-90)\" {label}>{name}</text>"
         );
     }
     // One path for all cells of a colour: as elements of their own they would be a third of the page.

@@ -11,10 +11,11 @@ use crate::evaluate::{Evidence, JointGap, RunEvidence, ShiftCurve};
 use crate::prepare::LocalShift;
 use crate::statistics::extremes;
 
+/// Width and height of a figure that takes the whole width of the page, the half or a third of it \[px\].
 pub(in crate::report::page) const WIDE: (u32, u32) = (920, 250);
 pub(in crate::report::page) const HALF: (u32, u32) = (450, 270);
 pub(in crate::report::page) const THIRD: (u32, u32) = (340, 230);
-/// Square axes, with the room for the labels.
+/// Square axes, with the room for the labels \[px\].
 pub(in crate::report::page) const ROUND: (u32, u32) = (450, 444);
 
 pub(in crate::report::page) fn dots(
@@ -28,6 +29,7 @@ pub(in crate::report::page) fn dots(
 /// Time in the unit that suits the length of a run.
 #[derive(Debug, Clone, Copy)]
 pub(in crate::report::page) struct TimeAxis {
+    /// Length of the unit \[s\].
     seconds: f64,
     /// `s`, `min` or `h`.
     pub unit: &'static str,
@@ -89,7 +91,7 @@ pub(in crate::report::page) fn sphere_from_above(
     Panel::new(title, ["towards the robot's x", "towards y"], ROUND, series).draw()
 }
 
-/// Distance of robot and bar over time, nominal and calibrated.
+/// Distance of robot and bar over time, nominal and calibrated; `by_encoders` as in [`Closure::gap_m`].
 pub(in crate::report::page) fn gap_over_time(
     run: &RunEvidence,
     by_encoders: bool,
