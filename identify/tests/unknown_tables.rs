@@ -53,7 +53,7 @@ struct Style {
     title: &'static str,
     /// Whether a line of units follows the header.
     unit_line: bool,
-    /// `#` is replaced by the joint's number.
+    /// `#` is replaced by the joint's number, `@` by its letter at Yaskawa.
     joint: &'static str,
     /// Number of the first joint.
     first: usize,
@@ -88,9 +88,10 @@ fn latin_1(text: String) -> Vec<u8> {
     text.chars().map(|character| character as u32 as u8).collect()
 }
 
-/// Table formats of ten programs.
-const STYLES: [Style; 10] = [
+/// Table formats of several programs.
+const STYLES: &[Style] = &[
     USUAL,
+    Style { joint: "axis_@", ..USUAL },
     Style { delimiter: ";", decimal_comma: true, joint: "J#", ..USUAL },
     Style { joint: "actual_q_#", first: 0, degrees: false, time: "timestamp", ..USUAL },
     Style {
@@ -163,7 +164,12 @@ impl Style {
     }
 
     fn joint_names(&self) -> Vec<String> {
-        (self.first..self.first + 6).map(|joint| self.joint.replace('#', &joint.to_string())).collect()
+        let numbered = (self.first..self.first + 6).zip("slurbt".chars());
+        numbered
+            .map(|(joint, letter)| {
+                self.joint.replace('#', &joint.to_string()).replace('@', &letter.to_string())
+            })
+            .collect()
     }
 
     fn written(&self, beside: Beside) -> Vec<u8> {
@@ -240,7 +246,7 @@ fn same(found: &[f64], expected: &[f64], style: usize) {
 }
 
 #[test]
-fn ten_logs_of_other_programs_are_read_through_the_mapping_proposed_for_them() {
+fn logs_of_other_programs_are_read_through_the_mapping_proposed_for_them() {
     for (number, style) in STYLES.iter().enumerate() {
         let bytes = style.written(Beside::Time);
         let mapping: RobotLogMapping = from_file(&proposed(&bytes));
@@ -255,7 +261,7 @@ fn ten_logs_of_other_programs_are_read_through_the_mapping_proposed_for_them() {
 }
 
 #[test]
-fn ten_tables_of_a_tracker_are_read_through_the_mapping_proposed_for_them() {
+fn tables_of_a_tracker_are_read_through_the_mapping_proposed_for_them() {
     for (number, style) in STYLES.iter().enumerate() {
         let bytes = style.written(Beside::Tracker);
         let proposal = proposed(&bytes);
@@ -272,7 +278,7 @@ fn ten_tables_of_a_tracker_are_read_through_the_mapping_proposed_for_them() {
 }
 
 #[test]
-fn ten_tables_of_lengths_are_read_through_the_mapping_proposed_for_them() {
+fn tables_of_lengths_are_read_through_the_mapping_proposed_for_them() {
     for (number, style) in STYLES.iter().enumerate() {
         let bytes = style.written(Beside::Length);
         let mapping: MeasuredLengthMapping = from_file(&proposed(&bytes));
@@ -317,7 +323,7 @@ fn columns_that_are_exchanged_or_reversed_or_in_another_unit_are_named_by_trying
     let radians = Style { degrees: false, ..USUAL }.written(Beside::Tracker);
     let doubts = proposed(&radians).notes.doubts;
     assert!(
-        doubts.iter().any(|doubt| doubt.contains("the header has deg") && doubt.contains("rad is written")),
+        doubts.iter().any(|doubt| doubt.contains("the header states deg") && doubt.contains("rad is written")),
         "{doubts:?}"
     );
 }

@@ -35,7 +35,7 @@ pub enum ConditionError {
         key: String,
     },
     /// A value outside the valid range.
-    #[error("{key} = {value} makes no sense; {expected}")]
+    #[error("{key} = {value} is invalid; {expected}")]
     Value {
         /// Key as given in the file.
         key: String,

@@ -297,7 +297,7 @@ impl StudyFile {
         };
         let problem =
             format!("no series of figure `{}` is estimated by `{}`", choice.figure, choice.estimator);
-        let remedy = "name a figure, a series of it and who estimates there";
+        let remedy = "name a figure, one of its series and one of its estimators";
         Violation::unless(self.figures.iter().any(has_curve), key, problem, remedy)
     }
 }
@@ -311,7 +311,7 @@ impl Validate for StudyFile {
         }
         let PathChoice { seed, planned, log } = &self.path;
         let has_path = planned.is_some() || log.is_some();
-        let problem = format!("{} s have no room for a random path", self.duration_s);
+        let problem = format!("{} s is too short for a random path", self.duration_s);
         let remedy = format!("give at least {DURATION_S_MIN}");
         Violation::unless(has_path || self.duration_s >= DURATION_S_MIN, "duration_s", problem, remedy)?;
         let paths = [seed.is_some(), planned.is_some(), log.is_some()].map(usize::from).iter().sum::<usize>();

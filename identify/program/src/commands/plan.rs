@@ -435,7 +435,7 @@ fn write_programs(
     let of_maker = Language::of(robot).filter(|_| asked.is_empty());
     if asked.is_empty() && of_maker.is_none() {
         say(format_args!(
-            "no program: the name `{}` has no maker whose language is known; choose one with --program",
+            "no program is written: the maker of `{}` is unknown; select a language with --program",
             robot.name
         ))?;
     }

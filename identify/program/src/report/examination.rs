@@ -35,7 +35,7 @@ pub fn examinations(examinations: &[Examination]) -> String {
         let o = &one.observability;
         let _ = writeln!(
             text,
-            "  observability of the thesis' free parameters (rows by mm, mrad): O1 {:.2e}  O2 {:.2e}  O3 {:.2e}  O4 {:.2e}  \
+            "  observability of the thesis' free parameters (per mm and mrad): O1 {:.2e}  O2 {:.2e}  O3 {:.2e}  O4 {:.2e}  \
              O5 {:.2e}\n",
             o.o1, o.o2, o.o3, o.o4, o.o5,
         );

@@ -105,7 +105,7 @@ impl Validate for Experiment {
             ("ignore_force", self.ignore_force, has_bar, "run with the ball-bar"),
             ("split_at_changes", self.split_at_changes, has_bar, "run with the ball-bar"),
         ] {
-            let problem = format!("there is no {what} that it is for");
+            let problem = format!("the experiment has no {what}, which this key needs");
             Violation::unless(!is_given || has_file, key, problem, "leave it out")?;
         }
         for (kind, files) in self.kinds() {
@@ -142,7 +142,7 @@ fn check_row_file(kind: Kind, index: usize, file: &RowFile) -> Result<(), Violat
         (
             file.validate_mapping.is_none() || !file.validate.is_empty(),
             "validate_mapping",
-            "it is the mapping of no file",
+            "`validate` names no file for this mapping",
             "name the files in validate, or leave it out",
         ),
     ] {

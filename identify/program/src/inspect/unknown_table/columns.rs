@@ -22,6 +22,16 @@ impl Column {
         self.plain.split(|character: char| !character.is_alphanumeric()).filter(|word| !word.is_empty())
     }
 
+    /// Where the name has this text; a single letter only as a word.
+    pub(super) fn find(&self, text: &str) -> Option<usize> {
+        let is_part = |beside: Option<char>| beside.is_some_and(char::is_alphanumeric);
+        let is_found = |at: usize| {
+            let (before, after) = (&self.plain[..at], &self.plain[at + text.len()..]);
+            text.len() > 1 || !(is_part(before.chars().next_back()) || is_part(after.chars().next()))
+        };
+        self.plain.match_indices(text).map(|(at, _)| at).find(|at| is_found(*at))
+    }
+
     /// Whether the name has one of these words, a list with spaces between them; digits at its end do not count.
     pub(super) fn has_word(&self, words: &str) -> bool {
         self.words().any(|word| {

@@ -38,8 +38,7 @@ fn families(columns: &[Column], axes: usize) -> Vec<Vec<&Column>> {
         }
         for (set, names) in NAMED_JOINTS.iter().enumerate() {
             for (joint, name) in names.iter().enumerate() {
-                let is_whole = name.len() > 1 || column.words().any(|word| word == *name);
-                if let (true, Some(at)) = (is_whole, column.plain.find(name)) {
+                if let Some(at) = column.find(name) {
                     let pattern =
                         format!("{set}{}#{}", &column.plain[..at], &column.plain[at + name.len()..]);
                     by_pattern.entry(pattern).or_default().entry(joint + 1).or_insert(column);
@@ -164,7 +163,7 @@ pub(super) fn angle_unit(family: &[&Column], notes: &mut Notes) -> AngleUnit {
             notes.reason(format!("angles in {}, from the header; they reach {largest:.1}", stated.suffix()))
         }
         Some(stated) => notes.doubt(format!(
-            "the header has {}, but the angles reach {largest:.1}, as {} would; {} is written here",
+            "the header states {}, but the angles reach {largest:.1}, which suggests {}; {} is written here",
             stated.suffix(),
             inferred.suffix(),
             inferred.suffix()

@@ -190,7 +190,7 @@ fn conditions(file: &CalibrationFile) -> Markup {
             @if !parts.is_empty() {
                 dt { "In parts" }
                 dd {
-                    "A controller that takes only part of it needs another geometry, which is in files of its own; on the same "
+                    "A controller that applies only part of the model needs another geometry, in separate files; on the same "
                     "held-out data: " (parts.join("; ")) ". Held-out data were predicted by fits without them; what is in the files is fitted to all."
                 }
             }
