@@ -367,7 +367,7 @@ fn encoders_among_the_joints_of_a_bag_are_found_by_name_and_followed_over_full_t
     }
     let named = ["1", "2"].map(|joint| format!("[[encoders]]\njoint = {joint}\ncolumn = \"gripper\"\n"));
     for (text, parts) in [
-        (None, &["bar_joint_1 to 5", "gripper"][..]),
+        (None, &["bar_joint_1 to bar_joint_5", "gripper"][..]),
         (Some(named.concat().replace("gripper", "axis")), &["gripper", "--recording-mapping"]),
         (Some(format!("topic = \"/x\"\n{}", named[0])), &["on topic /x"]),
     ] {

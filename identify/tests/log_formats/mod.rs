@@ -309,7 +309,7 @@ fn joints_for_a_robot_whose_configuration_describes_motors_need_a_mapping() {
     let message = read_with(telegrams(60, 4).as_bytes(), Path::new("log.xml"), &irb2400(), &options)
         .unwrap_err()
         .to_string();
-    assert!(message.contains("motors") && message.contains("--log-mapping"), "{message}");
+    assert!(message.contains("motor angles") && message.contains("--log-mapping"), "{message}");
 }
 
 #[test]
