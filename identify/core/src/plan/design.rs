@@ -59,12 +59,8 @@ impl Design {
     /// the number of axes differs.
     pub fn posture_rad(&self, robot: &Chain, limits: &[[f64; 2]], random: &mut impl Rng) -> Joints {
         if self.posture_deg.len() == limits.len() {
-            return self
-                .posture_deg
-                .iter()
-                .zip(&robot.links)
-                .map(|(number, link)| si(*number, link))
-                .collect();
+            let numbers = self.posture_deg.iter().zip(&robot.links);
+            return numbers.map(|(number, link)| si(*number, link)).collect();
         }
         Joints::random(limits, random)
     }

@@ -262,22 +262,17 @@ pub fn poses(
         joints.push(to);
         ways.push(way);
     }
-    // For backlash, the direction of motion before each pose follows from the order, with straight moves.
-    let covariance_of =
-        |poses: &mut dyn Iterator<Item = Joints>| -> Result<Option<DMatrix<f64>>, PosesError> {
-            Ok(known.covariance(&known.measurement_rows(&standing(poses))?))
-        };
     let position_m = |covariance: &DMatrix<f64>| weight.dot(covariance).max(0.0).sqrt();
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let mut random_m = Vec::new();
     for _ in 0..RANDOM_CHOICES {
         let sample = index::sample(&mut random, candidates.len(), count).into_vec();
-        let covariance = covariance_of(&mut sample.iter().map(|&pose| candidates[pose]))?;
+        let covariance = known.covariance_in_order(sample.iter().map(|&pose| candidates[pose]))?;
         random_m.extend(covariance.as_ref().map(position_m));
     }
     // Of the candidates, not of `joints`: a whole turn only changes the effect of an error of a gear's ratio.
-    let covariance =
-        covariance_of(&mut order.iter().map(|&pose| candidates[pose]))?.ok_or(PosesError::NotFinite)?;
+    let in_order = order.iter().map(|&pose| candidates[pose]);
+    let covariance = known.covariance_in_order(in_order)?.ok_or(PosesError::NotFinite)?;
     Ok(PlannedPoses {
         joints,
         before_m: known.robot_variance_before(&weight).max(0.0).sqrt(),
@@ -434,6 +429,14 @@ impl<'a> PriorModel<'a> {
             .enumerate()
             .for_each(|(column, variance)| normal[(column, column)] += variance.recip());
         Some(ScaledCholesky::new(normal)?.inverse())
+    }
+
+    /// Covariance after these poses. For backlash, the direction of motion before each follows from the order, with straight moves.
+    fn covariance_in_order(
+        &self,
+        poses: impl Iterator<Item = Joints>,
+    ) -> Result<Option<DMatrix<f64>>, PosesError> {
+        Ok(self.covariance(&self.measurement_rows(&standing(poses))?))
     }
 
     fn is_of_robot(id: ParameterId) -> bool {

@@ -289,14 +289,14 @@ fn conversion(language: Language, robot: &RobotConfig) -> Result<JointConversion
         return Err(ProgramError::Motors { robot: robot.name.clone() });
     }
     if language == Language::Fanuc || language == Language::Rapid && robot.counts_joint_3_from_horizontal() {
-        counts_from_horizontal(robot)?;
+        check_joint_3_coupling(robot)?;
     }
     Ok(JointConversion::new(&LogConversion { unit: AngleUnit::Rad, ..robot.log.clone() })?)
 }
 
 /// Checks that joint 3 of the log is measured from the horizontal: the forearm keeps its direction if joint 2 of the log alone
 /// turns. Joint 3 of the model is measured from the upper arm and then turns back: entry (2, 3) of `raw_to_joint`.
-fn counts_from_horizontal(robot: &RobotConfig) -> Result<(), ProgramError> {
+fn check_joint_3_coupling(robot: &RobotConfig) -> Result<(), ProgramError> {
     let mut trace = Trace::default();
     Tracer::new(&flange_chain(robot)).trace(&Joints::zeros(robot.axes()), &mut trace);
     let axes: Vec<Vector3<f64>> = trace.joint_twists().map(|twist| twist.angular).collect();
@@ -312,7 +312,8 @@ fn counts_from_horizontal(robot: &RobotConfig) -> Result<(), ProgramError> {
     Err(ProgramError::Coupling { robot: robot.name.clone(), row })
 }
 
-/// Points of a path, and largest distance from the sphere between them \[m\].
+/// Points of a path at the longest of [`PERIODS_S`] that keeps the robot within [`OFF_SPHERE_M_MAX`] of the sphere between
+/// points, and its largest distance from the sphere there \[m\].
 fn points(
     language: Language,
     path: &RobotLog,
@@ -492,7 +493,7 @@ fn ur_script_path(points: &Points) -> String {
     )
 }
 
-/// Joint 3 is measured from the horizontal, by the coupling in `raw_to_joint` ([`counts_from_horizontal`]).
+/// Joint 3 is measured from the horizontal, by the coupling in `raw_to_joint` ([`check_joint_3_coupling`]).
 fn fanuc(name: &str, about: &str, steps: &[Step]) -> String {
     /// Highest number of characters of a remark.
     const REMARK: usize = 32;

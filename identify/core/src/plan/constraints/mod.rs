@@ -188,19 +188,19 @@ impl<'a> Constraints<'a> {
         until_s: f64,
         near_rad: &[f64],
     ) -> Result<Vec<Joints>, Obstacle> {
-        let looks = ((until_s - from_s) / LOOK_S).ceil().max(1.0);
-        let step_s = (until_s - from_s) / looks;
+        let steps = ((until_s - from_s) / LOOK_S).ceil().max(1.0);
+        let step_s = (until_s - from_s) / steps;
         let mut robot = vec![self.robot_at(&path.at(from_s), near_rad)?];
-        for look in 1..=looks as usize {
-            let before = robot[look - 1];
-            let now = self.robot_at(&path.at(from_s + step_s * look as f64), &before)?;
+        for step in 1..=steps as usize {
+            let before = robot[step - 1];
+            let now = self.robot_at(&path.at(from_s + step_s * step as f64), &before)?;
             let largest = |of_joint: &dyn Fn(usize) -> f64| {
                 (0..now.len()).map(of_joint).fold(0.0_f64, |most, value| most.max(value.abs()))
             };
             if largest(&|i| now[i] - before[i]) > self.design.robot_speed_rad_s * step_s {
                 return Err(Obstacle::Speed);
             }
-            if let Some(earlier) = look.checked_sub(2).and_then(|earlier| robot.get(earlier))
+            if let Some(earlier) = step.checked_sub(2).and_then(|index| robot.get(index))
                 && largest(&|i| now[i] - 2.0 * before[i] + earlier[i])
                     > self.acceleration_rad_s2 * step_s * step_s
             {
