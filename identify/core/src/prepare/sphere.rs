@@ -55,6 +55,29 @@ pub(super) fn sphere_of_log(
     length_m: f64,
     options: &PrepareOptions,
 ) -> Result<SphereFit, PrepareError> {
+    let positions = distinct_positions(log, robot);
+    let tolerance_mm = options.sphere_tolerance_mm;
+    if is_flat(&positions) {
+        return Err(PrepareError::LittleMotion);
+    }
+    let sphere = fit_sphere(&positions, tolerance_mm * 1e-3).ok_or(PrepareError::LittleMotion)?;
+    let likely = || likely_mistake(log, robot, config, length_m, options);
+    if sphere.inliers < 0.5 {
+        let inliers_percent = 100.0 * sphere.inliers;
+        return Err(PrepareError::NotASphere { inliers_percent, tolerance_mm, likely: likely() });
+    }
+    if (sphere.radius_m - length_m).abs() * 1e3 > options.length_tolerance_mm {
+        return Err(PrepareError::OtherLength {
+            found_mm: sphere.radius_m * 1e3,
+            configured_mm: length_m * 1e3,
+            likely: likely(),
+        });
+    }
+    Ok(sphere.with_length_prior(&positions, tolerance_mm * 1e-3, length_m))
+}
+
+/// Positions of the robot's end in the log, each further than [`POSITIONS_APART_M`] from the one before \[m\].
+fn distinct_positions(log: &RobotLog, robot: &Chain) -> Vec<Vector3<f64>> {
     let mut positions: Vec<Vector3<f64>> = Vec::new();
     // No joint moves the end by more than its own travel in metres, or times the reach: most rows are too near to be looked at.
     let reach_m = (robot.reach_m() + robot.last_from_end.translation.vector.norm()).max(1.0);
@@ -74,24 +97,7 @@ pub(super) fn sphere_of_log(
             last_q = Some(q);
         }
     }
-    let tolerance_mm = options.sphere_tolerance_mm;
-    if is_flat(&positions) {
-        return Err(PrepareError::LittleMotion);
-    }
-    let sphere = fit_sphere(&positions, tolerance_mm * 1e-3).ok_or(PrepareError::LittleMotion)?;
-    let likely = || likely_mistake(log, robot, config, length_m, options);
-    if sphere.inliers < 0.5 {
-        let inliers_percent = 100.0 * sphere.inliers;
-        return Err(PrepareError::NotASphere { inliers_percent, tolerance_mm, likely: likely() });
-    }
-    if (sphere.radius_m - length_m).abs() * 1e3 > options.length_tolerance_mm {
-        return Err(PrepareError::OtherLength {
-            found_mm: sphere.radius_m * 1e3,
-            configured_mm: length_m * 1e3,
-            likely: likely(),
-        });
-    }
-    Ok(sphere.drawn_to_length(&positions, tolerance_mm * 1e-3, length_m))
+    positions
 }
 
 /// Probable mistake in the joints of a log whose positions lie on no sphere of the bar's length: one whose correction, in the joints
@@ -256,7 +262,7 @@ impl SphereFit {
 
     /// The sphere with a prior on its radius: on a part of a sphere, centre and radius are hard to separate. Unchanged if the fit
     /// fails.
-    pub fn drawn_to_length(self, positions_m: &[Vector3<f64>], tolerance_m: f64, length_m: f64) -> Self {
+    fn with_length_prior(self, positions_m: &[Vector3<f64>], tolerance_m: f64, length_m: f64) -> Self {
         let sphere = self.sphere();
         let inliers = sphere.near(positions_m, tolerance_m);
         // The radius counts like `weight` positions: the ratio of variances, with the positions as fewer independent ones.
@@ -324,8 +330,8 @@ impl Sphere {
             right[3] = weight * (length_m - self.radius_m);
             for position in positions_m {
                 let from_centre = position - self.centre_m;
-                let out = from_centre / from_centre.norm().max(f64::MIN_POSITIVE);
-                let row = Vector4::new(-out.x, -out.y, -out.z, -1.0);
+                let outward = from_centre / from_centre.norm().max(f64::MIN_POSITIVE);
+                let row = Vector4::new(-outward.x, -outward.y, -outward.z, -1.0);
                 normal += row * row.transpose();
                 right -= row * self.distance(position);
             }

@@ -1,4 +1,4 @@
-//! The robot's motion seen from the reference time.
+//! The robot's motion at times since the reference time.
 
 use std::sync::Arc;
 

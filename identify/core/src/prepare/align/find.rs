@@ -79,9 +79,16 @@ pub(in crate::prepare) struct Hypothesis {
 }
 
 impl Hypothesis {
+    /// Root of the sum of the squared spreads of all joints.
     fn spread_rad(&self) -> f64 {
         self.offset_fit.spread_rad.iter().map(|spread| spread * spread).sum::<f64>().sqrt()
     }
+}
+
+/// A refined fit with the encoder map of its hypothesis.
+struct MappedFit {
+    encoder_map: EncoderMapReport,
+    fit: Fit,
 }
 
 impl Search<'_> {
@@ -93,24 +100,21 @@ impl Search<'_> {
     pub fn run(&self) -> Result<Found, PrepareError> {
         let step_s = grid_step_s(self.log_duration_s);
         let window = self.liveliest();
-        let Best { matched, ambiguous, fit: (encoder_map, fit) } = self.best_fit(&window, step_s)?;
+        let Best { matched, ambiguous, fit: MappedFit { encoder_map, fit } } =
+            self.best_fit(&window, step_s)?;
         let (mut offset_fit, fit) = self.extended(window, &encoder_map.used, &fit)?;
         offset_fit.correct(&fit.offsets_by_rad);
         Ok(Found { matched, ambiguous, encoder_map, offset_fit, fit })
     }
 
     /// The best fit of the window.
-    fn best_fit(
-        &self,
-        window: &Range<usize>,
-        step_s: f64,
-    ) -> Result<Best<(EncoderMapReport, Fit)>, PrepareError> {
+    fn best_fit(&self, window: &Range<usize>, step_s: f64) -> Result<Best<MappedFit>, PrepareError> {
         let (hypotheses, refusal) = self.hypotheses(window, step_s)?;
         let fits = self.fits(window, self.most_likely(window, hypotheses));
         // By most of the samples, not by half: a wrong lap fits well wherever it is like the right one.
-        let best = best(fits, |(_, fit)| fit.sigma_of_most_rad, |_, _| true);
+        let best = best(fits, |mapped| mapped.fit.sigma_of_most_rad, |_, _| true);
         let spread_max_rad = self.options.spread_max_mrad * 1e-3;
-        let fits_poorly = best.as_ref().is_none_or(|best| best.fit.1.sigma_of_most_rad > spread_max_rad);
+        let fits_poorly = best.as_ref().is_none_or(|best| best.fit.fit.sigma_of_most_rad > spread_max_rad);
         // One shift fits only one side of a large clock step.
         if fits_poorly && let Some(jump) = self.jump_between_parts(window, step_s) {
             return Err(jump);
@@ -179,21 +183,17 @@ impl Search<'_> {
     }
 
     /// Refined fits of hypotheses; of those that end at the same clock only the best.
-    fn fits(
-        &self,
-        window: &Range<usize>,
-        hypotheses: Vec<Hypothesis>,
-    ) -> Vec<(Match, (EncoderMapReport, Fit))> {
-        let mut fits: Vec<(Match, (EncoderMapReport, Fit))> = Vec::new();
+    fn fits(&self, window: &Range<usize>, hypotheses: Vec<Hypothesis>) -> Vec<(Match, MappedFit)> {
+        let mut fits: Vec<(Match, MappedFit)> = Vec::new();
         for Hypothesis { matched, clock, encoder_map, offset_fit } in hypotheses {
             let measured = encoder_map.used.measured();
             let Some(fit) = self.refined(&offset_fit, &measured, clock, None) else { continue };
             let mut others = fits.iter_mut();
-            let same_clock = others.find(|(_, (_, other))| self.is_same(window, other.clock, fit.clock));
+            let same_clock = others.find(|(_, other)| self.is_same(window, other.fit.clock, fit.clock));
             match same_clock {
-                Some((_, (_, other))) if other.sigma_of_most_rad <= fit.sigma_of_most_rad => {}
-                Some(worse) => *worse = (matched, (encoder_map, fit)),
-                None => fits.push((matched, (encoder_map, fit))),
+                Some((_, other)) if other.fit.sigma_of_most_rad <= fit.sigma_of_most_rad => {}
+                Some(worse) => *worse = (matched, MappedFit { encoder_map, fit }),
+                None => fits.push((matched, MappedFit { encoder_map, fit })),
             }
         }
         fits

@@ -19,15 +19,15 @@ const ROUNDS: usize = 60;
 /// Positions that spread less than this part of their largest spread along the second axis lie on a line.
 const FLATNESS: f64 = 1e-6;
 
-/// Places of tracker and probe for a robot at the poses `flanges`, without a first guess; `seen_m` is the probe in the tracker's
-/// frame at each, `turns` its `tracker_from_probe`, where that was measured. `None` if the positions lie on a line.
+/// Places of tracker and probe for a robot at the poses `flanges`, without a first guess; `observed_m` is the probe in the
+/// tracker's frame at each, `turns` its `tracker_from_probe`, where that was measured. `None` if the positions lie on a line.
 ///
 /// Alternating: for a known `y` the rotation of `T` is that between two clouds of points (Umeyama 1991), for a known rotation
 /// the position of `T` and `y` are linear. It needs no turns between the poses, where closed forms for `A X = Z B` need turns
 /// about two axes; the probe's rotation is the mean over all poses.
 pub fn placements(
     flanges: &[Pose],
-    seen_m: &[Vector3<f64>],
+    observed_m: &[Vector3<f64>],
     turns: impl Iterator<Item = Option<Rotation3<f64>>>,
 ) -> Option<[Placement; 2]> {
     let mut tracker = Pose::identity();
@@ -35,8 +35,8 @@ pub fn placements(
     for _ in 0..ROUNDS {
         let predicted_m: Vec<Vector3<f64>> =
             flanges.iter().map(|flange| flange.translation.vector + flange.rotation * probe_m).collect();
-        tracker.rotation = rotation_between(seen_m, &predicted_m)?;
-        let (tracker_m, fitted_probe_m) = positions(flanges, seen_m, &tracker.rotation);
+        tracker.rotation = rotation_between(observed_m, &predicted_m)?;
+        let (tracker_m, fitted_probe_m) = positions(flanges, observed_m, &tracker.rotation);
         tracker.translation = tracker_m.into();
         probe_m = fitted_probe_m;
     }
@@ -105,8 +105,8 @@ pub fn all_placements(rows: &[Sighted]) -> Option<Placements> {
         let is_new = |rows: &&Vec<Sighted>| !places.contains_key(&rows[0].seen.set_up.station);
         let Some(largest) = set_ups.iter().find(is_new) else { break };
         let flanges: Vec<Pose> = largest.iter().map(|row| row.flange).collect();
-        let seen_m: Vec<Vector3<f64>> = largest.iter().map(|row| row.seen.position_m).collect();
-        let [place, probe] = placements(&flanges, &seen_m, largest.iter().map(|row| row.seen.rotation))?;
+        let observed_m: Vec<Vector3<f64>> = largest.iter().map(|row| row.seen.position_m).collect();
+        let [place, probe] = placements(&flanges, &observed_m, largest.iter().map(|row| row.seen.rotation))?;
         places.insert(largest[0].seen.set_up.station, place.pose());
         probes.insert(largest[0].seen.set_up.target, probe.pose());
     }
@@ -128,16 +128,16 @@ fn probe(rows: &[(Sighted, Pose)]) -> Pose {
 
 /// `root_from_tracker` of a station, from rows with the pose of the probe in the robot's frame.
 fn place(rows: &[(Sighted, Pose)]) -> Option<Pose> {
-    let seen_m: Vec<Vector3<f64>> = rows.iter().map(|(row, _)| row.seen.position_m).collect();
+    let observed_m: Vec<Vector3<f64>> = rows.iter().map(|(row, _)| row.seen.position_m).collect();
     let probe_m: Vec<Vector3<f64>> = rows.iter().map(|(_, probe)| probe.translation.vector).collect();
     let root_from_tracker =
         |(row, probe): &(Sighted, Pose)| Some(*(probe.rotation * row.seen.rotation?.inverse()).matrix());
     let rotations: Option<Vec<Matrix3<f64>>> = rows.iter().map(root_from_tracker).collect();
     let rotation = match rotations {
         Some(rotations) => nearest_rotation(&rotations.iter().sum()),
-        None => rotation_between(&seen_m, &probe_m)?,
+        None => rotation_between(&observed_m, &probe_m)?,
     };
-    Some(Pose::from_parts((mean(&probe_m) - rotation * mean(&seen_m)).into(), rotation))
+    Some(Pose::from_parts((mean(&probe_m) - rotation * mean(&observed_m)).into(), rotation))
 }
 
 fn mean(points: &[Vector3<f64>]) -> Vector3<f64> {
@@ -168,7 +168,7 @@ pub(crate) fn nearest_rotation(matrix: &Matrix3<f64>) -> Rotation3<f64> {
 /// `t - R_k y = p_k - Q s_k`.
 fn positions(
     flanges: &[Pose],
-    seen_m: &[Vector3<f64>],
+    observed_m: &[Vector3<f64>],
     rotation: &Rotation3<f64>,
 ) -> (Vector3<f64>, Vector3<f64>) {
     /// Error of a position that gives the weight of the probe's prior \[m\].
@@ -179,8 +179,8 @@ fn positions(
     for axis in 3..6 {
         normal[(axis, axis)] = prior_weight;
     }
-    for (flange, seen_m) in flanges.iter().zip(seen_m) {
-        let difference = flange.translation.vector - rotation * seen_m;
+    for (flange, observed_m) in flanges.iter().zip(observed_m) {
+        let difference = flange.translation.vector - rotation * observed_m;
         for axis in 0..3 {
             let rotation_row = flange.rotation.matrix().row(axis).transpose();
             let unit = Vector3::ith(axis, 1.0);

@@ -154,9 +154,9 @@ fn prior_sigma(id: ParameterId) -> Option<f64> {
     }
 }
 
-/// The chain closed by robot and bar, by its angles, with a column for each encoder's offset in each origin.
+/// Residuals [`ImpliedAngles`] with the columns of both chains, then one for each encoder's offset in each origin.
 struct WithOffsets<'a> {
-    chain: LoopProblem<'a, ImpliedAngles, AlignedLog>,
+    chains: LoopProblem<'a, ImpliedAngles, AlignedLog>,
     residual: ImpliedAngles,
     /// Nominal: `theta` has no column.
     bar_links: &'a [DhLink],
@@ -173,7 +173,7 @@ impl Problem for WithOffsets<'_> {
     }
 
     fn samples(&self) -> usize {
-        self.chain.samples()
+        self.chains.samples()
     }
 
     fn rows(&self) -> usize {
@@ -185,11 +185,11 @@ impl Problem for WithOffsets<'_> {
     }
 
     fn at<'a>(&'a self, x: &[f64]) -> Linearisation<'a> {
-        let (chain, offsets) = x.split_at(self.chain_columns.min(x.len()));
-        let (mut chain, offsets) = (self.chain.at(chain), offsets.to_vec());
+        let (of_chains, of_offsets) = x.split_at(self.chain_columns.min(x.len()));
+        let (mut linearised_chains, offsets) = (self.chains.at(of_chains), of_offsets.to_vec());
         Box::new(move |sample, residual, block| {
             let Some(observation) = self.observations.get(sample) else { return false };
-            if !chain(sample, residual, block) {
+            if !linearised_chains(sample, residual, block) {
                 return false;
             }
             let weights = self.residual.weights(self.bar_links, &observation.bar_rad);
@@ -243,7 +243,7 @@ pub(in crate::prepare) fn refine(
     };
     let solve = |x: &[f64], sigma_rad: f64, cost_tolerance: f64| -> Option<(Vec<f64>, Summary)> {
         let problem = WithOffsets {
-            chain: LoopProblem::new(&model, &motion, &observations, residual, sigma_rad).ok()?,
+            chains: LoopProblem::new(&model, &motion, &observations, residual, sigma_rad).ok()?,
             residual,
             bar_links: &bar.links,
             observations: &observations,

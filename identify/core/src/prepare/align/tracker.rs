@@ -120,15 +120,11 @@ pub fn align_poses(
         let state = log.at(tau_s)?;
         log.covers(tau_s, edge_s).then_some(CoveredRow { index, t_s, state })
     };
-    let covered = (0..poses.rows.len()).filter_map(covered_row);
-    let usable: Vec<CoveredRow> = if search.stop_and_go() {
-        let resting = search.resting();
-        let log_time_s = |row: &CoveredRow| clock_of_rows.robot_time_s(poses.rows.t_s[row.index]);
-        let rests = |row: &CoveredRow| search.rests_at(&resting, log_time_s(row)) == Some(true);
-        let at_rest = |row: CoveredRow| CoveredRow { state: JointState::at_rest(row.state.q), ..row };
-        covered.filter(rests).map(at_rest).collect()
+    let covered: Vec<CoveredRow> = (0..poses.rows.len()).filter_map(covered_row).collect();
+    let usable = if search.stop_and_go() {
+        search.at_rest(covered, |row| clock_of_rows.robot_time_s(poses.rows.t_s[row.index]))
     } else {
-        covered.collect()
+        covered
     };
     let left_out = poses.rows.len() - usable.len();
     let kept = if search.stop_and_go() { usable } else { thinned(&usable, options) };
@@ -271,6 +267,14 @@ impl Search<'_> {
     /// Whether each row was measured at a standstill of the robot.
     fn stop_and_go(&self) -> bool {
         self.period_s > STANDING_S
+    }
+
+    /// The rows at which the robot is at rest, with its speeds set to zero; `log_time_s` returns a row's time in the robot's log.
+    fn at_rest(&self, rows: Vec<CoveredRow>, log_time_s: impl Fn(&CoveredRow) -> f64) -> Vec<CoveredRow> {
+        let resting = self.resting();
+        let rests = |row: &CoveredRow| self.rests_at(&resting, log_time_s(row)) == Some(true);
+        let at_rest = |row: CoveredRow| CoveredRow { state: JointState::at_rest(row.state.q), ..row };
+        rows.into_iter().filter(rests).map(at_rest).collect()
     }
 
     /// Diagonal of the box that holds all positions \[m\].

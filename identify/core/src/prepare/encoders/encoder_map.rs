@@ -278,12 +278,8 @@ impl<'a> Table<'a> {
     }
 
     fn recorded(&self) -> EncoderMap {
-        let places = self.recorded_joints.iter().enumerate();
-        EncoderMap {
-            encoders: places
-                .map(|(index, joint)| self.place(index, usize::from(*joint) - 1, false))
-                .collect(),
-        }
+        let place = |(index, joint): (usize, &u8)| self.place(index, usize::from(*joint) - 1, false);
+        EncoderMap { encoders: self.recorded_joints.iter().enumerate().map(place).collect() }
     }
 
     fn stated(&self, joints: &[i8]) -> Result<EncoderMap, PrepareError> {

@@ -27,7 +27,7 @@ pub struct OriginSpan {
     pub sigma_rad: f64,
     /// The counters continued from their last counts: `shift_rad` is exactly zero.
     pub unchanged: bool,
-    /// What [`Observation::origin`] calls the offsets of its samples.
+    /// [`Observation::origin`] of its samples: 0 with the offsets of the longest part, otherwise counted from 1.
     pub number: usize,
 }
 
@@ -38,8 +38,8 @@ const SIGMAS: f64 = 4.0;
 /// A terminal that restarts has a random offset: smaller differences are not a new origin \[rad\].
 const UNCHANGED_RAD: f64 = 200e-6;
 
-/// Describes all origins and makes offsets that did not change the same. The first entry of the answer is the number of
-/// the origin that the others are brought to.
+/// Describes all origins and makes offsets that did not change the same. Also returns the index of the reference origin, to whose
+/// offsets the others are brought.
 pub(in crate::prepare) fn join(
     readings: &Stream<BarReading>,
     found: &mut Found,

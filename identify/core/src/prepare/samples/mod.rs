@@ -43,8 +43,8 @@ pub(super) struct Sorted {
     pub poor_fit: Option<PoorFit>,
 }
 
-/// Sorts the samples. `t_ref_s` is the reference time after the first sample. The angles of the observations have the offsets
-/// of all origins relative to those of the origin `reference`; `numbers` are the origins' numbers in the observations.
+/// Sorts the samples. `t_ref_s` is the reference time after the first sample. Angles of the observations are those of the encoders
+/// plus the offset of their origin minus that of the origin `reference`; `numbers` has [`Observation::origin`] of each origin.
 ///
 /// # Errors
 /// [`PrepareError::NothingLeft`], [`PrepareError::LittleTravel`].
@@ -143,14 +143,10 @@ fn check_travel(
     measured: &[bool; BAR_JOINTS],
     options: &PrepareOptions,
 ) -> Result<(), PrepareError> {
-    let kept: Vec<&Sample> = joints
-        .iter()
-        .zip(statuses)
-        .filter(|(_, status)| **status == SampleStatus::Kept)
-        .map(|(sample, _)| sample)
-        .collect();
+    let is_kept = |(_, status): &(&Sample, &SampleStatus)| **status == SampleStatus::Kept;
+    let kept: Vec<(&Sample, &SampleStatus)> = joints.iter().zip(statuses).filter(is_kept).collect();
     for joint in (0..BAR_JOINTS).filter(|joint| measured[*joint]) {
-        let [low, high] = extremes(kept.iter().map(|sample| sample.bar_rad[joint]));
+        let [low, high] = extremes(kept.iter().map(|(sample, _)| sample.bar_rad[joint]));
         let travel_deg = (high - low).to_degrees();
         if travel_deg < options.joint_travel_min_deg {
             let needed_deg = options.joint_travel_min_deg;
