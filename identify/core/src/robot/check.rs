@@ -65,11 +65,8 @@ pub fn check(robot: &RobotConfig) -> RobotCheck {
         })
         .collect();
     tracer.trace(&zero, &mut trace);
-    let axes: Vec<_> = robot
-        .joint_kinds()
-        .zip(trace.joint_axes())
-        .map(|(kind, (point, along))| (kind, point, along))
-        .collect();
+    let kinds_and_axes = robot.joint_kinds().zip(trace.joint_axes());
+    let axes: Vec<_> = kinds_and_axes.map(|(kind, (point, along))| (kind, point, along)).collect();
     RobotCheck {
         facts: facts(robot, &chain, &trace, &reached_m),
         suspicious: suspicious(robot, &chain, rank, &axes),

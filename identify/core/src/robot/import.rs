@@ -120,16 +120,7 @@ pub struct Imported {
 /// [`ImportError`].
 pub fn import(text: &str, base: Option<&str>, tip: Option<&str>) -> Result<Imported, ImportError> {
     let urdf = Urdf::read(text)?;
-    let joints = || urdf.joints.iter();
-    for (what, name) in [
-        ("links have the name", repeated(urdf.links.iter())),
-        ("joints have the name", repeated(joints().map(|joint| &joint.name))),
-        ("joints lead to link", repeated(joints().map(|joint| &joint.child))),
-    ] {
-        if let Some(name) = name {
-            return Err(ImportError::Wrong(format!("several {what} `{name}`")));
-        }
-    }
+    check_unique(&urdf)?;
     let Ends { base, tip, joints, left_out } = Ends::of(&urdf, base, tip)?;
     let mut assumed = Vec::new();
     let (mut axes, mut names) = (Vec::new(), Vec::new());
@@ -219,6 +210,21 @@ fn couple_joint_3(config: &mut RobotConfig, axes: &[AxisLine]) -> String {
 /// Joint 3 of the model by those of the controller.
 fn joint_3(factor: f64) -> &'static str {
     if factor < 0.0 { "J3 - J2" } else { "J3 + J2" }
+}
+
+/// Checks that links and joints have different names and that each joint leads to another link.
+fn check_unique(urdf: &Urdf) -> Result<(), ImportError> {
+    let joints = || urdf.joints.iter();
+    for (what, name) in [
+        ("links have the name", repeated(urdf.links.iter())),
+        ("joints have the name", repeated(joints().map(|joint| &joint.name))),
+        ("joints lead to link", repeated(joints().map(|joint| &joint.child))),
+    ] {
+        if let Some(name) = name {
+            return Err(ImportError::Wrong(format!("several {what} `{name}`")));
+        }
+    }
+    Ok(())
 }
 
 /// A name that occurs more than once.
@@ -369,42 +375,50 @@ impl Imported {
                 );
             }
         }
-        for (link, joint) in config.links.iter().zip(joints) {
-            let _ = writeln!(text, "\n# Joint `{}`\n[[links]]", one_line(joint));
-            if link.joint == JointKind::Prismatic {
-                text += "joint = \"prismatic\"\n";
-            }
-            let beta = ("beta_deg", link.beta_deg);
-            let standard = [
-                ("a_m", link.a_m),
-                ("alpha_deg", link.alpha_deg),
-                ("d_m", link.d_m),
-                ("theta_deg", link.theta_deg),
-            ];
-            for (key, value) in
-                standard.into_iter().chain([beta].into_iter().filter(|(_, value)| *value != 0.0))
-            {
-                let _ = writeln!(text, "{key} = {value:?}");
-            }
-        }
-        let factor = config.log.raw_to_joint.get(1).and_then(|row| row.get(2)).copied().unwrap_or_default();
-        let meaning = if factor == 0.0 {
-            "the joint variables themselves".into()
-        } else {
-            format!("J1, J2 .. of the controller (joint 3 = {})", joint_3(factor))
-        };
-        let _ = write!(
-            text,
-            "\n# How the robot's log becomes joint variables: q = (raw * unit - raw_offset_rad) * raw_to_joint; row i is what\n\
-             # column i of the log contributes to each joint. As it stands here the log has columns joint1_rad, joint2_rad ..\n\
-             # (joint1_m where the joint is prismatic) with {meaning}.\n\
-             # Correct it for a log in degrees (unit = \"deg\") or of motors.\n\
-             [log]\ncolumn = \"{}\"\nunit = \"rad\"\nraw_offset_rad = {:?}\nraw_to_joint = [\n",
-            config.log.column, config.log.raw_offset_rad
-        );
-        config.log.raw_to_joint.iter().for_each(|row| text += &format!("    {row:?},\n"));
-        text + "]\n"
+        text + &link_blocks(&config.links, joints) + &log_block(&config.log)
     }
+}
+
+/// A `[[links]]` block for each link, with the name of its joint.
+fn link_blocks(links: &[LinkConfig], joints: &[String]) -> String {
+    let mut text = String::new();
+    for (link, joint) in links.iter().zip(joints) {
+        let _ = writeln!(text, "\n# Joint `{}`\n[[links]]", one_line(joint));
+        if link.joint == JointKind::Prismatic {
+            text += "joint = \"prismatic\"\n";
+        }
+        let standard = [
+            ("a_m", link.a_m),
+            ("alpha_deg", link.alpha_deg),
+            ("d_m", link.d_m),
+            ("theta_deg", link.theta_deg),
+        ];
+        let beta = Some(("beta_deg", link.beta_deg)).filter(|(_, value)| *value != 0.0);
+        for (key, value) in standard.into_iter().chain(beta) {
+            let _ = writeln!(text, "{key} = {value:?}");
+        }
+    }
+    text
+}
+
+/// The `[log]` block with a comment on its keys.
+fn log_block(log: &LogConversion) -> String {
+    let factor = log.raw_to_joint.get(1).and_then(|row| row.get(2)).copied().unwrap_or_default();
+    let meaning = if factor == 0.0 {
+        "the joint variables themselves".into()
+    } else {
+        format!("J1, J2 .. of the controller (joint 3 = {})", joint_3(factor))
+    };
+    let mut text = format!(
+        "\n# How the robot's log becomes joint variables: q = (raw * unit - raw_offset_rad) * raw_to_joint; row i is what\n\
+         # column i of the log contributes to each joint. As it stands here the log has columns joint1_rad, joint2_rad ..\n\
+         # (joint1_m where the joint is prismatic) with {meaning}.\n\
+         # Correct it for a log in degrees (unit = \"deg\") or of motors.\n\
+         [log]\ncolumn = \"{}\"\nunit = \"rad\"\nraw_offset_rad = {:?}\nraw_to_joint = [\n",
+        log.column, log.raw_offset_rad
+    );
+    log.raw_to_joint.iter().for_each(|row| text += &format!("    {row:?},\n"));
+    text + "]\n"
 }
 
 /// The text without line ends: a comment ends with its line.
