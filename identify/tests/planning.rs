@@ -22,7 +22,7 @@ use nalgebra::Vector3;
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
-use shared::config::{self, AngleUnit, BallBarConfig, LogConversion, RobotConfig};
+use shared::config::{self, AngleUnit, BallBarConfig, LogConversion, RobotConfig, Validate as _};
 
 use crate::support::browser;
 use crate::support::campaign::{is_full, size};
@@ -942,6 +942,10 @@ fn the_command_plans_checks_and_simulates_what_it_planned() {
     assert_eq!(efficiency(&checked), efficiency(&said), "{checked}");
     let path: PlannedPath = config::load(&out.join("path.toml")).unwrap();
     assert_eq!(path.path.duration_s, 40.0);
+    let (mut endless, mut unordered) = (path.clone(), path.clone());
+    endless.path.duration_s = 1e10;
+    unordered.path.moves.swap(0, 1);
+    assert!(path.validate().is_ok() && endless.validate().is_err() && unordered.validate().is_err());
     let file = out.join("path.toml");
     let run = directory.path().join("run");
     let simulated = identify(&["simulate", "--bar", bar, "--path", file.to_str().unwrap()], robot, &run);

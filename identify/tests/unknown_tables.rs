@@ -323,7 +323,9 @@ fn columns_that_are_exchanged_or_reversed_or_in_another_unit_are_named_by_trying
     let radians = Style { degrees: false, ..USUAL }.written(Beside::Tracker);
     let doubts = proposed(&radians).notes.doubts;
     assert!(
-        doubts.iter().any(|doubt| doubt.contains("the header states deg") && doubt.contains("rad is written")),
+        doubts
+            .iter()
+            .any(|doubt| doubt.contains("the header states deg") && doubt.contains("rad is written")),
         "{doubts:?}"
     );
 }

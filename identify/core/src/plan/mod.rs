@@ -57,19 +57,25 @@ pub struct PlannedPath {
 
 impl shared::config::Validate for PlannedPath {
     fn validate(&self) -> Result<(), shared::config::Violation> {
+        /// A day: longer than any recording.
+        const DURATION_S_MAX: f64 = 86_400.0;
         let numbers = self.base_m.iter().chain(&self.robot_start_rad).chain(&self.path.start_rad);
         let moves = self.path.moves.iter();
         let moves = moves.flat_map(|step| step.by_rad.iter().chain(&step.from_rad).chain([&step.start_s]));
-        let is_timed = |step: &Move| step.duration_s.is_finite() && step.duration_s > 0.0;
-        let has_duration = self.path.duration_s.is_finite() && self.path.duration_s > 0.0;
+        let is_duration = |duration_s: f64| duration_s > 0.0 && duration_s <= DURATION_S_MAX;
         if numbers.chain(moves).all(|number| number.is_finite())
-            && has_duration
-            && self.path.moves.iter().all(is_timed)
+            && is_duration(self.path.duration_s)
+            && self.path.moves.iter().all(|step| is_duration(step.duration_s))
+            && self.path.moves.is_sorted_by_key(|step| step.start_s)
         {
             return Ok(());
         }
-        let found = "a number is not finite, or a duration is not above zero".to_owned();
-        Err(shared::config::Violation::new("path", found, "take the file that `identify plan` wrote"))
+        let found = "a number is not finite, a duration is not between zero and a day, or moves are not in order of their start";
+        Err(shared::config::Violation::new(
+            "path",
+            found.to_owned(),
+            "take the file that `identify plan` wrote",
+        ))
     }
 }
 

@@ -68,7 +68,7 @@ pub enum ProgramError {
     /// Joint 3 of the model is counted from another line than that of the controller.
     #[error(
         "the controller counts joint 3 from the horizontal, `raw_to_joint` of {robot} does not: joint 3 of the program would be wrong;\n\
-         write {row:?} as its second row, as its log needs it, too"
+         write {row:?} as its second row; its log needs the same row"
     )]
     Coupling {
         /// The robot's name.
@@ -458,7 +458,7 @@ fn ur_script(name: &str, about: &str, steps: &[Step]) -> String {
         // The arm cannot be jogged while a program runs.
         Step::Halt { message, reason, jogged_to: Some(to) } => format!(
             "  # {reason}\n  \
-             # stop here, {message}, and start again without what is above, for poses {to} and following\n  \
+             # stop here, {message}; delete the lines above and start again for poses {to} and following\n  \
              popup(\"{message}\", title=\"{name}\", warning=True)\n  halt\n"
         ),
         Step::Servo(points) => ur_script_path(points),

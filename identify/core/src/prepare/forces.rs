@@ -64,8 +64,8 @@ pub enum ForceError {
     /// Wrong clock, or another run.
     #[error(
         "the force log covers {covered} of {samples} samples: on the {clock}'s clock it lasts from {from_s:+.1} to \
-         {to_s:+.1} s, the samples from {first_s:+.1} to {last_s:+.1} s (about the middle of the run); is it of this \
-         run, and are its stamps on that clock? A file says `# clock: bar` or `# clock: robot`"
+         {to_s:+.1} s, the samples from {first_s:+.1} to {last_s:+.1} s (about the middle of the run); check that it is \
+         of this run and that its stamps are on that clock, which a line `# clock: bar` or `# clock: robot` states"
     )]
     NotCovered {
         /// Samples with a force.

@@ -53,16 +53,14 @@ pub enum ImportError {
         above: String,
     },
     /// The end of the arm is ambiguous.
-    #[error(
-        "it ends in several links; say with --tip which is the flange (number of axes before it): {tips}"
-    )]
+    #[error("it ends in several links; give the flange with --tip (number of axes before it): {tips}")]
     SeveralTips {
         /// Links without child joints.
         tips: String,
     },
     /// Every joint has the name of a gripper's joint.
     #[error(
-        "each joint that moves is named as a gripper's; if it is an arm, say with --tip which link is its flange: {tips}"
+        "each joint that moves is named as a gripper's; if it is an arm, give the link of its flange with --tip: {tips}"
     )]
     Gripper {
         /// Links without child joints.
