@@ -27,12 +27,12 @@ pub struct LiveTap {
 }
 
 impl LiveTap {
-    /// For programs and pages of this machine, and for pages of these origins.
+    /// Without a listener yet. Besides programs and pages of this machine, pages of these web origins may listen.
     pub fn new(origins: Vec<String>) -> Self {
         Self { messages: broadcast::Sender::new(WAITING_MAX), origins }
     }
 
-    /// The recorder's end of it.
+    /// The function by which the recorder publishes each message that it writes.
     pub fn writer_end(&self) -> Tap {
         let messages = self.messages.clone();
         Box::new(move |topic, log_time_ns, data| {

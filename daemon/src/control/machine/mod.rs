@@ -39,7 +39,7 @@ pub enum Event {
     BusDown(Problem),
     /// The bus gives no samples; the cycle is restoring it.
     BusTroubled(Problem),
-    /// A run is requested; without a chosen name the current run is as good.
+    /// A run is requested. If no person chose its name, a run that is active already satisfies the request.
     Start {
         /// Its name and details.
         run: Box<RunDetails>,
@@ -103,6 +103,7 @@ pub enum Action {
     Recover,
     /// Reply to the client.
     Answer(Answer),
+    /// End the service: no run and no homing is active any more.
     Exit,
 }
 

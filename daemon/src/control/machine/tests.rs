@@ -17,6 +17,7 @@ fn problem(error: &str) -> Problem {
     Fact::RunRefused { error: error.into() }.into()
 }
 
+/// A machine whose disk is ready, after these events, and their actions.
 fn after(events: impl IntoIterator<Item = Event>) -> (Machine, Vec<Action>) {
     let mut machine = Machine::default();
     machine.handle(Event::Recovered);

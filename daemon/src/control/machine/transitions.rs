@@ -8,7 +8,7 @@ use crate::run::RunDetails;
 #[derive(Debug, Clone)]
 pub struct Machine {
     state: State,
-    /// In the states `Opening`, `Sampling`, `Writing` and `Closing`.
+    /// Present in the states `Opening`, `Sampling`, `Writing` and `Closing`.
     run: Option<Run>,
     /// Why the bus is not in operation; `None` if it is.
     bus_fault: Option<Problem>,
@@ -75,8 +75,8 @@ impl Machine {
             Event::Start { run, named } => self.start(run, named),
             Event::Opened => self.opened(),
             Event::OpenFailed(problem) => self.open_failed(problem),
-            Event::Synced => self.progress(true),
-            Event::Stalled => self.progress(false),
+            Event::Synced => self.set_on_disk(true),
+            Event::Stalled => self.set_on_disk(false),
             Event::Stop(cause) => self.stop(&cause),
             Event::Ended(cause) => self.ended(&cause),
             Event::Closed => self.closed(None),
@@ -121,10 +121,10 @@ impl Machine {
         vec![Action::Answer(answer)]
     }
 
-    /// The answer to a start or a homing that is impossible because of a run or a fault.
-    fn occupied(&self, by_run: fn(String) -> Answer) -> Answer {
+    /// The answer to a start or a homing that is impossible because of a run, whose name goes to `answer_for_run`, or a fault.
+    fn occupied(&self, answer_for_run: fn(String) -> Answer) -> Answer {
         match (self.run(), self.fault()) {
-            (Some(run), _) => by_run(run.to_owned()),
+            (Some(run), _) => answer_for_run(run.to_owned()),
             (None, Some(problem)) => Answer::Refused(problem.clone()),
             (None, None) => Answer::Idle,
         }
@@ -176,7 +176,7 @@ impl Machine {
         actions
     }
 
-    fn progress(&mut self, on_disk: bool) -> Vec<Action> {
+    fn set_on_disk(&mut self, on_disk: bool) -> Vec<Action> {
         if matches!(self.state, State::Sampling | State::Writing) {
             self.state = if on_disk { State::Writing } else { State::Sampling };
         }

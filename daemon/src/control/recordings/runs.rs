@@ -117,8 +117,8 @@ pub fn find(disk: &dyn Disk, directories: &[PathBuf], name: &str) -> io::Result<
     Ok(files(disk, directories)?.into_iter().find(has_name))
 }
 
-/// Content of these directories. One that does not exist has none: it is created when a run needs it. The same applies to a
-/// file of its name, which the status reports: recordings in the other directory stay accessible.
+/// Files in these directories. One that does not exist counts as empty: it is created when a run needs it. So does one whose
+/// name a file has, which the status reports: recordings in the other directory stay accessible.
 pub(super) fn files(disk: &dyn Disk, directories: &[PathBuf]) -> io::Result<Vec<PathBuf>> {
     let mut files = Vec::new();
     for directory in directories {

@@ -62,13 +62,13 @@ impl Verdict {
         if cycles_valid == 0 {
             return Self::bad(format!("none of the {cycles} cycles is valid{}", content.causes()));
         }
-        let (valid_share, flagged) =
+        let (valid_share, invalid) =
             (cycles_valid as f64 / cycles as f64, cycles.saturating_sub(cycles_valid));
         if valid_share < VALID_SHARE_GOOD {
             let level = if valid_share < VALID_SHARE_BAD { Level::Bad } else { Level::Check };
             let percent = 100.0 * (1.0 - valid_share);
             let causes = content.causes();
-            verdict.add(level, format!("{flagged} of {cycles} cycles are flagged ({percent:.1} %){causes}"));
+            verdict.add(level, format!("{invalid} of {cycles} cycles are flagged ({percent:.1} %){causes}"));
         }
         if cycles_lost > 0 {
             verdict.add(Level::Check, format!("{cycles_lost} cycles were lost between bus and disk"));
@@ -85,15 +85,15 @@ impl Verdict {
                 ),
             );
         }
-        let still = content.turned_deg.iter().filter(|(_, turned_deg)| *turned_deg < TRAVEL_MIN_DEG);
-        let still: Vec<_> = still
+        let unmoved = content.turned_deg.iter().filter(|(_, turned_deg)| *turned_deg < TRAVEL_MIN_DEG);
+        let unmoved: Vec<_> = unmoved
             .map(|(joint, turned_deg)| format!("joint {joint} turned by {turned_deg:.1}\u{b0}"))
             .collect();
-        if !still.is_empty() {
-            let still = still.join(", ");
+        if !unmoved.is_empty() {
+            let unmoved = unmoved.join(", ");
             verdict.add(
                 Level::Check,
-                format!("{still}; `identify` needs at least {TRAVEL_MIN_DEG:.0}\u{b0} of each joint"),
+                format!("{unmoved}; `identify` needs at least {TRAVEL_MIN_DEG:.0}\u{b0} of each joint"),
             );
         }
         if recovered {
