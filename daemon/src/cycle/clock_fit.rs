@@ -81,13 +81,13 @@ impl ClockFit {
         let dt_s = filter.predict(reading.at);
         let deviation = filter.deviation(&reading);
         let deviation_ns = deviation.by_ns;
-        let verdict = match self.gate.take() {
+        let class = match self.gate.take() {
             Some(gate) => gate.classify(deviation),
             None if deviation.is_explained() => Class::Accepted,
             None if filter.follows_trend(&deviation) => Class::RateChanged(deviation_ns / dt_s.max(1e-9)),
             None => Class::Undecided(InnovationGate::begin(deviation)),
         };
-        match verdict {
+        match class {
             Class::Accepted => filter.correct(&reading, dt_s),
             Class::RateChanged(rate) => {
                 filter.inflate(deviation_ns, rate);

@@ -9,7 +9,7 @@ use super::events::Origin;
 
 /// No joint of a ball-bar turns faster than this while a robot is being calibrated \[rev/s\]: 120 degrees a second.
 const SPEED_MAX_REV_PER_S: f64 = 1.0 / 3.0;
-/// Repeated low bits and rounding \[counts\].
+/// Low bits that keep their value while a joint turns fast, and rounding \[counts\].
 const SLACK_COUNTS: f64 = 256.0;
 
 /// Compares each valid record with the previous valid one.

@@ -46,7 +46,7 @@ impl Links {
         self.revision
     }
 
-    /// The device to read in this cycle.
+    /// The device to read in this cycle, if one is due.
     fn due(&mut self, cycles_between: u64, devices: usize) -> Option<usize> {
         if self.cycles_to_next > 0 {
             self.cycles_to_next -= 1;
@@ -58,7 +58,7 @@ impl Links {
         Some(position)
     }
 
-    /// Adds new errors. A count that decreased restarted at zero: the device was without power.
+    /// Adds the errors since the previous reading. A count that decreased restarted at zero: the device was without power.
     fn take(&mut self, position: usize, now: &[PortCounters; PORTS]) {
         let Some(before) = self.last[position].replace(*now) else { return };
         for ((errors, before), now) in self.errors[position].iter_mut().zip(before).zip(now) {

@@ -3,8 +3,8 @@
 //! [`Acquisition::next_cycle`] sleeps until the cycle's absolute deadline, exchanges one frame and gives one record for
 //! each cycle that was due to a sink, a bounded ring. It allocates nothing, takes no lock and writes no file. Only while
 //! the bus is down, when no deadline can be missed, may it do all of these: bringing up a bus takes long. With distributed
-//! clocks, cycle `k` samples at `origin + k * period` on the bus' clock; the clock fit gives the host time of the sample and of
-//! its frame.
+//! clocks, the terminals sample cycle `k` on their signal SYNC0, at `origin + k * period` on the bus' clock; its frame follows
+//! half a period later. The clock fit gives the host time of both.
 
 mod clock_fit;
 mod continuity;
@@ -54,12 +54,13 @@ pub struct Acquisition {
     devices: Vec<DeviceInfo>,
     clock: Clock,
     period_ns: i64,
+    /// From SYNC0 of a cycle to its frame \[ns\].
     sync0_shift_ns: i64,
     reply_timeout_ns: i64,
     distributed_clocks: bool,
     utc_minus_monotonic_ns: i64,
     fit: ClockFit,
-    /// Lead of the bus' clock after it was last set, relative to the bus before any fault \[ns\].
+    /// Lead of the bus' clock, as it was last set, over its time without outages: the error of that setting \[ns\].
     bus_lead_ns: i64,
     sampler: Sampler,
     continuity: Continuity,
@@ -171,7 +172,7 @@ impl Acquisition {
         self.next_cycle(&mut |_| ());
     }
 
-    /// The next cycle becomes number 0 of a run. `announce` receives its sampling instant on the bus' clock in advance.
+    /// Idles until the next cycle is number 0 of a run. `announce` receives its sampling instant on the bus' clock before.
     pub fn begin_run(&mut self, announce: impl FnOnce(DcNs)) {
         let first = self.next_cycle + CYCLES_AHEAD;
         let origin_ns = self.instant_ns(first);

@@ -65,8 +65,9 @@ pub(super) struct Health {
 #[derive(Debug, Clone, Copy)]
 struct Gap {
     first: u64,
-    /// Flags of the first, which are the cause; below those of all.
+    /// Flags of the first, which are the cause.
     cause: u32,
+    /// Flags of any of these cycles.
     flags: u32,
     /// Encoders that were invalid in the first, as bits.
     invalid: u8,
@@ -153,6 +154,7 @@ impl Acquisition {
 
     /// Requests OP from terminals in SAFE-OP, in the time until the next frame.
     fn restore_to_op(&mut self, reply: &Reply, now: MonoNs) {
+        let is_first_request = self.health.restoring.is_none();
         let (first, last) = self.health.restoring.unwrap_or((now, MonoNs(i64::MIN / 2)));
         if now.ns_since(first) > RESTORE_TIMEOUT_NS {
             self.give_up(Down::Bad { flags: flags::NOT_OPERATIONAL });
@@ -162,7 +164,6 @@ impl Acquisition {
             return;
         }
         self.health.restoring = Some((first, now));
-        let is_first_request = last < first;
         let until = now.plus_ns(self.period_ns / 4);
         for position in (0..u32::BITS as usize).filter(|position| reply.not_operational >> position & 1 == 1)
         {
@@ -210,7 +211,7 @@ impl Acquisition {
     pub(super) fn cycle_down(&mut self, sink: &mut dyn FnMut(&CycleRecord)) {
         let now = self.clock.now();
         let answering = self.bus.answering(self.devices.len(), now.plus_ns(self.reply_timeout_ns));
-        self.emit_down(self.next_cycle, now, sink);
+        self.emit_down(now, sink);
         if answering != self.devices.len() {
             return self.note_incomplete(answering);
         }
@@ -296,20 +297,20 @@ impl Acquisition {
         self.operational = Some(operational);
         let Health { gap, outages, .. } = self.health;
         self.health = Health { gap, outages, ..Health::default() };
-        let difference_ns = self.bus_minus_monotonic_ns();
+        let before_ns = self.bus_minus_monotonic_ns();
         let restarted = self.fit.restarted();
-        let before = std::mem::replace(&mut self.fit, restarted);
+        let fit_before = std::mem::replace(&mut self.fit, restarted);
         self.observe_clocks(&exchange);
         // Setting the bus' clock takes some frames, so it is a little off. Remember this, so that it does not add up.
-        let lead_ns = self.bus_minus_monotonic_ns().wrapping_sub(difference_ns);
-        self.bus_lead_ns = self.bus_lead_ns.wrapping_add(lead_ns);
+        let change_ns = self.bus_minus_monotonic_ns().wrapping_sub(before_ns);
+        self.bus_lead_ns = self.bus_lead_ns.wrapping_add(change_ns);
         let sampled = self.cycle_sampled(&exchange);
         // Cycles without a bus have their times from the fit before the outage.
-        let after = std::mem::replace(&mut self.fit, before);
+        let fit_after = std::mem::replace(&mut self.fit, fit_before);
         while self.next_cycle < sampled {
-            self.emit_down(self.next_cycle, exchange.sent, sink);
+            self.emit_down(exchange.sent, sink);
         }
-        self.fit = after;
+        self.fit = fit_after;
         if self.next_cycle == sampled {
             let time = self.sample_time(sampled);
             let mut record = self.sampler.sample(sampled, time, &exchange);
@@ -328,13 +329,14 @@ impl Acquisition {
     /// Gives the cycles that were due before `now`.
     fn catch_up(&mut self, now: MonoNs, sink: &mut dyn FnMut(&CycleRecord)) {
         while self.frame_deadline(self.next_cycle) < now {
-            self.emit_down(self.next_cycle, now, sink);
+            self.emit_down(now, sink);
         }
     }
 
-    fn emit_down(&mut self, cycle: u64, at: MonoNs, sink: &mut dyn FnMut(&CycleRecord)) {
+    /// Gives the record of the next cycle, which has no sample because the bus is down.
+    fn emit_down(&mut self, at: MonoNs, sink: &mut dyn FnMut(&CycleRecord)) {
         let nothing = CyclicExchange { sent: at, received: at, reply: None };
-        let mut record = self.sampler.missed(cycle, self.sample_time(cycle), &nothing);
+        let mut record = self.sampler.missed(self.next_cycle, self.sample_time(self.next_cycle), &nothing);
         record.flags = self.sampler.flags_always() | flags::BUS_DOWN;
         self.emit(record, sink);
     }

@@ -24,7 +24,7 @@ impl Covariance {
         self.drift += drift_wander * dt_s;
     }
 
-    /// Update by a reading of variance `r` with gains `K`, which need not be optimal (Joseph's form):
+    /// Update by a reading of variance `r` with gains `K` of offset and drift, which need not be optimal (Joseph's form):
     /// `(I - K H) P (I - K H)^T + K r K^T`.
     pub fn correct(&mut self, gain_offset: f64, gain_drift: f64, reading_variance: f64) {
         let Self { offset, cross, drift } = *self;

@@ -131,12 +131,12 @@ impl Filter {
     /// A delay beyond the quickest round trip moves the centre by at most half of it; the same holds for the readings in the
     /// filter. While the quickest round trip is unknown, all of it may be such a delay.
     pub fn deviation(&self, reading: &Reading) -> Deviation {
-        let quickest_ns = if self.is_starting() { 0.0 } else { self.quickest_half_ns };
-        let fit_delayed_ns = (self.asymmetry_ns - quickest_ns).abs();
+        let quickest_half_ns = if self.is_starting() { 0.0 } else { self.quickest_half_ns };
+        let fit_delayed_ns = (self.asymmetry_ns - quickest_half_ns).abs();
         Deviation {
             at: reading.at,
             by_ns: self.deviation_ns(reading),
-            delayed_ns: (reading.half_ns - quickest_ns).abs(),
+            delayed_ns: (reading.half_ns - quickest_half_ns).abs(),
             predicted_ns: fit_delayed_ns + SLACK_SIGMAS * self.covariance.offset.sqrt() + SLACK_NS,
         }
     }
