@@ -26,7 +26,7 @@ pub(super) enum Seen {
     Found(Found),
 }
 
-/// First record of the search; its counts are those of the first valid one.
+/// Time of the first record of the search, and counts of its first valid one.
 #[derive(Debug, Clone, Copy)]
 struct Start {
     time: UtcNs,

@@ -14,7 +14,7 @@ use simulated_segment::faults::FaultySegment;
 const AWAKE_NS: i64 = 50_000;
 
 /// A simulated segment answers the frames after the time that a wire would take. That includes the frame's own duration,
-/// also in real time, because the recording subtracts it.
+/// also in real time, because the clock fit subtracts it.
 pub struct InProcessWire {
     segment: FaultySegment,
     clock: Clock,
