@@ -28,7 +28,8 @@ use crate::scheduler::Scheduler;
 const EVENTS_MAX: usize = 1024;
 /// Moves of a run to another place before it is given up.
 const MOVES_MAX: u32 = 8;
-/// A synchronisation below twice this is not recorded on its own \[ns\].
+/// Duration of a usual synchronisation. One that takes more than twice this, and twice any before, has the timing recorded
+/// at once \[ns\].
 const SYNC_USUAL_NS: u64 = 100_000_000;
 /// The cycle's timing is recorded at least this often, for a run that is killed.
 const TIMING_PERIOD: Duration = Duration::from_secs(60);

@@ -143,7 +143,7 @@ impl Storage {
     /// Why there is not enough space for a run in `directory`, and what to do; `None` if there is. Calls the disk.
     pub fn full(&self, directory: &Path) -> Option<Problem> {
         let space = self.0.disk.space(directory);
-        space.is_ok_and(|space| self.0.is_full(space)).then(|| self.0.full(directory))
+        space.is_ok_and(|space| self.0.is_full(space)).then(|| self.0.full_problem(directory))
     }
 }
 
@@ -168,7 +168,7 @@ impl Shared {
                 progress.set_lost(place, lost.to_string());
             }
             if usable_bytes == Some(0) {
-                stop.stop(&self.full(directory).to_string());
+                stop.stop(&self.full_problem(directory).to_string());
             }
         }
         let mut last_check = lock(&self.last_check);
@@ -178,7 +178,7 @@ impl Shared {
     fn problem_of(&self, directory: &Path, space: &std::io::Result<Space>) -> Option<Problem> {
         let fact = match space {
             Ok(space) if !space.is_writable => Fact::DiskUnwritable { directory: directory.to_owned() },
-            Ok(space) if self.is_full(*space) => return Some(self.full(directory)),
+            Ok(space) if self.is_full(*space) => return Some(self.full_problem(directory)),
             Ok(_) => return None,
             Err(error) => {
                 Fact::DiskError { place: directory.display().to_string(), error: error.to_string() }
@@ -191,7 +191,7 @@ impl Shared {
         space.free_bytes <= self.floor_bytes
     }
 
-    fn full(&self, directory: &Path) -> Problem {
+    fn full_problem(&self, directory: &Path) -> Problem {
         let floor_mb = self.floor_bytes / BYTES_PER_MB;
         Fact::DiskFull { directory: directory.to_owned(), floor_mb }.into()
     }

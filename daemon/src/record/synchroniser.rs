@@ -89,7 +89,7 @@ impl Synchroniser {
         }
     }
 
-    /// Takes the outcome of the last synchronisation, after which another can begin; why it failed.
+    /// Takes the outcome of the last synchronisation, after which another can begin; returns its error if it failed.
     pub fn problem(&mut self) -> Option<io::Error> {
         if !self.is_busy {
             return None;
