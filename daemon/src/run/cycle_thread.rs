@@ -247,9 +247,9 @@ impl RunTask {
     fn step(&mut self, on_bus: &mut OnBus) -> bool {
         let Self { job, cycles, invalid_cycles, invalid_flags, .. } = self;
         let RunJob { sink, stop, cycle_limit, full_fault_cycles, .. } = job;
-        let cause = cycle_limit.and_then(|(limit, cause)| (*cycles >= limit).then_some(cause));
-        if stop.is_stopped() || sink.is_abandoned() || cause.is_some() {
-            self.end(cause);
+        let limit_cause = cycle_limit.and_then(|(limit, cause)| (*cycles >= limit).then_some(cause));
+        if stop.is_stopped() || sink.is_abandoned() || limit_cause.is_some() {
+            self.end(limit_cause);
             return false;
         }
         let live = &on_bus.live;
@@ -280,10 +280,10 @@ impl RunTask {
         true
     }
 
-    /// Sets the cause of the end, if none is set.
-    fn end(&self, cause: Option<&str>) {
+    /// Sets the cause of the end, if none is set: that of a limit that was reached, or the end of the recorder.
+    fn end(&self, limit_cause: Option<&str>) {
         let RunJob { sink, stop, .. } = &self.job;
-        stop.stop(cause.filter(|_| !sink.is_abandoned()).unwrap_or("the recorder has ended"));
+        stop.stop(limit_cause.filter(|_| !sink.is_abandoned()).unwrap_or("the recorder has ended"));
         // The recorder ends first if the start was refused or the disk failed, which the service reports.
         if !sink.is_abandoned() {
             tracing::info!("the last cycle of the run is recorded");

@@ -123,7 +123,7 @@ async fn record_in_session(
         None => disk_wait_is_over().then(|| Err(no_file_error())),
     })
     .await?;
-    // Its stop, which it also sets when it is complete, is not `stop`: only a request limits the wait for the disk.
+    // The run has its own stop, also set when it is complete; only `stop`, a request, limits the wait for the disk.
     let run = session.begin(details, None)?;
     until(scheduler, STOP_PERIOD, || {
         if stop.is_stopped() {
@@ -156,19 +156,7 @@ pub async fn open_with_retry(
         let opening = source::prepare(request, daemon, bar, run_scheduler.clock().clone())
             .and_then(|prepared| Session::open(prepared, daemon, bar, storage, stop, (&run_scheduler, pace)));
         let outcome = match opening {
-            Ok(mut opening) => {
-                let slow_at = scheduler.clock().now().plus_ns(SLOW_AFTER.as_nanos() as i64);
-                let is_slow = || scheduler.clock().now() >= slow_at;
-                // `Some(None)` ends the first wait, for the warning.
-                let opened_or_slow = || opening.poll().map(Some).or_else(|| is_slow().then_some(None));
-                match until(&**scheduler, STOP_PERIOD, opened_or_slow).await {
-                    Some(opened) => opened,
-                    None => {
-                        tracing::warn!("{SLOW_BUS}");
-                        until(&**scheduler, STOP_PERIOD, || opening.poll()).await
-                    }
-                }
-            }
+            Ok(opening) => opened(&**scheduler, opening).await,
             Err(error) => Err(error),
         };
         let problem = match outcome {
@@ -186,4 +174,17 @@ pub async fn open_with_retry(
             return Err(RunError::Waiting { cause: stop.cause(), problem });
         }
     }
+}
+
+/// Waits until the bus is in operation or has failed, with a warning if that is slow.
+async fn opened(scheduler: &dyn Scheduler, mut opening: Opening) -> Result<Session, RunError> {
+    let slow_at = scheduler.clock().now().plus_ns(SLOW_AFTER.as_nanos() as i64);
+    let is_slow = || scheduler.clock().now() >= slow_at;
+    // `Some(None)` ends the first wait, for the warning.
+    let opened_or_slow = || opening.poll().map(Some).or_else(|| is_slow().then_some(None));
+    if let Some(opened) = until(scheduler, STOP_PERIOD, opened_or_slow).await {
+        return opened;
+    }
+    tracing::warn!("{SLOW_BUS}");
+    until(scheduler, STOP_PERIOD, || opening.poll()).await
 }
