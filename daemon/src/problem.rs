@@ -263,7 +263,7 @@ facts! {
         "wait; if it takes minutes check the disk";
     /// A run waits for its file.
     FilePending = "file_pending", Bad { since_s: f64, step: String } =>
-        format!("the run has no file yet: for {since_s:.1} s the disk has been requested {step}"),
+        format!("the run has no file yet: the disk was requested {step} {since_s:.1} s ago and has not finished"),
         ATTACH;
     /// The file of the run is not where it was.
     FileLost = "file_lost", Bad { error: String } =>

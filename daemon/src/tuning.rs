@@ -349,7 +349,7 @@ const CAP_SYS_NICE: u32 = 23;
 /// does not start a program there that has more.
 pub fn grant(is_package: bool) -> &'static str {
     if is_package {
-        "sudo systemctl stop ballbard && sudo ballbard ..; without sudo only the package's service has the rights"
+        "sudo systemctl stop ballbard && sudo ballbard .. (without sudo, only the package's service has the rights)"
     } else {
         "sudo setcap cap_net_raw,cap_sys_nice,cap_ipc_lock+ep \"$(command -v ballbard)\""
     }
@@ -397,7 +397,10 @@ fn throttling(machine: &Machine) -> Finding {
 fn swap(machine: &Machine) -> Finding {
     match machine.text("proc/swaps").map(|text| text.lines().skip(1).count()) {
         Some(0) => fine("none"),
-        Some(areas) => problem(format!("{areas} in use: other programs stall the disk"), "sudo swapoff -a"),
+        Some(areas) => problem(
+            format!("{areas} swap areas in use: swapping of other programs delays the disk"),
+            "sudo swapoff -a",
+        ),
         None => unknown("cannot be read", ""),
     }
 }

@@ -73,7 +73,7 @@ impl<'a> Pull<'a> {
         match self.state {
             Cable::Back => Outcome::passed("the bus is in operation again"),
             Cable::In => Outcome::Failed {
-                expected: format!("a cable that is out for {OUT_S} s, within {PATIENCE_S} s"),
+                expected: format!("the cable is pulled within {PATIENCE_S} s, and is out for {OUT_S} s"),
                 found: "replies".into(),
                 remedy: "pull the cable from the upper (IN) socket of the coupler when asked".into(),
                 code: None,

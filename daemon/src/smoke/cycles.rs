@@ -284,7 +284,7 @@ impl Figures {
         let unsynchronised = self.unsynchronised_cycles;
         let jumps = self.flags.get("no_dc").copied().unwrap_or(0);
         let found = format!(
-            "{unsynchronised} cycles stale or with a synchronisation error, {jumps} with a wrong bus time; host {:+.2} ppm, \
+            "{unsynchronised} cycles stale or with a synchronisation error, {jumps} with a wrong bus time; clock of the host {:+.2} ppm against that of the bus, \
              sigma of sample times {:.1} us",
             self.clocks.host_rate_ppm.unwrap_or(f64::NAN),
             f64::from(self.clocks.uncertainty_ns_max) * 1e-3

@@ -169,7 +169,7 @@ fn while_the_disk_makes_no_file_everybody_is_answered_and_no_cycle_is_lost() {
             status
                 .reason
                 .as_ref()
-                .is_some_and(|reason| reason.contains("the disk has been requested to create it"))
+                .is_some_and(|reason| reason.contains("the disk was requested to create it"))
         };
         let status = day.wait(Duration::from_secs(5), has_reason).await;
         assert!(has_reason(&status) && status.state == ServiceState::Opening, "{status:?}");

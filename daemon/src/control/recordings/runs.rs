@@ -217,7 +217,7 @@ pub struct Curves {
 pub struct Curve {
     /// Bar joint, 1 to 5.
     pub joint: u8,
-    /// Angle since its first sample; absent without a sample \[deg\].
+    /// Angle since the first sample with the origin of its counts; absent without a sample \[deg\].
     pub angle_deg: Vec<Option<f64>>,
 }
 
@@ -236,7 +236,11 @@ pub fn curves(disk: &dyn Disk, path: &Path) -> Result<Curves, ReadError> {
             curves.t_s.push(cycle.sample_time.seconds_since(first));
         }
         for (index, joint) in joints.iter_mut().enumerate() {
-            joint.add(cycle.encoders().get(index).copied().unwrap_or_default(), begins_interval);
+            joint.add(
+                cycle.encoders().get(index).copied().unwrap_or_default(),
+                cycle.origin,
+                begins_interval,
+            );
         }
         Ok(())
     };
@@ -254,17 +258,23 @@ struct JointCurve {
     unwrapper: Unwrapper,
     /// Unwrapped count of the first valid sample.
     first: Option<i64>,
+    /// Number of the origin of the counts.
+    origin: u32,
 }
 
 impl JointCurve {
     fn new(encoder: &EncoderInfo) -> Self {
         let EncoderInfo { joint, scale } = *encoder;
         let curve = Curve { joint, angle_deg: Vec::new() };
-        Self { curve, scale, unwrapper: scale.unwrapper(), first: None }
+        Self { curve, scale, unwrapper: scale.unwrapper(), first: None, origin: 0 }
     }
 
-    /// Adds a point at the beginning of an interval, and removes it if a later sample of the interval is invalid.
-    fn add(&mut self, sample: EncoderSample, begins_interval: bool) {
+    /// Adds a point at the beginning of an interval, and removes it if a later sample of the interval is invalid. With another
+    /// origin the angle begins at zero again: how far the joint turned in between is unknown.
+    fn add(&mut self, sample: EncoderSample, origin: u32, begins_interval: bool) {
+        if std::mem::replace(&mut self.origin, origin) != origin {
+            (self.unwrapper, self.first) = (self.scale.unwrapper(), None);
+        }
         let angle_deg = sample.valid.then(|| {
             let counts = self.unwrapper.next(sample.count);
             let counts = counts - *self.first.get_or_insert(counts);
@@ -284,6 +294,17 @@ mod tests {
     use shared::recording::SystemDisk;
 
     use super::*;
+
+    #[test]
+    fn a_curve_begins_at_zero_again_with_another_origin() {
+        const QUARTER_TURN: u32 = 3600 * 4096 / 4;
+        let mut curve = JointCurve::new(&EncoderInfo { joint: 1, scale: EncoderScale::default() });
+        let again = 3_000_000_000;
+        for (count, origin) in [(7, 0), (7 + QUARTER_TURN, 0), (again, 1), (again + QUARTER_TURN, 1)] {
+            curve.add(EncoderSample { count, valid: true, ..EncoderSample::default() }, origin, true);
+        }
+        assert_eq!(curve.curve.angle_deg, [0.0, 90.0, 0.0, 90.0].map(Some));
+    }
 
     #[test]
     fn recordings_in_the_spare_directory_are_listed_while_the_other_is_missing_or_a_file() {

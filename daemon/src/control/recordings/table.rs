@@ -94,7 +94,8 @@ impl<'a, W: Write> Table<'a, W> {
     fn add(&mut self, record: &CycleRecord) -> io::Result<()> {
         let layout = self.layout;
         let is_new_origin = self.origin.replace(record.origin).is_some_and(|before| before != record.origin);
-        let has_counts = record.flags & (flags::LOST | flags::NO_REPLY | flags::DEADLINE_MISSED) == 0;
+        let has_counts =
+            record.flags & (flags::LOST | flags::NO_REPLY | flags::DEADLINE_MISSED | flags::BUS_DOWN) == 0;
         let samples = record.encoders();
         let first_sample = *self.first_sample.get_or_insert(record.sample_time);
         let mut row = vec![layout.time(record.sample_time, first_sample)];

@@ -71,7 +71,8 @@ impl Verdict {
             verdict.add(level, format!("{invalid} of {cycles} cycles are flagged ({percent:.1} %){causes}"));
         }
         if cycles_lost > 0 {
-            verdict.add(Level::Check, format!("{cycles_lost} cycles were lost between bus and disk"));
+            let cycles = if cycles_lost == 1 { "cycle was" } else { "cycles were" };
+            verdict.add(Level::Check, format!("{cycles_lost} {cycles} lost between bus and disk"));
         }
         // Rounded down to 0.1 s, so that a run that is too short is not displayed with the required length.
         let length_s = (10.0 * cycles as f64 * content.period_s + 1e-6).floor() / 10.0;
