@@ -7,8 +7,10 @@ use std::fmt;
 use nalgebra::{DMatrix, DVector};
 use statrs::distribution::{ContinuousCDF, Normal};
 
+use super::pipeline::Solved;
+use crate::instrument::Run;
 use crate::kinematics::LinkParameter;
-use crate::model::{Model, Parameter, ParameterId, Role};
+use crate::model::{Column, Model, Parameter, ParameterId, Role};
 use crate::solver::{Covariance, Solution, Source};
 
 /// Standard deviation of a robot's length errors \[m\]: the default of `tolerance_mm_mrad`.
@@ -36,17 +38,18 @@ pub struct Contradicted {
 }
 
 impl Contradicted {
-    /// Tests a solution; its first columns are those of `model`.
-    pub(super) fn new(model: &Model, solution: &Solution) -> Self {
-        Self { priors: strained_priors(model, solution), scale: other_scale(model, solution) }
+    /// Tests the solution of all data sets.
+    pub(super) fn new(runs: &[Run], solved: &Solved) -> Self {
+        let scale = other_scale(&runs[0].model, &solved.solution);
+        Self { priors: strained_priors(runs, solved), scale }
     }
 
     /// The covariance of a solution with a source for each contradiction, of the size of the contradiction. The solution may be
     /// another fit to the same samples; its first columns are those of `model`.
-    pub(super) fn added_to(&self, solution: &Solution, model: &Model) -> Covariance {
+    pub(super) fn added_to(&self, Solved { solution, columns, .. }: &Solved, model: &Model) -> Covariance {
         let mut covariance = solution.covariance.clone();
         for prior in &self.priors {
-            let Some(column) = model.column_of(prior.id) else { continue };
+            let Some(column) = columns.all().iter().position(|own| *own == prior.column) else { continue };
             let shift = solution.covariance.by_prior_on_all(column, prior.s0) * prior.times_without();
             covariance = covariance.with_source(Source::Contradicted { column }, &shift);
         }
@@ -61,10 +64,16 @@ impl Contradicted {
 
 /// Contradicted priors, the most contradicted first: the test of Evans and Moshonov (2006) for each of the `n` priors, with
 /// probability [`STRAINED_BY_CHANCE`] of a false report in all.
-fn strained_priors(model: &Model, solution: &Solution) -> Vec<ContradictedPrior> {
-    let columns = model.columns().enumerate();
-    let mut priors: Vec<ContradictedPrior> = columns
-        .filter_map(|(column, parameter)| ContradictedPrior::new(column, parameter, solution))
+fn strained_priors(runs: &[Run], Solved { solution, columns, .. }: &Solved) -> Vec<ContradictedPrior> {
+    // The first data set that has a column provides its prior, as in the solve.
+    let parameters: Vec<Vec<Parameter>> =
+        runs.iter().map(|run| run.model.columns().copied().collect()).collect();
+    let parameters = columns.gather(&parameters);
+    let of_columns = columns.all().iter().zip(&parameters).enumerate();
+    let mut priors: Vec<ContradictedPrior> = of_columns
+        .filter_map(|(index, (column, parameter))| {
+            ContradictedPrior::new(index, *column, parameter, solution)
+        })
         .collect();
     let sigmas_from = &solution.covariance.sigmas_from;
     let sigmas_max = sigmas_from.sigmas_within(STRAINED_BY_CHANCE / priors.len().max(1) as f64);
@@ -76,7 +85,7 @@ fn strained_priors(model: &Model, solution: &Solution) -> Vec<ContradictedPrior>
 /// A parameter with a prior, in SI units.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ContradictedPrior {
-    id: ParameterId,
+    column: Column,
     /// Estimated minus expected value.
     off: f64,
     /// Standard deviation of the prior.
@@ -96,18 +105,23 @@ impl ContradictedPrior {
     /// the variance `(s0 - g)^2` ([`NONLINEAR`] of `g` is added as a tolerance) plus the variance of `x` from all other sources:
     /// samples, other priors, errors of fixed parameters. If the sources are unknown, use that of independent noise,
     /// `s^2 (1 - g / s0)`: `s0^2 - s^2` in all if the noise is known.
-    fn new(column: usize, parameter: &Parameter, Solution { x, covariance, .. }: &Solution) -> Option<Self> {
+    fn new(
+        index: usize,
+        column: Column,
+        parameter: &Parameter,
+        Solution { x, covariance, .. }: &Solution,
+    ) -> Option<Self> {
         let Role::Prior { value, sigma: s0 } = parameter.role else { return None };
-        let s = covariance.sigma(column)?;
-        let (g, variance_of_others) = covariance.by_prior(column).map_or_else(
+        let s = covariance.sigma(index)?;
+        let (g, variance_of_others) = covariance.by_prior(index).map_or_else(
             || {
-                let g = covariance.by_prior_on_all(column, s0)[column];
+                let g = covariance.by_prior_on_all(index, s0)[index];
                 (g, s.powi(2) * (1.0 - g / s0))
             },
             |g| (g, s.powi(2) - g.powi(2)),
         );
         let spread = (variance_of_others + (s0 - g).powi(2) + (NONLINEAR * g).powi(2)).max(0.0).sqrt();
-        Some(Self { id: parameter.id, off: x.get(column)? - value, s0, s, g, spread })
+        Some(Self { column, off: x.get(index)? - value, s0, s, g, spread })
     }
 
     /// Whether it invalidates the result: it has another cause, or the prior biases the result by more than the uncertainty
@@ -129,9 +143,10 @@ impl ContradictedPrior {
 
 impl fmt::Display for ContradictedPrior {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { id, off, s0, .. } = self;
-        let (factor, symbol) = (id.unit().display_factor(), id.unit().display_symbol());
-        write!(out, "{id} by {:+.3} {symbol} (expected within {:.3})", off * factor, s0 * factor)
+        let Self { column, off, s0, .. } = self;
+        let unit = column.id.unit();
+        let (factor, symbol) = (unit.display_factor(), unit.display_symbol());
+        write!(out, "{column} by {:+.3} {symbol} (expected within {:.3})", off * factor, s0 * factor)
     }
 }
 

@@ -98,8 +98,8 @@ fn calibrate_in_stages(
         solved = fit_all_rows(&mut runs, &mut rows, &plan, solved)?;
     }
     solved.solution.require_sigmas()?;
-    let contradicted = Contradicted::new(&runs[0].model, &solved.solution);
-    solved.solution.covariance = contradicted.added_to(&solved.solution, &runs[0].model);
+    let contradicted = Contradicted::new(&runs, &solved);
+    solved.solution.covariance = contradicted.added_to(&solved, &runs[0].model);
     let changed = change::checked(&runs, &solved.sigmas, &config.prepare)?;
     Ok(Calibration { runs, rows, solved, contradicted, changed, loss: plan.loss })
 }

@@ -75,7 +75,7 @@ impl Calibration {
     ) -> Result<Option<Self>, CalibrateError> {
         let found = fitted(&self.runs, &self.solved, deployment, self.loss, watch)?;
         Ok(found.map(|(runs, mut solved)| {
-            solved.solution.covariance = self.contradicted.added_to(&solved.solution, &runs[0].model);
+            solved.solution.covariance = self.contradicted.added_to(&solved, &runs[0].model);
             Self { runs, solved, ..self.clone() }
         }))
     }
