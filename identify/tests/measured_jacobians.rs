@@ -104,7 +104,10 @@ fn probes(model: &Model, by: ParameterId, t_s: f64, measured: &Pose, set_up: Set
     let probe = Coordinate::ALL.map(|coordinate| ParameterId::Probe { target, coordinate });
     let six: Vec<Dual64> = place.into_iter().chain(probe).map(|id| dual(model, by, id)).collect();
     let m = measured.to_homogeneous();
-    let measured = std::array::from_fn(|i| std::array::from_fn(|j| Dual64::from(m[(i, j)])));
+    let mut measured: Matrix<Dual64> =
+        std::array::from_fn(|i| std::array::from_fn(|j| Dual64::from(m[(i, j)])));
+    let scale = dual(model, by, ParameterId::Scale);
+    measured[..3].iter_mut().for_each(|row| row[3] /= scale + 1.0);
     let held = product(&flange(model, by, t_s), &placed(&six[6..]));
     [held, product(&placed(&six[..6]), &measured)]
 }

@@ -126,3 +126,19 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn the_uncertainty_of_the_scale_is_optional_and_may_be_zero() {
+    let with = |line: &str| {
+        let text = std::fs::read_to_string(
+            Path::new(env!("CARGO_MANIFEST_DIR")).join("../config/measured_length.toml"),
+        );
+        mapping(&text.unwrap().replace("scale_u_ppm = 500.0", line))
+    };
+    assert_eq!(with("").unwrap().scale_u_ppm, None);
+    assert_eq!(with("scale_u_ppm = 0.0").unwrap().scale_u_ppm, Some(0.0));
+    for refused in ["scale_u_ppm = -1.0", "scale_u_ppm = 5e5", "scale_u_ppm = nan"] {
+        let told = with(refused).unwrap_err().to_string();
+        assert!(told.contains("scale_u_ppm"), "{told}");
+    }
+}

@@ -79,7 +79,7 @@ fn faces_of_which_nothing_is_known_leave_the_scale_to_the_robots_file_and_say_so
     let workspace = workspace_error(&found, &robot.joint_limits());
     let scale = identify::evaluate::scale_sentence(
         [],
-        found.runs.iter().map(|run| run.instrument.scale()),
+        found.runs.iter().map(|run| (run, Path::new("touch.toml"))),
         &workspace.budget,
     );
     assert!(scale.contains("no distance between the faces is known"), "{scale}");

@@ -23,6 +23,7 @@ const fn heading(owner: Owner) -> &'static str {
         Owner::BallBar => "Ball-bar",
         Owner::Wire => "Draw-wire or telescoping bar",
         Owner::Tracker => "Tracker",
+        Owner::Scale => "Scale of a tracker or a wire",
         Owner::Contact => "Ball in sockets",
         Owner::Touch => "Touch probe or dial gauge",
     }

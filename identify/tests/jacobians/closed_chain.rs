@@ -64,6 +64,7 @@ pub struct Numbers<D> {
     pub attachment: [D; 3],
     pub anchor: [D; 3],
     pub offset: D,
+    pub scale: D,
 }
 
 pub fn encoder_waves(g: &Geometry) -> [[[f64; 2]; 2]; 5] {
@@ -206,6 +207,7 @@ impl<D: DualNum<f64> + Copy> Numbers<D> {
             attachment: [0, 1, 2].map(|i| D::from(g.wire.attachments_m.first().map_or(0.0, |at| at[i]))),
             anchor: [0, 1, 2].map(|i| D::from(g.wire.anchors_m.first().map_or(0.0, |at| at[i]))),
             offset: D::from(g.wire.offset_m),
+            scale: D::from(g.scale),
         }
     }
 
@@ -240,6 +242,7 @@ impl<D: DualNum<f64> + Copy> Numbers<D> {
             ParameterId::Attachment { target: 0, axis } => &mut self.attachment[axis.index()],
             ParameterId::Anchor { station: 0, axis } => &mut self.anchor[axis.index()],
             ParameterId::LengthOffset => &mut self.offset,
+            ParameterId::Scale => &mut self.scale,
             id => unreachable!("{id} belongs to measured_jacobians.rs"),
         }
     }
@@ -303,6 +306,7 @@ impl Numbers<Dual64> {
             attachment: self.attachment.map(|x| plain(&x)),
             anchor: self.anchor.map(|x| plain(&x)),
             offset: plain(&self.offset),
+            scale: plain(&self.scale),
         }
     }
 

@@ -96,8 +96,8 @@ fn independent_measured_length(n: &Numbers<Dual64>, o: &Observation) -> Vec<Dual
         let along = r[i][0] * x + r[i][1] * y + r[i][2] * z + r[i][3] - n.anchor[i];
         along * along
     });
-    let apart = squares.fold(Dual64::from(0.0), |a, b| a + b).sqrt() + n.offset - o.length_m.unwrap();
-    vec![apart / LENGTH_NOISE]
+    let distance = squares.fold(Dual64::from(0.0), |a, b| a + b).sqrt();
+    vec![((n.scale + 1.0) * distance + n.offset - o.length_m.unwrap()) / LENGTH_NOISE]
 }
 
 /// All parameters of the model are free, and none has a value at which derivatives vanish by symmetry.

@@ -5,9 +5,9 @@ use nalgebra::Vector3;
 use super::scene::unit;
 use super::{Movement, Residual, Scene};
 use crate::kinematics::Chain;
-use crate::model::{Owner, ParameterId, SetUp};
+use crate::model::{Geometry, Owner, ParameterId, SetUp, Wire};
 
-/// `|R attachment - anchor| + offset - measured` \[m\], divided by the sample's noise relative to that of the median sample. The
+/// `(1 + scale) |R attachment - anchor| + offset - measured` \[m\], divided by the sample's noise relative to that of the median sample. The
 /// problem divides it by the standard deviation of the median sample.
 #[derive(Debug, Clone, Copy)]
 pub struct MeasuredLength<'a> {
@@ -49,7 +49,8 @@ impl Residual for MeasuredLength<'_> {
 
     fn residual(&self, scene: &Scene<'_>, wire: &Stretched, out: &mut [f64]) {
         let measured_m = scene.observation.length_m.unwrap_or(f64::NAN);
-        let residual_m = wire.wire_m.norm() + scene.geometry.wire.offset_m - measured_m;
+        let Geometry { wire: Wire { offset_m, .. }, scale, .. } = scene.geometry;
+        let residual_m = (1.0 + scale) * wire.wire_m.norm() + offset_m - measured_m;
         out[0] = residual_m / wire.relative_noise;
     }
 
@@ -57,6 +58,7 @@ impl Residual for MeasuredLength<'_> {
         let Stretched { set_up, relative_noise, flange_to_attachment_m, wire_m } = wire;
         // At zero length the direction is undefined; the derivative is taken as zero.
         let direction = if wire_m.norm() > 0.0 { wire_m.normalize() } else { *wire_m };
+        let direction = direction * (1.0 + scene.geometry.scale);
         let derivative = match (id, scene.movement(id)) {
             (_, Movement::Robot(twist)) => {
                 direction.dot(&(twist.linear + twist.angular.cross(flange_to_attachment_m)))
@@ -68,6 +70,7 @@ impl Residual for MeasuredLength<'_> {
                 -direction[axis.index()]
             }
             (ParameterId::LengthOffset, _) => 1.0,
+            (ParameterId::Scale, _) => wire_m.norm(),
             _ => 0.0,
         };
         out[0] = derivative / relative_noise;

@@ -7,8 +7,8 @@ use super::{Movement, PoseNoise, Residual, Scene};
 use crate::kinematics::{Chain, Pose, Twist};
 use crate::model::{Coordinate, Owner, ParameterId, SetUp};
 
-/// `R probe - T measured`, entries in the robot's base, divided by the standard deviation of a coordinate: `R` is the robot's
-/// pose, `T` the tracker's pose.
+/// `R probe - T measured / (1 + scale)`, entries in the robot's base, divided by the standard deviation of a coordinate: `R` is
+/// the robot's pose, `T` the tracker's pose.
 ///
 /// The observations only give the time. The measurements are a separate slice, in the same order, one per observation. A
 /// sample without measurement is ignored.
@@ -27,7 +27,7 @@ pub struct MeasuredPosition<'a> {
 pub struct Sighting {
     /// `root_from_probe` predicted by the robot.
     pub(super) held: Pose,
-    /// `root_from_probe` observed by the tracker.
+    /// `root_from_probe` observed by the tracker, without the error of its scale.
     pub(super) seen: Pose,
     /// Noise of the observed pose.
     pub(super) noise: PoseNoise,
@@ -44,6 +44,8 @@ impl Sighting {
     ) -> Option<Self> {
         let (tracker, probe) = scene.geometry.tracker.at(set_up)?;
         let held = scene.robot.end() * probe.pose();
+        let mut tracker_from_probe = *tracker_from_probe;
+        tracker_from_probe.translation.vector /= 1.0 + scene.geometry.scale;
         let seen = tracker.pose() * tracker_from_probe;
         Some(Self { held, seen, noise, set_up })
     }
@@ -65,6 +67,10 @@ impl Sighting {
             ParameterId::Tracker { coordinate: Rotation(axis), .. } => {
                 let seen_m = self.seen.translation.vector;
                 Twist::rotation(tracker.turning(axis), tracker.position_m, seen_m).scaled(-1.0)
+            }
+            ParameterId::Scale => {
+                let tracker_to_seen_m = self.seen.translation.vector - tracker.position_m;
+                Twist::translation(tracker_to_seen_m / (1.0 + scene.geometry.scale))
             }
             ParameterId::Probe { coordinate: Position(axis), .. } => {
                 Twist::translation(robot.rotation() * unit(axis))

@@ -136,10 +136,10 @@ const fn describe_scale(scale: ScaleFrom) -> &'static str {
     match scale {
         ScaleFrom::Plate => "plate_m fixes the scale: measure the plate, or increase plate_u_um",
         ScaleFrom::Tracker => {
-            "The tracker fixes the scale: check its unit, its target's constant and its correction for air"
+            "The tracker fixes the scale: check its unit, its target's constant and its correction for air, or increase scale_u_ppm"
         }
         ScaleFrom::Wire => {
-            "The wire fixes the scale: check its unit, and its readings against a known length"
+            "The wire fixes the scale: check its unit, and its readings against a known length, or increase scale_u_ppm"
         }
         ScaleFrom::Sockets => {
             "The table of sockets fixes the scale: check its unit, and measure the sockets again"

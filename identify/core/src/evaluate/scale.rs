@@ -1,25 +1,29 @@
-//! The reference of the scale of all lengths, as text. No other measurement can verify it.
+//! The reference of the scale of all lengths, as text. If there is only one, no other measurement can verify it.
+
+use std::borrow::Cow;
+use std::path::Path;
 
 use shared::config::{BallBarConfig, Source};
 use shared::output::named;
 
 use super::Budget;
-use crate::instrument::ScaleFrom;
+use crate::instrument::{Run, ScaleFrom};
+use crate::model::{ParameterId, Role};
 
 /// Length error of a plate that the sentence uses as an example \[m\].
 const LONGER_M: f64 = 1e-4;
 
 /// A sentence on what fixes the scale: the plates of `bars`, each with what states it, and the `others`
-/// instruments. The effect of a plate error on positions is the derivative of the solution, from the budget.
+/// instruments, each with its mapping. The budget has the effect of a plate error on positions.
 pub fn scale_sentence<'a>(
     bars: impl IntoIterator<Item = (&'a BallBarConfig, Source)>,
-    others: impl IntoIterator<Item = ScaleFrom>,
+    others: impl IntoIterator<Item = (&'a Run, &'a Path)>,
     budget: &Budget,
 ) -> String {
     const NAMED: usize = 3;
     let mut references: Vec<String> = Vec::new();
     let plates = bars.into_iter().map(|(bar, source)| plate(bar, &source));
-    let others = others.into_iter().filter_map(other_reference).map(str::to_owned);
+    let others = others.into_iter().filter_map(|(run, mapping)| other_reference(run, mapping));
     for reference in plates.chain(others) {
         if !references.contains(&reference) {
             references.push(reference);
@@ -36,7 +40,7 @@ pub fn scale_sentence<'a>(
 }
 
 fn plate(bar: &BallBarConfig, source: &Source) -> String {
-    let file = source.path().file_name().unwrap_or(source.path().as_os_str()).to_string_lossy();
+    let file = file_name(source.path());
     let plate_mm = bar.plate_m * 1e3;
     let rod = bar.length_u_um.map(|u_um| {
         format!(" and the rod's length of {:.3} mm within {:.3} mm", bar.length_m * 1e3, u_um * 1e-3)
@@ -58,21 +62,31 @@ fn plate(bar: &BallBarConfig, source: &Source) -> String {
     format!("{plate}{}, {source}", rod.unwrap_or_default())
 }
 
-const fn other_reference(from: ScaleFrom) -> Option<&'static str> {
-    match from {
-        ScaleFrom::Plate => None,
-        ScaleFrom::Tracker => Some(
-            "the positions of the tracker, whose own scale is taken as exact: the uncertainty does not include its error",
-        ),
-        ScaleFrom::Wire => Some(
-            "the lengths of the wire, whose own scale is taken as exact: the uncertainty does not include its error",
-        ),
-        ScaleFrom::Sockets => Some("the table of sockets, within the uncertainty that it states"),
-        ScaleFrom::Faces => {
-            Some("the distances between faces, within the uncertainty that their table states")
+fn other_reference(Run { instrument, model }: &Run, mapping: &Path) -> Option<String> {
+    let from = instrument.scale();
+    let reference = match from {
+        ScaleFrom::Plate => return None,
+        ScaleFrom::Tracker => "the positions of the tracker",
+        ScaleFrom::Wire => "the lengths of the wire",
+        ScaleFrom::Sockets => "the table of sockets, within the uncertainty that it states",
+        ScaleFrom::Faces => "the distances between faces, within the uncertainty that their table states",
+        ScaleFrom::Robot => "the lengths of the robot's own file: no distance between the faces is known",
+    };
+    let file = file_name(mapping);
+    let uncertainty = match model.role(ParameterId::Scale) {
+        Some(Role::Prior { sigma, .. }) => {
+            let is_usual = sigma == from.usual_u_ppm() * 1e-6;
+            let source = if is_usual { "usual unless FILE states another" } else { "as FILE states" };
+            let within = ParameterId::Scale.unit().display(sigma);
+            format!(" within {within} (one sigma), {}", source.replace("FILE", &file))
         }
-        ScaleFrom::Robot => {
-            Some("the lengths of the robot's own file: no distance between the faces is known")
-        }
-    }
+        Some(Role::Free) => ", with an estimated scale".to_owned(),
+        Some(Role::Fixed | Role::Considered { .. }) => ", taken as exact".to_owned(),
+        None => String::new(),
+    };
+    Some(reference.to_owned() + &uncertainty)
+}
+
+fn file_name(path: &Path) -> Cow<'_, str> {
+    path.file_name().unwrap_or(path.as_os_str()).to_string_lossy()
 }

@@ -17,6 +17,7 @@ use std::ops::{Deref, DerefMut};
 
 pub use ball_bar::{BallBar, CostName, NoiseConfig};
 pub use cause::Cause;
+use description::set_scale_prior;
 pub use description::{Doubt, Noise, ScaleFrom, Section};
 pub use deviation::{Apart, Deviation, PoseError};
 pub use measures::Measures;

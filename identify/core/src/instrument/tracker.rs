@@ -1,6 +1,6 @@
 //! A tracker that measures positions or poses of targets on the flange, from one or several stations, while the robot stands or
 //! moves. The residual is the target's pose by the robot minus the measured one ([`MeasuredPose`], [`MeasuredPosition`]), where
-//! the poses of stations (`places`) and targets (`probes`) are estimated too.
+//! the poses of stations (`places`) and targets (`probes`) and the scale are estimated too.
 
 use nalgebra::{Rotation3, Vector3};
 
@@ -8,7 +8,7 @@ use super::cause::numbered;
 use super::rows::{MEDIAN_OF_THREE, RowNoise, Standing};
 use super::{
     Cause, Deviation, HoldOut, Instrument, Measures, Mistake, Noise, PoseError, RejectedRow, RowError,
-    ScaleFrom,
+    ScaleFrom, set_scale_prior,
 };
 use crate::cost::{CostError, DataSet, LoopProblem, MeasuredPose, MeasuredPosition, PoseNoise, Residual};
 use crate::kinematics::{Chain, Joints, Pose, rotation_vector};
@@ -41,6 +41,8 @@ pub struct Tracker {
     set_ups: Vec<SetUp>,
     /// Noise of each measurement, from the spread of the residuals and the stated uncertainties.
     noise: Vec<PoseNoise>,
+    /// Standard uncertainty of the scale \[ppm\]; zero means exact.
+    scale_u_ppm: f64,
 }
 
 impl Tracker {
@@ -54,9 +56,15 @@ impl Tracker {
         Self::from_parts(Standing::new(rows, |row| row.joints_rad), Some(moving))
     }
 
+    /// The same with the standard uncertainty of the scale \[ppm\] that the mapping states, if any; zero means exact.
+    #[must_use]
+    pub fn with_scale_u_ppm(self, stated: Option<f64>) -> Self {
+        Self { scale_u_ppm: stated.unwrap_or(self.scale_u_ppm), ..self }
+    }
+
     /// Rows as of a robot at rest, with the joints of the first alignment.
-    fn at_rest(rows: Standing<PoseRow>) -> Instrument {
-        Self::from_parts(rows, None).into()
+    fn at_rest(&self, rows: Standing<PoseRow>) -> Instrument {
+        Self::from_parts(rows, None).with_scale_u_ppm(Some(self.scale_u_ppm)).into()
     }
 
     fn from_parts(rows: Standing<PoseRow>, moving: Option<Moving>) -> Self {
@@ -71,6 +79,7 @@ impl Tracker {
             poses: rows.rows.iter().map(pose).collect(),
             set_ups: rows.rows.iter().map(|row| row.set_up).collect(),
             noise: vec![PoseNoise { position_m: 1.0, rotation_rad: 1.0 }; rows.rows.len()],
+            scale_u_ppm: ScaleFrom::Tracker.usual_u_ppm(),
             moving,
             rows,
         }
@@ -91,7 +100,7 @@ impl Tracker {
             ..moving.clone()
         });
         let noise = rows.iter().map(|&row| self.noise[row]).collect();
-        Self { noise, ..Self::from_parts(self.rows.chosen(rows), moving) }
+        Self { noise, scale_u_ppm: self.scale_u_ppm, ..Self::from_parts(self.rows.chosen(rows), moving) }
     }
 
     /// Pose of the tracker and pose of the probe predicted by the robot, at each row; `None` for a set-up that the geometry lacks.
@@ -198,6 +207,7 @@ impl Measures for Tracker {
             }
             model.set_role(id, role)?;
         }
+        set_scale_prior(model, self.scale_u_ppm, fix)?;
         Ok(true)
     }
 
@@ -290,9 +300,9 @@ impl Measures for Tracker {
         let rows = &self.rows;
         match mistake {
             Mistake::Joints(mistake) => {
-                vec![Self::at_rest(rows.with_joints(|joints_rad| mistake.undone(joints_rad)))]
+                vec![self.at_rest(rows.with_joints(|joints_rad| mistake.undone(joints_rad)))]
             }
-            Mistake::RowsShifted => rows.shifted().map(Self::at_rest).to_vec(),
+            Mistake::RowsShifted => rows.shifted().map(|rows| self.at_rest(rows)).to_vec(),
             Mistake::Mirrored => {
                 // Any mirror image is this one in another pose of the tracker.
                 let mut mirrored = rows.clone();
@@ -300,7 +310,7 @@ impl Measures for Tracker {
                     row.position_m.z = -row.position_m.z;
                     row.rotation = None;
                 }
-                vec![Self::at_rest(mirrored)]
+                vec![self.at_rest(mirrored)]
             }
             // Displacements and other tables are not corrected in the rows.
             _ => Vec::new(),
@@ -311,7 +321,8 @@ impl Measures for Tracker {
     fn deviations(&self, geometry: &Geometry) -> Vec<Deviation> {
         let deviation = |(row, poses): (&PoseRow, Option<[Pose; 2]>)| {
             let Some([station, probe]) = poses else { return Deviation::of_place(Vector3::repeat(f64::NAN)) };
-            let measured_m = station.transform_point(&row.position_m.into()).coords;
+            let measured_m =
+                station.transform_point(&(row.position_m / (1.0 + geometry.scale)).into()).coords;
             let angle = |rotation: Rotation3<f64>| {
                 rotation_vector((probe.rotation.inverse() * station.rotation * rotation).matrix()).norm()
             };

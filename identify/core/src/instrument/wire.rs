@@ -1,6 +1,6 @@
 //! A draw-wire or telescoping bar that measures one length at each pose, from an anchor to an attachment on the flange. The
-//! residual is `|attachment - anchor| + offset - length` ([`MeasuredLength`]), where anchor, attachment and offset are estimated
-//! too. The errors of lengths have heavy tails (the wire sags, sticks or is read late). A step of the offset, or a joint logged
+//! residual is `(1 + scale) |attachment - anchor| + offset - length` ([`MeasuredLength`]), where anchor, attachment, offset and
+//! scale are estimated too. The errors of lengths have heavy tails (the wire sags, sticks or is read late). A step of the offset, or a joint logged
 //! with the wrong sign, shifts whole runs of rows. Rows that contradict the others are left out; they are determined again after
 //! each solve.
 
@@ -10,6 +10,7 @@ use super::cause::numbered;
 use super::rows::{MEDIAN_OF_ONE, RowNoise, Screened, Standing};
 use super::{
     Cause, Deviation, Instrument, Measures, Mistake, Noise, RejectedRow, Rejection, RowError, ScaleFrom,
+    set_scale_prior,
 };
 use crate::cost::{CostError, DataSet, LoopProblem, MeasuredLength, Residual};
 use crate::kinematics::Chain;
@@ -33,6 +34,8 @@ pub struct Wire {
     rows: Screened<LengthRow>,
     /// Estimated from the spread of the residuals and the stated uncertainties.
     noise: RowNoise,
+    /// Standard uncertainty of the scale \[ppm\]; zero means exact.
+    scale_u_ppm: f64,
     /// Observations of the rows in use.
     observations: Vec<Observation>,
     /// Anchor and attachment of each row in use.
@@ -44,18 +47,25 @@ pub struct Wire {
 impl Wire {
     /// From rows at which the robot stood still, in the order in which it visited them.
     pub fn new(rows: &[LengthRow]) -> Self {
-        Self::from_parts(Screened::new(Standing::new(rows, |row| row.joints_rad)), RowNoise::ALIKE)
+        let rows = Screened::new(Standing::new(rows, |row| row.joints_rad));
+        Self::from_parts(rows, RowNoise::ALIKE, ScaleFrom::Wire.usual_u_ppm())
     }
 
-    fn from_parts(rows: Screened<LengthRow>, noise: RowNoise) -> Self {
+    /// The same with the standard uncertainty of the scale \[ppm\] that the mapping states, if any; zero means exact.
+    #[must_use]
+    pub fn with_scale_u_ppm(self, stated: Option<f64>) -> Self {
+        Self { scale_u_ppm: stated.unwrap_or(self.scale_u_ppm), ..self }
+    }
+
+    fn from_parts(rows: Screened<LengthRow>, noise: RowNoise, scale_u_ppm: f64) -> Self {
         let (observations, set_ups) = observations(&rows.at);
         let relative_noise = noise.relative(rows.at.rows.iter().map(|row| row.uncertainty_m));
-        Self { rows, noise, observations, set_ups, relative_noise }
+        Self { rows, noise, scale_u_ppm, observations, set_ups, relative_noise }
     }
 
     /// The same instrument with other rows and the same noise.
     fn with_rows(&self, all: Standing<LengthRow>) -> Self {
-        Self::from_parts(Screened::new(all), self.noise)
+        Self::from_parts(Screened::new(all), self.noise, self.scale_u_ppm)
     }
 
     /// The same with other lengths.
@@ -77,7 +87,7 @@ fn residuals_m(rows: &Standing<LengthRow>, geometry: &Geometry) -> Vec<f64> {
     let residual = |(row, state): (&LengthRow, &JointState)| {
         let Some((anchor_m, attachment_m)) = wire.at(row.set_up) else { return f64::NAN };
         let attachment_m = geometry.robot_end(state).transform_point(&(*attachment_m).into()).coords;
-        (attachment_m - anchor_m).norm() + wire.offset_m - row.length_m
+        (1.0 + geometry.scale) * (attachment_m - anchor_m).norm() + wire.offset_m - row.length_m
     };
     rows.rows.iter().zip(&rows.states).map(residual).collect()
 }
@@ -183,6 +193,7 @@ impl Measures for Wire {
             }
         }
         model.set_roles(free.into_iter().filter(|id| !fix.contains(id)), Role::Free)?;
+        set_scale_prior(model, self.scale_u_ppm, fix)?;
         Ok(true)
     }
 
@@ -203,14 +214,14 @@ impl Measures for Wire {
     /// sigma.
     fn adapt(&mut self, model: &Model) -> Option<f64> {
         if let Some(noise) = estimate_noise(&self.rows.at, &model.geometry(&[])) {
-            *self = Self::from_parts(self.rows.clone(), noise);
+            *self = Self::from_parts(self.rows.clone(), noise, self.scale_u_ppm);
         }
         None
     }
 
     fn weigh_by(&mut self, model: &Model, samples: &[usize]) {
         if let Some(noise) = estimate_noise(&self.rows.all.chosen(samples), &model.geometry(&[])) {
-            *self = Self::from_parts(self.rows.clone(), noise);
+            *self = Self::from_parts(self.rows.clone(), noise, self.scale_u_ppm);
         }
     }
 
@@ -218,7 +229,7 @@ impl Measures for Wire {
     fn screen(&mut self, model: &Model) -> bool {
         let residuals_m = self.residuals_m(&model.geometry(&[]));
         let changed = self.rows.screen(&residuals_m, &self.relative_noise(), |_| true);
-        *self = Self::from_parts(self.rows.clone(), self.noise);
+        *self = Self::from_parts(self.rows.clone(), self.noise, self.scale_u_ppm);
         changed
     }
 

@@ -160,6 +160,8 @@ pub struct Geometry {
     pub wire: Wire,
     /// Tracker and its targets, for measured positions and poses.
     pub tracker: Tracker,
+    /// Relative error of measured lengths and positions: measured = (1 + scale) * true.
+    pub scale: f64,
     /// Ball and sockets, for ball-in-socket measurements.
     pub contact: Contact,
     /// Tip and faces, for touch measurements.
@@ -186,6 +188,7 @@ impl Geometry {
             clock: Clock::default(),
             wire: Wire::default(),
             tracker: Tracker::default(),
+            scale: 0.0,
             contact: Contact::default(),
             touch: Touch::default(),
         }

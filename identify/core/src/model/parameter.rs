@@ -97,6 +97,8 @@ pub enum Owner {
     Wire,
     /// A tracker or its probe.
     Tracker,
+    /// The scale of a tracker or a wire.
+    Scale,
     /// A ball and its sockets.
     Contact,
     /// A probe tip and the faces that it touches.
@@ -112,6 +114,8 @@ pub enum Group {
     InPlaceOfAnother,
     /// Location, mounting or counter origin; no prior knowledge.
     Placement,
+    /// Relative error of an instrument's lengths, within its stated uncertainty.
+    Scale,
     /// Shift or skew of a clock.
     Clock,
     /// Response to an axial force.
@@ -465,6 +469,13 @@ parameters! {
         is ParameterBlock::placed(Owner::Tracker, coordinate),
         at |geometry| Some(geometry.tracker.probes.get_mut(target)?.coordinate_mut(coordinate));
 
+    /// Relative error of the lengths of a wire, or of the positions of a tracker about the origin of its frame: measured =
+    /// (1 + `scale`) * true. It is positive if the instrument reads too long.
+    Scale
+        called "scale",
+        is ParameterBlock::new(Owner::Scale, Group::Scale, Unit::Ratio),
+        at |geometry| Some(&mut geometry.scale);
+
     /// Centre of the ball that is seated in sockets, in the flange frame: `ball_x` ...
     Ball {
         /// Coordinate of the centre.
@@ -577,10 +588,15 @@ impl ParameterId {
         }
     }
 
+    /// Whether it belongs to this instrument. Trackers and wires have a scale.
+    pub fn is_of(self, instrument: Owner) -> bool {
+        let has_scale = matches!(instrument, Owner::Tracker | Owner::Wire);
+        self.owner() == instrument || self == Self::Scale && has_scale
+    }
+
     /// Whether it can affect this instrument's measurements: it belongs to the robot, the clocks or the instrument.
     pub fn affects(self, instrument: Owner) -> bool {
-        let owner = self.owner();
-        owner == instrument || matches!(owner, Owner::Robot | Owner::Clocks)
+        self.is_of(instrument) || matches!(self.owner(), Owner::Robot | Owner::Clocks)
     }
 
     /// The robot's axis or the bar's joint whose error a term describes, from 0; `None` for geometry and clocks.

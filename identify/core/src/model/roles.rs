@@ -189,7 +189,7 @@ impl Model {
             Owner::Touch => touch.faces = vec![Face::default(); stations],
             _ => return self,
         }
-        self.replace_parameters(|id| id.owner() == owner);
+        self.replace_parameters(|id| id.is_of(owner));
         self
     }
 

@@ -332,6 +332,7 @@ impl<'a> PriorModel<'a> {
         let is_of_instrument = |id: &ParameterId| {
             id.owner() == owner && (request.measures == Measures::Poses || !turns_probe(id))
         };
+        // The scale counts as known, as the plate in plans of paths: its contribution is the same for all poses.
         let instrument: Vec<ParameterId> = model.ids().into_iter().filter(is_of_instrument).collect();
         let waves = ParameterId::joint_waves(WAVES_PER_TURN_MAX);
         let mut model = model.with_drives(DriveTrain::of(request.robot, &flange)).with(waves);

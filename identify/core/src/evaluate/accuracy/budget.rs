@@ -5,6 +5,7 @@ use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 
 use crate::calibrate::Calibration;
+use crate::instrument::Run;
 use crate::model::{Column, Group, Model, ParameterId, Role};
 use crate::solver::Source;
 
@@ -122,8 +123,8 @@ fn source_name(source: Source, calibration: &Calibration) -> String {
         Source::Prior { column } => (column, "estimated, expected"),
         Source::Considered { column } => (column, "fixed"),
     };
-    let (model, name) = (calibration.model(), calibration.solved.covariance_columns[column]);
-    let id = name.id;
+    let name = calibration.solved.covariance_columns[column];
+    let (id, Run { instrument, model }) = (name.id, &calibration.runs[name.data_set]);
     let sigma = stated_sigma(model, id);
     let is_known_length = ParameterId::known_lengths(model.axes()).contains(&id);
     let is_listed_alone = matches!(source, Source::Considered { .. }) || is_known_length;
@@ -132,6 +133,9 @@ fn source_name(source: Source, calibration: &Calibration) -> String {
             let what =
                 if id == ParameterId::ROD { "length of the rod" } else { "length of the offset plate" };
             format!("{what} ({name}), stated within {}", id.unit().display(sigma))
+        }
+        (Group::Scale, Some(sigma)) => {
+            format!("scale of the {} ({name}), stated within {}", instrument.name(), id.unit().display(sigma))
         }
         (_, Some(sigma)) if is_listed_alone => {
             format!("{name}, {how} within {}", id.unit().display(sigma))

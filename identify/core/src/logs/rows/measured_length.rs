@@ -8,7 +8,8 @@ use serde::{Deserialize, Serialize};
 use shared::config::{Kind, Validate, Violation};
 
 use super::pose_rows::{
-    JointColumns, SetUpNames, check_joints, is_zero, mapped, mapped_if_named, rows, uncertainty,
+    JointColumns, SetUpNames, check_joints, check_scale_u, is_zero, mapped, mapped_if_named, rows,
+    uncertainty,
 };
 use crate::kinematics::Joints;
 use crate::logs::source::Source;
@@ -56,6 +57,8 @@ pub struct FlangeColumns {
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MeasuredLengthMapping {
+    /// Standard uncertainty of the wire's scale \[ppm\]; absent: that of a usual wire, zero: exact.
+    pub scale_u_ppm: Option<f64>,
     /// Layout of the table.
     #[serde(default)]
     pub csv: CsvLayout,
@@ -78,6 +81,7 @@ impl Validate for MeasuredLengthMapping {
 
     fn validate(&self) -> Result<(), Violation> {
         self.csv.check()?;
+        check_scale_u(self.scale_u_ppm)?;
         let remedy = "write the excess of every length in mm, or leave it out";
         Violation::outside(
             "length.offset_mm",

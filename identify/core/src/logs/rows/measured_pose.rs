@@ -11,7 +11,8 @@ use serde::{Deserialize, Serialize};
 use shared::config::{AngleUnit, Kind, Validate, Violation};
 
 use super::pose_rows::{
-    JointColumns, SetUpNames, check_joints, mapped, mapped_all, mapped_if_named, rows, uncertainty,
+    JointColumns, SetUpNames, check_joints, check_scale_u, mapped, mapped_all, mapped_if_named, rows,
+    uncertainty,
 };
 use crate::kinematics::Joints;
 use crate::logs::source::Source;
@@ -193,6 +194,8 @@ pub struct PoseUncertainty {
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MeasuredPoseMapping {
+    /// Standard uncertainty of the tracker's scale \[ppm\]; absent: that of a usual tracker, zero: exact.
+    pub scale_u_ppm: Option<f64>,
     /// Layout of the table.
     #[serde(default)]
     pub csv: CsvLayout,
@@ -218,6 +221,7 @@ impl Validate for MeasuredPoseMapping {
 
     fn validate(&self) -> Result<(), Violation> {
         self.csv.check()?;
+        check_scale_u(self.scale_u_ppm)?;
         self.rotation.as_ref().map_or(Ok(()), RotationColumns::check)?;
         match &self.uncertainty {
             Some(UncertaintyColumns { position_mm: None, rotation_mrad: None }) => {

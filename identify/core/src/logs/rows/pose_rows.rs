@@ -198,6 +198,12 @@ pub fn joints_of_robot(joints: &[JointColumn], robot: &RobotConfig, path: &Path)
     })
 }
 
+/// Checks the standard uncertainty of an instrument's scale \[ppm\]. More than a tenth means another unit.
+pub(in crate::logs) fn check_scale_u(scale_u_ppm: Option<f64>) -> Result<(), Violation> {
+    let remedy = "write the standard uncertainty in ppm: 1000 for 0.1 %, 0 if the scale is exact";
+    scale_u_ppm.map_or(Ok(()), |u_ppm| Violation::outside("scale_u_ppm", u_ppm, [0.0, 1e5], remedy))
+}
+
 /// Checks the number of joints, their signs and offsets.
 pub(in crate::logs) fn check_joints(joints: &[JointColumn]) -> Result<(), Violation> {
     let count = joints.len();

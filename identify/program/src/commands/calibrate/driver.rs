@@ -78,8 +78,11 @@ pub(super) fn calibrate(
     let required_m = experiment.identify.require_mm.map(|mm| mm * 1e-3);
     let mut file = file.with_verdict(&evidence.workspace, &limits, required_m);
     let bars_with_source = bars.iter().map(|run| (&run.bar, Source::find(run.bar_path)));
-    let scales = calibration.runs.iter().map(|run| run.instrument.scale());
-    file.scale = Some(scale_sentence(bars_with_source, scales, &evidence.workspace.budget));
+    // The runs of the files of rows are the last ones.
+    let runs_of_rows = &calibration.runs[calibration.runs.len() - rows.len()..];
+    let mappings = experiment.rows().map(|(_, file)| file.mapping.as_path());
+    let others = runs_of_rows.iter().zip(mappings);
+    file.scale = Some(scale_sentence(bars_with_source, others, &evidence.workspace.budget));
 
     let line_numbers: Vec<&[u64]> = beside.iter().map(|beside| beside.lines.as_slice()).collect();
     let residuals = residuals_csv(&calibration, &line_numbers)?;

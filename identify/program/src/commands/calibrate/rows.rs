@@ -235,7 +235,8 @@ fn rows_with_joints(
             let read = MeasuredPoses::load(file, &mapping)?;
             let lines = read.rows.iter().map(|row| row.line).collect();
             let names = names_by_prefix([("tracker", read.stations), ("probe", read.targets)]);
-            (Tracker::new(&read.rows).into(), Beside { lines, names, ..Beside::default() })
+            let tracker = Tracker::new(&read.rows).with_scale_u_ppm(mapping.scale_u_ppm);
+            (tracker.into(), Beside { lines, names, ..Beside::default() })
         }
         Kind::Wire => {
             let mapping: MeasuredLengthMapping = config::load(mapping_file)?;
@@ -243,7 +244,8 @@ fn rows_with_joints(
             let read = MeasuredLengths::load(file, &mapping)?;
             let lines = read.rows.iter().map(|row| row.line).collect();
             let names = names_by_prefix([("anchor", read.anchors), ("attachment", read.attachments)]);
-            (Wire::new(&read.rows).into(), Beside { lines, names, ..Beside::default() })
+            let wire = Wire::new(&read.rows).with_scale_u_ppm(mapping.scale_u_ppm);
+            (wire.into(), Beside { lines, names, ..Beside::default() })
         }
         Kind::Contact => {
             let sockets = options.sockets.as_deref().context("a table of sockets is missing")?;
@@ -310,6 +312,7 @@ fn timed_poses(
         Some(moving) => Tracker::of_moving(&poses, moving),
         None => Tracker::new(&poses),
     };
+    let tracker = tracker.with_scale_u_ppm(mapping.scale_u_ppm);
     let is_dated = mapping.time.is_some_and(|time| time.unit.is_dated());
     let names = names_by_prefix([("tracker", read.stations), ("probe", read.targets)]);
     let aligned = Some(Aligned { alignment, t_ref, is_dated, stood, left_out });
