@@ -7,8 +7,8 @@ use super::{Movement, Residual, Scene};
 use crate::kinematics::Chain;
 use crate::model::{Geometry, Owner, ParameterId, SetUp, Wire};
 
-/// `(1 + scale) |R attachment - anchor| + offset - measured` \[m\], divided by the sample's noise relative to that of the median sample. The
-/// problem divides it by the standard deviation of the median sample.
+/// `(1 + scale) |R attachment - anchor| + offset - measured` \[m\], divided by the sample's noise relative to that of the median
+/// sample. The problem divides it by the standard deviation of the median sample.
 #[derive(Debug, Clone, Copy)]
 pub struct MeasuredLength<'a> {
     /// Standard deviation of each sample relative to that of the median sample; a sample without entry is ignored.

@@ -18,8 +18,8 @@ pub struct PoseNoise {
 }
 
 /// `H = R probe` is the probe's pose by the robot (`held`), `S = T measured` that by the tracker (`seen`), with the tracker's
-/// pose `T` and the measured position divided by `1 + scale`. The residual is the position of `H` minus that of `S` in the robot's base, and the rotation vector of `S^-1 H`,
-/// each divided by its standard deviation.
+/// pose `T` and the measured position divided by `1 + scale`. The residual is the position of `H` minus that of `S` in the
+/// robot's base, and the rotation vector of `S^-1 H`, each divided by its standard deviation.
 ///
 /// The observations only give the time. The measurements are a separate slice, in the same order, one per observation. A sample
 /// without measurement is ignored.

@@ -1,8 +1,8 @@
 //! A draw-wire or telescoping bar that measures one length at each pose, from an anchor to an attachment on the flange. The
 //! residual is `(1 + scale) |attachment - anchor| + offset - length` ([`MeasuredLength`]), where anchor, attachment, offset and
-//! scale are estimated too. The errors of lengths have heavy tails (the wire sags, sticks or is read late). A step of the offset, or a joint logged
-//! with the wrong sign, shifts whole runs of rows. Rows that contradict the others are left out; they are determined again after
-//! each solve.
+//! scale are estimated too. The errors of lengths have heavy tails (the wire sags, sticks or is read late). A step of the
+//! offset, or a joint logged with the wrong sign, shifts whole runs of rows. Rows that contradict the others are left out; they
+//! are determined again after each solve.
 
 use nalgebra::{DMatrix, DVector, Vector3};
 
