@@ -15,7 +15,7 @@ pub use text::{FaultSwitch, FaultText, FaultWindow};
 
 use super::FRAME_BYTES_MAX;
 use crate::SimulatedSegment;
-use crate::node::{MailboxFault, Node, SignalFault};
+use crate::node::{MailboxFault, SignalFault};
 use replies::Replies;
 
 /// A fault. Positions are those on the bus: the coupler is 0, terminals follow. Shares are probabilities per frame, 0 to 1.
@@ -106,6 +106,26 @@ pub enum Fault {
         /// Step \[ns\].
         by_ns: i64,
     },
+}
+
+impl Fault {
+    /// The fault of the encoder signal of the terminal at `position`, if it is one.
+    fn signal_at(self, position: usize) -> Option<SignalFault> {
+        match self {
+            Self::SignalLost { position: at } if at == position => Some(SignalFault::Lost),
+            Self::SignalTooFast { position: at } if at == position => Some(SignalFault::TooFast),
+            _ => None,
+        }
+    }
+
+    /// The lasting fault of the mailbox of the terminal at `position`, if it is one.
+    fn mailbox_at(self, position: usize) -> Option<MailboxFault> {
+        match self {
+            Self::MailboxAbort { position: at, code } if at == position => Some(MailboxFault::Abort(code)),
+            Self::MailboxSilent { position: at } if at == position => Some(MailboxFault::Silent),
+            _ => None,
+        }
+    }
 }
 
 /// Queue of switches for the next frame. Without frames further ones are dropped.
@@ -281,49 +301,39 @@ impl FaultySegment {
         }
     }
 
-    fn apply(&mut self, switch: FaultSwitch, now_ns: i64) {
-        let FaultSwitch { fault, on } = switch;
+    /// Begins or ends a fault. What a device shows follows from all active faults: the end of one does not end another.
+    fn apply(&mut self, FaultSwitch { fault, on }: FaultSwitch, now_ns: i64) {
         self.active.retain(|other| *other != fault);
         if on {
             self.active.push(fault);
         }
-        let signal = |fault| move |node: &mut Node| node.device.set_signal_fault(on.then_some(fault));
-        let mailbox = |fault| move |node: &mut Node| node.mailbox_fault = on.then_some(fault);
-        let segment = &mut self.segment;
+        let Self { segment, active, .. } = self;
         match (fault, on) {
             (Fault::DevicesGone { from }, true) => segment.cut_from(from),
-            (Fault::DevicesGone { .. }, false) => segment.restore(now_ns),
+            (Fault::DevicesGone { .. }, false) => {
+                segment.restore(now_ns);
+                for other in active {
+                    if let Fault::DevicesGone { from } = *other {
+                        segment.cut_from(from);
+                    }
+                }
+            }
             (Fault::FallToSafeOp { position, code }, true) => {
                 segment.change(position, |node| node.esc.fall_to_safe_op(code));
             }
             (Fault::ClockStep { by_ns }, true) => segment.step_reference_clock(now_ns, by_ns),
-            (Fault::SignalLost { position }, _) => segment.change(position, signal(SignalFault::Lost)),
-            (Fault::SignalTooFast { position }, _) => segment.change(position, signal(SignalFault::TooFast)),
-            (Fault::MailboxAbort { position, code }, _) => {
-                segment.change(position, mailbox(MailboxFault::Abort(code)));
+            (Fault::SignalLost { position } | Fault::SignalTooFast { position }, _) => {
+                let last = active.iter().rev().find_map(|other| other.signal_at(position));
+                segment.change(position, |node| node.device.set_signal_fault(last));
             }
-            (Fault::MailboxSilent { position }, _) => segment.change(position, mailbox(MailboxFault::Silent)),
+            (Fault::MailboxAbort { position, .. } | Fault::MailboxSilent { position }, _) => {
+                let last = active.iter().rev().find_map(|other| other.mailbox_at(position));
+                segment.change(position, |node| node.mailbox_fault = last);
+            }
             (Fault::MailboxEmergency { position, code }, true) => {
-                segment.change(position, mailbox(MailboxFault::Emergency(code)));
+                segment.change(position, |node| node.mailbox_fault = Some(MailboxFault::Emergency(code)));
             }
             _ => {}
-        }
-        if !on {
-            // The end of one fault must not end another of the same device or cable.
-            let lasting = |fault: &Fault| {
-                use Fault::{DevicesGone, MailboxAbort, MailboxSilent, SignalLost, SignalTooFast};
-                matches!(
-                    fault,
-                    DevicesGone { .. }
-                        | MailboxAbort { .. }
-                        | MailboxSilent { .. }
-                        | SignalLost { .. }
-                        | SignalTooFast { .. }
-                )
-            };
-            for fault in self.active.clone().into_iter().filter(lasting) {
-                self.apply(FaultSwitch { fault, on: true }, now_ns);
-            }
         }
     }
 }
