@@ -38,8 +38,8 @@ use wiring::Wiring;
 pub const FRAME_BYTES_MAX: usize = 1518;
 /// Number of the bar's encoders.
 const TERMINALS: usize = 5;
-/// More than the coupler can supply.
-const TERMINALS_MAX: usize = 16;
+/// Largest number of terminals: more than the coupler can supply.
+pub const TERMINALS_MAX: u8 = 16;
 /// Devices were powered up within this time before the first frame. Port times, 32 bits of the local time, wrap 4.3 s after
 /// power-up: not while a bus is brought up at once.
 const POWERED_UP_NS: i64 = 1_500_000_000;
@@ -87,7 +87,7 @@ impl SimulatedSegment {
     /// A bus whose encoders follow `source`.
     pub fn new(config: &SegmentConfig, source: Box<dyn EncoderSource>) -> Self {
         let mut random = StdRng::seed_from_u64(config.seed);
-        let terminals = config.terminals.min(TERMINALS_MAX);
+        let terminals = config.terminals.min(usize::from(TERMINALS_MAX));
         let wiring = Wiring::new(1 + terminals, &mut random);
         let drift_ppm = config.drift_ppm.abs().min(100.0);
         let coupler: Box<dyn Device> = Box::new(Ek1100);

@@ -16,7 +16,7 @@ use crate::clock::Clock;
 use crate::run::{open_replay, replaying_segment};
 use crate::segment::faults::{FaultHandle, FaultSwitch, FaultWindow, FaultySegment};
 use crate::segment::simulated::{
-    EncoderSource, ReplayHandle, Revision, SegmentConfig, SimulatedSegment, SmoothMotion,
+    EncoderSource, ReplayHandle, Revision, SegmentConfig, SimulatedSegment, SmoothMotion, TERMINALS_MAX,
 };
 use crate::segment::{EthernetWire, FRAME_BYTES_MAX, Wire};
 
@@ -29,7 +29,8 @@ pub struct SegmentArguments {
     #[arg(long, help_heading = "Simulation", value_name = "FILE", conflicts_with_all = ["terminals", "lines"])]
     replay: Option<PathBuf>,
     /// Number of EL5021 terminals behind the EK1100, at most 16
-    #[arg(long, help_heading = "Simulation", default_value_t = 5, value_parser = clap::value_parser!(u8).range(0..=16))]
+    #[arg(long, help_heading = "Simulation", default_value_t = SegmentConfig::default().terminals as u8,
+        value_parser = clap::value_parser!(u8).range(0..=i64::from(TERMINALS_MAX)))]
     terminals: u8,
     /// Signal periods per revolution of the simulated encoders
     #[arg(long, help_heading = "Simulation", default_value_t = 3600)]
