@@ -203,7 +203,7 @@ mod tests {
     fn what_a_person_should_check_is_named() {
         for (content, why) in [
             (Content { cycles_valid: 11_000, ..WHOLE }, "1000 of 12000 cycles are flagged (8.3 %)"),
-            (Content { cycles_lost: 1, ..WHOLE }, "1 cycles were lost"),
+            (Content { cycles_lost: 1, ..WHOLE }, "1 cycle was lost"),
             (Content { recovered: true, ..WHOLE }, "recovered"),
             (Content { without_clocks: true, ..WHOLE }, "distributed clocks"),
             (
