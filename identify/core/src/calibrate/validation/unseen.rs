@@ -51,18 +51,17 @@ fn parts((data_set, run): (usize, &Run), first: usize) -> Vec<Part> {
 /// calibration. Parts that the other data do not determine are omitted.
 pub fn unseen_parts(calibration: &Calibration) -> Vec<UnseenPart> {
     let Calibration { runs, solved: Solved { columns, solution, sigmas, .. }, .. } = calibration;
+    if runs.iter().all(|run| run.instrument.sections().is_empty()) {
+        return Vec::new();
+    }
     let Ok(problem) = problem(runs, columns, sigmas) else { return Vec::new() };
     let parts: Vec<Part> =
         runs.iter().enumerate().zip(problem.starts()).flat_map(|(run, first)| parts(run, *first)).collect();
-    if parts.is_empty() {
-        return Vec::new();
-    }
     let mut folds: Vec<Vec<usize>> = parts.iter().map(|part| part.samples.clone()).collect();
     // The rest is one more fold, which is always part of the fit.
-    let is_rest = |sample: &usize| {
-        !problem.is_known(*sample) && parts.iter().all(|part| !part.samples.contains(sample))
-    };
-    folds.push((0..problem.samples()).filter(is_rest).collect());
+    let mut is_rest: Vec<bool> = (0..problem.samples()).map(|sample| !problem.is_known(sample)).collect();
+    folds.iter().flatten().for_each(|sample| is_rest[*sample] = false);
+    folds.push((0..is_rest.len()).filter(|sample| is_rest[*sample]).collect());
     let options = Options { loss: solution.loss, ..Options::default() };
     let Ok(normals) = Normals::new(&problem, &solution.x, &options, &folds) else { return Vec::new() };
     let predicted = |(part, x): (Part, Option<Vec<f64>>)| {
