@@ -94,7 +94,9 @@ fn place_instrument(
     }
     // Only the later fit separates errors of the nominal robot from one of the scale.
     let scale = run.model.role(ParameterId::Scale);
-    scale.map_or(Ok(()), |_| run.model.set_role(ParameterId::Scale, Role::Fixed))?;
+    if scale.is_some() {
+        run.model.set_role(ParameterId::Scale, Role::Fixed)?;
+    }
     if run.model.columns().len() > 0 {
         let plan = Plan { watch, ..Plan::new(LossName::Huber, Vec::new()) };
         let placed = estimate(std::slice::from_mut(run), &plan);
@@ -102,7 +104,10 @@ fn place_instrument(
         rows::unless_other_unit(set.whole(), &run.model, flange)?;
         placed?;
     }
-    Ok(scale.map_or(Ok(()), |role| run.model.set_role(ParameterId::Scale, role))?)
+    if let Some(role) = scale {
+        run.model.set_role(ParameterId::Scale, role)?;
+    }
+    Ok(())
 }
 
 /// The longest of the estimated link lengths.

@@ -76,9 +76,12 @@ fn other_reference(Run { instrument, model }: &Run, mapping: &Path) -> Option<St
     let uncertainty = match model.role(ParameterId::Scale) {
         Some(Role::Prior { sigma, .. }) => {
             let is_usual = sigma == from.usual_u_ppm() * 1e-6;
-            let source = if is_usual { "usual unless FILE states another" } else { "as FILE states" };
-            let within = ParameterId::Scale.unit().display(sigma);
-            format!(" within {within} (one sigma), {}", source.replace("FILE", &file))
+            let source = if is_usual {
+                format!("usual unless {file} states another")
+            } else {
+                format!("as {file} states")
+            };
+            format!(" within {} (one sigma), {source}", ParameterId::Scale.unit().display(sigma))
         }
         Some(Role::Free) => ", with an estimated scale".to_owned(),
         Some(Role::Fixed | Role::Considered { .. }) => ", taken as exact".to_owned(),

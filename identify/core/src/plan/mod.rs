@@ -71,11 +71,7 @@ impl shared::config::Validate for PlannedPath {
             return Ok(());
         }
         let found = "a number is not finite, a duration is not between zero and a day, or moves are not in order of their start";
-        Err(shared::config::Violation::new(
-            "path",
-            found.to_owned(),
-            "take the file that `identify plan` wrote",
-        ))
+        Err(shared::config::Violation::new("path", found, "take the file that `identify plan` wrote"))
     }
 }
 

@@ -144,9 +144,9 @@ fn check_travel(
     options: &PrepareOptions,
 ) -> Result<(), PrepareError> {
     let is_kept = |(_, status): &(&Sample, &SampleStatus)| **status == SampleStatus::Kept;
-    let kept: Vec<(&Sample, &SampleStatus)> = joints.iter().zip(statuses).filter(is_kept).collect();
+    let kept: Vec<&Sample> = joints.iter().zip(statuses).filter(is_kept).map(|(sample, _)| sample).collect();
     for joint in (0..BAR_JOINTS).filter(|joint| measured[*joint]) {
-        let [low, high] = extremes(kept.iter().map(|(sample, _)| sample.bar_rad[joint]));
+        let [low, high] = extremes(kept.iter().map(|sample| sample.bar_rad[joint]));
         let travel_deg = (high - low).to_degrees();
         if travel_deg < options.joint_travel_min_deg {
             let needed_deg = options.joint_travel_min_deg;
