@@ -420,8 +420,8 @@ fn spoils() -> Vec<(&'static str, &'static [Kind], Spoil)> {
     ]
 }
 
-/// Joint 3 of this arm moves with the drive of joint 2, so this is no ratio of a drive. Waves of the joint describe it in the
-/// measured range only.
+/// Joint 3 of this arm moves with the drive of joint 2, so this is not the ratio of a drive. Waves of the joint describe it within
+/// the measured range, but not beyond it.
 #[test]
 fn a_joint_that_is_logged_wrong_by_one_per_cent_is_not_green() {
     let mut spoiled = rows(Kind::Tracker, &irb2400(), 1, &USUAL);

@@ -22,8 +22,8 @@ const STRAINED_BY_CHANCE: f64 = 1e-3;
 /// Relative nonlinearity of a prior's influence. The influence on a parameter that the samples do not determine is linear
 /// except for this part.
 const NONLINEAR: f64 = 0.1;
-/// A deviation of more standard deviations of its prior is not an error of this kind: another cause has its shape where the robot was
-/// measured, and not elsewhere.
+/// A deviation of more standard deviations of its prior is not an error of this kind: another cause has its shape where the
+/// robot was measured, and not elsewhere.
 const OTHER_CAUSE: f64 = 10.0;
 /// Minimum fraction of a deviation that remains with the prior. A smaller fraction is not accurate.
 const REMAINING_MIN: f64 = 0.01;

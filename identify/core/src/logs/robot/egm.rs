@@ -2,8 +2,8 @@
 //! length as a varint (what protobuf calls delimited).
 //!
 //! Fields as in ABB's public `egm.proto` (proto2, package `abb.egm`); those that are not used are left out. Joints are in
-//! degrees. The times of `feedBack` and `planned` are UTC since RobotWare 6.07; older controllers give only `header.tm`, milliseconds of
-//! their own that wrap after 49 days.
+//! degrees. The times of `feedBack` and `planned` are UTC since RobotWare 6.07; older controllers give only `header.tm`,
+//! milliseconds of their own that wrap after 49 days.
 
 use std::path::Path;
 
