@@ -416,7 +416,7 @@ def homing(page, pictures):
     assert not any(said.startswith("−") for said in turned), turned
     page.pictures(pictures, "homed")
     close_homing(page)
-    page.wait("document.querySelector('#checks [data-subject=\"reference marks\"]').innerText.includes('of all joints')", "the marks")
+    page.wait("document.querySelector('#checks [data-subject=\"reference marks\"]').innerText.includes('valid for all joints')", "the marks")
     word(page, "READY")
     service("let go")
 
