@@ -28,7 +28,7 @@ static SERVED: LazyLock<Served> = LazyLock::new(|| {
         faults: Vec::new(),
         daemon: crate::daemon(Path::new(&directory)),
         bar: crate::ball_bar(),
-        marks: MarksFile::new(directory.clone(), None),
+        marks_file: MarksFile::new(directory.clone(), None),
         live_tap: None,
     };
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");

@@ -70,7 +70,7 @@ pub struct RunArguments {
 pub fn run(arguments: &RunArguments) -> anyhow::Result<()> {
     let bus = bus_choice(arguments.bus.as_deref())?;
     let (mut daemon, bar) = (arguments.configuration.daemon()?, arguments.configuration.ball_bar()?);
-    let marks = arguments.configuration.marks_file(&arguments.state, &daemon);
+    let marks_file = arguments.configuration.marks_file(&arguments.state, &daemon);
     tracing::info!("configuration: {}", arguments.configuration.origin());
     if let Some(directory) = &arguments.out {
         daemon.directory.clone_from(directory);
@@ -85,7 +85,7 @@ pub fn run(arguments: &RunArguments) -> anyhow::Result<()> {
         bail!("--fault needs the simulated bus, not {name}; omit it, or use `ballbard segment --fault`");
     }
     let live_tap = arguments.foxglove.then(|| LiveTap::new(arguments.foxglove_origin.clone()));
-    let settings = Settings { bus, faults, daemon, bar, marks, live_tap };
+    let settings = Settings { bus, faults, daemon, bar, marks_file, live_tap };
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
         .max_blocking_threads(BLOCKING_THREADS_MAX)

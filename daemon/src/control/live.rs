@@ -191,7 +191,7 @@ pub(super) fn watch(
     let (moments, latest) = watch::channel(Arc::default());
     let minute = Arc::<Mutex<Minute>>::default();
     let watched = Watched { latest, minute: Arc::clone(&minute) };
-    let marks = start_reading_marks(&**scheduler, &disk, &settings.marks);
+    let marks = start_reading_marks(&**scheduler, &disk, &settings.marks_file);
     let observer = Observer::new(&settings);
     let publisher = MomentPublisher {
         settings,
@@ -235,7 +235,7 @@ impl Stepper for MomentPublisher {
         // Marks change only when a homing ends.
         let is_homing = status.homing.as_ref().is_some_and(|homing| !homing.is_over);
         if self.was_homing && !is_homing {
-            self.marks = start_reading_marks(&*self.scheduler, &self.disk, &self.settings.marks);
+            self.marks = start_reading_marks(&*self.scheduler, &self.disk, &self.settings.marks_file);
         }
         self.was_homing = is_homing;
         if let Some(Ok(marks)) = self.marks.poll() {
@@ -673,7 +673,7 @@ mod tests {
                 faults: Vec::new(),
                 daemon: DaemonConfig::default(),
                 bar,
-                marks: MarksFile::new("state".into(), None),
+                marks_file: MarksFile::new("state".into(), None),
                 live_tap: None,
             };
             change(&mut settings);

@@ -168,7 +168,7 @@ impl Service {
 
     /// Begins a homing; refused if the marks could not be saved, so that joints are not turned in vain.
     pub(super) async fn home(&self) -> Result<Answer, Refusal> {
-        match self.ask_disk(DISK_TIMEOUT, |settings, disk| settings.marks.problem(disk)).await {
+        match self.ask_disk(DISK_TIMEOUT, |settings, disk| settings.marks_file.problem(disk)).await {
             Some(None) => self.ask(Command::Home).await,
             Some(Some(problem)) => Ok(Answer::Refused(problem)),
             None => Ok(disk_silent()),
@@ -342,8 +342,8 @@ const DURATION_MAX: Duration = Duration::from_secs(366 * 86_400);
 
 /// The run from a request, with the reference marks on disk.
 fn details(request: StartRequest, settings: &Settings, disk: &dyn Disk) -> Result<RunDetails, Refusal> {
-    let Settings { daemon, marks, .. } = settings;
-    let homing = marks
+    let Settings { daemon, marks_file, .. } = settings;
+    let homing = marks_file
         .read(disk)
         .map_err(|error| Refusal::from(Problem::from(Fact::MarksUnreadable { error: error.to_string() })))?;
     let duration =
@@ -493,7 +493,7 @@ pub(crate) mod tests {
             faults: Vec::new(),
             daemon: DaemonConfig { directory: home, spare_directory, ..daemon },
             bar: config::load(&shipped.join("ball_bar.toml")).unwrap(),
-            marks: MarksFile::new(directory.to_owned(), None),
+            marks_file: MarksFile::new(directory.to_owned(), None),
             live_tap: None,
         }
     }

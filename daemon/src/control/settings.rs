@@ -19,7 +19,7 @@ pub struct Settings {
     /// `ball_bar.toml`.
     pub bar: BallBarConfig,
     /// `homing.toml`, which may be missing.
-    pub marks: MarksFile,
+    pub marks_file: MarksFile,
     /// Publishes a run while it is recorded.
     pub live_tap: Option<LiveTap>,
 }

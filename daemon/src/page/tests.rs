@@ -30,7 +30,7 @@ impl Bench {
     fn new() -> Self {
         let directory = tempfile::tempdir().unwrap();
         let state = directory.path().join("state");
-        let settings = Settings { marks: MarksFile::new(state, None), ..settings(directory.path()) };
+        let settings = Settings { marks_file: MarksFile::new(state, None), ..settings(directory.path()) };
         let scheduler = Threads::on(Clock::Real);
         let storage = Storage::new(&settings.daemon, &*scheduler).unwrap();
         let bus = Arc::new(Mutex::new(None));

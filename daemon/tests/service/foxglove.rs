@@ -82,7 +82,7 @@ fn served(directory: &Path, tap: &LiveTap) -> (Service, u16) {
             ..daemon
         },
         bar,
-        marks: MarksFile::new(directory.into(), None),
+        marks_file: MarksFile::new(directory.into(), None),
         live_tap: Some(tap.clone()),
     };
     let service = Service::start(settings).unwrap();

@@ -37,7 +37,7 @@ pub fn settings(daemon: DaemonConfig, faults: &[&str]) -> Settings {
     Settings {
         bus: BusChoice::Simulated,
         faults: faults.iter().map(|fault| fault.parse().unwrap()).collect(),
-        marks: MarksFile::new(daemon.directory.clone(), None),
+        marks_file: MarksFile::new(daemon.directory.clone(), None),
         daemon,
         bar: bar(),
         live_tap: None,

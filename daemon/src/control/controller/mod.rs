@@ -454,7 +454,7 @@ impl Controller {
 
     fn poll_homing(&mut self) {
         let Some(homing) = &mut self.homing else { return };
-        if homing.poll(&self.settings.bar.encoders, &self.settings.marks) {
+        if homing.poll(&self.settings.bar.encoders, &self.settings.marks_file) {
             self.handle(Event::HomingOver);
         }
     }

@@ -31,9 +31,9 @@ impl Found {
     /// Reads the disk now.
     pub fn now(settings: &Settings, disk: &dyn Disk) -> Self {
         Self {
-            homing: settings.marks.read(disk).map_err(|error| error.to_string()),
+            homing: settings.marks_file.read(disk).map_err(|error| error.to_string()),
             left_behind: runs::left_behind(disk, &settings.daemon.directories()),
-            unsavable: settings.marks.problem(disk),
+            unsavable: settings.marks_file.problem(disk),
         }
     }
 }
@@ -142,7 +142,9 @@ fn reference_marks(controller: &Controller, found: Option<&Found>) -> Finding {
 fn state(controller: &Controller, found: Option<&Found>) -> Finding {
     let found = found.ok_or_else(unanswered)?;
     match &found.unsavable {
-        None => Ok(format!("reference marks can be saved in {}", controller.settings.marks.path().display())),
+        None => {
+            Ok(format!("reference marks can be saved in {}", controller.settings.marks_file.path().display()))
+        }
         Some(problem) => Err(vec![problem.clone()]),
     }
 }
