@@ -189,8 +189,8 @@ facts! {
         "run `ballbard tune`; end programs that take the processor";
     /// A thread of the service has ended.
     ThreadEnded = "thread_ended", Bad { thread: String } =>
-        format!("the thread of the {thread} has ended; its cause is in the log"),
-        "report it with the log";
+        format!("the {thread} thread has ended"),
+        "report this with the log, which shows why";
     /// The bus is in OP again: the end of a fault.
     BusRestored = "bus_restored", Good { attempts: u32 } =>
         match attempts {

@@ -202,14 +202,14 @@ fn what_goes_wrong_on_the_simulated_bus_is_chosen_by_hand() {
 #[test]
 fn a_bus_gone_for_good_ends_the_run_with_a_finished_file_that_says_so() {
     let out = tempfile::tempdir().unwrap();
-    // The full fault ends the run long before its duration.
+    // `full_fault_s` ends the run long before its duration.
     let output =
         record(out.path(), &["--name", "gone", "--duration", "1h", "--fast", "--fault", "link-down@3s"]);
     // Most of its cycles are invalid: a batch job must notice.
     assert_eq!(output.status.code(), Some(1), "{}", said(&output));
     assert!(said(&output).contains("run `gone` is unusable: 60"), "{}", said(&output));
     let recording = Recording::open(&out.path().join("gone.mcap")).unwrap();
-    assert!(recording.end.cause.contains("full fault"), "{}", recording.end.cause);
+    assert!(recording.end.cause.contains("limit `full_fault_s`"), "{}", recording.end.cause);
     let blind = recording.cycles.iter().rev().take_while(|cycle| !cycle.is_valid()).count();
     // 60 s, and the longest check of the bus.
     assert!((6000..6100).contains(&blind), "{blind} cycles");

@@ -174,7 +174,7 @@ fn supervise(
 ) -> anyhow::Result<()> {
     let served = catch_unwind(AssertUnwindSafe(|| runtime.block_on(serving)));
     if served.is_err() {
-        service.shutdown("full fault: the thread that answers requests has ended; its cause is in the log");
+        service.shutdown("the thread that answers requests has ended; the log shows why");
     }
     service.join()?;
     served.map_err(|_| ServiceError::Died.into())

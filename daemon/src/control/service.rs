@@ -62,7 +62,7 @@ pub enum ServiceError {
     #[error("cannot start the service's thread: {0}; end other programs, and start it again")]
     Thread(#[from] std::io::Error),
     /// One of its threads has died.
-    #[error("a thread of the service has ended; its cause is in the log; start the service again")]
+    #[error("a thread of the service has ended (the log shows why); start the service again")]
     Died,
 }
 
@@ -542,7 +542,7 @@ pub(crate) mod tests {
         deadly.store(true, Ordering::Release);
         let fault = wait_until(&service, "the fault", |status| status.last.is_some());
         let last = fault.last.unwrap();
-        assert!(last.cause.contains("thread of the cycle has ended"), "{}", last.cause);
+        assert!(last.cause.contains("cycle thread has ended"), "{}", last.cause);
         let recording = Recording::open(&directory.path().join("cut.mcap")).unwrap();
         assert_eq!((recording.end.cause, recording.cycles.len() as u64), (last.cause, last.cycles));
         assert!(recording.cycles.len() > 50);
@@ -563,7 +563,7 @@ pub(crate) mod tests {
         deadly.store(true, Ordering::Release);
         let is_over = |status: &Status| status.homing.as_ref().is_some_and(|homing| homing.is_over);
         let error = wait_until(&service, "its end", is_over).homing.unwrap().error.unwrap();
-        assert!(error.contains("thread of the cycle has ended") && error.contains("log"), "{error}");
+        assert!(error.contains("cycle thread has ended") && error.contains("log"), "{error}");
         service.shutdown("test over");
         service.join().unwrap();
     }
@@ -577,7 +577,7 @@ pub(crate) mod tests {
         assert!(service.join().is_err());
         assert_eq!(service.status().state, ServiceState::Fault);
         let recording = Recording::open(&directory.path().join("cut.mcap")).unwrap();
-        assert!(recording.end.cause.contains("thread of the control"), "{}", recording.end.cause);
+        assert!(recording.end.cause.contains("control thread"), "{}", recording.end.cause);
         assert!(recording.cycles.len() > 50 && !recording.end.recovered);
     }
 
@@ -604,10 +604,7 @@ pub(crate) mod tests {
         let die_once = move || assert!(died.swap(true, Ordering::AcqRel), "the test ends this thread");
         let (service, _) = simulated_with(directory.path(), Arc::new(SystemDisk), die_once);
         wait_until(&service, "the fault", |status| {
-            status
-                .reason
-                .as_ref()
-                .is_some_and(|reason| reason.contains("the thread of the bring-up has ended"))
+            status.reason.as_ref().is_some_and(|reason| reason.contains("the bring-up thread has ended"))
         });
         record(&service, "next");
         service.shutdown("test over");

@@ -43,7 +43,7 @@ pub(super) struct RunJob {
     pub stop: Stop,
     /// Cycles after which the run ends, and the cause of that end.
     pub cycle_limit: Option<(u64, &'static str)>,
-    /// Number of cycles without a valid sample of any encoder that end the run (full fault).
+    /// Number of consecutive cycles without a valid sample of any encoder that end the run: `full_fault_s`.
     pub full_fault_cycles: u64,
     /// `UTC - monotonic` for the run's sample times \[ns\].
     pub utc_minus_monotonic_ns: i64,
@@ -272,7 +272,7 @@ impl RunTask {
             sink.push_timing(timing);
         }
         if *invalid_cycles >= *full_fault_cycles {
-            stop.stop(&full_fault(*invalid_cycles, *invalid_flags));
+            stop.stop(&full_fault(*invalid_cycles, on_bus.plan.cycle_period, *invalid_flags));
         }
         while let Some(event) = on_bus.acquisition.take_event() {
             sink.push_event(event);
@@ -297,15 +297,15 @@ struct PanicGuard(Stop);
 impl Drop for PanicGuard {
     fn drop(&mut self) {
         if std::thread::panicking() {
-            self.0.stop("full fault: the thread of the cycle has ended; its cause is in the log");
+            self.0.stop("the cycle thread has ended; the log shows why");
         }
     }
 }
 
 /// Cause of a run's end after this number of cycles without a valid sample, with these flags.
-fn full_fault(cycles: u64, flags: u32) -> String {
-    let names = flag_names(flags).join(", ");
-    format!("full fault: no encoder gave a valid sample for {cycles} cycles ({names})")
+fn full_fault(cycles: u64, cycle_period: Duration, flags: u32) -> String {
+    let (time_s, names) = (cycles as f64 * cycle_period.as_secs_f64(), flag_names(flags).join(", "));
+    format!("no encoder gave a valid sample for {time_s:.0} s (limit `full_fault_s`; flags: {names})")
 }
 
 #[cfg(test)]

@@ -16,7 +16,7 @@ use crate::scheduler::{Died, received};
 use crate::segment::simulated::Hand;
 
 /// Cause of a homing's end if the cycle's thread has ended.
-const CYCLE_ENDED: &str = "the thread of the cycle has ended; its cause is in the log";
+const CYCLE_ENDED: &str = "the cycle thread has ended; the log shows why";
 
 /// Largest number of queued steps; further ones are dropped if the control does not read.
 const STEPS_MAX: usize = 64;

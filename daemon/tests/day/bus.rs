@@ -122,7 +122,7 @@ fn a_bus_that_is_gone_for_good_ends_the_run_and_the_service_is_ready_again_when_
         assert_eq!(fault.problems[0].code(), "bus_no_answer");
         assert!(reason.contains("no EtherCAT device answers on sim"), "{reason}");
         let last = fault.last.unwrap();
-        assert!(last.cause.contains("full fault") && last.cause.contains("bus_down"), "{}", last.cause);
+        assert!(last.cause.contains("`full_fault_s`") && last.cause.contains("bus_down"), "{}", last.cause);
         let (status, refused) = day.post("/start", &json!({"name": "refused"})).await;
         assert_eq!((status, refused["error"].as_str()), (409, Some(reason.as_str())));
         let recording = day.recording("day");

@@ -1,6 +1,9 @@
-//! Executes what the [`machine`](crate::control::machine) decides: brings the bus up, begins and ends runs and homings, replies
-//! to clients. Each step takes the requests of clients, polls bus, run, homing and disk tasks, hands what has changed to the
-//! machine as events, and publishes the status, which `view` derives. It never waits for the disk. Its stepper is in `service`.
+//! Executes the actions that the [`machine`](crate::control::machine) decides: it brings the bus up, begins and ends runs and
+//! homings, and replies to clients.
+//!
+//! Each step takes the requests of clients and polls the bus, the run, the homing and the tasks of the disk. Changes are events
+//! for the machine. At its end the step publishes the status, which `view` derives. No step waits for the disk. The thread that
+//! calls [`Controller::poll`] is in `service`.
 
 mod bus_link;
 pub mod homing;
@@ -36,8 +39,8 @@ use problem_log::ProblemLog;
 const POLL: Duration = Duration::from_millis(100);
 /// The same while a client waits for the file of a run, or while the bus is closed at the end of the service.
 const OPENING_POLL: Duration = Duration::from_millis(5);
-/// Cause of a run's end when the control's thread has ended.
-const CONTROL_DIED: &str = "full fault: the thread of the control has ended; its cause is in the log";
+/// Cause of a run's end if the control thread panics.
+const CONTROL_DIED: &str = "the control thread has ended; the log shows why";
 /// Without anything new on disk for this long a run is not being written \[sync periods\].
 const STALLED_SYNC_PERIODS: u32 = 3;
 
@@ -194,8 +197,8 @@ impl Controller {
         self.ending.stop("the service was dropped");
     }
 
-    /// The service ends after the file of a run is finished. It does not wait for what the next service repeats: a file that
-    /// is not created yet, recovery of earlier runs, reference marks.
+    /// Whether the service can end: not before the file of a run is finished. For a file that is still to be created, the recovery
+    /// of earlier runs and the saving of reference marks it waits for [`DISK_WAIT_AT_END`] only: the next service repeats them.
     fn is_over(&self) -> bool {
         let Some(since) = self.leaving_since else { return false };
         let saving_since = self.homing.as_ref().and_then(Homing::saving_since);

@@ -198,7 +198,7 @@ fn a_bus_in_trouble_lets_a_run_go_on_and_none_begin() {
     assert_eq!(machine.handle(Event::BusTroubled(problem("no cable"))), []);
     assert_eq!((machine.state(), machine.run()), (State::Writing, Some("a")));
     assert_eq!(machine.bus_fault(), Some(&problem("no cable")));
-    machine.handle(Event::Ended("full fault".into()));
+    machine.handle(Event::Ended("no valid samples".into()));
     machine.handle(Event::Closed);
     assert_eq!((machine.state(), machine.fault()), (State::Fault, Some(&problem("no cable"))));
     machine.handle(Event::BusUp);
