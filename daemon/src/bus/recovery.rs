@@ -79,8 +79,8 @@ impl Bus {
         Some(any)
     }
 
-    /// Sets the bus' clock, when it comes up next, to the host's monotonic time plus this: a bus that comes up again
-    /// continues its time.
+    /// The next bring-up sets the devices' clocks to the host's monotonic time plus this difference, so that the time of the bus
+    /// continues after an outage.
     pub fn set_bus_minus_monotonic(&mut self, difference_ns: i64) {
         self.bus_minus_monotonic_ns = difference_ns;
     }

@@ -401,7 +401,7 @@ impl Recorder {
         let candidates = [matches!(why, WriteError::Lost(_)).then_some(directory), Some(spare)];
         for candidate in candidates.into_iter().flatten() {
             if let Some(full) = storage.full(&candidate) {
-                tracing::warn!("{why}; the run cannot continue elsewhere: {full}");
+                tracing::warn!("{why}; cannot move the run to {}: {full}", candidate.display());
                 continue;
             }
             let moved = self.writer.sink_mut().move_to(&candidate).and_then(|()| self.writer.write_out());
@@ -410,7 +410,9 @@ impl Recorder {
                     self.continue_after_move(&why);
                     return Ok(());
                 }
-                Err(error) => tracing::warn!("{why}; the run cannot continue elsewhere: {error}"),
+                Err(error) => {
+                    tracing::warn!("{why}; cannot move the run to {}: {error}", candidate.display());
+                }
             }
         }
         Err(why)

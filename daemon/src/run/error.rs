@@ -51,13 +51,13 @@ pub enum RunError {
         holder: Holder,
     },
     /// A crashed run had the requested name.
-    #[error("{}: a run of this name was left behind by a crash and has just been recovered; choose another name", .0.display())]
+    #[error("the name of the run is taken by {}, which has just been recovered after a crash; choose another name", .0.display())]
     NameRecovered(PathBuf),
     /// The disk accepts no run.
     #[error("{0}")]
     Disk(Problem),
-    /// The end was requested before the run had a file.
-    #[error("{cause} before the run had a file; nothing was recorded: {problem}")]
+    /// The end was requested before the file of the run was created.
+    #[error("nothing was recorded: the run ended ({cause}) before the disk had created its file: {problem}")]
     NoFile {
         /// Cause of the end, such as a signal.
         cause: String,
@@ -75,7 +75,7 @@ pub enum RunError {
         content: Option<Box<RunSummary>>,
     },
     /// The end was requested before the bus was in operation.
-    #[error("{cause} while waiting for the bus; nothing was recorded: {problem}")]
+    #[error("nothing was recorded: the run ended ({cause}) before the bus was in operation: {problem}")]
     Waiting {
         /// Cause of the end, such as a signal.
         cause: String,

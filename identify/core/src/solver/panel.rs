@@ -84,7 +84,7 @@ impl Panel {
         self.used = 0;
     }
 
-    /// Residual and Jacobian of the next sample, with `rows` rows of zeros.
+    /// Residual and Jacobian of the next sample: the next `rows` unused rows, all zero. They stay unused until [`Panel::keep`].
     pub(super) fn next(&mut self, rows: usize) -> (&mut [f64], Block<'_>) {
         let offset = self.used;
         let (jacobian, rest) = self.data.split_at_mut(self.columns * self.stride);
