@@ -6,18 +6,23 @@ use std::sync::atomic::{AtomicU32, Ordering};
 
 use shared::recording::{Disk, OpenFile, is_absent};
 
-/// Longer than any such file; other files of its name are not read to their end \[bytes\].
+/// Longer than any such file: a longer one of its name is another file \[bytes\].
 const BYTES_MAX: u64 = 65_536;
 
-/// The text of a file; `None` if it does not exist.
+/// The text of a file; `None` if it does not exist. A longer file than [`BYTES_MAX`] is an error, because its beginning alone
+/// may be valid and mean something else.
 pub fn read(disk: &dyn Disk, file: &Path) -> io::Result<Option<String>> {
     let opened = match disk.open(file) {
         Err(error) if is_absent(&error) => return Ok(None),
         opened => opened?,
     };
-    let mut text = String::new();
-    OpenFile::new(disk, &opened).take(BYTES_MAX).read_to_string(&mut text)?;
-    Ok(Some(text))
+    let invalid = |problem: String| io::Error::new(io::ErrorKind::InvalidData, problem);
+    let mut bytes = Vec::new();
+    OpenFile::new(disk, &opened).take(BYTES_MAX + 1).read_to_end(&mut bytes)?;
+    if bytes.len() as u64 > BYTES_MAX {
+        return Err(invalid(format!("longer than {BYTES_MAX} bytes, so `ballbard` did not write it")));
+    }
+    String::from_utf8(bytes).map(Some).map_err(|error| invalid(error.to_string()))
 }
 
 /// Writes a temporary file under a unique name, synchronises it, and renames it to `file`; creates the directory. Of two
@@ -49,6 +54,8 @@ mod tests {
     use std::path::PathBuf;
     use std::sync::atomic::AtomicBool;
 
+    use shared::recording::SystemDisk;
+
     use super::*;
 
     /// A disk on which another writer writes the same file first.
@@ -65,6 +72,19 @@ mod tests {
             }
             file.write_at(bytes, offset)
         }
+    }
+
+    #[test]
+    fn a_file_is_read_whole_or_not_at_all() {
+        let directory = tempfile::tempdir().unwrap();
+        let file = directory.path().join("note.json");
+        assert_eq!(read(&SystemDisk, &file).unwrap(), None);
+        let longest = "x".repeat(BYTES_MAX as usize);
+        std::fs::write(&file, &longest).unwrap();
+        assert!(read(&SystemDisk, &file).unwrap().is_some_and(|text| text == longest));
+        std::fs::write(&file, longest + "y").unwrap();
+        let error = read(&SystemDisk, &file).unwrap_err().to_string();
+        assert!(error.contains("longer than 65536 bytes"), "{error}");
     }
 
     #[test]
