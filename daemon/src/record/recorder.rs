@@ -309,7 +309,8 @@ impl Recorder {
         self.move_if_refused(written)
     }
 
-    /// Adds the cycles before `until` that the full ring dropped, by number and reason.
+    /// Adds the cycles before `until` that the full ring dropped, by number and reason. None precedes the first record: cycle 0
+    /// of a run finds an empty ring.
     fn fill_lost(&mut self, until: u64) -> Result<(), WriteError> {
         let Some(last) = self.last else { return Ok(()) };
         let first = last.cycle + 1;

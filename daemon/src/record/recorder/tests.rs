@@ -138,6 +138,14 @@ fn cycles_that_a_full_ring_refused_are_in_the_file_as_lost() {
 }
 
 #[test]
+fn the_first_cycle_is_never_lost() {
+    let (recording, summary) = record_through_ring(1, 4);
+    assert_eq!((summary.cycles, summary.cycles_valid, summary.cycles_lost), (4, 1, 3));
+    assert_eq!(recording.cycles[0], cycle(0));
+    assert_eq!(recording.cycles.iter().map(|record| record.cycle).collect::<Vec<_>>(), [0, 1, 2, 3]);
+}
+
+#[test]
 fn a_step_of_the_hosts_utc_is_recorded() {
     let directory = tempfile::tempdir().unwrap();
     let clock = Clock::virtual_from(UtcNs(0));
