@@ -280,8 +280,9 @@ impl Observer {
     /// The moment that follows from `status`.
     pub fn next(&mut self, status: &Status, now: MonoNs) -> Live {
         self.follow_run(status, now);
-        // A run begins with origin 0 again, while the counters continue.
-        if status.origin > self.origin {
+        // A run begins with origin 0 again, while the counters continue. So does the next session of a bus that was closed, such as
+        // after the cycle thread died, but then the counters may have restarted.
+        if status.encoders.is_empty() || status.origin > self.origin {
             self.tracks.iter_mut().for_each(|track| track.counter = None);
         }
         self.origin = status.origin;
@@ -781,6 +782,20 @@ mod tests {
         bench.origin = 0;
         let live = bench.at([Some(1010.0); 5], Some("one"));
         assert!((live.joints[0].angle_deg.unwrap() - 10.0).abs() < 1e-3, "{live:?}");
+    }
+
+    #[test]
+    fn a_new_session_of_the_bus_turns_no_joint() {
+        let mut bench = Bench::new(|_| {});
+        bench.turn(1, 100.0, 50.0);
+        // The cycle thread has died, and the next session begins with origin 0, too.
+        bench.observer.next(&Status::default(), bench.now);
+        let live = bench.at([Some(1000.0); 5], None);
+        assert!(live.joints.iter().all(|joint| joint.angle_deg == Some(0.0)), "{live:?}");
+        assert!(
+            (live.joints[0].range_deg - 100.0).abs() < 1e-3 && live.joints[1].range_deg == 0.0,
+            "{live:?}"
+        );
     }
 
     #[test]
