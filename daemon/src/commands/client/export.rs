@@ -64,10 +64,14 @@ pub fn run(arguments: &ExportArguments) -> anyhow::Result<()> {
     // Renamed at the end: under its final name the table is complete.
     let part = out.with_extension("csv.part");
     let sink = File::create(&part).with_context(|| format!("cannot create {}", part.display()))?;
-    let rows = source
+    let written = source
         .write_csv(layout, service, BufWriter::new(sink))
-        .and_then(|rows| Ok(std::fs::rename(&part, &out).map(|()| rows)?))
-        .with_context(|| format!("cannot write {}; check free space", out.display()))?;
+        .and_then(|rows| Ok(std::fs::rename(&part, &out).map(|()| rows)?));
+    if written.is_err() {
+        // The first error is reported, not this one.
+        let _ = std::fs::remove_file(&part);
+    }
+    let rows = written.with_context(|| format!("cannot export to {}", out.display()))?;
     let file = out.display().to_string();
     if service.format.prints(&serde_json::json!({ "file": file, "rows": rows }))? {
         return Ok(());
