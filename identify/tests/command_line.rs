@@ -335,6 +335,12 @@ fn inspect_takes_the_kind_and_the_mapping_of_a_robot_s_log_as_calibrate_does() {
     let output = inspect(&["--log-mapping", mapping.to_str().unwrap()]);
     let told = String::from_utf8_lossy(&output.stdout);
     assert!(output.status.success() && told.contains("0.6 s, 80 rows"), "{told}");
+    let seven = directory.path().join("seven.toml");
+    let more = "\n[[joints]]\ncolumn = \"J6\"\nunit = \"deg\"\n\n[[coupling]]";
+    let text = std::fs::read_to_string(&mapping).unwrap().replacen("\n[[coupling]]", more, 1);
+    std::fs::write(&seven, text).unwrap();
+    let output = inspect(&["--log-mapping", seven.to_str().unwrap()]);
+    fails(&output, &["seven.toml: the mapping's 7 joints are not the axes of "]);
     let output = inspect(&["--log-format", "rsi"]);
     let told = String::from_utf8_lossy(&output.stderr);
     assert!(!output.status.success() && told.contains("log.dat"), "{told}");

@@ -11,11 +11,13 @@ use shared::config::{self, BallBarConfig, RobotConfig, Source};
 use shared::output::{say, show};
 use shared::recording::Recording;
 
+use super::load_log_mapping;
 use crate::inspect::{self, Inspection};
 use crate::instrument::SocketTable;
 use crate::logs::{
-    self, BarLogMapping, ContactMapping, LogFormat, LogOptions, MeasuredLengthMapping, MeasuredLengths,
-    MeasuredPoseMapping, MeasuredPoses, OtherBarLog, TimedPoses, TouchMapping, Touches, joints_of_robot,
+    self, BarLogMapping, ContactMapping, LogError, LogFormat, LogOptions, MeasuredLengthMapping,
+    MeasuredLengths, MeasuredPoseMapping, MeasuredPoses, OtherBarLog, TimedPoses, TouchMapping, Touches,
+    joints_of_robot,
 };
 use crate::report::table;
 
@@ -89,27 +91,29 @@ impl RowMapping {
         })
     }
 
+    /// Checks that its joints, if it has any, are the axes of the robot; `path` is that of the mapping.
+    fn check_joints(&self, robot: &RobotConfig, path: &Path) -> Result<(), LogError> {
+        let joints = match self {
+            Self::Contacts(_, mapping) => &mapping.joints,
+            Self::Lengths(mapping) => &mapping.joints,
+            Self::Touches(mapping) => &mapping.joints,
+            Self::Poses(mapping) if mapping.time.is_some() => return Ok(()),
+            Self::Poses(mapping) => &mapping.joints,
+        };
+        joints_of_robot(joints, robot, path)
+    }
+
     fn inspected(&self, path: &Path, robot: &RobotConfig) -> anyhow::Result<Inspection> {
         Ok(match self {
             Self::Contacts(table, mapping) => {
-                joints_of_robot(&mapping.joints, robot, path)?;
                 inspect::contacts(&mapping.load(path, &table.names())?, table, robot)
             }
-            Self::Lengths(mapping) => {
-                joints_of_robot(&mapping.joints, robot, path)?;
-                inspect::lengths(&MeasuredLengths::load(path, mapping)?, robot)
-            }
-            Self::Touches(mapping) => {
-                joints_of_robot(&mapping.joints, robot, path)?;
-                inspect::touches(&Touches::load(path, mapping)?, robot)
-            }
+            Self::Lengths(mapping) => inspect::lengths(&MeasuredLengths::load(path, mapping)?, robot),
+            Self::Touches(mapping) => inspect::touches(&Touches::load(path, mapping)?, robot),
             Self::Poses(mapping) if mapping.time.is_some() => {
                 inspect::timed_poses(&TimedPoses::load(path, mapping)?)
             }
-            Self::Poses(mapping) => {
-                joints_of_robot(&mapping.joints, robot, path)?;
-                inspect::poses(&MeasuredPoses::load(path, mapping)?, robot)
-            }
+            Self::Poses(mapping) => inspect::poses(&MeasuredPoses::load(path, mapping)?, robot),
         })
     }
 }
@@ -121,13 +125,19 @@ pub fn run(arguments: &InspectArguments) -> anyhow::Result<()> {
         }
         _ => arguments.mapping.as_deref().map(RowMapping::load).transpose()?,
     };
+    let robot: Option<RobotConfig> = arguments.robot.as_deref().map(config::load).transpose()?;
+    let row_mapping = arguments.contact_mapping.as_ref().or(arguments.mapping.as_ref());
+    if let (Some(rows), Some(robot), Some(path)) = (&rows, &robot, row_mapping) {
+        rows.check_joints(robot, path)?;
+    }
+    let log_mapping = arguments.log_mapping.as_deref().zip(robot.as_ref());
     let settings = Settings {
         rows,
-        robot: arguments.robot.as_deref().map(config::load).transpose()?,
         log_options: LogOptions {
             format: arguments.log_format,
-            mapping: arguments.log_mapping.as_deref().map(config::load).transpose()?,
+            mapping: log_mapping.map(|(path, robot)| load_log_mapping(path, robot)).transpose()?,
         },
+        robot,
         bar: arguments.bar.as_deref().map(config::load).transpose()?,
         recording_mapping: arguments.recording_mapping.as_deref().map(config::load).transpose()?,
     };

@@ -21,7 +21,10 @@ use anyhow::Context;
 use clap::{CommandFactory, Parser, Subcommand};
 use generate::GenerateArguments;
 
+use shared::config::{self, RobotConfig};
 use shared::version::version;
+
+use crate::logs::{RobotLogMapping, joints_of_robot};
 
 const AFTER_HELP: &str = "Example: identify calibrate --recording runs/monday-1.mcap --robot-log monday-1.csv --robot irb2400_16 \
     --out monday-1\n\n\
@@ -96,6 +99,15 @@ impl Arguments {
         }
         Self::try_parse_from(words)
     }
+}
+
+/// Reads the mapping of a robot's logs. Its joints, if it has any, must be the axes of the robot.
+fn load_log_mapping(path: &Path, robot: &RobotConfig) -> anyhow::Result<RobotLogMapping> {
+    let mapping: RobotLogMapping = config::load(path)?;
+    if let Some(mapping) = mapping.with_joints() {
+        joints_of_robot(&mapping.joints, robot, path)?;
+    }
+    Ok(mapping)
 }
 
 /// Checks before any work that files can be created in a directory, or in its nearest parent if it does not exist yet.

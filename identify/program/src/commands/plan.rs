@@ -11,9 +11,9 @@ use shared::config::{self, BallBarConfig, RobotConfig};
 use shared::output::{say, show};
 use shared::time::parse_duration;
 
-use super::ensure_can_write;
 use super::on_terminal::OnTerminal;
 use super::simulate::numbers;
+use super::{ensure_can_write, load_log_mapping};
 use crate::cost::PoseNoise;
 use crate::kinematics::{Chain, Joints, ball_bar_chain, flange_chain, robot_chain};
 use crate::logs::{self, JointTableMapping, LogOptions, joints_of_robot};
@@ -588,7 +588,8 @@ fn find_places(arguments: &PlaceArguments) -> anyhow::Result<()> {
 
 fn check_path(arguments: &CheckArguments) -> anyhow::Result<()> {
     let loaded = arguments.cell.load(Criterion::default())?;
-    let mapping = arguments.log_mapping.as_deref().map(config::load).transpose()?;
+    let mapping =
+        arguments.log_mapping.as_deref().map(|path| load_log_mapping(path, &loaded.robot)).transpose()?;
     let log =
         logs::load_with(&arguments.path, &loaded.robot, &LogOptions { mapping, ..LogOptions::default() })?;
     let information = loaded.information(log.q_rad.duration_s())?;

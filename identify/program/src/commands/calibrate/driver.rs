@@ -15,8 +15,8 @@ use super::rows::{self, Aligned, Beside, Others, WithLogs};
 use super::{ResultArguments, inputs};
 use crate::calibrate::validation::unseen::UnseenPart;
 use crate::calibrate::{self, CalibrateError, Calibration, DataSets, RunInput};
-use crate::commands::ensure_can_write;
 use crate::commands::on_terminal::OnTerminal;
+use crate::commands::{ensure_can_write, load_log_mapping};
 use crate::evaluate::{Evidence, Limit, Validity, evidence, scale_sentence};
 use crate::instrument::{Rows, Run};
 use crate::kinematics::flange_chain;
@@ -50,7 +50,7 @@ pub(super) fn calibrate(
     let truth = truth.map(load_truth).transpose()?;
     let logs = LogOptions {
         format: experiment.log_format,
-        mapping: experiment.log_mapping.as_deref().map(config::load).transpose()?,
+        mapping: experiment.log_mapping.as_deref().map(|path| load_log_mapping(path, robot)).transpose()?,
     };
     let (rows, beside) = rows_of(&experiment, robot, &logs, directory)?;
     experiment.state(&rows);
