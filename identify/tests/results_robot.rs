@@ -329,6 +329,12 @@ fn the_uncertainty_of_a_pose_is_that_of_moving_each_parameter() {
         let found = calibrated(&file, &config).covariance(q).unwrap();
         assert!((found - &expected).amax() < 1e-6 * expected.amax(), "{found} for {expected}");
     }
+    // A parameter that is not identified is not exact.
+    let all = file.covariance.as_mut().unwrap();
+    all.rows.iter_mut().skip(1).for_each(|row| row[1] = None);
+    all.rows[1].fill(None);
+    let error = calibrated(&file, &config).covariance(&JOINTS[0]).unwrap_err();
+    assert_eq!(error, CalibratedRobotError::NotIdentified { name: "rd4".into() });
 }
 
 #[test]

@@ -179,7 +179,10 @@ class Calibration:
         return _table(self._robot.inverse(poses.tobytes(), near.tobytes()), self.axes).reshape(near.shape)
 
     def uncertainty(self, joints: ArrayLike) -> Numbers:
-        """Covariances (.., 6, 6) of position [m] and rotation vector [rad] in the robot's base at postures (.., axes)."""
+        """Covariances (.., 6, 6) of position [m] and rotation vector [rad] in the robot's base at postures (.., axes).
+
+        An error if a parameter of the robot is not identified.
+        """
         q = self._postures(joints)
         return _table(self._robot.covariance(q.tobytes()), 6, 6).reshape(*q.shape[:-1], 6, 6)
 

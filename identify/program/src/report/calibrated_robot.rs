@@ -6,6 +6,7 @@ use nalgebra::{DMatrix, Matrix6, Matrix6xX};
 use shared::config::{BallBarConfig, RobotConfig};
 
 use super::result::file::CalibrationFile;
+use super::result::knowledge::CovarianceEntry;
 use crate::kinematics::{
     InverseError, Joints, Pose, Trace, Tracer, Twist, flange_chain, robot_chain, robot_inverse,
 };
@@ -51,14 +52,22 @@ pub enum CalibratedRobotError {
         "the calibration has no covariance, as in calibration.toml; give calibration.json or its directory"
     )]
     NoCovariance,
+    /// The file has a covariance, but not of this parameter of the robot.
+    #[error(
+        "the calibration has no uncertainty of `{name}`: its measurements do not determine it; calibrate with more poses"
+    )]
+    NotIdentified {
+        /// Such as `ra1`.
+        name: String,
+    },
 }
 
 /// A robot as calibrated, its end where the calibration's last link ends: the flange, or the end of the ball-bar's plate.
 #[derive(Debug, Clone)]
 pub struct CalibratedRobot {
     geometry: Geometry,
-    /// Parameters and their covariance; `None` if the file has none.
-    covariance: Option<(Vec<ParameterId>, DMatrix<f64>)>,
+    /// The uncertain parameters and their covariance, or why it is unknown.
+    covariance: Result<(Vec<ParameterId>, DMatrix<f64>), CalibratedRobotError>,
 }
 
 impl CalibratedRobot {
@@ -81,14 +90,8 @@ impl CalibratedRobot {
                 robot: robot.name.clone(),
             })? = entry.value;
         }
-        let covariance = file.covariance.as_ref().map(|all| {
-            let names = all.names.iter().enumerate();
-            let (columns, ids): (Vec<usize>, Vec<ParameterId>) =
-                names.filter_map(|(column, name)| Some((column, robot_parameter(name)?))).unzip();
-            let between = |i: usize, j: usize| all.between(columns[i], columns[j]).unwrap_or(0.0);
-            let matrix = DMatrix::from_fn(columns.len(), columns.len(), between);
-            (ids, matrix)
-        });
+        let covariance =
+            file.covariance.as_ref().ok_or(CalibratedRobotError::NoCovariance).and_then(robot_covariance);
         Ok(Self { geometry, covariance })
     }
 
@@ -108,7 +111,7 @@ impl CalibratedRobot {
     /// The joints that the robot reports at a pose, of all solutions the one nearest to `near` \[rad, m\].
     ///
     /// # Errors
-    /// All but [`CalibratedRobotError::NoCovariance`].
+    /// [`CalibratedRobotError::Joints`], [`CalibratedRobotError::NotFinite`], [`CalibratedRobotError::Inverse`].
     pub fn inverse(&self, target: &Pose, near: &[f64]) -> Result<Joints, CalibratedRobotError> {
         // Joints without their errors; those reported follow by fixed-point iteration.
         let wanted = robot_inverse(&self.geometry.robot, target, &self.at_rest(near)?.q)?;
@@ -131,9 +134,10 @@ impl CalibratedRobot {
     /// joints, as far as the calibration's own parameters make it uncertain: first-order propagation (JCGM 100:2008, 5.2).
     ///
     /// # Errors
-    /// [`CalibratedRobotError::Joints`], [`CalibratedRobotError::NotFinite`], [`CalibratedRobotError::NoCovariance`].
+    /// [`CalibratedRobotError::Joints`], [`CalibratedRobotError::NotFinite`], [`CalibratedRobotError::NoCovariance`],
+    /// [`CalibratedRobotError::NotIdentified`].
     pub fn covariance(&self, reported: &[f64]) -> Result<Matrix6<f64>, CalibratedRobotError> {
-        let (ids, covariance) = self.covariance.as_ref().ok_or(CalibratedRobotError::NoCovariance)?;
+        let (ids, covariance) = self.covariance.as_ref().map_err(Clone::clone)?;
         let joints = self.geometry.at_rest(self.at_rest(reported)?);
         let mut trace = Trace::default();
         Tracer::new(&self.geometry.robot).trace(&joints.corrected.q, &mut trace);
@@ -155,6 +159,24 @@ impl CalibratedRobot {
         }
         Ok(JointState::at_rest(reported.iter().copied().collect::<Joints>()))
     }
+}
+
+/// Uncertain parameters of the robot and their covariance. One that is not identified is an error: as zero, its covariance would
+/// make it exact.
+fn robot_covariance(all: &CovarianceEntry) -> Result<(Vec<ParameterId>, DMatrix<f64>), CalibratedRobotError> {
+    let names = all.names.iter().enumerate();
+    let (columns, ids): (Vec<usize>, Vec<ParameterId>) =
+        names.filter_map(|(column, name)| Some((column, robot_parameter(name)?))).unzip();
+    let mut covariance = DMatrix::zeros(columns.len(), columns.len());
+    for (i, &a) in columns.iter().enumerate() {
+        // From the diagonal, so that an error names the parameter that is not identified.
+        for (j, &b) in columns[..=i].iter().enumerate().rev() {
+            let not_identified = || CalibratedRobotError::NotIdentified { name: all.names[a].clone() };
+            let entry = all.between(a, b).ok_or_else(not_identified)?;
+            (covariance[(i, j)], covariance[(j, i)]) = (entry, entry);
+        }
+    }
+    Ok((ids, covariance))
 }
 
 /// A parameter of the robot itself by its name; none for those of instruments and of other runs.
