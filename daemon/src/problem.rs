@@ -116,7 +116,7 @@ facts! {
     /// There are more devices than configured.
     BusDeviceUnexpected = "bus_device_unexpected", Bad { position: usize, expected: Vec<String>, found: Vec<String> } =>
         format!("{} is not configured: {}", device(*position), compared(expected, found)),
-        "add the encoders of the devices behind to ball_bar.toml, or take these devices away";
+        "add its encoder and those of the terminals behind it to ball_bar.toml, or remove these terminals";
     /// Another device than configured.
     BusDeviceWrong = "bus_device_wrong", Bad { position: usize, expected: Vec<String>, found: Vec<String> } =>
         format!("{} is another device than configured: {}", device(*position), compared(expected, found)),
@@ -135,12 +135,12 @@ facts! {
         REPLACE;
     /// A terminal refuses a setting.
     BusSettingRefused = "bus_setting_refused", Bad { position: usize, doing: String, error: String } =>
-        format!("{}, while {doing}: {error}", device(*position)),
+        format!("{} refused a command while {doing}: {error}", device(*position)),
         REPLACE;
     /// A terminal keeps another interpolation than was written.
     BusInterpolation = "bus_interpolation", Bad { position: usize, wanted: u8, found: u32 } =>
-        format!("{} interpolates {found} bits after {wanted} were written", device(*position)),
-        "power the terminals off and on, or use a number of bits that its firmware offers";
+        format!("{} interpolates with {found} bits instead of the {wanted} that were set", device(*position)),
+        "power the terminals off and on, or give a number of bits in ball_bar.toml that its firmware offers";
     /// A terminal's process data have another length.
     BusProcessData = "bus_process_data", Bad { position: usize, inputs_bytes: usize, outputs_bytes: usize } =>
         format!(
@@ -156,7 +156,7 @@ facts! {
     /// A terminal's clock does not follow the reference clock.
     BusClockUnsettled = "bus_clock_unsettled", Bad { position: usize, difference_ns: i64 } =>
         format!(
-            "the clock of {} is {difference_ns} ns off the bus time and does not converge to 1000 ns",
+            "the clock of {} differs from the bus time by {difference_ns} ns; 1000 ns are allowed",
             device(*position)
         ),
         REPLACE;
@@ -169,15 +169,15 @@ facts! {
         "nothing: sample times follow it; replace the coupler if this happens again";
     /// Replies with a wrong working counter.
     BusBadReplies = "bus_bad_replies", Bad { position: Option<usize>, flags: Vec<String> } =>
-        format!("consecutive bad replies ({})", flags.join(", ")),
+        format!("several replies in a row have errors ({})", flags.join(", ")),
         first_check(*position);
     /// The EtherCAT stack failed.
     BusStackFailed = "bus_stack_failed", Bad { doing: String, error: String } =>
-        format!("EtherCAT, while {doing}: {error}"),
+        format!("EtherCAT error while {doing}: {error}"),
         "check cables, contacts and the terminals' power";
     /// Stopped while the bus was being brought up.
     BusInterrupted = "bus_interrupted", Bad =>
-        "stopped while the bus was brought up",
+        "the program was stopped while it brought the bus up",
         "start again";
     /// The network interface cannot be used.
     InterfaceUnusable = "interface_unusable", Bad { error: String } =>
@@ -186,7 +186,7 @@ facts! {
     /// The thread of the cycle does not run.
     CycleStalled = "cycle_stalled", Bad { age_s: i64 } =>
         format!("no bus cycle for {age_s} s: the cycle thread is blocked or starved"),
-        "run `ballbard tune`; end programs that take the processor";
+        "run `ballbard tune`; end programs that load the processor";
     /// A thread of the service has ended.
     ThreadEnded = "thread_ended", Bad { thread: String } =>
         format!("the {thread} thread has ended"),
@@ -220,7 +220,7 @@ facts! {
     /// Counts may have a new origin.
     CountsRestarted = "counts_restarted", Check { joint: Option<u8>, because: String } =>
         format!("counts may have a new origin: {because}"),
-        "nothing for the calibration; home again if runs count from marks";
+        "home again if runs use reference marks; the calibration needs nothing";
     /// Cycles were started after their deadline.
     CyclesLate = "cycles_late", Check =>
         "cycles were started after their deadline",
@@ -238,7 +238,7 @@ facts! {
         "correct that, or `directory` in daemon.toml";
     /// Less space than the floor.
     DiskFull = "disk_full", Bad { directory: PathBuf, floor_mb: u64 } =>
-        format!("disk floor: less than {floor_mb} MB are free where {} is", directory.display()),
+        format!("less than {floor_mb} MB are free on the disk of {} (disk floor)", directory.display()),
         "move recordings, or delete some and empty the bin, or lower `disk_floor_mb` in daemon.toml";
     /// A call to the disk failed.
     DiskError = "disk_error", Bad { place: String, error: String } =>
@@ -263,7 +263,7 @@ facts! {
         "wait; if it takes minutes check the disk";
     /// A run waits for its file.
     FilePending = "file_pending", Bad { since_s: f64, step: String } =>
-        format!("the run has no file yet: the disk was requested {step} {since_s:.1} s ago and has not finished"),
+        format!("the run has no file yet: the disk has been {step} for {since_s:.1} s"),
         ATTACH;
     /// The file of the run is not where it was.
     FileLost = "file_lost", Bad { error: String } =>
@@ -276,7 +276,7 @@ facts! {
     /// The file of the run could not be finished.
     FileBroken = "file_broken", Bad { error: String } =>
         error,
-        "check the disk; `ballbard recover` saves the rest";
+        "check the disk, then run `ballbard recover` on the file";
     /// Cycles wait to be written.
     DiskBacklog = "disk_backlog", Bad { backlog_s: f64, limit_s: f64 } =>
         format!(
@@ -293,7 +293,10 @@ facts! {
         "move recordings elsewhere, or delete some and empty the bin, before the run needs the space";
     /// Files were left behind by a crash.
     FilesLeft = "files_left", Check { files: Vec<PathBuf> } =>
-        files.iter().map(|file| file.display().to_string()).collect::<Vec<_>>().join(", "),
+        format!(
+            "not finished since a crash: {}",
+            files.iter().map(|file| file.display().to_string()).collect::<Vec<_>>().join(", ")
+        ),
         "run `ballbard recover` on each";
     /// The run cannot begin.
     RunRefused = "run_refused", Bad { error: String } =>
@@ -326,22 +329,22 @@ facts! {
     /// Priority, core or locked memory were not granted.
     RealtimeDenied = "realtime_denied", Check { report: String } =>
         report,
-        "grant what is missing; without it cycles are late when the machine is busy";
+        "type the commands that `ballbard tune` prints; without them cycles are late when the machine is busy";
     /// The host's clock is not synchronised.
     ClockUnsynchronised = "clock_unsynchronised", Check =>
-        "the host's clock is not synchronised: UTC in the file is as accurate as this clock",
-        "start chrony or systemd-timesyncd; without a network ignore it, calibration finds clock differences";
+        "the host's clock is not synchronised: UTC in the file is only as accurate as this clock",
+        "start chrony or systemd-timesyncd; ignore this without a network: the calibration estimates clock differences";
     /// The kernel does not report whether the clock is synchronised.
     ClockUnknown = "clock_unknown", Check { error: String } =>
         format!("the kernel does not report whether the clock is synchronised: {error}"),
         "allow the system call clock_adjtime in the sandbox of this process";
     /// The host's UTC was set while a run was recorded.
     ClockStepped = "clock_stepped", Check { by_ns: i64 } =>
-        format!("host UTC stepped by {:.3} ms; sample times keep the run's first offset", *by_ns as f64 * 1e-6),
+        format!("the host's clock was set by {:.3} ms; sample times of this run do not follow it", *by_ns as f64 * 1e-6),
         "find the program that set the clock";
     /// Lines of the log were lost.
     LogLinesLost = "log_lines_lost", Check { lines: u64 } =>
-        format!("{lines} lines were lost: standard error did not accept them"),
+        format!("{lines} lines of the log were lost: standard error did not accept them"),
         "check its destination: a full disk, a closed terminal, a pipe that is not read; recording continues";
     /// A joint is turned too far.
     JointWound = "joint_wound", Check { joint: u8, turned_deg: f64, from_mark: bool } =>
@@ -353,7 +356,7 @@ facts! {
     /// A joint is near a singular pose.
     JointSingular = "joint_singular", Check { joint: u8, distance_deg: f64 } =>
         format!("joint {joint} is {distance_deg:.1} degrees from a singular pose of the bar"),
-        "move the path away: rod and axis must not align";
+        "change the path: the rod must not align with the first or the last axis of the bar";
     /// A joint turns faster than its terminal interpolates.
     JointFast = "joint_fast", Check { joint: u8, speed_deg_per_s: f64, limit_deg_per_s: f64 } =>
         format!(
@@ -368,7 +371,7 @@ facts! {
     /// Angles count from zero again.
     AnglesRestarted = "angles_restarted", Check { since_s: f64 } =>
         format!("since {} angles and coverage count from zero again", clock_time(*since_s)),
-        "counters lost their origin, as after an outage of the bus; the calibration accounts for this";
+        "nothing to do: the counters restarted, as after an outage of the bus, and the calibration accounts for it";
 }
 
 impl Fact {
@@ -504,9 +507,9 @@ fn invalid_encoders(joints: &[u8], status: Option<u16>, valid_share: f64) -> Str
 fn first_check(position: Option<usize>) -> String {
     let place = match position {
         Some(position) => format!("{} and the contact before it", device(position)),
-        None => "the coupler's cable and power, then along the terminals".into(),
+        None => "the coupler's cable and power, then one terminal after the other".into(),
     };
-    format!("check {place} first; the bus returns to operation once all devices answer")
+    format!("first check {place}; the bus returns to operation once all devices answer")
 }
 
 fn compared(expected: &[String], found: &[String]) -> String {

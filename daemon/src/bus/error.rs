@@ -97,7 +97,7 @@ mod tests {
         let more = text(4);
         assert!(more.contains("terminal 3 is not configured") && more.contains(all), "{more}");
         assert!(
-            more.contains("device2, another device]") && more.contains("take these devices away"),
+            more.contains("device2, another device]") && more.contains("remove these terminals"),
             "{more}"
         );
     }

@@ -52,8 +52,8 @@ pub enum HomingError {
     },
     /// No mark within the time limit.
     #[error(
-        "no reference mark within {PATIENCE_S} s of joint {joint}, which turned {turned_deg:.0} degrees; turn it a whole \
-         revolution or over the place of its mark, and check the C wires of its terminal"
+        "joint {joint} turned by {turned_deg:.0} degrees in {PATIENCE_S} s without a reference mark; check the C wires of its \
+         terminal, then home again and turn it over its mark, or by a whole turn"
     )]
     NoMark {
         /// Bar joint, 1 to 5.

@@ -107,12 +107,12 @@ function show_progress({ status: { run }, verdict, disk_hours }) {
     counter("on disk", `${run.cycles}`),
     counter("flagged", `${flagged}`),
     counter("lost", `${run.cycles_lost}`),
-    counter("not safe yet", `${run.unsynced_s.toFixed(1)} s`),
+    counter("not on disk yet", `${run.unsynced_s.toFixed(1)} s`),
     counter("file", `${(run.bytes / 1e6).toFixed(1)} MB`),
     counter("disk left", hours(disk_hours)));
   $("timing").replaceChildren(
-    counter("late, 99 % below", late ? us(late.p99_ns) : "–"),
-    counter("latest", late ? us(late.max_ns) : "–"));
+    counter("lateness, 99 % below", late ? us(late.p99_ns) : "–"),
+    counter("largest lateness", late ? us(late.max_ns) : "–"));
   const marks = run.marks.map(marked);
   if ($("marks").dataset.said !== marks.join("\n")) {
     $("marks").dataset.said = marks.join("\n");
@@ -240,7 +240,7 @@ function show_begin() {
   button.classList.toggle("reluctant", stopping.length > 0);
   text(button, stopping.length ? "Start anyway …" : "Start");
   const why = state === undefined ? "no connection" : state !== "waiting" ? latest.headline.word.toLowerCase()
-    : stopping.length ? `stopped by: ${stopping.map((line) => line.subject).join(", ")}` : "";
+    : stopping.length ? `correct first: ${stopping.map((line) => line.subject).join(", ")}` : "";
   text($("begin-why"), why);
   $("home").disabled = state !== "waiting";
 }
@@ -337,7 +337,7 @@ function mark() {
 async function note() {
   if (!can_mark()) return;
   const since_ms = performance.now();
-  const said = await choose({ title: "Note of this instant", label: "Text", required: true, yes: "Put into the run" });
+  const said = await choose({ title: "Note at this moment", label: "Text", required: true, yes: "Put into the run" });
   if (said) put_mark(said, since_ms);
 }
 

@@ -91,8 +91,8 @@ export class Homing {
   async begin() {
     const yes = await choose({
       title: "Home encoders",
-      text: "Turn one joint after the other, alone, slowly and in its positive direction over its reference mark. It takes "
-        + "two minutes at most for each joint.",
+      text: "Turn one joint after the other, alone, slowly and in its positive direction over its reference mark. "
+        + "Each joint has a time limit of two minutes.",
       yes: "Begin",
     });
     if (!yes) return;

@@ -428,9 +428,9 @@ impl Stepper for RunRecording {
 /// Creates the run's file. Crashed runs are recovered before: one of them may have its name.
 fn create(link: &RunLink, run: &RunMetadata) -> Result<RecordingWriter<RunFile>, RunError> {
     let RunLink { progress, storage, .. } = link;
-    progress.opening("to recover earlier runs");
+    progress.opening("recovering earlier runs");
     let recovered = finish_leftovers(storage);
-    progress.opening("to create it");
+    progress.opening("creating it");
     // The known state of the disk may be that of the previous run's place.
     if let Some(full) = storage.full(storage.directory()) {
         return Err(RunError::Disk(full));

@@ -38,10 +38,11 @@ fn terminals_that_are_gone_are_a_fault_at_once_and_no_run_begins() {
 fn a_terminal_that_refuses_its_settings_is_named_until_it_accepts_them() {
     live_on_bus(&["gone:3@7s-8s", "abort:1,0x06090011@7s-9s"], async |day| {
         day.wait_for(ServiceState::Waiting).await;
-        let refusing = day.wait_for_reason("terminal 1, while setting the interpolation").await;
+        let refusing =
+            day.wait_for_reason("terminal 1 refused a command while setting the interpolation").await;
         assert_eq!(refusing.problems[0].code(), "bus_setting_refused");
         let reason = refusing.reason.unwrap();
-        assert!(reason.starts_with("no samples from any encoder: terminal 1,"), "{reason}");
+        assert!(reason.starts_with("no samples from any encoder: terminal 1 refused"), "{reason}");
         day.wait_for(ServiceState::Waiting).await;
         day.end().await;
     });

@@ -166,10 +166,7 @@ fn while_the_disk_makes_no_file_everybody_is_answered_and_no_cycle_is_lost() {
             told.set(Some(since(begun)));
         });
         let has_reason = |status: &Status| {
-            status
-                .reason
-                .as_ref()
-                .is_some_and(|reason| reason.contains("the disk was requested to create it"))
+            status.reason.as_ref().is_some_and(|reason| reason.contains("the disk has been creating it"))
         };
         let status = day.wait(Duration::from_secs(5), has_reason).await;
         assert!(has_reason(&status) && status.state == ServiceState::Opening, "{status:?}");

@@ -237,7 +237,10 @@ pub fn check(service: &ServiceArguments) -> anyhow::Result<()> {
     }
     let problems = lines.iter().filter(|line| line.stops).count();
     if problems > 0 {
-        bail!("{problems} of {} checks found a problem that would cost a run", lines.len());
+        bail!(
+            "{problems} of {} checks found a problem that stops a run; correct it, or give `start` a --reason",
+            lines.len()
+        );
     }
     Ok(())
 }

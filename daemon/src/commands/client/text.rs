@@ -56,7 +56,8 @@ pub fn ensure_usable(name: &str, verdict: Option<&Verdict>) -> anyhow::Result<()
 
 /// A run that is being recorded.
 pub fn running(run: &RunStatus) -> String {
-    let age = run.sync_age_ms.map_or("nothing on disk yet".into(), |age| format!("all up to {age} ms ago"));
+    let age =
+        run.sync_age_ms.map_or("nothing on disk yet".into(), |age| format!("synchronised {age} ms ago"));
     format!(
         "run `{}`: {} cycles on disk, {} valid, {} lost, {:.1} MB, {age}\n{}; {:.1} s not safe on disk yet, {:.1} s not \
          written yet (at {:.0} s cycles are lost)",

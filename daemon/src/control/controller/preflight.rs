@@ -123,7 +123,11 @@ fn cables(status: &Status) -> Finding {
 fn reference_marks(controller: &Controller, found: Option<&Found>) -> Finding {
     let found = found.ok_or_else(unanswered)?;
     let homing = match &found.homing {
-        Ok(None) => return Ok("not homed; calibration finds the offsets of this power cycle".into()),
+        Ok(None) => {
+            return Ok(
+                "not homed, which is not necessary: the calibration estimates the encoder offsets".into()
+            );
+        }
         Ok(Some(homing)) => homing,
         Err(error) => return Err(vec![Fact::MarksUnreadable { error: error.clone() }.into()]),
     };
@@ -170,7 +174,7 @@ fn disk(controller: &Controller) -> Finding {
         format!("; {:.1} s wait to be written, {}", progress.backlog_s, progress.longest)
     });
     let usable_mb = usable / 1_000_000;
-    Ok(format!("{usable_mb} MB usable, some {hours:.0} hours at {rate_hz} Hz{waited}"))
+    Ok(format!("{usable_mb} MB usable, about {hours:.0} hours at {rate_hz} Hz{waited}"))
 }
 
 fn realtime(controller: &Controller) -> Finding {
