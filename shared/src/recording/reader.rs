@@ -33,13 +33,15 @@ pub enum ReadErrorKind {
     #[error("cannot be read: {0}; check the path and its permissions")]
     Io(#[from] io::Error),
     /// The MCAP structure is broken.
-    #[error("damaged or not an MCAP file: {0}; if a run was cut short, run `ballbard recover` on it")]
+    #[error("damaged or not an MCAP file: {0}; if a run was cut short, run `ballbard recover` on the file")]
     Container(#[from] McapError),
     /// A chunk has no checksum, so nothing in it can be trusted.
-    #[error("damaged: a chunk without a checksum; if a run was cut short, run `ballbard recover` on it")]
+    #[error(
+        "damaged: a chunk without a checksum; if a run was cut short, run `ballbard recover` on the file"
+    )]
     NoChecksum,
     /// A record is where it cannot be.
-    #[error("damaged: {0}; if a run was cut short, run `ballbard recover` on it")]
+    #[error("damaged: {0}; if a run was cut short, run `ballbard recover` on the file")]
     Misplaced(String),
     /// A message is broken though its chunk's checksum is right.
     #[error(
@@ -62,10 +64,10 @@ pub enum ReadErrorKind {
         problem: String,
     },
     /// The run has no end record.
-    #[error("the run was never finished (its end is missing); run `ballbard recover` on it")]
+    #[error("the run was never finished (its end is missing); run `ballbard recover` on the file")]
     Unfinished,
     /// Cycle numbers have a hole, or their count differs from that of the end record.
-    #[error("cycle {found} follows where {expected} should be; run `ballbard recover` on it")]
+    #[error("cycle {expected} is missing, the file continues at {found}; run `ballbard recover` on the file")]
     Hole {
         /// Cycle number that should come.
         expected: u64,
