@@ -15,7 +15,7 @@ use crate::solver::{Change, Course, LossName, change_point};
 const FALSE_ALARMS: f64 = 1e-4;
 /// Minimum clock step that refuses a run \[s\]: at 0.15 rad/s it corresponds to `slip_min_mrad`.
 const CLOCK_S_MIN: f64 = 0.002;
-/// Minimum displacement of the bar's base per radian of `slip_min_mrad` \[m\]: a rod of half a metre.
+/// Minimum displacement of the bar's base that refuses a run, per radian of `slip_min_mrad` \[m\]: a rod of half a metre.
 const LEVER_M: f64 = 0.5;
 /// Minimum fraction of the squared residuals that a change must explain to refuse a run. Below it model errors dominate, and
 /// these can look like a change if the path differs from part to part.
@@ -78,7 +78,7 @@ fn changes(runs: &[Run], sigmas: &[f64]) -> Result<Vec<Changed>, CalibrateError>
     Ok(all)
 }
 
-/// The most significant change in one data set; its index in the result is 0.
+/// The most significant change in one data set; the caller sets `data_set` in the result.
 fn change_of_run(Run { instrument, model }: &Run, sigma: f64) -> Result<Option<Changed>, CalibrateError> {
     // Parameters fixed at uncertain values are estimated as well, so that their errors are not reported as a change.
     let model =
@@ -100,6 +100,7 @@ fn change_of_run(Run { instrument, model }: &Run, sigma: f64) -> Result<Option<C
         causes.iter().map(|cause| cause.ids.iter().filter_map(column).collect()).collect();
     let estimated: Vec<usize> = model.columns().filter_map(|parameter| column(&parameter.id)).collect();
     let problem = instrument.data_set(&with_causes, sigma)?;
+    // Without the samples that state known properties of the instrument.
     let measured = || (0..problem.samples()).filter(|sample| !problem.is_known(*sample));
     let every = measured().count().div_ceil(SAMPLES_MAX).max(1);
     let samples: Vec<usize> = measured().step_by(every).collect();

@@ -341,7 +341,7 @@ impl IdentifyConfig {
         }
         // Whether the link parameter is a dimension of a part; the others only define a frame.
         let is_dimension = match (self.selection, id) {
-            // Roles of the robot's links already contain this, except those of the last link.
+            // `set_link_roles` has given an uncertainty to the other links; what it left fixed only defines a frame.
             (SelectionName::Cell, ParameterId::Robot { link, .. }) => {
                 link + 1 == axes && id != ParameterId::plate(axes)
             }
@@ -355,9 +355,7 @@ impl IdentifyConfig {
             _ => None,
         }
     }
-}
 
-impl IdentifyConfig {
     /// Frees a parameter that a force determines, unless it is fixed or has a prior.
     ///
     /// # Errors

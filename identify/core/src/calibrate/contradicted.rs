@@ -1,6 +1,6 @@
-//! Priors, and the scale of all lengths, that the samples contradict: the stated uncertainty of one of them is too small. What it
-//! was used for is then as uncertain as the contradiction shows; the covariance has an additional source for each. Steps of
-//! [`super::calibrate`]; `evaluate::limits` states them.
+//! Priors, and the scale of all lengths, that the samples contradict: the stated uncertainty of one of them is too small. The
+//! covariance of the solution gets an additional source for each contradiction, of its size. Steps of [`super::calibrate`];
+//! `evaluate::limits` states them.
 
 use std::fmt;
 
@@ -50,6 +50,7 @@ impl Contradicted {
         let mut covariance = solution.covariance.clone();
         for prior in &self.priors {
             let Some(column) = columns.all().iter().position(|own| *own == prior.column) else { continue };
+            // Shift of all estimates if the prior is wrong by the deviation of the estimate without it.
             let shift = solution.covariance.by_prior_on_all(column, prior.s0) * prior.times_without();
             covariance = covariance.with_source(Source::Contradicted { column }, &shift);
         }
@@ -150,7 +151,7 @@ impl fmt::Display for ContradictedPrior {
     }
 }
 
-/// An estimated length of robot or bar.
+/// An estimated length of robot or bar; `off_m` is the estimated minus the nominal value.
 pub(crate) struct Length {
     pub(crate) id: ParameterId,
     column: usize,
@@ -164,6 +165,7 @@ impl fmt::Display for Length {
     }
 }
 
+/// The estimated lengths of robot and bar; the first columns of the solution are those of `model`.
 pub(crate) fn lengths(model: &Model, solution: &Solution) -> impl Iterator<Item = Length> {
     let solved = model.columns().zip(&solution.x).enumerate();
     solved.filter_map(|(column, (parameter, x))| match parameter.id {
@@ -198,12 +200,12 @@ fn other_scale(model: &Model, solution: &Solution) -> Option<OtherScale> {
     let lengths: Vec<Length> = lengths(model, solution).filter(of_robot).collect();
     let nominal_m = DVector::from_iterator(lengths.len(), lengths.iter().map(|length| length.nominal_m));
     let off_m = DVector::from_iterator(lengths.len(), lengths.iter().map(|length| length.off_m));
-    let spread = DMatrix::from_fn(lengths.len(), lengths.len(), |row, column| {
+    let length_covariance = DMatrix::from_fn(lengths.len(), lengths.len(), |row, column| {
         let estimated = covariance.between(lengths[row].column, lengths[column].column).unwrap_or(0.0);
         estimated + if row == column { LENGTH_SIGMA_M.powi(2) } else { 0.0 }
     });
-    // With `C` the covariance: `s = (L' C^-1 off) / (L' C^-1 L)`.
-    let weighted = spread.cholesky()?.solve(&nominal_m);
+    // With `C` this covariance: `s = (L' C^-1 off) / (L' C^-1 L)`.
+    let weighted = length_covariance.cholesky()?.solve(&nominal_m);
     let (along, information) = (weighted.dot(&off_m), weighted.dot(&nominal_m));
     let sigmas = (along / information.sqrt()).abs();
     let sigmas_max = Normal::standard().inverse_cdf(1.0 - OTHER_SCALE_BY_CHANCE / 2.0);

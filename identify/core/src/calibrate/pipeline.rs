@@ -107,9 +107,9 @@ pub(super) fn problem_with_models<'p>(
     Ok(DataSets::new(sets.collect::<Result<_, _>>()?, columns))
 }
 
-/// Factor of the `sigma` of one data set for the correlation of its errors: correlated errors carry less information than
-/// independent ones. `alone` has residuals in their own unit, so its dispersion has to be divided by `sigma^2`. `groups` are
-/// independent groups of its samples.
+/// Factor, at least 1, that increases the `sigma` of one data set for the correlation of its errors: correlated errors carry less
+/// information than independent ones. It is the root of their [`Normals::overdispersion`]. `alone` has residuals in their own
+/// unit, so its dispersion has to be divided by `sigma^2`. `groups` are independent groups of its samples.
 fn correlation_factor(alone: &dyn Problem, model: &Model, groups: &[Vec<usize>], sigma: f64) -> f64 {
     let loss = LossName::Cauchy.for_spread(sigma, alone.rows());
     let options = Options { loss, ..Options::default() };

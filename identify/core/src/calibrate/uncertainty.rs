@@ -23,7 +23,7 @@ impl Models {
     }
 }
 
-/// The prior that includes a considered term; `None` for other parameters.
+/// Prior with which a considered error term is estimated; `None` for other parameters, which stay fixed.
 fn prior_of_term(parameter: &Parameter, sigma: f64) -> Option<Role> {
     parameter.id.term().map(|_| Role::Prior { value: parameter.value, sigma })
 }

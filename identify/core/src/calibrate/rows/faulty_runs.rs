@@ -34,37 +34,6 @@ pub struct FaultyRun {
     pub cause: Option<RunCause>,
 }
 
-/// Median of the absolute residuals \[m\] if the offset of the instrument changed. Residuals are robot minus measurement, so
-/// their median is minus the change.
-fn zero_moved(residuals_m: &[f64]) -> (f64, RunCause) {
-    let by_m = quantile(&mut residuals_m.to_vec(), 0.5);
-    (median_size(residuals_m.iter().map(|r| r - by_m)), RunCause::ZeroMoved { by_m: -by_m })
-}
-
-/// Signed residuals, robot minus measurement \[m\].
-pub(super) fn residuals_m(instrument: &Instrument, model: &Model) -> Vec<f64> {
-    let deviations = instrument.deviations(&model.geometry(&[])).into_iter();
-    deviations.map(|deviation| deviation.signed_m()).collect()
-}
-
-/// Median of the absolute residuals \[m\] with the opposite sign of a joint.
-fn sign_reversed(model: &Model, rows: &Instrument, joint: usize) -> Option<(f64, RunCause)> {
-    let corrected = rows.undone(Mistake::Joints(JointMistake::Reversed(joint))).into_iter().next()?;
-    let median_m = median_size(residuals_m(&corrected, model).into_iter());
-    Some((median_m, RunCause::SignReversed { joint: joint + 1 }))
-}
-
-fn explain(model: &Model, rows: &Instrument, residuals_m: &[f64], median_m: f64) -> Option<RunCause> {
-    /// A cause must reduce the residuals to this fraction or less.
-    const PART_LEFT: f64 = 1.0 / 3.0;
-    (0..model.axes())
-        .filter_map(|joint| sign_reversed(model, rows, joint))
-        .chain([zero_moved(residuals_m)])
-        .min_by(|a, b| a.0.total_cmp(&b.0))
-        .filter(|(corrected_m, _)| *corrected_m <= PART_LEFT * median_m)
-        .map(|(_, cause)| cause)
-}
-
 /// Faulty runs among rejected rows (in ascending order).
 pub(super) fn runs(model: &Model, all: &Instrument, rejected: &[RejectedRow]) -> Vec<FaultyRun> {
     let faulty: Vec<usize> =
@@ -79,4 +48,36 @@ pub(super) fn runs(model: &Model, all: &Instrument, rejected: &[RejectedRow]) ->
         Some(FaultyRun { first, last, median_m, cause })
     };
     consecutive.filter_map(run).collect()
+}
+
+/// The cause of a run of `rows` whose correction reduces the median of the absolute residuals, `median_m`, most.
+fn explain(model: &Model, rows: &Instrument, residuals_m: &[f64], median_m: f64) -> Option<RunCause> {
+    /// A cause must reduce the residuals to this fraction or less.
+    const PART_LEFT: f64 = 1.0 / 3.0;
+    (0..model.axes())
+        .filter_map(|joint| sign_reversed(model, rows, joint))
+        .chain([zero_moved(residuals_m)])
+        .min_by(|a, b| a.0.total_cmp(&b.0))
+        .filter(|(corrected_m, _)| *corrected_m <= PART_LEFT * median_m)
+        .map(|(_, cause)| cause)
+}
+
+/// Median of the absolute residuals \[m\] with the opposite sign of a joint.
+fn sign_reversed(model: &Model, rows: &Instrument, joint: usize) -> Option<(f64, RunCause)> {
+    let corrected = rows.undone(Mistake::Joints(JointMistake::Reversed(joint))).into_iter().next()?;
+    let median_m = median_size(residuals_m(&corrected, model).into_iter());
+    Some((median_m, RunCause::SignReversed { joint: joint + 1 }))
+}
+
+/// Median of the absolute residuals \[m\] if the offset of the instrument changed. Residuals are robot minus measurement, so
+/// their median is minus the change.
+fn zero_moved(residuals_m: &[f64]) -> (f64, RunCause) {
+    let median_m = quantile(&mut residuals_m.to_vec(), 0.5);
+    (median_size(residuals_m.iter().map(|r| r - median_m)), RunCause::ZeroMoved { by_m: -median_m })
+}
+
+/// Signed residuals, robot minus measurement \[m\].
+pub(super) fn residuals_m(instrument: &Instrument, model: &Model) -> Vec<f64> {
+    let deviations = instrument.deviations(&model.geometry(&[])).into_iter();
+    deviations.map(|deviation| deviation.signed_m()).collect()
 }

@@ -43,7 +43,7 @@ const BETTER_BY_CHANCE: f64 = 0.05;
 /// Probability that a calibration no worse than the nominal robot is classified as worse.
 const WORSE_BY_CHANCE: f64 = 1e-3;
 
-/// Ratio of two root mean squares of `n` errors each that is below this with the given probability if the robots are equal. The
+/// Quantile, at this probability, of the ratio of two root mean squares of `n` errors each if the robots are equal. The
 /// difference of their logarithms has a variance of at most `1 / n`, since they are of the same samples.
 fn ratio_by_chance(n: usize, probability: f64) -> f64 {
     let sigma = (n.max(1) as f64).sqrt().recip();

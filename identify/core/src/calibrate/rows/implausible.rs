@@ -6,7 +6,7 @@
 
 use std::fmt;
 
-use nalgebra::Vector3;
+use nalgebra::{DMatrix, DVector, Vector3};
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use super::likely::{likely, likely_of_all};
@@ -175,6 +175,9 @@ fn blocks(errors_m: &[Vector3<f64>]) -> Vec<(usize, Vector3<f64>)> {
     errors_m.chunks(size).enumerate().map(median).collect()
 }
 
+/// Columns of the regression in [`step_before`]: mean, drift, step.
+const COEFFICIENTS: usize = 3;
+
 /// The most significant step in time of the position errors beside a linear drift, if it is significant.
 ///
 /// Medians of blocks are used, so that single outliers cause no step. The test is Student's t for the three coordinates of a
@@ -185,8 +188,6 @@ pub(super) fn step(instrument: &Instrument, model: &Model) -> Option<Step> {
     const FALSE_ALARMS: f64 = 1e-4;
     /// Minimum number of blocks before and after a step.
     const BESIDE: usize = 3;
-    /// Columns of the regression: mean, drift, step.
-    const COEFFICIENTS: usize = 3;
     // Only a tracker, which measures positions, can have this mistake.
     if !instrument.mistakes(0).iter().any(|mistake| matches!(mistake, Mistake::Moved(_))) {
         return None;
@@ -203,25 +204,29 @@ pub(super) fn step(instrument: &Instrument, model: &Model) -> Option<Step> {
     // Both signs of three coordinates.
     let tests = 2.0 * 3.0 * first_after.clone().count() as f64;
     let limit = StudentsT::new(0.0, 1.0, freedom).ok()?.inverse_cdf(1.0 - FALSE_ALARMS / tests);
-    let step_before = |place: usize| {
-        let design = nalgebra::DMatrix::from_fn(count, COEFFICIENTS, |block, column| match column {
-            0 => 1.0,
-            1 => block as f64 / count as f64,
-            _ => f64::from(u8::from(block >= place)),
-        });
-        let inverse = design.tr_mul(&design).try_inverse()?;
-        let mut moved_m = Vector3::zeros();
-        let mut student: f64 = 0.0;
-        for axis in 0..3 {
-            let medians =
-                nalgebra::DVector::from_iterator(count, blocks.iter().map(|(_, median)| median[axis]));
-            let fit = &inverse * design.tr_mul(&medians);
-            let variance = (&medians - &design * &fit).norm_squared() / freedom;
-            moved_m[axis] = fit[2];
-            student = student.max(fit[2].abs() / (variance * inverse[(2, 2)]).sqrt().max(f64::MIN_POSITIVE));
-        }
-        Some((student, Step { row: blocks[place].0 + 1, moved_m: moved_m.norm() }))
-    };
-    let (student, step) = first_after.filter_map(step_before).max_by(|a, b| a.0.total_cmp(&b.0))?;
+    let steps = first_after.filter_map(|block| step_before(&blocks, block, freedom));
+    let (student, step) = steps.max_by(|a, b| a.0.total_cmp(&b.0))?;
     (student > limit).then_some(step)
+}
+
+/// The step before the block `first_after` by a linear regression of the medians of the blocks, with the largest Student's t of
+/// its coordinates; `freedom` is the number of blocks minus [`COEFFICIENTS`].
+fn step_before(blocks: &[(usize, Vector3<f64>)], first_after: usize, freedom: f64) -> Option<(f64, Step)> {
+    let count = blocks.len();
+    let design = DMatrix::from_fn(count, COEFFICIENTS, |block, column| match column {
+        0 => 1.0,
+        1 => block as f64 / count as f64,
+        _ => f64::from(u8::from(block >= first_after)),
+    });
+    let inverse = design.tr_mul(&design).try_inverse()?;
+    let mut moved_m = Vector3::zeros();
+    let mut student: f64 = 0.0;
+    for axis in 0..3 {
+        let medians = DVector::from_iterator(count, blocks.iter().map(|(_, median)| median[axis]));
+        let fit = &inverse * design.tr_mul(&medians);
+        let variance = (&medians - &design * &fit).norm_squared() / freedom;
+        moved_m[axis] = fit[2];
+        student = student.max(fit[2].abs() / (variance * inverse[(2, 2)]).sqrt().max(f64::MIN_POSITIVE));
+    }
+    Some((student, Step { row: blocks[first_after].0 + 1, moved_m: moved_m.norm() }))
 }
