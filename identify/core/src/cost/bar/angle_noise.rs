@@ -35,7 +35,7 @@ impl AngleNoise {
 /// The noise estimated from residuals.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FoundNoise {
-    /// Estimated noise: all of the residuals, white or correlated.
+    /// Estimated noise; it includes correlated errors.
     pub noise: AngleNoise,
     /// Correlation of successive residuals: zero for white noise; if a part of the variance is slowly varying, the size of
     /// that part.
