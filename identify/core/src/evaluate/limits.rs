@@ -70,7 +70,7 @@ pub fn limits(calibration: &Calibration, workspace: &WorkspaceError) -> Vec<Limi
     // A wrong scale contradicts the priors of all lengths as well.
     limits.extend(of_lengths(calibration, scales));
     limits.extend(strained_priors(&calibration.contradicted.priors));
-    limits.extend(lasting_errors(calibration));
+    limits.extend(correlated_residuals(calibration));
     limits.extend(little_travel(calibration));
     limits.extend(outliers(solution));
     limits.extend(weakest(workspace));
@@ -210,14 +210,14 @@ fn place(calibration: &Calibration, run: usize) -> String {
     if calibration.runs.len() == 1 { String::new() } else { format!("Data set {}: ", run + 1) }
 }
 
-/// Runs whose residuals are larger than noise.
-fn lasting_errors(calibration: &Calibration) -> impl Iterator<Item = Limit> {
+/// Runs whose residuals have an autocorrelation significantly above [`AUTOCORRELATION_MAX`].
+fn correlated_residuals(calibration: &Calibration) -> impl Iterator<Item = Limit> {
     let of_runs = calibration.runs.iter().map(|run| run.instrument.autocorrelation()).enumerate();
-    let lasting = of_runs.filter_map(|(run, estimate)| {
+    let correlated = of_runs.filter_map(|(run, estimate)| {
         let [autocorrelation, sigma] = estimate?;
         (autocorrelation - BY_CHANCE * sigma > AUTOCORRELATION_MAX).then_some((run, autocorrelation))
     });
-    lasting.map(|(run, autocorrelation)| Limit {
+    correlated.map(|(run, autocorrelation)| Limit {
         sentence: format!(
             "{}{:.0} % of the variance of the residuals is correlated from sample to sample, so it is not noise: errors that the model \
              does not contain (gears, bar, deflection) limit the result. The figures by joint show where.",

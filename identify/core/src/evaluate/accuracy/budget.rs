@@ -60,13 +60,13 @@ impl Budget {
         let (model, covariance) = (calibration.model(), &calibration.solution().covariance);
         let postures = moved_m.nrows() as f64 / 3.0;
         let mut contributions: Vec<Contribution> = Vec::new();
-        let (mut moved_by_plate, id) = (None, ParameterId::plate(model.axes()));
+        let (mut moved_by_plate, plate) = (None, ParameterId::plate(model.axes()));
         for (source, moved_m) in covariance.spread().sources.iter().zip(moved_m.column_iter()) {
             let (name, u_m) = (source_name(*source, calibration), moved_m.norm() / postures.sqrt());
             if let Source::Prior { column } | Source::Considered { column } = *source
-                && calibration.solved.covariance_columns[column] == (Column { id, data_set: 0 })
+                && calibration.solved.covariance_columns[column] == (Column { id: plate, data_set: 0 })
             {
-                moved_by_plate = stated_sigma(model, id).map(|sigma| u_m / sigma);
+                moved_by_plate = stated_sigma(model, plate).map(|sigma| u_m / sigma);
             }
             match contributions.iter_mut().find(|contribution| contribution.source == name) {
                 Some(same) => same.u_m = same.u_m.hypot(u_m),

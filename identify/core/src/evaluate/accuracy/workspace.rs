@@ -1,8 +1,8 @@
 //! Accuracy of the calibrated robot in its workspace: position error over the whole range of its joints. Monte Carlo: robots are
 //! drawn from the covariance of the solution, `drawn error = J dp` in each of many random postures; used for the report.
 //!
-//! The part of a link's tolerance that moves the whole robot in its base does not count as an error: behind a lift, or behind
-//! parallel axes, a link turns or shifts everything after it as another place of the instrument would. No measurement separates
+//! The part of a link's tolerance that moves the whole robot relative to its base does not count as an error. After a lift or
+//! parallel axes a link error displaces all that follows it, as another pose of the instrument would: no measurement separates
 //! the two.
 
 use std::collections::BTreeMap;
@@ -330,7 +330,7 @@ fn expected(difference_m: &[Vector3<f64>], drawn_m: &DMatrix<f64>) -> Expected {
     Expected {
         mean_m: mean(&all),
         p95_m,
-        // With five poses the quantile of each robot lies between its two largest errors, that of all robots among the largest.
+        // With five poses the quantile of one robot lies between its two largest errors, and can be below that of all robots.
         p95_upper_m: quantile(&mut p95s, 0.975).max(p95_m),
         interval_m: [0.025, 0.975].map(|part| quantile(&mut means, part)),
     }
