@@ -31,9 +31,7 @@ impl Deviation {
     pub const fn of_length(longer_m: f64) -> Self {
         Self { apart: Apart::Length(longer_m), rotation_rad: None }
     }
-}
 
-impl Deviation {
     /// Signed difference of lengths, or distance of two positions \[m\].
     pub(crate) fn signed_m(&self) -> f64 {
         match self.apart {
