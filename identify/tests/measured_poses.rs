@@ -163,7 +163,7 @@ fn of_a_workbook_with_several_sheets_the_one_that_the_mapping_names_is_read() {
     let mut mapping = example();
     mapping.csv.sheet = Some("poses".to_owned());
     let text = read(&table("1;0;0;0;0;0;0;0;0;0;0;0;0"), &mapping).unwrap_err().to_string();
-    assert!(text.contains("no workbook"), "{text}");
+    assert!(text.contains("not a workbook"), "{text}");
 }
 
 #[test]

@@ -184,8 +184,8 @@ impl LogConversion {
         if determinant(&self.raw_to_joint) == 0.0 {
             return Err(Violation::new(
                 "log.raw_to_joint",
-                "the matrix is singular: some joint does not follow from the log",
-                "check rows (log columns) and columns (joints)",
+                "the matrix is singular: the log does not determine all joints",
+                "check its rows (log columns) and columns (joints)",
             ));
         }
         Ok(())

@@ -86,8 +86,8 @@ pub enum LogError {
     },
     /// The header's unit and the robot's configuration disagree.
     #[error(
-        "{}: column `{column}` is in {in_header} but the configuration of {robot} (log.unit) says {in_config}; \
-         correct the one that is wrong: values are never converted automatically", path.display()
+        "{}: column `{column}` is in {in_header} by its header, but in {in_config} by log.unit of {robot}'s configuration; \
+         correct the wrong one (values are not converted)", path.display()
     )]
     UnitMismatch {
         /// Path of the file concerned.
@@ -218,14 +218,14 @@ pub enum LogError {
     },
     /// The conversion of the robot's configuration cannot be inverted.
     #[error(
-        "log.raw_to_joint of the robot's configuration is singular: some joint does not follow from the log; \
-             check rows (log columns) and columns (joints)"
+        "log.raw_to_joint of the robot's configuration is singular: the log does not determine all joints; \
+         check its rows (log columns) and columns (joints)"
     )]
     SingularConversion,
     /// Not enough stamps close to each other to interpolate.
     #[error(
-        "the robot log has no {needed} stamps in a row that are less than {gap_limit_s} s apart; \
-             log faster or without pauses"
+        "the robot log has no {needed} consecutive samples less than {gap_limit_s} s apart; log at a higher rate, or without \
+         pauses"
     )]
     NoContinuousPart {
         /// Stamps needed in a row.

@@ -128,8 +128,8 @@ fn controller_stamps(messages: &[EgmRobot], path: &Path) -> Result<Vec<i64>, Log
         let tm = message.header.as_ref().and_then(|header| header.tm).ok_or_else(|| LogError::BadRecord {
             path: path.to_owned(),
             place: format!("message {number}"),
-            problem: "neither feedBack.time nor header.tm".into(),
-            remedy: "without a time stamp it cannot be used; record it with the controller's own messages",
+            problem: "it has neither feedBack.time nor header.tm".into(),
+            remedy: "a log without time stamps cannot be used; record the controller's messages unchanged",
         })?;
         unwrapped_ms += last.map_or(i64::from(tm), |last| i64::from(tm.wrapping_sub(last) as i32));
         last = Some(tm);

@@ -58,7 +58,7 @@ pub(in crate::logs) fn read(
                 path: path.to_owned(),
                 place: format!("telegram {number}"),
                 problem: "no IPOC".into(),
-                remedy: "telegrams without their counter cannot be placed in time; log IPOC too",
+                remedy: "record whole telegrams: IPOC is their time",
             })?;
         // An axis that telegrams do not have is missing in every row.
         let joints_deg = telegram.joints_deg.unwrap_or([f64::NAN; AXES.len()]);
@@ -69,7 +69,7 @@ pub(in crate::logs) fn read(
     raw.finish(&meaning)
 }
 
-/// A counter that goes up by one with each telegram counts telegrams: how long one lasts is then not in the file.
+/// Refuses a counter that increases by one with each telegram: it counts telegrams, and the file does not contain their period.
 fn check_counter(telegrams: &[Telegram], path: &Path, unit_is_given: bool) -> Result<(), LogError> {
     let ipocs: Vec<i64> = telegrams.iter().filter_map(|telegram| telegram.ipoc).collect();
     let mut steps: Vec<i64> = ipocs.windows(2).map(|pair| pair[1].saturating_sub(pair[0])).collect();
@@ -77,8 +77,10 @@ fn check_counter(telegrams: &[Telegram], path: &Path, unit_is_given: bool) -> Re
     match steps.get(steps.len() / 2) {
         Some(1) if !unit_is_given => Err(LogError::Content {
             path: path.to_owned(),
-            problem: "IPOC goes up by 1 with each telegram, so it does not count milliseconds".into(),
-            remedy: "give its unit with [time] unit = \"cycles\" and period_ms in a mapping file (--log-mapping), or log with 4 or 12 ms".into(),
+            problem: "IPOC increases by 1 with each telegram: it counts telegrams, not milliseconds".into(),
+            remedy: "state their period in a mapping file (--log-mapping): [time] with unit = \"cycles\" and period_ms; \
+                     or record with an RSI cycle of 4 or 12 ms"
+                .into(),
         }),
         _ => Ok(()),
     }

@@ -220,7 +220,7 @@ pub(in crate::logs) fn check_joints(joints: &[JointColumn]) -> Result<(), Violat
         Violation::unless(
             offset == 0.0 && joint.offset_m.is_finite(),
             format!("joints[{index}].{key}"),
-            format!("{offset} does not go with the unit of the joint"),
+            format!("{offset} is an offset in another unit than that of the joint"),
             "write offset_deg for angles, offset_m for lengths",
         )?;
         let key = format!("joints[{index}].offset_deg");

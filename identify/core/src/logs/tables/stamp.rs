@@ -75,7 +75,7 @@ impl TimeColumn {
                 let remedy = "give the duration of a cycle, such as period_ms = 4";
                 return Err(Violation::new(
                     "time.period_ms",
-                    "it is missing beside unit = \"cycles\"",
+                    "it is missing, and unit = \"cycles\" needs it",
                     remedy,
                 ));
             }
@@ -91,7 +91,7 @@ impl TimeColumn {
         }
         let problem = match self.wraps_at {
             Some(_) if self.unit.is_dated() => "times with a date do not wrap",
-            Some(0 | 1) => "it is not a number of values",
+            Some(0 | 1) => "a counter has at least 2 values",
             _ => return Ok(()),
         };
         Err(Violation::new(

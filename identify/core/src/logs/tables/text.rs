@@ -71,7 +71,8 @@ impl<'a> Text<'a> {
             let sheet = text_of_sheet(&source.whole()?, sheet).map_err(|problem| text.bad(problem))?;
             text.source = Box::new(Cursor::new(sheet));
         } else if let Some(sheet) = sheet {
-            let problem = format!("no workbook, and the mapping names its sheet `{sheet}`: take that out");
+            let problem =
+                format!("not a workbook, but the mapping names the sheet `{sheet}`: remove `sheet`");
             return Err(text.bad(problem));
         } else {
             // The decoder takes the mark off.
