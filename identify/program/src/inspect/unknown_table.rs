@@ -102,7 +102,8 @@ pub enum ProposeError {
     Log(#[from] LogError),
     /// No rows of numbers.
     #[error(
-        "{path}: no rows of numbers with a column for each of {joints} joints; give the file of the robot that was logged, or another table"
+        "{path}: no rows of numbers with a column for each of {joints} joints; check that --robot is the robot that was logged, or \
+         give another table"
     )]
     NoTable {
         /// Path of the file.
@@ -112,7 +113,8 @@ pub enum ProposeError {
     },
     /// No columns look like joints.
     #[error(
-        "{path}: no {joints} columns look like the robot's joints; found {found}. Write a mapping as config/robot_log.toml explains"
+        "{path}: the columns of the robot's {joints} joints cannot be recognised by name, unit and range; found {found}. Write a \
+         mapping as config/robot_log.toml explains"
     )]
     NoJoints {
         /// Path of the file.
@@ -124,7 +126,8 @@ pub enum ProposeError {
     },
     /// Joints, but neither times nor anything measured.
     #[error(
-        "{path}: joints, but neither time stamps nor a measured position, a length or a socket; found {found}"
+        "{path}: the table has joints, but neither time stamps nor a measured position, length or socket; found {found}. Export \
+         one of these too, or write a mapping that names its column, as the files in config/ explain"
     )]
     NothingMeasured {
         /// Path of the file.

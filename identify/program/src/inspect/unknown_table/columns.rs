@@ -97,7 +97,7 @@ fn unit_named(text: &str) -> Option<String> {
     spellings.split(' ').next().map(str::to_owned)
 }
 
-/// A name in lower case without unit, and the unit: `J1 [deg]`, `q1_deg`, `x(mm)`.
+/// A name in lower case without unit, and the unit, which is in brackets or the last word: `J1 [deg]`, `x(mm)`, `q1_deg`.
 fn plain_and_unit(name: &str) -> (String, Option<String>) {
     let spaced: String = name.chars().fold(String::new(), |mut out, character| {
         // A capital after a small letter begins a word: TrackerX.
@@ -114,6 +114,8 @@ fn plain_and_unit(name: &str) -> (String, Option<String>) {
             return (before.trim().to_owned(), Some(unit));
         }
     }
+    // A single letter at the end is part of the name, not a unit: `joint_a` is not in amperes. Columns such as `x_m` lose
+    // nothing: the unit of a length then follows from the size of its numbers.
     if let Some((before, last)) = name.rsplit_once(['_', ' ', '.'])
         && last.len() > 1
         && let Some(unit) = unit_named(last)
