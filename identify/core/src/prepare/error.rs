@@ -2,6 +2,7 @@
 
 use std::fmt;
 
+use super::steps::TRAVEL_DEG_MIN;
 use super::{Deviations, ForceError};
 use crate::kinematics::InverseError;
 use crate::logs::LogError;
@@ -48,8 +49,8 @@ pub enum PrepareError {
     },
     /// More changes of the counters' origin than are estimated.
     #[error(
-        "the encoders' counters restart, or may restart, at {origins} places, at most {most} are allowed; repair the plug, cable or \
-         supply and record again, or compare lines and interpolation_bits in the bar's configuration with the encoders"
+        "the encoders' counters may have restarted at {origins} places, at most {most} are allowed; repair the plug, cable or supply \
+         and record again, or correct lines and interpolation_bits in the bar's configuration"
     )]
     TooManyOrigins {
         /// Number of such places in the recording.
@@ -72,7 +73,7 @@ pub enum PrepareError {
     },
     /// The recording declares encoders that a bar cannot have.
     #[error(
-        "the recording declares an encoder on joint {joint}, each of the joints 1 to 5 may have one; use the original file"
+        "the recording declares an encoder on joint {joint}, which the bar does not have, or two encoders on it; use the original file"
     )]
     EncoderJoint {
         /// Joint that is invalid or has two encoders.
@@ -92,8 +93,8 @@ pub enum PrepareError {
     },
     /// One of the logs is too long, or has a time stamp far from the others.
     #[error(
-        "{what} covers {hours:.1} h, at most {hours_max} h can be matched; cut out the run, or the rows \
-         before a clock was set"
+        "{what} covers {hours:.1} h, at most {hours_max} h can be matched; remove the rows outside the run, or those from before a \
+         clock was set"
     )]
     TooLong {
         /// The log that is meant.
@@ -105,7 +106,8 @@ pub enum PrepareError {
     },
     /// No joint moves in one of the logs.
     #[error(
-        "{what} shows no motion (largest joint travel {travel_deg:.2} deg); give the part with the motion"
+        "{what} shows no motion: no joint travels more than {travel_deg:.2} deg, at least {TRAVEL_DEG_MIN} are needed; give the file \
+         of the run, or record it again"
     )]
     NoMotion {
         /// The log that is meant.
@@ -171,7 +173,7 @@ pub enum PrepareError {
     /// Speeds cannot be compared anywhere.
     #[error(
         "robot log and {other} cannot be compared: at no clock difference both have speeds for {needed_s:.0} s. Stamps in bunches give \
-         speeds that no robot has, stamps too far apart give none; log the time of each sample (`identify inspect` shows their distances)"
+         impossible speeds, stamps far apart give none; log the time of each sample (`identify inspect` shows their distances)"
     )]
     NoSpeeds {
         /// The log with which the robot's was compared.
@@ -201,8 +203,8 @@ pub enum PrepareError {
     },
     /// The speeds match but the angles do not.
     #[error(
-        "measured bar angles do not fit the robot's log, in whatever order and direction the encoders are taken; as \
-         recorded (encoder -> joint): {recorded}, at most {limit_mrad} mrad is allowed for each; {}",
+        "the measured bar angles do not fit the robot's log with any order and direction of the encoders; as recorded \
+         (encoder -> joint): {recorded}, at most {limit_mrad} mrad is allowed for each; {}",
         .likely.as_deref().unwrap_or(
             "the robot's or the bar's configuration (lengths, or lines and interpolation_bits of the encoders) is not that of \
              this cell, or robot log and recording are of different runs; correct the configuration, or give the log of this run"
@@ -218,8 +220,8 @@ pub enum PrepareError {
     },
     /// Several orders or directions of the encoders fit.
     #[error(
-        "the encoders do not fit as recorded, and several other orders or directions fit alike (encoder -> joint):\
-         {fits}\nCheck on the bar which is right and give that option (or `encoders = [..]` under [prepare] of the \
+        "the encoders do not fit as recorded, and several other orders or directions fit equally well (encoder -> joint):\
+         {fits}\nCheck on the bar which one is right and give that option (or `encoders = [..]` under [prepare] of the \
          configuration), or move more joints"
     )]
     AmbiguousEncoderMap {
@@ -228,9 +230,9 @@ pub enum PrepareError {
     },
     /// The encoders see the mirror image of the robot in the log.
     #[error(
-        "the encoders see the mirror image of the motion in the robot's log: the log has the signs of the robot's {} reversed, or all \
-         encoders on the bar's joints 1, 3 and 5 count the other way than recorded. The angles cannot distinguish them: check the \
-         direction of the robot's joint 1; correct the signs in the robot log's mapping, or, if they are right, type --encoders {stated} \
+        "the encoders see the mirror image of the motion in the robot's log: either the log has reversed signs of the robot's {}, or all \
+         encoders on the bar's joints 1, 3 and 5 count the other way than recorded. Check the direction of the robot's joint 1; \
+         correct the signs in the robot log's mapping or, if they are right, type --encoders {stated} \
          (or `encoders = [{stated}]` under [prepare] of the configuration)",
         of_joints(joints.as_deref())
     )]
@@ -267,8 +269,8 @@ pub enum PrepareError {
     },
     /// The stated order is invalid.
     #[error(
-        "the stated encoders (--encoders, or `encoders` under [prepare]) are {stated}; give one bar joint for each of the {encoders} encoders of the recording, \
-         1 to 5, none twice, negative where an encoder counts the other way than recorded"
+        "invalid encoders {stated} (--encoders, or `encoders` under [prepare]); give for each of the {encoders} encoders of the \
+         recording its bar joint, 1 to 5, each once, negative if the encoder counts the other way than recorded"
     )]
     StatedEncoderMap {
         /// The list as the user gave it.
@@ -303,7 +305,7 @@ pub enum PrepareError {
     /// An encoder lost counts or turned on its shaft.
     #[error(
         "the encoder of joint {joint} slips: {at_s:.2} s after the first sample its angle jumps by {by_mrad:+.2} mrad \
-         against the robot and stays there; check its coupling and cable, and record again"
+         relative to the robot and stays there; check its coupling and cable, and record again"
     )]
     EncoderSlip {
         /// Bar joint, 1 to 5.
@@ -315,8 +317,8 @@ pub enum PrepareError {
     },
     /// A joint of the robot is not at the angle that its log reports.
     #[error(
-        "the log of the robot's joint {joint} steps: from {at_s:.2} s after the first sample on it reports {by_mrad:+.2} mrad more \
-         than before against the bar; check for a collision, a restart of the controller or a belt that slipped, and record again"
+        "the log of the robot's joint {joint} steps by {by_mrad:+.2} mrad relative to the bar, {at_s:.2} s after the first sample; \
+         check for a collision, a restart of the controller or a belt that slipped, and record again"
     )]
     JointStep {
         /// Joint of the robot, from 1.
@@ -404,7 +406,7 @@ pub enum PrepareError {
 fn of_joints(joints: Option<&[usize]>) -> String {
     let names: Vec<String> = joints.unwrap_or_default().iter().map(|joint| (joint + 1).to_string()).collect();
     match names.split_last() {
-        None => "joints as they mirror it".into(),
+        None => "joints".into(),
         Some((only, [])) => format!("joint {only}"),
         Some((last, others)) => format!("joints {} and {last}", others.join(", ")),
     }

@@ -24,7 +24,7 @@ use crate::model::{Clock, DriveTrain, Observation};
 use crate::threads;
 
 /// Joints that travel less than this do not move \[deg\].
-const TRAVEL_DEG_MIN: f64 = 3.0;
+pub(super) const TRAVEL_DEG_MIN: f64 = 3.0;
 /// Longest log \[s\]: the usual cause of a longer one is a clock that was set.
 const DURATION_S_MAX: f64 = 24.0 * 3600.0;
 
