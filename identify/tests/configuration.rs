@@ -43,7 +43,7 @@ fn limits_of_the_preparation_that_decide_nothing_are_refused_with_their_range() 
 fn a_parameter_is_free_or_fixed_and_not_both() {
     let text = "free = [\"rd3\"]\nfix = [\"ra1\", \"rd3\"]\n";
     let error = config::parse::<IdentifyConfig>(text, Path::new("identify.toml")).unwrap_err().to_string();
-    assert!(error.contains("`fix[1]`") && error.contains("`rd3` is in free as well"), "{error}");
+    assert!(error.contains("`fix[1]`") && error.contains("`rd3` is also in `free`"), "{error}");
 }
 
 #[test]

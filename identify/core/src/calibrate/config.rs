@@ -396,7 +396,7 @@ fn positive(key: String, value: f64) -> Result<(), Violation> {
     if value.is_finite() && value > 0.0 {
         return Ok(());
     }
-    Err(Violation::new(key, format!("{value} is no standard deviation"), "give a number above zero"))
+    Err(Violation::new(key, format!("invalid standard deviation {value}"), "give a number above zero"))
 }
 
 /// Values out of these ranges disable a check, or reject all data.
@@ -424,7 +424,7 @@ fn validate_preparation(prepare: &PrepareOptions) -> Result<(), Violation> {
         }
     }
     if (1..POINTS_MIN).contains(&prepare.points_max) {
-        let problem = format!("{} samples determine nothing", prepare.points_max);
+        let problem = format!("{} samples are too few", prepare.points_max);
         let remedy = format!("give {POINTS_MIN} or more, or 0 for all");
         return Err(Violation::new("prepare.points_max", problem, remedy));
     }
@@ -440,8 +440,9 @@ impl Validate for IdentifyConfig {
             [("encoder_harmonics_urad", self.encoder_harmonics_urad), ("bar_length_um", self.bar_length_um)]
         {
             if !(sigma.is_finite() && sigma >= 0.0) {
-                let found = format!("{sigma} is no standard deviation");
-                return Err(Violation::new(key, found, "give zero or a number above"));
+                let problem = format!("invalid standard deviation {sigma}");
+                let remedy = "give a number above zero, or zero to leave these errors out";
+                return Err(Violation::new(key, problem, remedy));
             }
         }
         Ok(())
@@ -452,8 +453,8 @@ impl IdentifyConfig {
     /// Parameters must not be both free and fixed, and priors by name need a standard deviation above zero.
     fn validate_names(&self) -> Result<(), Violation> {
         if let Some((index, id)) = self.fix.iter().enumerate().find(|(_, id)| self.free.contains(id)) {
-            let problem = format!("`{id}` is in free as well");
-            return Err(Violation::new(format!("fix[{index}]"), problem, "leave it out of one"));
+            let problem = format!("`{id}` is also in `free`");
+            return Err(Violation::new(format!("fix[{index}]"), problem, "remove one of the two"));
         }
         self.priors.iter().try_for_each(|(id, sigma)| positive(format!("priors.{id}"), *sigma))
     }
@@ -466,8 +467,8 @@ impl IdentifyConfig {
         {
             return Err(Violation::new(
                 "require_mm",
-                format!("{require_mm} is no error"),
-                "give millimetres above zero",
+                format!("invalid position error {require_mm}"),
+                "give the largest allowed error in millimetres, above zero",
             ));
         }
         let terms = &self.joint_terms;

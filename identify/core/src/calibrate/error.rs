@@ -32,20 +32,22 @@ pub enum CalibrateError {
     NoRun,
     /// The selection of free parameters is not that of calibrations.
     #[error(
-        "`selection` is \"{0}\", which is for the estimators of a study (`identify study`); leave it out, and change with `free` \
-         and `fix` what is free"
+        "selection = \"{0}\" is only for studies (`identify study`); leave it out, and change with `free` and `fix` which \
+         parameters are estimated"
     )]
     Selection(&'static str),
     /// An option that has no effect on rows.
-    #[error("option `{option}` is for runs with the ball-bar, and there are none; leave it out")]
+    #[error(
+        "option `{option}` has an effect only on runs with the ball-bar, and there are none; leave it out"
+    )]
     NoEffect {
         /// Key in the configuration.
         option: &'static str,
     },
     /// The rows do not determine the pose of the instrument.
     #[error(
-        "data set {data_set}: where the instrument stands does not follow from its rows, which lie in a plane, on a line or \
-         in a point; measure poses further apart"
+        "data set {data_set}: the rows do not determine the position of the instrument: they lie in a plane, on a line or at a \
+         point; measure poses that differ in all three directions"
     )]
     NoPlace {
         /// Number of the data set, from 1: ball-bars, trackers, wires, contacts, touches, each in their order.
@@ -69,7 +71,7 @@ pub enum CalibrateError {
     },
     /// The rows are not plausible for the configured robot.
     #[error("{found}; {}", .likely.map_or_else(
-        || "the rows, a file that describes them, or the robot's file are wrong; see `identify inspect --propose`".to_owned(),
+        || "check the rows, their mapping and the robot's file; `identify inspect --propose` proposes a mapping".to_owned(),
         |likely| format!("most likely {likely}; correct the mapping or the robot's file"),
     ))]
     Implausible {

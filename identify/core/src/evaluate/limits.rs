@@ -351,7 +351,9 @@ fn describe_doubt(doubt: &Doubt) -> String {
              Check which encoder is plugged into which terminal, and correct ball_bar.toml."
         ),
         Doubt::MotionRepeats => {
-            "The motion repeats itself: another alignment in time fits nearly as well.".to_owned()
+            "The motion repeats itself: another alignment in time fits nearly as well. Use a path that does not repeat, or log robot \
+             and bar for longer."
+                .to_owned()
         }
         Doubt::OtherTable(contradicted) => format!(
             "The rows contradict the table of sockets or faces: {}. Correct the table or increase its uncertainty: with this one it \

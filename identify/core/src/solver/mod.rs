@@ -91,7 +91,7 @@ pub type Linearisation<'a> = Box<dyn FnMut(usize, &mut [f64], &mut Block<'_>) ->
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum SolveError {
     /// The start does not have one value for each column.
-    #[error("the start has {found} values for {expected} free parameters; give one for each")]
+    #[error("{found} initial values were given for {expected} free parameters; give one for each")]
     StartLength {
         /// Number of given values.
         found: usize,
@@ -103,7 +103,7 @@ pub enum SolveError {
     NothingFree,
     /// No sample is usable at the start.
     #[error(
-        "none of the {samples} samples has a value at the start; check that the two logs overlap in time"
+        "none of the {samples} samples has a residual at the initial values; check that the two logs overlap in time"
     )]
     NoSamples {
         /// Number of samples of the problem.
@@ -111,7 +111,7 @@ pub enum SolveError {
     },
     /// A residual or derivative is not finite.
     #[error(
-        "sample {sample} gives a residual or derivative that is not finite at the start; check its input"
+        "the residual or a derivative of sample {sample} is not finite at the initial values; check the values of this sample"
     )]
     NotFinite {
         /// Number of the sample, from 0.

@@ -126,8 +126,8 @@ pub struct NotConverged {
 /// The samples leave no degree of freedom to estimate their noise from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "the samples have no more residuals, counted with robust weights, than the {columns} free parameters without prior: noise \
-     and uncertainties cannot be estimated; measure more poses, or fix parameters (`--fix`)"
+    "too few samples: they have no more residuals, counted with robust weights, than free parameters without prior ({columns}), so \
+     noise and uncertainties cannot be estimated; measure more poses, or fix parameters (`--fix`)"
 )]
 pub struct NoFreedom {
     /// Number of free parameters without prior.
