@@ -409,8 +409,8 @@ fn a_person_simulates_calibrates_and_repeats_it() {
 
     let doubled =
         "u_um = 5.0\n".to_owned() + &"[[socket]]\nname = \"A\"\nposition_mm = [0, 0, 0]\n".repeat(2);
-    refused(rows.clone(), &doubled, &["key `socket[1].name`", "`A` is there twice"]);
-    refused(rows.clone(), &doubled.replacen("\"A\"", "\"B\"", 1), &["`A` is where `B` is"]);
+    refused(rows.clone(), &doubled, &["key `socket[1].name`", "two sockets have the name `A`"]);
+    refused(rows.clone(), &doubled.replacen("\"A\"", "\"B\"", 1), &["`A` has the position of `B`"]);
 
     // A wrong position is named, and the verdict is not green.
     let place = sockets

@@ -28,7 +28,7 @@ pub enum RowError {
     },
     /// Too few rows for one of several stations or targets.
     #[error(
-        "{what} {number} has {rows} rows, at least {needed} are needed to find its place; measure more with it, or remove them"
+        "{what} {number} has {rows} rows, at least {needed} are needed to estimate its position; measure more with it, or remove them"
     )]
     TooFewOfSetUp {
         /// Such as station or target.
@@ -89,7 +89,7 @@ pub enum RowError {
     },
     /// A socket was visited only once.
     #[error(
-        "socket `{socket}` has one row, which closes no loop; seat the ball in it in at least two postures, or leave the row out"
+        "socket `{socket}` has one row, which contains no information; seat the ball in it in at least two postures, or remove the row"
     )]
     VisitedOnce {
         /// Name of the socket with one row.

@@ -138,7 +138,7 @@ impl Validate for FaceTable {
             }
             if distance.touched == Touched::Inside && distance.distance_mm <= self.tip_diameter_mm {
                 let problem = "the tip does not fit between these faces".to_owned();
-                return bad(format!("distance[{i}].distance_mm"), problem, "correct it, or tip_diameter_mm");
+                return bad(format!("distance[{i}].distance_mm"), problem, "correct it or tip_diameter_mm");
             }
         }
         for (i, angle) in angles {
@@ -152,8 +152,8 @@ impl Validate for FaceTable {
         let of_angles = self.angles.iter().enumerate().map(|(i, angle)| ("angle", i, &angle.between));
         for (kind, i, [first, second]) in of_distances.chain(of_angles) {
             if first == second {
-                let problem = format!("`{first}` is both of them");
-                return bad(format!("{kind}[{i}].between"), problem, "name two faces");
+                let problem = format!("both faces are `{first}`");
+                return bad(format!("{kind}[{i}].between"), problem, "name two different faces");
             }
         }
         Ok(())

@@ -61,36 +61,36 @@ impl Validate for SocketTable {
         let of_table = [("u_um".to_owned(), Some(self.u_um))];
         for (key, u_um) in of_table.into_iter().chain(of_sockets).chain(of_distances) {
             if let Some(u_um) = u_um.filter(|u_um| !(u_um.is_finite() && *u_um > 0.0)) {
-                return bad(key, format!("{u_um} is no uncertainty"), "give micrometres above zero");
+                return bad(key, format!("invalid uncertainty {u_um}"), "give micrometres above zero");
             }
         }
         let mut names = BTreeSet::new();
         for (i, socket) in self.sockets.iter().enumerate() {
             if !names.insert(&socket.name) {
-                let problem = format!("`{}` is there twice", socket.name);
+                let problem = format!("two sockets have the name `{}`", socket.name);
                 return bad(format!("socket[{i}].name"), problem, "give each socket a name of its own");
             }
             if let Some(at) = socket.position_mm.iter().find(|at| !(-SPAN_MM_MAX..=SPAN_MM_MAX).contains(*at))
             {
-                let problem = format!("{at} mm is no place on a plate");
-                return bad(format!("socket[{i}].position_mm"), problem, "give three numbers in millimetres");
+                let problem = format!("the coordinate {at} mm is beyond {SPAN_MM_MAX} mm");
+                return bad(format!("socket[{i}].position_mm"), problem, "give x, y and z in millimetres");
             }
         }
         for (i, socket) in self.sockets.iter().enumerate() {
             let same = self.sockets[..i].iter().find(|other| other.position_mm == socket.position_mm);
             if let Some(other) = same {
-                let problem = format!("`{}` is where `{}` is", socket.name, other.name);
-                return bad(format!("socket[{i}].position_mm"), problem, "give each socket its own place");
+                let problem = format!("`{}` has the position of `{}`", socket.name, other.name);
+                return bad(format!("socket[{i}].position_mm"), problem, "give each socket its own position");
             }
         }
         for (i, KnownDistance { between: [from, to], distance_mm, .. }) in self.distances.iter().enumerate() {
             if from == to {
-                let problem = format!("`{from}` is both ends");
-                return bad(format!("distance[{i}].between"), problem, "name two sockets");
+                let problem = format!("both sockets are `{from}`");
+                return bad(format!("distance[{i}].between"), problem, "name two different sockets");
             }
             if !(*distance_mm > 0.0 && *distance_mm <= SPAN_MM_MAX) {
-                let problem = format!("{distance_mm} mm is no distance between sockets");
-                return bad(format!("distance[{i}].distance_mm"), problem, "give millimetres above zero");
+                let problem = format!("the distance {distance_mm} mm is not between 0 and {SPAN_MM_MAX} mm");
+                return bad(format!("distance[{i}].distance_mm"), problem, "give it in millimetres");
             }
         }
         if self.distances.is_empty() && self.sockets.len() < 2 {
