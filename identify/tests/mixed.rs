@@ -434,7 +434,7 @@ fn the_scale_of_a_tracker_adds_little_to_the_uncertainty() {
     let exact = IdentifyConfig { fix: vec![ParameterId::Scale], ..IdentifyConfig::default() };
     let sentences = [
         "the positions of the tracker, taken as exact",
-        "the positions of the tracker within 5 ppm (one sigma), usual unless poses.toml states another",
+        "the positions of the tracker within 5 ppm (one sigma), the default: state scale_u_ppm in poses.toml if yours differs",
     ];
     let configs = [exact, IdentifyConfig::default()].into_iter().zip(sentences);
     let claims_m = configs.map(|(config, sentence)| {

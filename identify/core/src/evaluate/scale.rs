@@ -55,7 +55,7 @@ fn plate(bar: &BallBarConfig, source: &Source) -> String {
     let source = if matches!(source, Source::BuiltIn(..)) {
         "an example that is built in: write the lengths of your bar into ball_bar.toml".to_owned()
     } else if is_default {
-        format!("a calliper's unless {file} states another")
+        format!("the default, for a calliper: state plate_u_um in {file} if it was measured otherwise")
     } else {
         format!("as {file} states")
     };
@@ -77,7 +77,7 @@ fn other_reference(Run { instrument, model }: &Run, mapping: &Path) -> Option<St
         Some(Role::Prior { sigma, .. }) => {
             let is_usual = sigma == from.usual_u_ppm() * 1e-6;
             let source = if is_usual {
-                format!("usual unless {file} states another")
+                format!("the default: state scale_u_ppm in {file} if yours differs")
             } else {
                 format!("as {file} states")
             };
