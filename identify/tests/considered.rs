@@ -192,7 +192,7 @@ fn each_contribution_of_the_budget_is_what_its_source_does_to_the_robot() {
     assert_eq!(noise.evaluation, Evaluation::Statistical);
     assert_eq!([plate.evaluation, link.evaluation], [Evaluation::Stated; 2]);
     assert!(
-        plate.source.contains("0.1 mm") && link.source.contains("fixed within 1 mrad"),
+        plate.source.contains("0.1 mm") && link.source.contains("fixed with an uncertainty of 1 mrad"),
         "{contributions:?}"
     );
     // Effect of a stated value that is wrong by its stated uncertainty.

@@ -310,7 +310,7 @@ fn a_person_simulates_calibrates_and_repeats_it() {
     assert!(text.contains("socket6_z") && text.contains("robot.urdf"), "{text}");
     let page = std::fs::read_to_string(at.join("out/report.html")).unwrap();
     assert!(page.contains("contact, ") && page.contains("held-out rows, calibrated, RMS"));
-    assert!(page.contains("what is known of sockets or faces") && page.contains("mounting of the ball"));
+    assert!(page.contains("stated geometry of sockets or faces") && page.contains("mounting of the ball"));
     // A name with the prefix of the bar's parameters is not one of them.
     assert!(page.contains(">ball_x") && !page.contains("Ball-bar and encoders"));
     // A second plate for the same robot in one experiment file.

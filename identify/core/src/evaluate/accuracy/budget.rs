@@ -113,21 +113,21 @@ fn source_name(source: Source, calibration: &Calibration) -> String {
     let (column, how) = match source {
         Source::Together => return "errors of the samples, with all priors".into(),
         Source::Samples { data_set } => return format!("errors of the samples of data set {}", data_set + 1),
-        Source::Known => return "what is known of sockets or faces".into(),
-        Source::LeftOut => return "errors of joints that the samples neither show nor exclude".into(),
+        Source::Known => return "stated geometry of sockets or faces".into(),
+        Source::LeftOut => return "error terms that the samples neither confirm nor exclude".into(),
         Source::OtherScale => return "common scale error of the robot's lengths".into(),
         Source::Contradicted { column } => {
             let name = calibration.solved.covariance_columns[column];
             return format!("{name}, whose prior the data contradict");
         }
-        Source::Prior { column } => (column, "estimated, expected"),
+        Source::Prior { column } => (column, "estimated with a prior"),
         Source::Considered { column } => (column, "fixed"),
     };
     let name = calibration.solved.covariance_columns[column];
     let (id, Run { instrument, model }) = (name.id, &calibration.runs[name.data_set]);
     let sigma = stated_sigma(model, id);
     let is_known_length = ParameterId::known_lengths(model.axes()).contains(&id);
-    let is_listed_alone = matches!(source, Source::Considered { .. }) || is_known_length;
+    let is_fixed = matches!(source, Source::Considered { .. });
     match (id.group(), sigma) {
         (_, Some(sigma)) if is_known_length => {
             let what =
@@ -137,10 +137,10 @@ fn source_name(source: Source, calibration: &Calibration) -> String {
         (Group::Scale, Some(sigma)) => {
             format!("scale of the {} ({name}), stated within {}", instrument.name(), id.unit().display(sigma))
         }
-        (_, Some(sigma)) if is_listed_alone => {
-            format!("{name}, {how} within {}", id.unit().display(sigma))
+        (_, Some(sigma)) if is_fixed => {
+            format!("{name}, fixed with an uncertainty of {}", id.unit().display(sigma))
         }
-        (Group::Term(group), _) => format!("what is expected of {}", group.name()),
+        (Group::Term(group), _) => format!("prior of error terms ({})", group.name()),
         (Group::Link, _) => "tolerance of the links".into(),
         _ => match id {
             ParameterId::EncoderOffset { .. } => "offsets of encoders that lost their origin".into(),

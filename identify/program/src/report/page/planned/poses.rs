@@ -222,7 +222,7 @@ impl PosesPage<'_> {
         let mut parts_left: Vec<(&ParameterId, &f64)> = parts_left.collect();
         parts_left.sort_by(|(_, a), (_, b)| b.total_cmp(a));
         html! { table.narrow {
-            thead { tr { th { "Parameter" } th { "left of what is expected of it" } } }
+            thead { tr { th { "Parameter" } th { "after / before" } } }
             tbody { @for (id, left) in parts_left.into_iter().take(WEAKEST) { tr {
                 td { (id) }
                 td { (format!("{:.0} %", 100.0 * left)) }
