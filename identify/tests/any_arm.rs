@@ -298,7 +298,7 @@ fn a_urdf_that_is_none_is_told_by_what_is_wrong_with_it() {
         (fanuc_urdf().replace("</robot>", ""), "it ends within <robot>"),
         (
             fanuc_urdf().replace("<link name=\"base_link\">", "<link name=\"elsewhere\">"),
-            "parent `base_link` of joint `joint_1` is not among the links",
+            "joint `joint_1` has the parent `base_link`, which is not a link",
         ),
         (fanuc_urdf().replacen("0.330", "0,330", 1), "joint `joint_1` has `0 0 0,330` as xyz of its origin"),
         ("<robot name=\"empty\"/>".to_owned(), "no joint moves in it"),

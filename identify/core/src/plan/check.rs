@@ -24,7 +24,7 @@ const GAP_S_MAX: f64 = 1.0;
 pub enum CheckError {
     /// Rows are too far apart.
     #[error(
-        "the path has rows more than {GAP_S_MAX} s apart, at {t_s:.3} s; give its joints at least so often"
+        "the path has rows more than {GAP_S_MAX} s apart, at {t_s:.3} s; give its joints at least every {GAP_S_MAX} s"
     )]
     Gap {
         /// Start of the gap \[s\].

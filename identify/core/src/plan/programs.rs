@@ -50,8 +50,8 @@ pub enum ProgramError {
     Log(#[from] LogError),
     /// The log has motor angles, which a controller does not accept.
     #[error(
-        "how the controller of {robot} counts its joints is not known: `raw_to_joint` of its configuration has gear ratios, so \
-         its log has motor angles; take the joints from the table, or configure a log of joint angles"
+        "the joint angles of {robot}'s controller are unknown: `raw_to_joint` of its configuration has gear ratios, so its log has \
+         motor angles; take the joints from the table, or configure a log of joint angles"
     )]
     Motors {
         /// Name of the robot.
@@ -67,8 +67,8 @@ pub enum ProgramError {
     },
     /// Joint 3 of the model is counted from another line than that of the controller.
     #[error(
-        "the controller counts joint 3 from the horizontal, `raw_to_joint` of {robot} does not: joint 3 of the program would be wrong;\n\
-         write {row:?} as its second row; its log needs the same row"
+        "the controller measures joint 3 from the horizontal, but `raw_to_joint` of {robot} does not, so joint 3 of the program would \
+         be wrong;\nwrite {row:?} as its second row: the robot's log needs it too"
     )]
     Coupling {
         /// The robot's name.

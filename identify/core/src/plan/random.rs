@@ -31,7 +31,7 @@ const SPEED_RANGE: std::ops::Range<f64> = 0.5..1.0;
 pub enum PlanError {
     /// The robot cannot hold the bar at any point of the sphere.
     #[error(
-        "no pose of the robot holds the bar of {length_m} m at base {base_m:?} m ({obstacle} in the way most often); \
+        "no pose of the robot holds the bar of {length_m} m at base {base_m:?} m (mostly because of {obstacle}); \
          give another --base, --posture or bar length: `identify plan place` proposes them"
     )]
     NoStart {
@@ -44,7 +44,7 @@ pub enum PlanError {
     },
     /// The requested duration is too short for the fewest moves.
     #[error(
-        "a run of {duration_s} s has no room for the {MOVES_MIN} moves that excite all joints; give a --duration of at least \
+        "a run of {duration_s} s is too short for the {MOVES_MIN} moves that excite all joints; give a --duration of at least \
          {DURATION_S_MIN} s"
     )]
     TooShort {
@@ -53,8 +53,8 @@ pub enum PlanError {
     },
     /// The search for the first path was cancelled, or its time has elapsed.
     #[error(
-        "a first path of {duration_s} s was not finished when the search ended; give a longer --budget, or a shorter --duration: the \
-         robot can drive it again"
+        "the search ended before the first path of {duration_s} s was complete; give a longer --budget, or a shorter --duration and let \
+         the robot drive the path twice"
     )]
     Ended {
         /// Requested duration \[s\].
@@ -62,7 +62,7 @@ pub enum PlanError {
     },
     /// The path cannot be continued.
     #[error(
-        "the path gets stuck after {moves} moves, {time_s:.1} of {duration_s} s ({obstacle} in the way most often); \
+        "the path gets stuck after {moves} moves, {time_s:.1} of {duration_s} s (mostly because of {obstacle}); \
          give another --seed, --base, bar length or --duration"
     )]
     Stuck {

@@ -21,12 +21,12 @@ pub enum ImportError {
     NotUrdf(String),
     /// Macros are not expanded.
     #[error(
-        "it has <{0}> and is thus not expanded; run `xacro arm.urdf.xacro > arm.urdf` and import the result"
+        "it has <{0}>, so its macros are not expanded; run `xacro arm.urdf.xacro > arm.urdf` and import the result"
     )]
     Xacro(String),
     /// The parent link of a joint does not exist.
     #[error(
-        "parent `{parent}` of joint `{joint}` is not among the links; give with --base the link where the arm begins"
+        "joint `{joint}` has the parent `{parent}`, which is not a link of the file; give the link where the arm begins with --base"
     )]
     NoParent {
         /// The joint's name.
@@ -53,14 +53,16 @@ pub enum ImportError {
         above: String,
     },
     /// The end of the arm is ambiguous.
-    #[error("it ends in several links; give the flange with --tip (number of axes before it): {tips}")]
+    #[error(
+        "it ends in several links; give the one of the flange with --tip (in brackets the number of axes before it): {tips}"
+    )]
     SeveralTips {
         /// Links without child joints.
         tips: String,
     },
     /// Every joint has the name of a gripper's joint.
     #[error(
-        "each joint that moves is named as a gripper's; if it is an arm, give the link of its flange with --tip: {tips}"
+        "all joints that move have names of a gripper; if it is an arm, give the link of its flange with --tip: {tips}"
     )]
     Gripper {
         /// Links without child joints.
@@ -79,7 +81,7 @@ pub enum ImportError {
     Wrong(String),
     /// The number of axes is not supported.
     #[error(
-        "{axes} axes are between `{base}` and `{tip}`, a robot has {AXES_MIN} to {AXES_MAX}; choose other links"
+        "{axes} axes are between `{base}` and `{tip}`, {AXES_MIN} to {AXES_MAX} are supported; choose other links (--base, --tip)"
     )]
     Axes {
         /// Number of axes found.

@@ -89,7 +89,7 @@ impl RowTruth {
 pub enum RowSimulationError {
     /// The table contains no positions.
     #[error(
-        "a table of distances does not contain the places of the sockets; give one with a [[socket]] block for each of at least two"
+        "the table of sockets has distances, but no positions; give one with a [[socket]] block for each of at least two sockets"
     )]
     NoPlaces,
     /// A size that is negative or not finite.
