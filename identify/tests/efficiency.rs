@@ -59,7 +59,7 @@ impl Setup {
             let problem = LoopProblem::new(&self.model, joints, observations, whitened, 1.0).unwrap();
             let options = Options::default();
             let (x, _) = minimise_robust(&problem, x, loss, &options).unwrap();
-            let loss = loss.settled(&problem, &x);
+            let loss = loss.for_spread_at(&problem, &x);
             solve(&problem, &x, &Options { loss, ..options }).unwrap()
         };
         let first = solve_from(&self.model.start());

@@ -452,7 +452,7 @@ impl<'a> Solver<'a> {
         let problem = problem(self.runs, &columns, &self.sigmas)?;
         // The noise has converged. Residuals are in standard deviations, except those of the ball-bar alone.
         let loss =
-            if of_bars { loss.settled(&problem, &start) } else { loss.for_spread(1.0, problem.rows()) };
+            if of_bars { loss.for_spread_at(&problem, &start) } else { loss.for_spread(1.0, problem.rows()) };
         let solution = solve(&problem, &start, &Options { loss, ..options });
         drop(problem);
         let mut solution = solution?.identified()?;

@@ -1,9 +1,9 @@
-//! The robust schedule of all solves: a loss whose scale decreases with the spread of the residuals. From a start and the name
-//! of a loss to the minimum with the scale of that loss estimated.
+//! Solves with a robust loss whose scale is estimated from the residuals, as the scale of good samples is unknown.
 //!
-//! At the start, residuals show errors of the model rather than outliers, and a narrow bounded loss has many local minima. The
-//! schedule uses a Cauchy loss at the scale of the residuals of most samples, and narrows it as these decrease (graduated
-//! non-convexity, Blake and Zisserman 1987, with a schedule from the data). The requested loss is used in the last solve.
+//! The *spread* is a robust estimate of the standard deviation of a residual. At the start it is large: residuals show errors of
+//! the model rather than outliers, and a narrow bounded loss would have many local minima. A schedule therefore begins with a
+//! Cauchy loss as wide as the spread, and narrows it as the spread decreases (graduated non-convexity, Blake and Zisserman 1987,
+//! with a schedule from the data). Only the last solve uses the requested loss.
 
 use super::loss::squared_norm_quantile;
 use super::pass::fits;
@@ -14,7 +14,7 @@ const INTERMEDIATE_QUANTILE: f64 = 1.645;
 const LAST_QUANTILE: f64 = 2.326;
 /// Accepted steps between two estimates of the spread.
 const STEPS_BETWEEN: usize = 2;
-/// The spread has converged when it decreases by less than this part.
+/// The spread has converged if a round reduces it by less than this part.
 const DECREASE_MIN: f64 = 0.02;
 /// Residuals below this are rounding errors: no robust loss is needed.
 const SPREAD_MIN: f64 = 1e-12;
@@ -32,8 +32,8 @@ impl GoodShare {
     /// Nine tenths of the samples: all except gross outliers.
     pub const NINE_TENTHS: Self = Self { share: 0.9, quantile: 1.2816 };
 
-    /// Standard deviation of a residual, from the squared norm and the number `n` of residuals of each sample: root of the `share`
-    /// quantile of `squared norm / q(n)`, with `q(n)` the same quantile for `n` standard normal variables; zero without samples.
+    /// The spread, from the squared norm and the number `n` of residuals of each sample: root of the `share` quantile of
+    /// `squared norm / q(n)`, with `q(n)` the same quantile for `n` standard normal variables; zero without samples.
     pub fn spread(self, samples: impl Iterator<Item = (f64, usize)>) -> f64 {
         let mut variances: Vec<f64> =
             samples.map(|(squared, rows)| squared / squared_norm_quantile(rows, self.quantile)).collect();
@@ -50,30 +50,31 @@ impl GoodShare {
     }
 }
 
-/// How the scale of the loss is narrowed.
+/// How the loss is narrowed, in rounds: each improves the parameters with a loss for the spread before it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Schedule {
-    /// Assumed part of good samples, at the start and later.
+    /// Part of the samples that is assumed to be good, for the spread at the start and for those after the rounds.
     pub good: [GoodShare; 2],
-    /// Lowest ratio of consecutive scales: a faster decrease can converge to samples that fit by chance.
+    /// Lowest ratio of the scales of consecutive rounds: a faster decrease can converge to samples that fit by chance.
     pub narrowing: f64,
-    /// After convergence a loss narrower by `narrowing` is tried: it has found another minimum if it reduces the spread to this
-    /// part or less. `None`: it is not tried.
-    pub sharper: Option<f64>,
+    /// After convergence one more round is tried, with a loss narrower by `narrowing`. If its spread is at most this part of the
+    /// spread before, it has found a better minimum, and the rounds continue from there. `None`: it is not tried.
+    pub better_max: Option<f64>,
     /// Highest number of rounds.
     pub rounds_max: usize,
 }
 
 impl Schedule {
     /// Half of the samples are assumed to be good throughout.
-    const USUAL: Self = Self { good: [GoodShare::HALF; 2], narrowing: 0.0, sharper: None, rounds_max: 20 };
+    const USUAL: Self = Self { good: [GoodShare::HALF; 2], narrowing: 0.0, better_max: None, rounds_max: 20 };
 
-    /// Alternates `spread`, the standard deviation of a residual at some parameters, and `solve`, which improves parameters with
-    /// a loss for this standard deviation ([`Loss::on_the_way`]). Returns both when the standard deviation has converged.
+    /// Runs rounds from the parameters `x` until the spread converges; returns the parameters and their spread. `spread` computes
+    /// the spread at parameters; `solve` is a round, which improves parameters with a loss for a spread
+    /// ([`Loss::intermediate`]).
     ///
     /// # Errors
     /// As `solve`.
-    pub fn settle<E>(
+    pub fn converge<E>(
         &self,
         mut x: Vec<f64>,
         spread: impl Fn(&[f64], GoodShare) -> f64,
@@ -88,10 +89,10 @@ impl Schedule {
             x = solve(&x, sigma)?;
             let mut new_sigma = spread(&x, later);
             if new_sigma > (1.0 - DECREASE_MIN) * sigma {
-                let Some(sharper) = self.sharper else { return Ok((x, new_sigma)) };
+                let Some(better_max) = self.better_max else { return Ok((x, new_sigma)) };
                 let narrower = solve(&x, self.narrowing * sigma)?;
                 let narrower_sigma = spread(&narrower, later);
-                if narrower_sigma > sharper * sigma {
+                if narrower_sigma > better_max * sigma {
                     return Ok((x, new_sigma));
                 }
                 (x, new_sigma) = (narrower, narrower_sigma);
@@ -103,14 +104,14 @@ impl Schedule {
 }
 
 impl Loss {
-    /// Intermediate loss of a schedule, for samples of `rows` residuals with this standard deviation.
-    pub fn on_the_way(sigma: f64, rows: usize) -> Self {
+    /// Loss of a round of a schedule, for samples of `rows` residuals with this spread.
+    pub fn intermediate(sigma: f64, rows: usize) -> Self {
         Self::Cauchy { scale: sigma * squared_norm_quantile(rows, INTERMEDIATE_QUANTILE).sqrt() }
     }
 }
 
 impl LossName {
-    /// Loss for samples of `rows` residuals with this standard deviation: one clean sample in a hundred is beyond its scale.
+    /// Loss for samples of `rows` residuals with this spread: one good sample in a hundred is beyond its scale.
     pub fn for_spread(self, sigma: f64, rows: usize) -> Loss {
         let scale = sigma * squared_norm_quantile(rows, LAST_QUANTILE).sqrt();
         match self {
@@ -122,8 +123,8 @@ impl LossName {
         }
     }
 
-    /// The loss with the scale of the residuals at `x`, for an `x` at which the spread has converged.
-    pub fn settled(self, problem: &dyn Problem, x: &[f64]) -> Loss {
+    /// The loss for the spread at `x`, where it has converged.
+    pub fn for_spread_at(self, problem: &dyn Problem, x: &[f64]) -> Loss {
         if self == Self::None {
             return Loss::Squared;
         }
@@ -145,9 +146,9 @@ pub fn minimise_robust(
         return minimise(problem, start, options);
     }
     let spread = |x: &[f64], good: GoodShare| good.spread_at(problem, x);
-    let (x, sigma) = Schedule::USUAL.settle(start.to_vec(), spread, |x, sigma| {
+    let (x, sigma) = Schedule::USUAL.converge(start.to_vec(), spread, |x, sigma| {
         let intermediate = Options {
-            loss: Loss::on_the_way(sigma, problem.rows()),
+            loss: Loss::intermediate(sigma, problem.rows()),
             iterations_max: STEPS_BETWEEN,
             ..*options
         };
@@ -162,12 +163,12 @@ mod tests {
 
     /// The spread falls from 1 to 0.99 in the first solve, and no narrower loss reduces it further.
     #[test]
-    fn the_settled_spread_is_that_at_the_solution_whether_or_not_a_narrower_loss_was_tried() {
-        for sharper in [None, Some(0.8)] {
-            let schedule = Schedule { sharper, narrowing: 0.5, ..Schedule::USUAL };
+    fn the_spread_is_that_at_the_solution_whether_or_not_a_narrower_loss_was_tried() {
+        for better_max in [None, Some(0.8)] {
+            let schedule = Schedule { better_max, narrowing: 0.5, ..Schedule::USUAL };
             let spread = |x: &[f64], _: GoodShare| if x == [0.0] { 1.0 } else { 0.99 };
-            let settled = schedule.settle(vec![0.0], spread, |x, _| Ok::<_, SolveError>(vec![x[0] + 1.0]));
-            assert!(matches!(settled, Ok((x, sigma)) if x == [1.0] && sigma == 0.99));
+            let found = schedule.converge(vec![0.0], spread, |x, _| Ok::<_, SolveError>(vec![x[0] + 1.0]));
+            assert!(matches!(found, Ok((x, sigma)) if x == [1.0] && sigma == 0.99));
         }
     }
 }

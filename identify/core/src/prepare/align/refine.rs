@@ -38,7 +38,7 @@ const OFFSET_SIGMA_RAD: f64 = 0.05;
 const SCHEDULE: Schedule = Schedule {
     good: [GoodShare::NINE_TENTHS, GoodShare::HALF],
     narrowing: 0.5,
-    sharper: Some(0.8),
+    better_max: Some(0.8),
     rounds_max: 30,
 };
 /// A round ends if the cost falls by less than this part; the next one continues from there.
@@ -252,11 +252,11 @@ pub(in crate::prepare) fn refine(
             sigma_rad,
             priors: priors(&model, origin_count),
         };
-        let loss = Loss::on_the_way(1.0, BAR_JOINTS);
+        let loss = Loss::intermediate(1.0, BAR_JOINTS);
         minimise(&problem, x, &Options { loss, cost_tolerance, ..Options::default() }).ok()
     };
     let round = |x: &[f64], sigma_rad: f64| solve(x, sigma_rad, ROUND_TOLERANCE).map(|(x, _)| x).ok_or(());
-    let (x, sigma_rad) = SCHEDULE.settle(x, spread_rad, round).ok()?;
+    let (x, sigma_rad) = SCHEDULE.converge(x, spread_rad, round).ok()?;
     let (x, summary) = solve(&x, sigma_rad, LAST_TOLERANCE)?;
     let (chain, offsets) = x.split_at(chain_columns);
     let geometry = model.geometry(chain);
