@@ -56,7 +56,7 @@ pub fn wrists_apart_m(
         / POSTURES as f64
 }
 
-/// The rigid motion of the second of each pair that brings it nearest to the first.
+/// The rigid motion that brings the second points of all pairs nearest to the first ones (Kabsch 1976).
 pub fn rigid_motion(pairs: &[[Vector3<f64>; 2]]) -> Pose {
     let centre =
         |which: usize| pairs.iter().map(|pair| pair[which]).sum::<Vector3<f64>>() / pairs.len() as f64;
@@ -67,8 +67,8 @@ pub fn rigid_motion(pairs: &[[Vector3<f64>; 2]]) -> Pose {
     Pose::from_parts((a - turn * b).into(), turn)
 }
 
-/// Normalised errors of link parameters: estimate minus truth over the 95 % interval; of `d` of nearly parallel axes the sum
-/// alone.
+/// Normalised errors of link parameters: estimate minus truth, divided by half the width of the 95 % interval. Of the `d` along
+/// two nearly parallel axes only the sum is identified: the second is estimated, and compared with the sum of their errors.
 pub fn pulls(
     robot: &RobotConfig,
     found: &Calibration,

@@ -54,7 +54,7 @@ pub enum StaticErrors {
     /// Table 3.1 of the thesis.
     #[default]
     Thesis,
-    /// N(0, 1 mm|mrad) on the parameters that the thesis leaves free, 38 of six axes.
+    /// Normal errors with a standard deviation of 1 mm or 1 mrad on each parameter that the thesis estimates: 38 for six axes.
     Drawn {
         /// Seed of the draw.
         seed: u64,
@@ -62,7 +62,7 @@ pub enum StaticErrors {
 }
 
 impl StaticErrors {
-    /// Error of each named parameter \[m|rad\]; others have none.
+    /// Errors of the parameters by name \[m|rad\]; parameters that are not listed have none.
     fn by_name(self, axes: usize) -> BTreeMap<String, f64> {
         match self {
             Self::None => BTreeMap::new(),
@@ -72,7 +72,7 @@ impl StaticErrors {
             Self::Drawn { seed } => {
                 let mut random = random(seed, Stream::StaticErrors);
                 let fixed = thesis_fixed(axes).map(|id| id.to_string());
-                // `or` is the prefix of the tilt of the base, which is an effect of its own.
+                // `orx` and `ory`, the tilt of the base, are one of the `Effects`.
                 parameter_names(axes)
                     .into_iter()
                     .filter(|name| !fixed.contains(name) && !name.starts_with("or"))
@@ -109,7 +109,8 @@ pub struct ClockTruth {
 }
 
 impl ClockTruth {
-    /// Reading of the robot's clock when the bar's reads `bar` \[ns\]. An `f64` has steps of 256 ns where the clock shows UTC.
+    /// Reading of the robot's clock when the bar's reads `bar` \[ns\]. Computed in integers: near today's UTC in nanoseconds, the
+    /// values of an `f64` are 256 ns apart.
     pub fn robot_ns(&self, bar: UtcNs) -> i64 {
         let passed_ns = bar.ns_since(self.bar_start);
         let gained_ns = (passed_ns as f64 * self.skew).round() as i64;
@@ -204,7 +205,7 @@ impl Truth {
         }
     }
 
-    /// True minus nominal value \[m|rad\]; 0 for an unknown name.
+    /// True minus nominal value \[m|rad\]; 0 for a name that has none, since only listed parameters have errors.
     pub fn error(&self, name: &str) -> f64 {
         let value = |map: &BTreeMap<String, f64>| map.get(name).copied().unwrap_or(0.0);
         value(&self.parameters) - value(&self.nominal)
@@ -225,7 +226,7 @@ impl Truth {
         Chain { root_from_base, ..self.with_errors(nominal, 'b') }
     }
 
-    /// The nominal chain with the errors of the parameters whose names begin with `chain`.
+    /// The nominal chain with the errors of its parameters, whose names begin with `chain`: `r` for the robot, `b` for the bar.
     fn with_errors(&self, nominal: &Chain, chain: char) -> Chain {
         let mut moved = nominal.clone();
         for (index, link) in moved.links.iter_mut().enumerate() {
