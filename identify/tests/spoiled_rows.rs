@@ -127,7 +127,7 @@ fn exchanged_axes_of_the_positions_are_named() {
 
 #[test]
 fn angles_of_orientation_in_another_order_or_unit_are_named() {
-    let words = "as if angles were in another order, frame or unit";
+    let words = "angles are in another order, frame or unit";
     let read = |other: fn(f64, f64, f64) -> Rotation3<f64>| {
         move |mut rows: Vec<PoseRow>| {
             for row in &mut rows {

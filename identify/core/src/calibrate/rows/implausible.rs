@@ -123,8 +123,8 @@ fn turned(set: &RowSet) -> Option<String> {
     let positions_fit = median_size(nominal().map(|error| error.position_m)) < SIGMAS_MAX * LINK_M;
     (positions_fit && turned_rad > WRONG_RAD).then(|| {
         format!(
-            "the orientations are {turned_rad:.2} rad from those of the nominal robot, as if angles were in another order, frame \
-             or unit than [rotation] of the mapping says, or it is another robot"
+            "the orientations differ by {turned_rad:.2} rad from those of the nominal robot: their angles are in another order, frame or \
+             unit than [rotation] of the mapping states, or it is another robot"
         )
     })
 }
@@ -139,7 +139,7 @@ fn too_far(errors: &[PoseError], robot: &Chain) -> Option<String> {
     let median_m = median_size(errors.iter().map(|error| error.position_m));
     (median_m > limit_m).then(|| {
         format!(
-            "the calibrated robot is {:.1} mm from the rows in the median, errors of the joints explain {:.1} mm",
+            "the median distance of the rows from the calibrated robot is {:.1} mm, joint errors explain at most {:.1} mm",
             median_m * 1e3,
             limit_m * 1e3
         )

@@ -28,7 +28,7 @@ const MISSING_FACTS: [(&str, &str); 5] = [
     ("the times of a second clock", "a clock step is found only from the shifts of parts of the run"),
     (
         "which values are not valid",
-        "every row that has all values is used, but for those that repeat the counts before them, or jump out and come back",
+        "every row that has all values is used, except rows that repeat the counts before them, or jump away and back",
     ),
     ("where counters restarted", "a place where two or more encoders jump at once is taken as a restart"),
     ("the date of its stamps", "the two clocks are compared by the motion alone"),

@@ -71,8 +71,8 @@ impl Reading {
                 let scale = configured.map(shared::config::EncoderConfig::scale);
                 let scale = scale.ok_or_else(|| LogError::Content {
                     path: path.to_owned(),
-                    problem: format!("`{place}` has counts of joint {joint}, and the bar's configuration no encoder there"),
-                    remedy: "give it an [[encoders]] block with lines and interpolation_bits, or leave the column out"
+                    problem: format!("`{place}` has counts of joint {joint}, where the bar's configuration has no encoder"),
+                    remedy: "add an [[encoders]] block with its joint, lines and interpolation_bits, or leave the column out"
                         .into(),
                 })?;
                 (scale, wraps_at)
@@ -323,9 +323,7 @@ impl RawBarLog {
         let remedy = match places.len() {
             0 => return,
             1..=PLACES_MAX => "",
-            _ => {
-                "; if none did, compare lines and interpolation_bits in the bar's configuration with the encoders"
-            }
+            _ => "; if none restarted, correct lines and interpolation_bits in the bar's configuration",
         };
         let (row, named) = (self.kind.row, named(places, PLACES_MAX));
         self.remark(format!(

@@ -348,7 +348,7 @@ impl RawLog {
             high_rad - low_rad > MOTION_DEG_MIN.to_radians()
         };
         if meaning.unit == AngleUnit::Rad && fits(&in_deg) && (0..conversion.axes()).any(moves) {
-            return "read as degrees every row fits: the columns look like degrees under a `_rad` header; export \
+            return "read as degrees, every row is within the limits: the columns look like degrees under a `_rad` header; export \
                     radians, or name the columns `_deg` and set log.unit = \"deg\" in the robot's configuration"
                 .into();
         }
@@ -359,7 +359,7 @@ impl RawLog {
         let mistake = JointMistake::all(conversion.axes()).into_iter().find(explains);
         if let Some(JointMistake::Exchanged(i, j)) = mistake {
             return format!(
-                "with columns `{}` and `{}` exchanged every row fits: check their order in the export",
+                "with columns `{}` and `{}` exchanged, every row is within the limits: check their order in the export",
                 meaning.names[i], meaning.names[j]
             );
         }
@@ -376,12 +376,14 @@ impl RawLog {
         if travel(q_rad).to_degrees() < MOTION_DEG_MIN {
             quality.remarks.push(format!(
                 "no joint moves by {MOTION_DEG_MIN} deg in the whole log; check that columns named as degrees are not \
-                 radians, and that the log has the motion"
+                 radians, and that the log contains the run"
             ));
         }
         quality.remark_counts(self.what, "the joints", "they are left out", "lack a joint");
         if self.origin == Origin::Commanded {
-            quality.remarks.push("the values are commanded, not measured: servo lag is not in them".into());
+            quality
+                .remarks
+                .push("the values are commanded, not measured: they do not contain the servo lag".into());
         }
         quality
     }

@@ -132,10 +132,10 @@ pub(in crate::logs) fn remark(
         return Err(LogError::Content {
             path: path.to_owned(),
             problem: format!("{count} of {rows} {what}s {whose} ({what} {named})"),
-            remedy: "find out what is written there, remove invalid rows, or log again".into(),
+            remedy: "find out what writes these values, remove them, or log again".into(),
         });
     }
     Ok(Some(format!(
-        "{count} of {rows} {what}s {whose} ({what} {named}): {done}; find out what is written there, mostly zeros in place of a value"
+        "{count} of {rows} {what}s {whose} ({what} {named}): {done}; find out what writes these values, often zeros for a missing one"
     )))
 }
