@@ -215,7 +215,7 @@ fn a_joint_that_counts_the_other_way_is_named() {
 fn nobody_turning_ends_with_what_to_do() {
     let error = Bench::new(4).home(&encoders(), |_, _| ()).unwrap_err();
     assert!(matches!(error, HomingError::NoMark { joint: 1, turned_deg } if turned_deg.abs() < 0.1));
-    assert!(error.to_string().contains("turn it a whole revolution"));
+    assert!(error.to_string().contains("by a whole turn"));
 }
 
 #[test]
