@@ -364,6 +364,8 @@ fn a_zero_that_wanders_is_told_from_the_robot_and_one_that_stays_is_not_invented
     }
     let report = Alone::default().lengths(&rows, &irb120()).unwrap();
     println!("{:?}", report.rows().drift);
+    let white_m = report.rows().drift.unwrap().white_m;
+    assert!((0.5e-4..3e-4).contains(&white_m), "the noise of a length is 0.1 mm, found {white_m}");
     show("wandering, robot alone", &report.rows().held_out_with_rejected().links);
     show("wandering, with drift", &report.rows().held_out_with_rejected().joints);
     assert!(report.rows().held_out_with_rejected().links.position_m.rms > 1e-3);
