@@ -147,6 +147,11 @@ fn faults_in_the_rows_are_found_named_and_kept_out_of_the_fit() {
     let signed = |(row, residual_m): &(usize, f64)| *row < 400 || (residual_m + 2e-2).abs() < 2e-3;
     assert!(gross_m.iter().all(signed), "{gross_m:?}");
     assert!(report.fitted().joints.position_m.rms < 1.5e-4, "{:?}", report.fitted().joints);
+    // The table counts the rows that the result does not use.
+    let deviations = report.rows().deviations(&report.0.runs[0]);
+    let unused = deviations.iter().filter(|(_, why)| why.is_some()).count();
+    let table = report.table();
+    assert!(unused > 0 && table.contains(&format!("{unused} of 0 rows rejected")), "{unused}: {table}");
 }
 
 #[test]

@@ -109,11 +109,12 @@ const FIGURES: &str = "    mean      RMS      p95      max";
 /// parts (`unseen`); then the rejected rows. `lines` are the line numbers of the rows in their file.
 pub fn table(
     set: &RowSet,
-    Run { instrument, model }: &Run,
+    run: &Run,
     lines: &[u64],
     validations: &[Validation],
     unseen: &[&UnseenPart],
 ) -> String {
+    let Run { instrument, model } = run;
     let (fitted, held_out, with_rejected) = (set.fitted(), set.held_out(), set.held_out_with_rejected());
     let mut text = if fitted.nominal.rotation_rad.is_some() {
         let head =
@@ -151,7 +152,7 @@ pub fn table(
     }
     let geometry = model.geometry(&[]);
     text.push_str(&sections(set, instrument, &instrument.errors(&geometry), unseen));
-    text.push_str(&rejected_rows(set, &instrument.remarks(&geometry), lines));
+    text.push_str(&rejected_rows(set, run, &instrument.remarks(&geometry), lines));
     text
 }
 
@@ -178,26 +179,30 @@ fn sections(set: &RowSet, instrument: &Instrument, errors: &[PoseError], unseen:
     text
 }
 
-fn rejected_rows(set: &RowSet, remarks: &[(usize, String)], lines: &[u64]) -> String {
+/// Rows that the result does not use, with the reason, and the runs of faulty rows.
+fn rejected_rows(set: &RowSet, run: &Run, remarks: &[(usize, String)], lines: &[u64]) -> String {
     let mut text = String::new();
     let line = |row: usize| lines.get(row).copied().unwrap_or_default();
-    let _ = writeln!(text, "{} of {} rows rejected:", set.rejected.len(), lines.len());
-    for rejected in &set.rejected {
-        let remark = remarks.iter().find(|(row, _)| *row == rejected.row);
+    let rejected = set.deviations(run).into_iter().enumerate();
+    let rejected: Vec<_> = rejected.filter_map(|(row, (_, why))| Some((row, why?))).collect();
+    let _ = writeln!(text, "{} of {} rows rejected:", rejected.len(), lines.len());
+    for (row, why) in rejected {
+        let remark = remarks.iter().find(|(other, _)| *other == row);
         let remark = remark.map_or_else(String::new, |(_, remark)| format!(", {remark}"));
-        let _ = match rejected.why {
-            Rejection::FlangeContradicts { distance_m } => writeln!(
-                text,
-                "  line {}: the controller's position is {:.1} mm from its joint angles{remark}",
-                line(rejected.row),
-                distance_m * 1e3
-            ),
-            Rejection::GrossResidual { residual_m } => {
-                writeln!(text, "  line {}: off by {:.2} mm{remark}", line(rejected.row), residual_m * 1e3)
+        let what = match why {
+            Rejection::FlangeContradicts { distance_m } => {
+                format!("the controller's position is {:.1} mm from its joint angles", distance_m * 1e3)
             }
+            Rejection::GrossResidual { residual_m } => format!("off by {:.2} mm", residual_m * 1e3),
             // Listed with its run below.
-            Rejection::FaultyRun { .. } => Ok(()),
+            Rejection::FaultyRun { .. }
+                if set.runs.iter().any(|run| (run.first..=run.last).contains(&row)) =>
+            {
+                continue;
+            }
+            Rejection::FaultyRun { .. } => "deviates together with the rows around it".to_owned(),
         };
+        let _ = writeln!(text, "  line {}: {what}{remark}", line(row));
     }
     for run in &set.runs {
         let cause = match run.cause {
