@@ -4,11 +4,11 @@
 
 use std::sync::Mutex;
 
-use identify::calibrate::rows::{PoseFigures, RunCause, Stages, is_surely_better};
+use identify::calibrate::rows::{PoseFigures, RunCause, Stages, is_surely_better, likely};
 use identify::calibrate::{DataSets, IdentifyConfig, calibrate};
-use identify::instrument::{HoldOut, Measures as _, Rejection, Rows, Wire};
+use identify::instrument::{HoldOut, Instrument, Measures as _, Mistake, Rejection, Rows, Wire};
 use identify::kinematics::{Chain, Joints, flange_chain};
-use identify::logs::LengthRow;
+use identify::logs::{JointMistake, LengthRow};
 use identify::model::{Axis, ParameterId};
 use identify::solver::{Progress, Watch};
 use identify::statistics::Sizes;
@@ -178,6 +178,18 @@ fn lengths_in_another_unit_are_refused_with_the_unit_and_short_strokes_are_not()
     assert!(short.len() > 40, "{}", short.len());
     let told = Alone::default().lengths(&short, &irb120()).err().map(|error| error.to_string());
     assert!(told.is_none_or(|told| !told.contains("times as long")));
+}
+
+#[test]
+fn joints_in_the_other_unit_are_not_taken_for_shorter_lengths() {
+    let (mut rows, _) = made_up(200);
+    for row in &mut rows {
+        row.joints_rad = row.joints_rad.map(f64::to_radians);
+        row.flange_m = None;
+    }
+    let wire: Instrument = Wire::new(&rows).into();
+    let found = likely(&wire, &flange_chain(&irb120()), &wire.mistakes(6)).unwrap();
+    assert_eq!(found.mistake, Mistake::Joints(JointMistake::InRadians), "{found}");
 }
 
 /// Records the progress reports.

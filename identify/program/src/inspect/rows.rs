@@ -39,16 +39,21 @@ fn nominal_robot(inspection: &mut Inspection, instrument: &Instrument, robot: &R
         inspection.suspect(error.to_string());
     }
     let thinned = some_of(instrument);
-    let Some(PoseError { position_m, rotation_rad }) = misfit(&thinned, &chain) else { return };
-    let rotation = rotation_rad.map(|rad| format!(" and {:.2} mrad", rad * 1e3)).unwrap_or_default();
-    let fact = format!("{:.2} mm{rotation} (RMS) from the rows", position_m * 1e3);
-    inspection.fact("nominal robot", fact);
+    let error = misfit(&thinned, &chain);
+    if let Some(PoseError { position_m, rotation_rad }) = error {
+        let rotation = rotation_rad.map(|rad| format!(" and {:.2} mrad", rad * 1e3)).unwrap_or_default();
+        let fact = format!("{:.2} mm{rotation} (RMS) from the rows", position_m * 1e3);
+        inspection.fact("nominal robot", fact);
+    }
+    let is_of_another = |error: PoseError| {
+        error.position_m > OTHER_ROBOT_M || error.rotation_rad.is_some_and(|rad| rad > OTHER_ROBOT_RAD)
+    };
     let mut mistakes = instrument.mistakes(robot.axes());
     // The calibration finds where an instrument or target was moved.
     mistakes.retain(|mistake| !matches!(mistake, Mistake::Moved(_)));
     if let Some(likely) = likely(instrument, &chain, &mistakes) {
         inspection.suspect(format!("most likely {likely}"));
-    } else if position_m > OTHER_ROBOT_M || rotation_rad.is_some_and(|rad| rad > OTHER_ROBOT_RAD) {
+    } else if error.is_some_and(is_of_another) {
         inspection.suspect(
             "the rows differ from the nominal robot by more than errors of a robot: check that the file is that of this robot, and \
              units, signs and frames of the measurement",

@@ -17,7 +17,8 @@ use crate::statistics::{mean, median_size, rms};
 pub struct Likely {
     /// The mistake that explains the rows.
     pub mistake: Mistake,
-    /// Error of the nominal robot for the rows as read \[m\]: root mean square, for lengths the median.
+    /// Error of the nominal robot for the rows as read \[m\]: root mean square, for lengths the median; infinite if the
+    /// instrument cannot be placed.
     pub as_read_m: f64,
     /// Error after correction of the mistake \[m\].
     pub undone_m: f64,
@@ -28,10 +29,10 @@ impl fmt::Display for Likely {
         let Self { mistake, as_read_m, undone_m } = self;
         write!(
             f,
-            "{mistake}: with this corrected the nominal robot is {:.1} mm from the rows, without {:.1} mm",
-            undone_m * 1e3,
-            as_read_m * 1e3
-        )
+            "{mistake}: with this corrected the nominal robot is {:.1} mm from the rows",
+            undone_m * 1e3
+        )?;
+        if as_read_m.is_finite() { write!(f, ", without {:.1} mm", as_read_m * 1e3) } else { Ok(()) }
     }
 }
 
@@ -111,8 +112,11 @@ pub fn likely(instrument: &Instrument, robot: &Chain, mistakes: &[Mistake]) -> O
     let corrected = |&mistake: &Mistake| {
         Some(Likely { mistake, as_read_m, undone_m: corrected_misfit_m(mistake, instrument, robot)? })
     };
-    let best = mistakes.iter().filter_map(corrected).min_by(|a, b| a.undone_m.total_cmp(&b.undone_m))?;
-    (best.undone_m < NEAR_M.min(REMAINING_MAX * as_read_m)).then_some(best)
+    // Shorter lengths have smaller errors, also where the unit is right.
+    let at_length_read_m = |likely: &Likely| likely.undone_m / likely.mistake.shortening();
+    let found = mistakes.iter().filter_map(corrected);
+    let best = found.min_by(|a, b| at_length_read_m(a).total_cmp(&at_length_read_m(b)))?;
+    (best.undone_m < NEAR_M && at_length_read_m(&best) < REMAINING_MAX * as_read_m).then_some(best)
 }
 
 /// The most likely of all mistakes, in the first of these files that has one.

@@ -26,6 +26,14 @@ impl Mistake {
     pub fn of_joints(axes: usize) -> Vec<Self> {
         JointMistake::all(axes).into_iter().map(Self::Joints).collect()
     }
+
+    /// Factor by which lengths, and with them all errors, become shorter without the mistake; 1 if they do not.
+    pub fn shortening(self) -> f64 {
+        match self {
+            Self::LengthUnit(thousandths) => (f64::from(thousandths) / 1e3).min(1.0),
+            _ => 1.0,
+        }
+    }
 }
 
 impl fmt::Display for Mistake {
