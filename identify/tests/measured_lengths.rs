@@ -73,6 +73,20 @@ fn bad_cells_are_refused_with_line_and_column() {
 }
 
 #[test]
+fn a_layout_that_the_file_does_not_have_is_refused_with_what_to_write() {
+    let good = table("1,2,3,-74.5,33.9,-30.8,-15.1,80.5,-59.7,509.19");
+    let refusal = |text: &str| read(text, &example()).unwrap_err().to_string();
+    let semicolons = refusal(&good.replace(',', ";").replace('.', ","));
+    assert!(semicolons.contains("write delimiter = \";\" under [csv]"), "{semicolons}");
+    let without_header = refusal(good.trim_start_matches(HEADER).trim_start());
+    assert!(without_header.contains("There are numbers in place of the header"), "{without_header}");
+    let cut = refusal(&good[..good.len() - ",509.19\n".len()]);
+    assert!(cut.contains("line 13: 9 cells where the header has 10, in the last line"), "{cut}");
+    let short = refusal(&good.replacen(",509.19", "", 1));
+    assert!(short.contains("line 2: 9 cells") && !short.contains("last line"), "{short}");
+}
+
+#[test]
 fn stated_uncertainties_are_read_in_millimetres() {
     let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("../config/measured_length.toml");
     let text = std::fs::read_to_string(shipped).unwrap();

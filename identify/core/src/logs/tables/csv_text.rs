@@ -90,7 +90,7 @@ impl<'a> Table<'a> {
         let format = Format { delimiter, decimal_comma: layout.decimal_comma };
         let mut table = Self::open_as(text, format, layout.header)?;
         for _ in 0..layout.unit_lines {
-            match table.next_row(&mut Row::default()) {
+            match table.read(&mut Row::default()) {
                 // These lines need not have the cells of the table.
                 Ok(_) | Err(LogError::Malformed { .. }) => {}
                 Err(error) => return Err(error),
@@ -140,13 +140,35 @@ impl<'a> Table<'a> {
                 path: self.path().to_owned(),
                 column: name.to_owned(),
                 found: self.names(),
-                remedy: remedy.to_owned(),
+                remedy: self.remedy_of_header().unwrap_or_else(|| remedy.to_owned()),
             });
         };
         if matching.next().is_some() {
             return Err(LogError::RepeatedColumn { path: self.path().to_owned(), column: name.to_owned() });
         }
         Ok(Column { index, name: name.to_owned() })
+    }
+
+    /// What to do if the header shows why a column is missing: it is a row of numbers, or has other delimiters.
+    fn remedy_of_header(&self) -> Option<String> {
+        let is_number = |name: &String| name.replace(',', ".").parse::<f64>().is_ok();
+        let is_numbered = (1..).zip(&self.header).all(|(number, name)| *name == number.to_string());
+        if self.header.iter().all(is_number) && !is_numbered {
+            return Some(
+                "There are numbers in place of the header: write a line with the names of the columns above them, or \
+                 header = false under [csv] of a mapping, where the columns are \"1\", \"2\" ..."
+                    .into(),
+            );
+        }
+        let [only] = self.header.as_slice() else { return None };
+        let delimiter = char::from(delimiter_of(only));
+        only.contains(delimiter).then(|| {
+            format!(
+                "The cells are separated by another character than the mapping states: write delimiter = \"{}\" under [csv], and \
+                 decimal_comma = true if numbers are written 1,5.",
+                delimiter.escape_default()
+            )
+        })
     }
 
     /// The first columns by name, for a message: the first line of a file without header may have any size.
@@ -175,6 +197,17 @@ impl<'a> Table<'a> {
 
     /// Puts the next row into `row`, if there is one.
     pub fn next_row(&mut self, row: &mut Row) -> Result<bool, LogError> {
+        self.read(row).map_err(|mut error| {
+            if let LogError::Malformed { problem, .. } = &mut error
+                && matches!(self.rows.read_record(&mut csv::StringRecord::new()), Ok(false))
+            {
+                problem.push_str(", in the last line: if the file was cut off there, remove that line");
+            }
+            error
+        })
+    }
+
+    fn read(&mut self, row: &mut Row) -> Result<bool, LogError> {
         let is_there = self.rows.read_record(&mut row.cells);
         let is_there = is_there.map_err(|error| malformed(error, self.rows.get_mut()))?;
         if let Some(position) = row.cells.position().filter(|_| is_there) {
@@ -201,13 +234,14 @@ impl<'a> Table<'a> {
                 row,
                 column,
                 format!("`{text}` is not a finite number"),
-                "remove the row; the controller had no value there",
+                "remove the row: its value is missing",
             )),
             Err(_) if text.contains(',') => Err(self.bad(
                 row,
                 column,
                 format!("`{text}` has a decimal comma"),
-                "`decimal_comma = true` in a mapping reads it (--log-mapping; `identify inspect --propose` writes one)",
+                "`decimal_comma = true` in the mapping reads it (--mapping, --log-mapping; `identify inspect --propose` \
+                 writes one)",
             )),
             Err(_) => {
                 Err(self.bad(row, column, format!("`{text}` is not a number"), "correct or remove the row"))
