@@ -372,7 +372,7 @@ fn exchanged_columns_are_suspected_where_they_explain_the_limits() {
         .replace("joint2_deg", "joint1_deg")
         .replace("first", "joint2_deg");
     let refusal = message(parse(&text, &nj()));
-    assert!(refusal.contains("`joint1_deg` and `joint2_deg` exchanged"), "{refusal}");
+    assert!(refusal.contains("exchanged columns: `joint1_deg` and `joint2_deg`"), "{refusal}");
 }
 
 #[test]

@@ -10,7 +10,7 @@ use std::path::Path;
 
 use crate::support::{bar, irb2400};
 use identify::logs::{
-    ForceLog, LogError, LogFormat, LogOptions, MeasuredLengths, Origin, OtherBarLog, RobotLog,
+    ForceLog, JointUnit, LogError, LogFormat, LogOptions, MeasuredLengths, Origin, OtherBarLog, RobotLog,
     RobotLogMapping, TimedPoses, Touches, read_with,
 };
 use shared::config::{self, AngleUnit, JointKind, RobotConfig};
@@ -73,6 +73,18 @@ fn the_shipped_mapping_reads_decimal_commas_units_and_the_coupling_of_a_fanuc() 
     });
     assert!((log.q_rad.period_s() - 0.008).abs() < 1e-12);
     assert_eq!((log.clock.as_str(), log.origin), ("controller", Origin::Measured));
+}
+
+#[test]
+fn degrees_that_a_mapping_states_as_radians_are_recognised() {
+    let mut in_rad = shipped_mapping();
+    in_rad.joints.iter_mut().for_each(|joint| joint.unit = JointUnit::Rad);
+    let mut text = german_table(0);
+    for (row, deg) in rows(80) {
+        text += &format!("{};{};0,5\r\n", row * 100, cells(&deg, ";").replace('.', ","));
+    }
+    let refusal = read_as(&text, Some(in_rad)).unwrap_err().to_string();
+    assert!(refusal.contains("look like degrees: write unit = \"deg\" for the joints"), "{refusal}");
 }
 
 /// Such a robot with a slide as its third axis.

@@ -8,7 +8,7 @@ use shared::config::{AngleUnit, JointKind, LogConversion, RobotConfig};
 use super::mapping::RobotLogMapping;
 use crate::kinematics::{Joints, wrapped};
 use crate::logs::force::FORCE_MAX;
-use crate::logs::rows::pose_rows::joints_of_robot;
+use crate::logs::rows::pose_rows::{JointUnit, joints_of_robot};
 use crate::logs::time_series::excursions::{Excursions, Fastest, remark};
 use crate::logs::time_series::frozen::repeated_rows;
 use crate::logs::time_series::sampling::Stamps;
@@ -66,14 +66,16 @@ pub(in crate::logs) struct RawLog {
 /// Conversion of a file's joints to those of the model, with their names in the file.
 pub(in crate::logs) struct Meaning<'a> {
     robot: &'a RobotConfig,
+    /// Unit of angles, as robot's file, format or mapping state it.
     unit: AngleUnit,
+    is_mapped: bool,
     conversion: JointConversion,
     names: Vec<String>,
 }
 
 impl<'a> Meaning<'a> {
     fn new(robot: &'a RobotConfig, log: &LogConversion, names: Vec<String>) -> Result<Self, LogError> {
-        Ok(Self { robot, unit: log.unit, conversion: JointConversion::new(log)?, names })
+        Ok(Self { robot, unit: log.unit, is_mapped: false, conversion: JointConversion::new(log)?, names })
     }
 
     /// The conversion that a mapping with joints states for this robot.
@@ -84,7 +86,9 @@ impl<'a> Meaning<'a> {
         path: &Path,
     ) -> Result<Self, LogError> {
         joints_of_robot(&mapping.joints, robot, path)?;
-        Self::new(robot, &mapping.conversion(), names)
+        let is_in_deg = mapping.joints.iter().any(|joint| joint.unit == JointUnit::Deg);
+        let unit = if is_in_deg { AngleUnit::Deg } else { AngleUnit::Rad };
+        Ok(Self { unit, is_mapped: true, ..Self::new(robot, &mapping.conversion(), names)? })
     }
 
     /// The robot's own log.
@@ -108,7 +112,8 @@ impl<'a> Meaning<'a> {
                     JointKind::Revolute => AngleUnit::Deg.to_rad(),
                     JointKind::Prismatic => joint.unit.to_si(),
                 });
-                (Self::mapped(robot, mapping, names, path)?, factors.collect())
+                let mapped = Self::mapped(robot, mapping, names, path)?;
+                (Self { unit: AngleUnit::Deg, ..mapped }, factors.collect())
             }
             None => {
                 let factors = robot.joint_kinds().map(|kind| match kind {
@@ -348,19 +353,27 @@ impl RawLog {
             high_rad - low_rad > MOTION_DEG_MIN.to_radians()
         };
         if meaning.unit == AngleUnit::Rad && fits(&in_deg) && (0..conversion.axes()).any(moves) {
-            return "read as degrees, every row is within the limits: the columns look like degrees under a `_rad` header; export \
-                    radians, or name the columns `_deg` and set log.unit = \"deg\" in the robot's configuration"
-                .into();
-        }
-        let explains = |mistake: &JointMistake| {
-            matches!(mistake, JointMistake::Exchanged(..))
-                && fits(&|row| conversion.to_joint(&mistake.undone(row)))
-        };
-        let mistake = JointMistake::all(conversion.axes()).into_iter().find(explains);
-        if let Some(JointMistake::Exchanged(i, j)) = mistake {
+            let correction = if meaning.is_mapped {
+                "write unit = \"deg\" for the joints of the mapping"
+            } else {
+                "export radians, or name the columns `_deg` and set log.unit = \"deg\" in the robot's configuration"
+            };
             return format!(
-                "with columns `{}` and `{}` exchanged, every row is within the limits: check their order in the export",
-                meaning.names[i], meaning.names[j]
+                "read as degrees, every row is within the limits, so the columns look like degrees: {correction}"
+            );
+        }
+        let exchanged = |mistake: JointMistake| match mistake {
+            JointMistake::Exchanged(i, j) if fits(&|row| conversion.to_joint(&mistake.undone(row))) => {
+                Some(format!("`{}` and `{}`", meaning.names[i], meaning.names[j]))
+            }
+            _ => None,
+        };
+        let exchanged: Vec<String> =
+            JointMistake::all(conversion.axes()).into_iter().filter_map(exchanged).collect();
+        if !exchanged.is_empty() {
+            return format!(
+                "every row is within the limits if columns are exchanged: {}; check their order in the export",
+                exchanged.join(", or ")
             );
         }
         "check that the log belongs to this robot, its unit, the order of its columns, and log.raw_offset_rad and \
