@@ -81,7 +81,8 @@ pub enum PrepareError {
     },
     /// One of the logs is too short.
     #[error(
-        "{what} covers {seconds:.1} s, at least {needed:.1} s are needed to match the logs; log a longer motion"
+        "{what} covers {seconds:.2} s, at least {needed:.1} s are needed to match the logs; log a longer motion, or correct the \
+         unit of its time stamps"
     )]
     TooShort {
         /// The log that is meant.
@@ -93,8 +94,8 @@ pub enum PrepareError {
     },
     /// One of the logs is too long, or has a time stamp far from the others.
     #[error(
-        "{what} covers {hours:.1} h, at most {hours_max} h can be matched; remove the rows outside the run, or those from before a \
-         clock was set"
+        "{what} covers {hours:.1} h, at most {hours_max} h can be matched; remove the rows outside the run or from before a clock \
+         was set, or correct the unit of its time stamps"
     )]
     TooLong {
         /// The log that is meant.
