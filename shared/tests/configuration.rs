@@ -119,8 +119,27 @@ fn a_key_that_is_missing_is_named() {
 
 #[test]
 fn text_that_is_no_toml_is_reported_with_its_line() {
-    let message = message::<BallBarConfig>("length_m = 0.6\nplate_m 0.1\n");
-    assert!(message.starts_with("cell.toml, line 2: this is not TOML: "), "{message}");
+    let refusal = message::<BallBarConfig>("length_m = 0.6\nplate_m 0.1\n");
+    assert!(refusal.starts_with("cell.toml, line 2: this is not TOML: "), "{refusal}");
+    assert!(!refusal.contains("quotes"), "{refusal}");
+    for value in ["arm", "../arm.toml"] {
+        let refusal = message::<RobotConfig>(&format!("name = {value}\n"));
+        assert!(refusal.starts_with("cell.toml, line 1: this is not TOML: "), "{refusal}");
+        assert!(refusal.ends_with("text needs quotes, such as \"arm\""), "{refusal}");
+    }
+}
+
+#[test]
+fn a_table_in_place_of_a_list_of_tables_is_reported_with_what_to_write() {
+    let text = shipped("ball_bar.toml");
+    let (before, from_first) = text.split_at(text.find("[[encoders]]").unwrap());
+    let first = from_first.replacen("[[encoders]]", "[encoders]", 1);
+    let (first, _) = first.split_once("[[encoders]]").unwrap();
+    let refusal = message::<BallBarConfig>(&format!("{before}{first}"));
+    assert!(
+        refusal.contains("key `encoders` is a list of tables; write [[encoders]] above each"),
+        "{refusal}"
+    );
 }
 
 #[test]

@@ -15,6 +15,16 @@ pub(super) fn line_of_syntax(text: &str, error: &toml::de::Error) -> Option<usiz
     line_at(text, error.span()?.start)
 }
 
+/// The message on a text that is not TOML at `line`, from 1.
+pub(super) fn syntax_message(text: &str, line: Option<usize>, error: &toml::de::Error) -> String {
+    let value = || Some(text.lines().nth(line?.checked_sub(1)?)?.split_once('=')?.1.trim_start());
+    // Names and paths, such as arm or ../run.mcap.
+    let is_unquoted =
+        value().is_some_and(|value| value.starts_with(|c: char| c.is_alphabetic() || "./~".contains(c)));
+    let hint = if is_unquoted { "; text needs quotes, such as \"arm\"" } else { "" };
+    format!("this is not TOML: {}{hint}", error.message().trim_end())
+}
+
 /// The line that a message of serde on `key` is about, from 1: of an unknown key its own, of a missing key that of its table;
 /// `None` if it concerns the whole file.
 pub(super) fn line(text: &str, key: &str, original: &str) -> Option<usize> {
@@ -87,6 +97,9 @@ pub(super) fn message(key: &str, original: &str) -> String {
         _ if original.starts_with("data did not match any variant") => format!(
             "key `{key}`: its value has an unknown form; the comment above it in the shipped file (config/) lists the forms"
         ),
+        _ if original.starts_with("invalid type: map, expected a sequence") => {
+            format!("key `{key}` is a list of tables; write [[{key}]] above each, not [{key}]")
+        }
         _ => format!("key `{key}`: {}", original.trim_end()),
     }
 }

@@ -185,10 +185,10 @@ fn reader<'a>(
     path: &Path,
     keys: &'a mut Track,
 ) -> Result<Box<dyn erased_serde::Deserializer<'a> + 'a>, ConfigError> {
-    let table = toml::de::DeTable::parse(text).map_err(|error| ConfigError::Malformed {
-        path: path.to_owned(),
-        line: malformed::line_of_syntax(text, &error),
-        message: format!("this is not TOML: {}", error.message().trim_end()),
+    let table = toml::de::DeTable::parse(text).map_err(|error| {
+        let line = malformed::line_of_syntax(text, &error);
+        let message = malformed::syntax_message(text, line, &error);
+        ConfigError::Malformed { path: path.to_owned(), line, message }
     })?;
     // Without the text, which its errors would quote.
     let toml = toml::Deserializer::from(table);
