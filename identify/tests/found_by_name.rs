@@ -120,6 +120,18 @@ fn names_of_parameters_are_checked_before_anything_is_read() {
 }
 
 #[test]
+fn the_mapping_of_a_log_in_place_of_that_of_rows_is_recognised() {
+    let directory = tempfile::tempdir().unwrap();
+    let mapping = repository("config/robot_log.toml");
+    let arguments = ["inspect", "rows.csv", "--robot", "ur10", "--mapping", mapping.to_str().unwrap()];
+    let (code, told) = identify(directory.path(), &arguments);
+    assert!(
+        code == Some(1) && told.contains("mapping of a robot's log; give it with --log-mapping"),
+        "{told}"
+    );
+}
+
+#[test]
 fn a_recording_in_place_of_the_log_is_recognised() {
     let directory = tempfile::tempdir().unwrap();
     let at = directory.path();

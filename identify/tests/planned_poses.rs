@@ -317,7 +317,8 @@ fn the_command_writes_poses_that_calibrate_reads_and_a_program_that_stops_at_eac
     );
     assert!(again.status.success(), "{}", String::from_utf8_lossy(&again.stderr));
     for (count, more, told) in [
-        ("20", &["--measures", "lengths"][..], "--anchor is the outlet of a wire"),
+        ("20", &["--measures", "lengths"][..], "--measures lengths needs --anchor X,Y,Z"),
+        ("20", &["--measures", "poses", "--anchor", "1,0,0"], "give it with --measures lengths only"),
         ("20", &["--measures", "positions", "--noise-mrad", "1"], "--noise-mrad is that of orientations"),
         ("20", &["--measures", "poses", "--floor", "5"], "random postures keep"),
         ("61", &["--measures", "poses"], "61 of 60 poses"),

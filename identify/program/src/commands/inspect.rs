@@ -16,8 +16,8 @@ use crate::inspect::{self, Inspection};
 use crate::instrument::SocketTable;
 use crate::logs::{
     self, BarLogMapping, ContactMapping, LogError, LogFormat, LogOptions, MeasuredLengthMapping,
-    MeasuredLengths, MeasuredPoseMapping, MeasuredPoses, OtherBarLog, TimedPoses, TouchMapping, Touches,
-    joints_of_robot,
+    MeasuredLengths, MeasuredPoseMapping, MeasuredPoses, OtherBarLog, RobotLogMapping, TimedPoses,
+    TouchMapping, Touches, joints_of_robot,
 };
 use crate::report::table;
 
@@ -84,6 +84,12 @@ impl RowMapping {
                 .parse::<toml::Table>(),
         };
         let has = |key: &str| table.as_ref().is_ok_and(|table| table.contains_key(key));
+        let has_measurement = ["length", "face", "position"].into_iter().any(has);
+        anyhow::ensure!(
+            has_measurement || !has("time") || config::load::<RobotLogMapping>(path).is_err(),
+            "{}: this is the mapping of a robot's log; give it with --log-mapping",
+            path.display()
+        );
         Ok(match (has("length"), has("face")) {
             (true, _) => Self::Lengths(config::load(path)?),
             (_, true) => Self::Touches(config::load(path)?),

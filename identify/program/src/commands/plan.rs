@@ -515,8 +515,12 @@ fn ensure_valid(arguments: &PosesArguments) -> anyhow::Result<()> {
         "--noise-mrad is that of orientations; give it with --measures poses"
     );
     anyhow::ensure!(
-        anchor.is_some() == (*measures == Measures::Lengths),
-        "--anchor is the outlet of a wire; give it with --measures lengths, and with no other"
+        anchor.is_some() || *measures != Measures::Lengths,
+        "--measures lengths needs --anchor X,Y,Z: the outlet of the wire in the robot's base frame, in metres"
+    );
+    anyhow::ensure!(
+        anchor.is_none() || *measures == Measures::Lengths,
+        "--anchor is the outlet of a wire; give it with --measures lengths only"
     );
     anyhow::ensure!(
         arguments.mapping.is_none() || arguments.candidates.is_some(),
