@@ -10,6 +10,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use shared::recording::schema::{PortCounts, flags};
 
+use crate::devices::el5021::Status;
+
 /// How serious a state is.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
@@ -216,7 +218,7 @@ facts! {
     /// Encoders give too few valid samples. Status word and share of the last second are those of the first.
     EncoderInvalid = "encoder_invalid", Bad { joints: Vec<u8>, status: Option<u16>, valid_share: f64 } =>
         invalid_encoders(joints, *status, *valid_share),
-        "check the encoder's cable and plug, and its signal amplitude";
+        encoder_remedy(*status);
     /// Counts may have a new origin.
     CountsRestarted = "counts_restarted", Check { joint: Option<u8>, because: String } =>
         format!("counts may have a new origin: {because}"),
@@ -495,12 +497,28 @@ fn not_operational(position: Option<usize>, al_status_code: Option<u16>) -> Stri
 }
 
 fn invalid_encoders(joints: &[u8], status: Option<u16>, valid_share: f64) -> String {
-    let word = status.map_or(String::new(), |status| format!(" (status {status:#06x})"));
+    let why = if is_only_unsynchronised(status) { ": cycles not synchronous with the terminal" } else { "" };
+    let word = status.map_or(String::new(), |status| format!(" (status {status:#06x}{why})"));
     let who = format!("joint {}{word}", numbers(joints));
     if valid_share > 0.0 {
         return format!("{who} was valid for {:.0} % of the last second", 100.0 * valid_share);
     }
     format!("no valid sample from {who}")
+}
+
+/// Whether the terminal reports late cycles, and no error of the encoder.
+fn is_only_unsynchronised(status: Option<u16>) -> bool {
+    let is_only =
+        |status: Status| status.sync_error() && !status.amplitude_error() && !status.frequency_error();
+    status.map(Status).is_some_and(is_only)
+}
+
+fn encoder_remedy(status: Option<u16>) -> &'static str {
+    if is_only_unsynchronised(status) {
+        "run `ballbard tune`; end programs that take the processor"
+    } else {
+        "check the encoder's cable and plug, and its signal amplitude"
+    }
 }
 
 /// Advice if the bus itself does not identify the device.
@@ -590,6 +608,21 @@ mod tests {
             "no valid sample from joint 2 (status 0x0010); no valid sample from joint 4 (status 0x0010); check the \
              encoder's cable and plug, and its signal amplitude"
         );
+    }
+
+    #[test]
+    fn late_cycles_are_no_fault_of_an_encoder() {
+        let text = |status| {
+            Problem::from(Fact::EncoderInvalid { joints: vec![1], status: Some(status), valid_share: 0.0 })
+                .to_string()
+        };
+        let late = text(0xa000);
+        assert!(
+            late.contains("(status 0xa000: cycles not synchronous") && late.contains("ballbard tune"),
+            "{late}"
+        );
+        // With a low signal the cable is the cause.
+        assert!(text(0x2010).contains("check the encoder's cable"), "{}", text(0x2010));
     }
 
     #[test]

@@ -580,6 +580,7 @@ fn sample_problem(sample: Option<&EncoderStatus>) -> String {
         (true, ..) => "no new sample",
         (_, true, _) => "signal too low: cable, plug or supply",
         (_, _, true) => "turned too fast",
+        _ if status.sync_error() => "cycles not synchronous",
         _ => "no valid sample",
     };
     text.into()
