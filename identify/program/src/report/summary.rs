@@ -112,7 +112,8 @@ fn next(file: &CalibrationFile) -> &'static str {
             "add each number of offsets.csv to the controller's own (joints in its units and signs: offsets_log.csv)"
         }
         (false, _) => {
-            "change nothing in the controller: only the full model of calibration.json, with its terms, is surely better"
+            "change nothing in the controller: neither links alone nor joint offsets alone are surely better than nominal; \
+             calibration.json has the full model"
         }
     }
 }
