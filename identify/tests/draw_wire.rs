@@ -307,7 +307,7 @@ fn rows_and_options_that_make_no_sense_are_errors() {
     rows[7].length_m = f64::NAN;
     assert!(text(&rows).contains("row 8"));
     let still = vec![LengthRow { length_m: 0.5, ..rows[0] }; 50];
-    assert!(text(&still).contains("measure poses further apart"));
+    assert!(text(&still).contains("measure poses that differ in all three directions"));
 }
 
 #[test]

@@ -378,7 +378,7 @@ fn options_of_the_ball_bar_alone_are_refused_for_a_mix_by_name() {
     let still = vec![cell.poses[0]; 50];
     let data = DataSets { rows: vec![Tracker::new(&still).into()], ..DataSets::default() };
     let said = calibrate(&data, &irb2400(), &IdentifyConfig::default(), None).unwrap_err().to_string();
-    assert!(said.contains("data set 1") && said.contains("further apart"), "{said}");
+    assert!(said.contains("data set 1") && said.contains("all three directions"), "{said}");
 }
 
 const TRACKER: [bool; 4] = [false, true, false, false];

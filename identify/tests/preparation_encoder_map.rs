@@ -88,7 +88,7 @@ fn a_mirrored_robot_fits_reversed_encoders_and_which_of_both_it_is_gets_asked() 
         }
         let refusal = calibrated(&mirrored, EncoderMapChoice::Find).unwrap_err().to_string();
         println!("{refusal}");
-        assert!(refusal.contains("signs of the robot's joints 1, 4 and 6 reversed"), "{refusal}");
+        assert!(refusal.contains("reversed signs of the robot's joints 1, 4 and 6"), "{refusal}");
         // The encoders are reversed instead: the same message, which contains the option to use.
         let mut run = run(&robot, &bar);
         reversed(&mut run, &[0, 2, 4]);
@@ -126,7 +126,7 @@ fn a_stated_order_is_taken_and_a_senseless_one_refused() {
     assert_eq!(joints_and_directions(&found.encoder_map.used), wanted);
     for senseless in [vec![1, 2, 3, 4], vec![1, 1, 2, 3, 4], vec![0, 1, 2, 3, 4], vec![1, 2, 3, 4, 6]] {
         let message = prepared(&run, EncoderMapChoice::Stated(senseless)).unwrap_err().to_string();
-        assert!(message.contains("one bar joint for each of the 5 encoders"), "{message}");
+        assert!(message.contains("for each of the 5 encoders"), "{message}");
     }
 }
 

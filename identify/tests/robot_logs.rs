@@ -265,7 +265,7 @@ fn a_missing_column_is_named_with_those_found() {
 fn a_header_in_the_other_unit_is_refused_with_both_units() {
     let text = text_of(&sample_log(), &irb()).replace("_rad", "_deg");
     let message = message(parse(&text, &irb()));
-    assert!(message.contains("is in deg") && message.contains("says rad"), "{message}");
+    assert!(message.contains("is in deg") && message.contains("but in rad by log.unit"), "{message}");
     let text = text_of(&sample_log(), &nj()).replace("_deg", "_rad");
     assert!(matches!(
         parse(&text, &nj()),
@@ -372,7 +372,7 @@ fn exchanged_columns_are_suspected_where_they_explain_the_limits() {
         .replace("joint2_deg", "joint1_deg")
         .replace("first", "joint2_deg");
     let refusal = message(parse(&text, &nj()));
-    assert!(refusal.contains("exchanged columns: `joint1_deg` and `joint2_deg`"), "{refusal}");
+    assert!(refusal.contains("columns are exchanged: `joint1_deg` and `joint2_deg`"), "{refusal}");
 }
 
 #[test]
