@@ -39,7 +39,7 @@ fn claims(run: &Simulated, robot: &RobotConfig, bar: &BallBarConfig) -> Vec<(&'s
             .unwrap();
     let limits = &robot.joint_limits();
     let seen = evidence(&found, limits).with_validation(&found, None).unwrap();
-    let truth = true_model(found.model(), &run.truth);
+    let truth = true_model(found.model(), &run.truth.parameters);
     let postures = standing(random_postures(limits));
     let claim = |model: &Model, claimed: Expected| {
         let [true_robot, robot] = [&truth, model].map(|model| model.geometry(&model.start()));

@@ -1,6 +1,8 @@
 //! Comparison of identified and true parameters of simulated experiments, for tests and studies: errors of single parameters,
 //! and of positions over the workspace.
 
+use std::collections::BTreeMap;
+
 use nalgebra::{Point3, Vector3};
 use shared::config::RobotConfig;
 
@@ -88,13 +90,13 @@ impl Comparison {
     }
 }
 
-/// The model with the true links and joint errors of the robot.
-pub fn true_model(found: &Model, truth: &Truth) -> Model {
-    let mut model = found.clone().with(truth.parameters.keys().filter_map(|name| name.parse().ok()));
+/// The model with the true links and joint errors of the robot, `truth` by name \[m|rad\].
+pub fn true_model(found: &Model, truth: &BTreeMap<String, f64>) -> Model {
+    let mut model = found.clone().with(truth.keys().filter_map(|name| name.parse().ok()));
     for id in model.ids().into_iter().filter(|id| id.owner() == Owner::Robot) {
         let nominal = model.parameter(id).map_or(0.0, |parameter| parameter.nominal);
         // Cannot fail: the parameters are those of the model.
-        let _ = model.set_value(id, truth.parameters.get(&id.to_string()).copied().unwrap_or(nominal));
+        let _ = model.set_value(id, truth.get(&id.to_string()).copied().unwrap_or(nominal));
     }
     model
 }
@@ -111,7 +113,8 @@ pub fn position_errors_m(
     /// Number of steps along each joint; coprime, so that the combinations do not repeat.
     const STEPS: [usize; 8] = [7, 11, 13, 17, 19, 23, 29, 31];
     const POSTURES: usize = 2000;
-    let [identified, truth] = [found, &true_model(found, truth)].map(|model| model.geometry(&model.start()));
+    let [identified, truth] =
+        [found, &true_model(found, &truth.parameters)].map(|model| model.geometry(&model.start()));
     let limits = robot.joint_limits();
     let posture = |posture: usize| {
         Joints::from_fn(identified.robot.links.len(), |joint| {
