@@ -10,7 +10,7 @@ use identify::calibrate::{Calibration, DataSets, IdentifyConfig, calibrate};
 use identify::instrument::{Contact, KnownDistance, Knowns as _, PlacedSocket, SocketTable, Sockets};
 use identify::kinematics::{Chain, Pose, flange_chain};
 use identify::logs::{ContactMapping, TipRow};
-use identify::model::{DriveTrain, Geometry, JointState, Model, Owner, ParameterId};
+use identify::model::{DriveTrain, Geometry, JointState, Model, Owner};
 use identify::report::result::residuals::residuals_csv;
 use identify::robot::import;
 use identify::simulate::ArmErrors;
@@ -18,9 +18,9 @@ use identify::simulate::contact::{self, ContactExperiment, SimulatedContacts};
 use nalgebra::{DVector, Rotation3, Vector3};
 use shared::config::{self, RobotConfig, Validate};
 
-use crate::support::campaign::{is_full, size};
+use crate::support::campaign::size;
 use crate::support::command::identify;
-use crate::support::truth::{apart_m, pulls, rigid_motion};
+use crate::support::truth::{apart_m, assert_claims_hold, rigid_motion};
 use crate::support::{irb120, irb2400, repository};
 
 fn seven_axes() -> RobotConfig {
@@ -216,29 +216,15 @@ fn rows_of_a_wrong_socket_take_no_part() {
     assert!(after_m < 1e-4, "{after_m}");
 }
 
-fn within(robot: &RobotConfig, seeds: u64) -> f64 {
-    let all: Vec<(ParameterId, f64)> = (1..=seeds)
-        .flat_map(|seed| {
-            let SimulatedContacts { rows, table, truth, .. } = simulated(robot, seed);
-            pulls(robot, &calibrated(robot, &rows, &table), &truth.parameters)
-        })
-        .collect();
-    for (id, pull) in all.iter().filter(|(_, pull)| pull.abs() > 1.5) {
-        println!("{id}: {pull:.2}");
-    }
-    let within = all.iter().filter(|(_, pull)| pull.abs() <= 1.0).count() as f64 / all.len() as f64;
-    println!("{}: {within:.3} of {} within their 95 % intervals", robot.name, all.len());
-    within
-}
-
 #[test]
 #[ignore = "takes minutes"]
 fn intervals_of_links_hold_95_percent_over_robots() {
     for robot in [irb2400(), irb120(), seven_axes()] {
-        let within = within(&robot, size(6, 30));
-        // Errors of the links of one robot are correlated, so few robots give a larger spread.
-        let allowed = if is_full() { 0.92..=0.99 } else { 0.86..=1.0 };
-        assert!(allowed.contains(&within), "{}: {within}", robot.name);
+        let calibrations = (1..=size(6, 30)).map(|seed| {
+            let SimulatedContacts { rows, table, truth, .. } = simulated(&robot, seed);
+            (calibrated(&robot, &rows, &table), truth.parameters)
+        });
+        assert_claims_hold(&robot, calibrations);
     }
 }
 

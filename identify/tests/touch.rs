@@ -15,8 +15,8 @@ use identify::simulate::ArmErrors;
 use identify::simulate::touch::{self, SimulatedTouches, TouchExperiment};
 use shared::config::{self, RobotConfig, Validate};
 
-use crate::support::campaign::{is_full, size};
-use crate::support::truth::{apart_m, pulls};
+use crate::support::campaign::size;
+use crate::support::truth::{apart_m, assert_claims_hold};
 use crate::support::{irb120, irb2400, repository};
 
 fn seven_axes() -> RobotConfig {
@@ -114,34 +114,15 @@ fn touches_of_another_face_take_no_part_and_joints_of_another_pose_are_refused_w
     assert!(error.contains("joint 2 counts the other way"), "{error}");
 }
 
-/// Fraction of the links' numbers within their 95 % intervals, and the median of claimed (`k = 2`) over true position error.
-fn coverage(robot: &RobotConfig, seeds: u64) -> [f64; 2] {
-    let (mut all, mut claims) = (Vec::new(), Vec::new());
-    for seed in 1..=seeds {
-        let made = touch::run(&usual(robot, seed)).unwrap();
-        let found = calibrated(robot, &made);
-        all.extend(pulls(robot, &found, &made.truth.parameters));
-        let error_m = apart_m(robot, &found.model().geometry(&[]).robot, &made.robot);
-        claims.push(workspace_error(&found, &robot.joint_limits()).budget.expanded_m / error_m);
-    }
-    claims.sort_by(f64::total_cmp);
-    let within = all.iter().filter(|(_, pull)| pull.abs() <= 1.0).count() as f64 / all.len() as f64;
-    let claim = claims[claims.len() / 2];
-    println!("{}: {within:.3} of {} within their 95 % intervals; claim {claim:.2}", robot.name, all.len());
-    [within, claim]
-}
-
 #[test]
 #[ignore = "takes minutes"]
 fn intervals_of_links_hold_95_percent_over_robots_that_touch() {
     for robot in [irb2400(), irb120()] {
-        let [within, claim] = coverage(&robot, size(10, 50));
-        // Errors of the links of one robot are correlated, so few robots give a larger spread. More than 95 % are expected: the
-        // intervals contain errors of joints that were tried and left out, and these robots have smaller ones.
-        let least = if is_full() { 0.92 } else { 0.86 };
-        assert!(within >= least, "{}: {within}", robot.name);
-        // A wide interval is no answer either: perfect claims are 2 to 2.5 times the mean error.
-        assert!((1.0..=4.0).contains(&claim), "{}: {claim}", robot.name);
+        let calibrations = (1..=size(10, 50)).map(|seed| {
+            let made = touch::run(&usual(&robot, seed)).unwrap();
+            (calibrated(&robot, &made), made.truth.parameters)
+        });
+        assert_claims_hold(&robot, calibrations);
     }
 }
 
