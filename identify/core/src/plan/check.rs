@@ -56,13 +56,13 @@ pub struct Checked {
     pub duration_s: f64,
     /// Violated constraints, in the order of time.
     pub violations: Vec<Violation>,
-    /// Highest speed of each robot joint \[rad/s\].
+    /// Highest speed of each robot joint \[rad/s, m/s\].
     pub speed_rad_s: Joints,
-    /// Highest acceleration of each robot joint \[rad/s²\].
+    /// Highest acceleration of each robot joint \[rad/s², m/s²\].
     pub acceleration_rad_s2: Joints,
-    /// Highest jerk of each robot joint \[rad/s³\].
+    /// Highest jerk of each robot joint \[rad/s³, m/s³\].
     pub jerk_rad_s3: Joints,
-    /// Lowest and highest angle of each robot joint \[rad\].
+    /// Lowest and highest value of each robot joint \[rad, m\].
     pub joint_range_rad: Vec<[f64; 2]>,
     /// Lowest and highest angle of each bar joint, relative to the start of the path \[rad\].
     pub winding_rad: [[f64; 2]; BAR_JOINTS],
@@ -212,5 +212,42 @@ impl Checked {
 fn raise(maxima: &mut Joints, values: &Joints) {
     for (most, value) in maxima.iter_mut().zip(values.iter()) {
         *most = most.max(value.abs());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use shared::config::JointKind;
+
+    use super::*;
+    use crate::kinematics::{Chain, DhLink, Pose};
+    use crate::plan::Design;
+
+    #[test]
+    fn a_prismatic_axis_has_the_same_limits_in_metres() {
+        let kinds = [JointKind::Prismatic, JointKind::Revolute];
+        let links = kinds.map(|joint| DhLink { joint, ..DhLink::default() }).to_vec();
+        let arm = Chain::new(Pose::identity(), links);
+        let design = Design { robot_speed_rad_s: 1.2, ..Design::IRB_2400 };
+        let constraints = Constraints::new(&arm, &arm, &[[-1.0, 1.0]; 2], &design).with(None, 5.0);
+        let violates = |obstacle: Obstacle, rate: [f64; 2], acceleration: [f64; 2]| {
+            let point =
+                SplinePoint { value: Joints::zeros(2), rate: rate.into(), acceleration: acceleration.into() };
+            let instant = Instant {
+                point,
+                jerk_rad_s3: Joints::zeros(2),
+                wound_rad: [0.0; BAR_JOINTS],
+                bar_margin_rad: 1.0,
+                off_sphere_m: 0.0,
+            };
+            instant.violated(&constraints).any(|violated| violated == obstacle)
+        };
+        for (axis, [within, beyond]) in [(0, [1.1, -1.3]), (1, [-1.1, 1.3])] {
+            let of_axis = |value: f64| std::array::from_fn(|i| if i == axis { value } else { 0.0 });
+            assert!(!violates(Obstacle::Speed, of_axis(within), [0.0; 2]));
+            assert!(violates(Obstacle::Speed, of_axis(beyond), [0.0; 2]));
+            assert!(!violates(Obstacle::Acceleration, [0.0; 2], of_axis(4.0 * within)));
+            assert!(violates(Obstacle::Acceleration, [0.0; 2], of_axis(4.0 * beyond)));
+        }
     }
 }

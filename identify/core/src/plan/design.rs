@@ -21,7 +21,7 @@ pub struct Design {
     pub duration_s: f64,
     /// Highest speed of a bar joint \[rad/s\].
     pub bar_speed_rad_s: f64,
-    /// Highest speed of a robot joint \[rad/s\].
+    /// Highest speed of a robot joint \[rad/s, m/s\].
     pub robot_speed_rad_s: f64,
     /// Standstill at the beginning, at the end and at every third point of the path \[s\].
     pub standstill_s: f64,

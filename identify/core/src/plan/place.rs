@@ -64,7 +64,7 @@ pub struct PlaceRequest<'a> {
     pub design: &'a Design,
     /// Bodies that must not touch.
     pub bodies: &'a Bodies,
-    /// Highest acceleration of a robot joint \[rad/s²\].
+    /// Highest acceleration of a robot joint \[rad/s², m/s²\].
     pub acceleration_rad_s2: f64,
     /// Lengths of the rod \[m\].
     pub lengths_m: &'a [f64],

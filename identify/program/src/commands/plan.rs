@@ -69,10 +69,10 @@ struct Cell {
     /// than a metre
     #[arg(long, help_heading = "Planning", value_name = "X,Y,Z", value_parser = numbers::<3>, allow_hyphen_values = true)]
     base: Option<[f64; 3]>,
-    /// Highest speed of a robot joint [rad/s]
+    /// Highest speed of a robot joint [rad/s, m/s]
     #[arg(long, help_heading = "Planning", value_name = "RAD_S", default_value_t = Design::IRB_2400.robot_speed_rad_s)]
     speed: f64,
-    /// Highest acceleration of a robot joint [rad/s^2]
+    /// Highest acceleration of a robot joint [rad/s^2, m/s^2]
     #[arg(long, help_heading = "Planning", value_name = "RAD_S2", default_value_t = 5.0)]
     acceleration: f64,
     #[command(flatten)]

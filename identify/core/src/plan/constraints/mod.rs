@@ -69,7 +69,7 @@ pub struct Constraints<'a> {
     limits_with_margin: Vec<[f64; 2]>,
     /// Margins and highest speeds.
     pub design: &'a Design,
-    /// Highest acceleration of a robot joint \[rad/s²\]; infinite without a limit.
+    /// Highest acceleration of a robot joint \[rad/s², m/s²\]; infinite without a limit.
     pub acceleration_rad_s2: f64,
     /// Bodies that must not touch, if they are known.
     pub bodies: Option<Bodies>,
@@ -90,7 +90,7 @@ impl<'a> Constraints<'a> {
         }
     }
 
-    /// Adds bodies that must not touch, and the highest acceleration of a robot joint \[rad/s²\].
+    /// Adds bodies that must not touch, and the highest acceleration of a robot joint \[rad/s², m/s²\].
     #[must_use]
     pub fn with(self, bodies: Option<Bodies>, acceleration_rad_s2: f64) -> Self {
         Self { bodies, acceleration_rad_s2, ..self }
