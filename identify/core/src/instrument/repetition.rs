@@ -8,16 +8,17 @@ use std::ops::Range;
 
 use super::segments;
 use crate::model::{JointState, RobotMotion};
+use crate::statistics::largest_difference;
 
 /// Highest number of samples of a run that are compared with each other.
 const COMPARED_MAX: usize = 600;
 /// Samples closer in time than this are neighbours, not repetitions \[s\].
 const APART_S: f64 = 5.0;
 /// First test: two poses are similar if no joint differs by more, because samples of two repetitions are offset in time
-/// \[rad\].
-const ALIKE_RAD: f64 = 0.1;
-/// Second test: two motions are the same if the root mean square difference of the joints is at most this \[rad\].
-const SAME_RAD: f64 = 2e-3;
+/// \[rad, m\].
+const ALIKE_MAX: f64 = 0.1;
+/// Second test: two motions are the same if the root mean square difference of the joints is at most this \[rad, m\].
+const SAME_MAX: f64 = 2e-3;
 /// Bin width of the histogram of periods \[s\].
 const BIN_S: f64 = 0.5;
 /// Lowest number of segments.
@@ -56,8 +57,10 @@ pub fn period_s(motion: &impl RobotMotion, times_s: &[f64]) -> Option<f64> {
     let mut bins: Vec<usize> = Vec::new();
     for (index, (t_s, state)) in states.iter().enumerate() {
         let later = states.iter().skip(index + 1).filter(|(later_s, _)| later_s - t_s > APART_S);
-        let differences = later.map(|(later_s, other)| (later_s - t_s, largest_difference_rad(state, other)));
-        let most_similar = differences.min_by(|a, b| a.1.total_cmp(&b.1)).filter(|(_, rad)| *rad < ALIKE_RAD);
+        let differences =
+            later.map(|(later_s, other)| (later_s - t_s, largest_difference(&state.q, &other.q)));
+        let most_similar =
+            differences.min_by(|a, b| a.1.total_cmp(&b.1)).filter(|(_, difference)| *difference < ALIKE_MAX);
         let Some((apart_s, _)) = most_similar else { continue };
         let bin = (apart_s / BIN_S) as usize;
         bins.resize(bins.len().max(bin + 1), 0);
@@ -67,10 +70,6 @@ pub fn period_s(motion: &impl RobotMotion, times_s: &[f64]) -> Option<f64> {
     let needed = (0.5 * REPEATED_MIN * states.len() as f64).max(10.0) as usize;
     let first_bin = bins.windows(2).position(|pair| pair[0] + pair[1] >= needed)?;
     refine(motion, &states, (first_bin + 1) as f64 * BIN_S)
-}
-
-fn largest_difference_rad(a: &JointState, b: &JointState) -> f64 {
-    a.q.iter().zip(&b.q).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
 }
 
 /// Minimises `sum |q(t + period) - q(t)|^2` over the period by Gauss-Newton. `None` if the joints then still differ.
@@ -92,7 +91,7 @@ fn refine(motion: &impl RobotMotion, states: &[(f64, JointState)], start_s: f64)
         }
         let entries = pairs.first()?.0.q.len() * pairs.len();
         if step == STEPS {
-            let same = (squared / entries as f64).sqrt() < SAME_RAD;
+            let same = (squared / entries as f64).sqrt() < SAME_MAX;
             return (same && pairs.len() as f64 >= 0.5 * REPEATED_MIN * states.len() as f64)
                 .then_some(period_s);
         }

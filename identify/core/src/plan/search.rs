@@ -25,9 +25,9 @@ const STARTS: u64 = 8;
 const NUDGE_RAD: f64 = 0.3;
 /// Number of checked poses per pose that is used in the criterion.
 const LOOKS_PER_POSE: usize = 2;
-/// After a changed part the robot's joints must agree with the old ones within this \[rad\]: the same solution of the inverse
-/// kinematics.
-const SAME_RAD: f64 = 1e-3;
+/// Largest difference of the robot's joints from the old ones after a changed part \[rad, m\], so that both are the same
+/// solution of the inverse kinematics.
+const SAME_MAX: f64 = 1e-3;
 
 /// Between two evaluated poses, [`LOOK_S`] apart, an extreme exceeds both by at most the acceleration times `LOOK_S^2 / 8`:
 /// 2 mrad at 5 rad/s², 3 mm at the end of an arm. The search keeps this additional distance, and part of the other limits.
@@ -270,7 +270,7 @@ impl Pieces {
         let first = index.saturating_sub(1);
         let last = (index + 3).min(changed.path.moves.len());
         changed.redo(constraints, information, first..last).ok()?;
-        let is_same = |a: &Joints, b: &Joints| a.iter().zip(b.iter()).all(|(a, b)| (a - b).abs() < SAME_RAD);
+        let is_same = |a: &Joints, b: &Joints| a.iter().zip(b.iter()).all(|(a, b)| (a - b).abs() < SAME_MAX);
         let later_moves_are_unchanged = last == changed.path.moves.len()
             || is_same(changed.robot_rad.get(last)?, self.robot_rad.get(last)?);
         later_moves_are_unchanged.then_some(changed)

@@ -7,8 +7,8 @@ use super::{RowError, split};
 use crate::kinematics::Joints;
 use crate::model::{JointState, Observation, ParameterId, PerObservation, RobotMotion, SetUp};
 
-/// A joint that moved less than this since the previous pose keeps its direction of motion \[rad\].
-const MOVED_RAD_MIN: f64 = 1e-3;
+/// A joint that moved less than this since the previous pose keeps its direction of motion \[rad, m\].
+const MOVED_MIN: f64 = 1e-3;
 
 /// State of the robot at each pose, in the order of the poses. The rate of a joint is the sign of its last motion, at one
 /// radian per second; 0 before its first motion.
@@ -20,7 +20,7 @@ pub fn standing(joints_rad: impl Iterator<Item = Joints>) -> Vec<JointState> {
         if let Some(previous) = previous.replace(q) {
             for (joint, direction) in directions.iter_mut().enumerate() {
                 let moved = q[joint] - previous[joint];
-                if moved.abs() > MOVED_RAD_MIN {
+                if moved.abs() > MOVED_MIN {
                     *direction = moved.signum();
                 }
             }
@@ -39,7 +39,7 @@ pub(super) fn poses(joints_rad: &[Joints]) -> Vec<usize> {
     let mut pose = 0;
     let mut first_of_pose = joints_rad.first();
     let numbers = joints_rad.iter().map(|q| {
-        let moved = |first: &Joints| first.iter().zip(q.iter()).any(|(a, b)| (a - b).abs() > MOVED_RAD_MIN);
+        let moved = |first: &Joints| first.iter().zip(q.iter()).any(|(a, b)| (a - b).abs() > MOVED_MIN);
         if first_of_pose.is_some_and(moved) {
             pose += 1;
             first_of_pose = Some(q);
@@ -173,5 +173,17 @@ impl<R: Sync> RobotMotion for Standing<R> {
             return None;
         }
         self.states.get(tau_s.round() as usize).copied()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The first axis is prismatic: millimetres in place of milliradians.
+    #[test]
+    fn a_pose_ends_where_a_joint_moves_by_more_than_a_millimetre_or_a_milliradian() {
+        let rows = [[0.5, 1.0], [0.5008, 1.0], [0.5012, 1.0], [0.5012, 1.0012]].map(Joints::of);
+        assert_eq!(poses(&rows), [0, 0, 1, 2]);
     }
 }
