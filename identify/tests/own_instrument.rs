@@ -172,9 +172,9 @@ impl Measures for Column {
         Mistake::of_joints(axes)
     }
 
-    fn undone(&self, mistake: Mistake) -> Vec<Instrument> {
+    fn undone(&self, mistake: Mistake, robot: &Chain) -> Vec<Instrument> {
         let Mistake::Joints(mistake) = mistake else { return Vec::new() };
-        let undone = |(q, height_m): (Joints, f64)| (mistake.undone(&q), height_m);
+        let undone = |(q, height_m): (Joints, f64)| (mistake.undone(&q, robot.joint_kinds()), height_m);
         vec![Self::new(&self.rows().into_iter().map(undone).collect::<Vec<_>>()).into()]
     }
 }
@@ -245,9 +245,9 @@ fn what_changes_while_an_instrument_of_ones_own_measures_is_named() {
 
 #[test]
 fn a_mistake_with_an_instrument_of_ones_own_is_refused_with_its_cause() {
-    let mut rows = measured(300);
-    rows.iter_mut().for_each(|(q, _)| *q = JointMistake::Exchanged(1, 2).undone(q));
+    let (robot, mut rows) = (irb120(), measured(300));
+    rows.iter_mut().for_each(|(q, _)| *q = JointMistake::Exchanged(1, 2).undone(q, robot.joint_kinds()));
     let data = DataSets { rows: vec![Column::new(&rows).into()], ..DataSets::default() };
-    let error = calibrate(&data, &irb120(), &IdentifyConfig::default(), None).unwrap_err().to_string();
+    let error = calibrate(&data, &robot, &IdentifyConfig::default(), None).unwrap_err().to_string();
     assert!(error.contains("joints 2 and 3 are exchanged"), "{error}");
 }

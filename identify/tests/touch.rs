@@ -108,7 +108,7 @@ fn touches_of_another_face_take_no_part_and_joints_of_another_pose_are_refused_w
     assert!(remarks[0].1.contains(&format!("from `{right}`: look for a wrong name")), "{remarks:?}");
     let mut rows = made.rows.clone();
     for row in &mut rows {
-        row.joints_rad = JointMistake::Reversed(1).undone(&row.joints_rad);
+        row.joints_rad = JointMistake::Reversed(1).undone(&row.joints_rad, robot.joint_kinds());
     }
     let error = try_calibrate(&robot, &rows, &made.table, &made).unwrap_err().to_string();
     assert!(error.contains("joint 2 counts the other way"), "{error}");

@@ -200,7 +200,7 @@ pub trait Measures: Boxed + fmt::Debug + Send + Sync {
     }
 
     /// The samples with a mistake undone, one result for each direction that it can have; empty if it cannot be undone.
-    fn undone(&self, _mistake: Mistake) -> Vec<Instrument> {
+    fn undone(&self, _mistake: Mistake, _robot: &Chain) -> Vec<Instrument> {
         Vec::new()
     }
 

@@ -296,11 +296,15 @@ impl Measures for Tracker {
         Mistake::of_joints(axes).into_iter().chain(others).chain(moved).collect()
     }
 
-    fn undone(&self, mistake: Mistake) -> Vec<Instrument> {
+    fn undone(&self, mistake: Mistake, robot: &Chain) -> Vec<Instrument> {
         let rows = &self.rows;
         match mistake {
             Mistake::Joints(mistake) => {
-                vec![self.at_rest(rows.with_joints(|joints_rad| mistake.undone(joints_rad)))]
+                vec![
+                    self.at_rest(
+                        rows.with_joints(|joints_rad| mistake.undone(joints_rad, robot.joint_kinds())),
+                    ),
+                ]
             }
             Mistake::RowsShifted => rows.shifted().map(|rows| self.at_rest(rows)).to_vec(),
             Mistake::Mirrored => {

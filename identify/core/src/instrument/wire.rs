@@ -283,11 +283,16 @@ impl Measures for Wire {
         Mistake::of_joints(axes).into_iter().chain([Mistake::ModifiedTable]).chain(units).collect()
     }
 
-    fn undone(&self, mistake: Mistake) -> Vec<Instrument> {
+    fn undone(&self, mistake: Mistake, robot: &Chain) -> Vec<Instrument> {
         let all = &self.rows.all;
         match mistake {
             Mistake::Joints(mistake) => {
-                vec![self.with_rows(all.with_joints(|joints_rad| mistake.undone(joints_rad))).into()]
+                vec![
+                    self.with_rows(
+                        all.with_joints(|joints_rad| mistake.undone(joints_rad, robot.joint_kinds())),
+                    )
+                    .into(),
+                ]
             }
             Mistake::LengthUnit(thousandths) => {
                 let factor = f64::from(thousandths) * 1e-3;

@@ -101,6 +101,11 @@ impl Chain {
         self.is_last_rotation(link, parameter) && self.last_from_end.translation.vector == Vector3::zeros()
     }
 
+    /// How each axis moves.
+    pub fn joint_kinds(&self) -> impl Iterator<Item = JointKind> + '_ {
+        self.links.iter().map(|link| link.joint)
+    }
+
     /// Upper bound of the reach: all links in a line \[m\].
     pub fn reach_m(&self) -> f64 {
         self.links.iter().map(|link| link.a_m.hypot(link.d_m)).sum()

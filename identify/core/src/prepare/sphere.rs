@@ -124,9 +124,10 @@ fn likely_mistake(
         (has_length && sphere.inliers > ON_SPHERE_MIN && !is_flat(&positions)).then_some(sphere)
     };
     let spheres_without = |mistake: JointMistake| {
-        let corrected_joints = joints.iter().map(|q| mistake.undone(q)).collect();
+        let corrected_joints = joints.iter().map(|q| mistake.undone(q, robot.joint_kinds())).collect();
         let corrected_columns = conversion.as_ref().zip(columns.as_ref()).map(|(conversion, columns)| {
-            columns.iter().map(|raw| conversion.to_joint(&mistake.undone(raw))).collect()
+            let undone = |raw: &Joints| mistake.undone(raw, config.joint_kinds());
+            columns.iter().map(|raw| conversion.to_joint(&undone(raw))).collect()
         });
         let corrected = [Some(corrected_joints), corrected_columns].into_iter().flatten();
         corrected.filter_map(sphere_of_bar).map(move |sphere| (mistake, sphere)).collect::<Vec<_>>()

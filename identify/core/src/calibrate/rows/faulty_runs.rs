@@ -64,7 +64,8 @@ fn explain(model: &Model, rows: &Instrument, residuals_m: &[f64], median_m: f64)
 
 /// Median of the absolute residuals \[m\] with the opposite sign of a joint.
 fn sign_reversed(model: &Model, rows: &Instrument, joint: usize) -> Option<(f64, RunCause)> {
-    let corrected = rows.undone(Mistake::Joints(JointMistake::Reversed(joint))).into_iter().next()?;
+    let reversed = Mistake::Joints(JointMistake::Reversed(joint));
+    let corrected = rows.undone(reversed, model.robot()).into_iter().next()?;
     let median_m = median_size(residuals_m(&corrected, model).into_iter());
     Some((median_m, RunCause::SignReversed { joint: joint + 1 }))
 }

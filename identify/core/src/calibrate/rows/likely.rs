@@ -93,7 +93,7 @@ fn corrected_misfit_m(mistake: Mistake, instrument: &Instrument, robot: &Chain) 
             misfit_m(instrument, &read)
         }
         _ => {
-            let corrected = instrument.undone(mistake);
+            let corrected = instrument.undone(mistake, robot);
             corrected.iter().filter_map(|rows| misfit_m(rows, robot)).min_by(f64::total_cmp)
         }
     }
@@ -156,7 +156,7 @@ pub(in crate::calibrate) fn unless_other_unit(
         return Ok(());
     }
     let in_unit = |mistake: Mistake| {
-        let corrected = whole.undone(mistake).into_iter().next()?;
+        let corrected = whole.undone(mistake, robot).into_iter().next()?;
         let undone_m = median_error_m(&corrected, &placed(corrected.clone(), Model::alone(robot)).ok()??);
         let unexplained = undone_m / variation_m(&corrected);
         (undone_m < NEAR_M && unexplained < UNEXPLAINED)

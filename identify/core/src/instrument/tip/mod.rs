@@ -281,8 +281,10 @@ impl<A: Artefact> Measures for Tip<A> {
         all.filter(A::reveals).collect()
     }
 
-    fn undone(&self, mistake: Mistake) -> Vec<Instrument> {
+    fn undone(&self, mistake: Mistake, robot: &Chain) -> Vec<Instrument> {
         let Mistake::Joints(mistake) = mistake else { return Vec::new() };
-        vec![self.with_rows(self.rows.all.with_joints(|joints_rad| mistake.undone(joints_rad)))]
+        vec![self.with_rows(
+            self.rows.all.with_joints(|joints_rad| mistake.undone(joints_rad, robot.joint_kinds())),
+        )]
     }
 }

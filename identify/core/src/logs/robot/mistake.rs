@@ -2,6 +2,8 @@
 
 use std::fmt;
 
+use shared::config::JointKind;
+
 use crate::kinematics::Joints;
 
 /// A mistake that all rows have.
@@ -11,9 +13,9 @@ pub enum JointMistake {
     Reversed(usize),
     /// The columns of two joints are exchanged.
     Exchanged(usize, usize),
-    /// All joints are in radians and read as degrees.
+    /// All revolute joints are in radians and read as degrees.
     InRadians,
-    /// All joints are in degrees and read as radians.
+    /// All revolute joints are in degrees and read as radians.
     InDegrees,
 }
 
@@ -25,15 +27,20 @@ impl JointMistake {
         (0..axes).map(Self::Reversed).chain(exchanged).chain([Self::InRadians, Self::InDegrees]).collect()
     }
 
-    /// The joints of a row without the mistake.
+    /// The joints of a row without the mistake; `kinds` are those of the arm's axes.
     #[must_use]
-    pub fn undone(self, joints: &Joints) -> Joints {
+    pub fn undone(self, joints: &Joints, kinds: impl Iterator<Item = JointKind>) -> Joints {
         let mut undone = *joints;
         match self {
             Self::Reversed(joint) => undone[joint] = -undone[joint],
             Self::Exchanged(one, other) => undone.swap(one, other),
-            Self::InRadians => return undone.map(f64::to_degrees),
-            Self::InDegrees => return undone.map(f64::to_radians),
+            Self::InRadians | Self::InDegrees => {
+                let converted: fn(f64) -> f64 =
+                    if self == Self::InRadians { f64::to_degrees } else { f64::to_radians };
+                let joints = undone.iter_mut().zip(kinds);
+                let revolute = joints.filter(|(_, kind)| *kind == JointKind::Revolute);
+                revolute.for_each(|(joint, _)| *joint = converted(*joint));
+            }
         }
         undone
     }
@@ -46,5 +53,18 @@ impl fmt::Display for JointMistake {
             Self::Exchanged(one, other) => write!(f, "joints {} and {} are exchanged", one + 1, other + 1),
             Self::InRadians | Self::InDegrees => f.write_str("the joints are in the other unit"),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn another_unit_of_angles_leaves_prismatic_axes_as_they_are() {
+        let kinds = [JointKind::Prismatic, JointKind::Revolute];
+        let undone = |mistake: JointMistake| mistake.undone(&Joints::of([1.5, 1.0]), kinds.iter().copied());
+        assert_eq!(undone(JointMistake::InRadians), [1.5, 1f64.to_degrees()]);
+        assert_eq!(undone(JointMistake::InDegrees), [1.5, 1f64.to_radians()]);
     }
 }

@@ -363,7 +363,9 @@ impl RawLog {
             );
         }
         let exchanged = |mistake: JointMistake| match mistake {
-            JointMistake::Exchanged(i, j) if fits(&|row| conversion.to_joint(&mistake.undone(row))) => {
+            JointMistake::Exchanged(i, j)
+                if fits(&|row| conversion.to_joint(&mistake.undone(row, meaning.robot.joint_kinds()))) =>
+            {
                 Some(format!("`{}` and `{}`", meaning.names[i], meaning.names[j]))
             }
             _ => None,
