@@ -1,4 +1,4 @@
-//! Residuals by joint: the rotation of one robot joint that closes most of the gap between robot and bar, `-J . e / |J|^2` with
+//! Residuals by joint: the motion of one robot joint that closes most of the gap between robot and bar, `-J . e / |J|^2` with
 //! the position error `e` and its derivative `J` by the joint. For the figures by joint in the report.
 
 use crate::cost::Closure;
@@ -6,15 +6,15 @@ use crate::cost::Closure;
 /// The gap at one sample, expressed as an error of one joint.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct JointGap {
-    /// Reported joint angle \[rad\].
-    pub q_rad: f64,
-    /// Reported joint speed \[rad/s\].
-    pub qd_rad_s: f64,
-    /// Additional rotation that brings the robot's end nearest to the bar's end \[rad\].
-    pub turn_rad: f64,
+    /// Reported joint variable \[rad, m\].
+    pub q: f64,
+    /// Reported rate \[rad/s, m/s\].
+    pub qd: f64,
+    /// Additional motion that brings the robot's end nearest to the bar's end \[rad, m\].
+    pub motion: f64,
 }
 
-/// The least-squares rotation of each robot joint alone, per joint and sample; `axes` is the number of joints.
+/// The least-squares motion of each robot joint alone, per joint and sample; `axes` is the number of joints.
 ///
 /// Uses positions only. A sample is omitted for joints that hardly move the end (lever arm below a tenth of a metre).
 /// A gear error appears as a wave over the joint angle, backlash as two branches by direction.
@@ -22,19 +22,46 @@ pub fn joint_gaps<'a>(
     axes: usize,
     closures: impl Iterator<Item = &'a Closure> + Clone,
 ) -> Vec<Vec<JointGap>> {
-    /// Minimum lever arm \[m\].
-    const LEVER_MIN_M: f64 = 0.1;
+    /// Minimum lever arm \[m/rad\]; that of a prismatic joint is 1 m/m.
+    const LEVER_MIN: f64 = 0.1;
     let of_joint = |joint: usize| {
         let gap = |closure: &Closure| {
-            let by_joint_m = closure.joint_twists[joint].linear;
-            let lever_m = by_joint_m.norm();
-            (lever_m > LEVER_MIN_M).then(|| JointGap {
-                q_rad: closure.joints.q[joint],
-                qd_rad_s: closure.joints.qd[joint],
-                turn_rad: -by_joint_m.dot(&closure.position_error_m) / (lever_m * lever_m),
+            let by_joint = closure.joint_twists[joint].linear;
+            let lever = by_joint.norm();
+            (lever > LEVER_MIN).then(|| JointGap {
+                q: closure.joints.q[joint],
+                qd: closure.joints.qd[joint],
+                motion: -by_joint.dot(&closure.position_error_m) / (lever * lever),
             })
         };
         closures.clone().filter_map(gap).collect()
     };
     (0..axes).map(of_joint).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Vector3;
+
+    use super::*;
+    use crate::kinematics::Twist;
+    use crate::model::{BarForce, JointState};
+
+    #[test]
+    fn a_gap_along_a_prismatic_axis_is_a_motion_of_its_own_size() {
+        let closure = Closure {
+            t_s: 0.0,
+            joints: JointState::at_rest([0.7]),
+            position_error_m: Vector3::new(0.0, 4e-4, 1e-3),
+            turned_rad: Vector3::zeros(),
+            off_sphere_m: 0.0,
+            by_force_m: 0.0,
+            force: BarForce::default(),
+            direction: Vector3::z(),
+            margin_rad: 1.0,
+            joint_twists: vec![Twist::translation(Vector3::z())],
+        };
+        let gaps = joint_gaps(1, std::iter::once(&closure));
+        assert_eq!(gaps, [[JointGap { q: 0.7, qd: 0.0, motion: -1e-3 }]]);
+    }
 }

@@ -218,9 +218,11 @@ pub(super) fn joints(page: &Page<'_>) -> Result<Markup, PlotError> {
     Ok(html! {
         h2 { "Residuals by joint and direction" }
         figure {
-            div.panels.three { @for panel in figures::by_joint(page.evidence)? { (panel) } }
+            div.panels.three {
+                @for panel in figures::by_joint(page.evidence, page.calibration.model().robot())? { (panel) }
+            }
             figcaption {
-                "Further rotation of each joint alone that would bring the robot's end nearest to the bar's. A wave over the "
+                "Further motion of each joint alone that would bring the robot's end nearest to the bar's. A wave over the "
                 "angle points at the gear, two branches by direction at backlash, a slope at the gear's ratio."
             }
         }

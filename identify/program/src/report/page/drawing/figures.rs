@@ -4,10 +4,12 @@
 use maud::Markup;
 use nalgebra::Vector3;
 use plotters::prelude::RGBColor;
+use shared::config::JointKind;
 
 use super::plot::{BLUE, COLOURS, GREEN, GREY, Mark, ORANGE, Panel, PlotError, Series};
 use crate::cost::Closure;
 use crate::evaluate::{Evidence, JointGap, RunEvidence, ShiftCurve};
+use crate::kinematics::Chain;
 use crate::prepare::LocalShift;
 use crate::statistics::extremes;
 
@@ -130,18 +132,25 @@ pub(in crate::report::page) fn components_over_time(
     Ok(panels)
 }
 
-/// The residual by each joint's angle and by its direction of motion.
-pub(in crate::report::page) fn by_joint(evidence: &Evidence) -> Result<Vec<Markup>, PlotError> {
-    let panel = |joint: usize| {
+/// The residual by the value of each robot joint and by its direction of motion.
+pub(in crate::report::page) fn by_joint(
+    evidence: &Evidence,
+    robot: &Chain,
+) -> Result<Vec<Markup>, PlotError> {
+    let panel = |(joint, (gaps, kind)): (usize, (&Vec<JointGap>, JointKind))| {
         let in_direction = |name, colour, forward: bool| {
-            let is_wanted = |gap: &&JointGap| (gap.qd_rad_s > 0.0) == forward;
-            let point = |gap: &JointGap| (gap.q_rad.to_degrees(), gap.turn_rad * 1e6);
-            dots(name, colour, evidence.joints[joint].iter().filter(is_wanted).map(point).collect())
+            let is_wanted = |gap: &&JointGap| (gap.qd > 0.0) == forward;
+            let point = |gap: &JointGap| (gap.q * kind.display_factor(), gap.motion * 1e6);
+            dots(name, colour, gaps.iter().filter(is_wanted).map(point).collect())
         };
         let series = vec![in_direction("forward", BLUE, true), in_direction("back", ORANGE, false)];
-        Panel::new(format!("Joint {}", joint + 1), ["joint angle [deg]", "[µrad]"], THIRD, series).draw()
+        let labels = match kind {
+            JointKind::Revolute => ["joint angle [deg]", "[µrad]"],
+            JointKind::Prismatic => ["joint position [mm]", "[µm]"],
+        };
+        Panel::new(format!("Joint {}", joint + 1), labels, THIRD, series).draw()
     };
-    (0..evidence.joints.len()).map(panel).collect()
+    evidence.joints.iter().zip(robot.joint_kinds()).enumerate().map(panel).collect()
 }
 
 /// The gap as a function of a time shift between the two logs.
