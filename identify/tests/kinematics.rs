@@ -218,12 +218,17 @@ proptest! {
         let [.., mut chain] = nominal();
         chain.root_from_base = Pose::translation(1.0, 0.05, 0.35)
             * Pose::rotation(nalgebra::Vector3::new(0.3, -0.2, 0.0));
+        let mut b = b;
+        for ((link, joint), theta_rad) in chain.links.iter_mut().zip(&mut b).zip([0.2, 0.3, -0.4, -0.7, 0.1]) {
+            link.theta_rad = theta_rad;
+            *joint -= theta_rad;
+        }
         let target = chain.forward(&b);
-        let own = Configuration::of(&b);
+        let own = Configuration::of(&chain.links, &b);
         for (configuration, joints) in ball_bar_inverse(&chain, &target).unwrap() {
-            prop_assert_eq!(Configuration::of(&joints), configuration);
+            prop_assert_eq!(Configuration::of(&chain.links, &joints), configuration);
             prop_assert!(pose_distance(&chain.forward(&joints), &target) < 1e-12);
-            let carried = configuration.carry(&b);
+            let carried = configuration.carry(&chain.links, &b);
             for (joint, carried) in joints.iter().zip(carried) {
                 prop_assert!((joint - carried).sin().abs() < 1e-9 && (joint - carried).cos() > 0.0);
             }

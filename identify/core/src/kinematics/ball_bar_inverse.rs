@@ -54,19 +54,21 @@ impl Configuration {
         Self { gimbal: Side::Negative, cardan: Side::Negative },
     ];
 
-    /// The configuration of joint angles \[rad\].
-    pub fn of(bar_rad: &[f64; BAR_JOINTS]) -> Self {
-        Self { gimbal: Side::of(bar_rad[1]), cardan: Side::of(bar_rad[3]) }
+    /// The configuration of joint variables \[rad\].
+    pub fn of(bar_links: &[DhLink], bar_rad: &[f64; BAR_JOINTS]) -> Self {
+        let angles_rad = angles_from_joints(bar_links, bar_rad);
+        Self { gimbal: Side::of(angles_rad[1]), cardan: Side::of(angles_rad[3]) }
     }
 
-    /// The angles of the same pose in this configuration, each in (-pi, pi].
-    pub fn carry(self, bar_rad: &[f64; BAR_JOINTS]) -> [f64; BAR_JOINTS] {
-        self.carry_from(Self::of(bar_rad), bar_rad).map(wrapped)
+    /// The joint variables of the same pose in this configuration, each in (-pi, pi].
+    pub fn carry(self, bar_links: &[DhLink], bar_rad: &[f64; BAR_JOINTS]) -> [f64; BAR_JOINTS] {
+        let (from, angles_rad) = (Self::of(bar_links, bar_rad), angles_from_joints(bar_links, bar_rad));
+        joints_from_angles(bar_links, &self.carry_from(from, &angles_rad))
     }
 
-    /// As [`Self::carry`], but from a known configuration, and with whole turns left in the angles.
-    fn carry_from(self, from: Self, bar_rad: &[f64; BAR_JOINTS]) -> [f64; BAR_JOINTS] {
-        let mut b = *bar_rad;
+    /// The angles of the links of the same pose in this configuration, with whole turns left in them.
+    fn carry_from(self, from: Self, angles_rad: &[f64; BAR_JOINTS]) -> [f64; BAR_JOINTS] {
+        let mut b = *angles_rad;
         if from.gimbal != self.gimbal {
             b = [b[0] + PI, -b[1], b[2] + PI, b[3], b[4]];
         }
@@ -82,11 +84,9 @@ impl Configuration {
 ///
 /// `bar_rad` are joint variables: the links' offsets `theta` are added here.
 pub fn singularity_margin_rad(bar_links: &[DhLink], bar_rad: &[f64; BAR_JOINTS]) -> f64 {
-    let to_multiple_of_pi = |joint: usize| {
-        let angle = bar_rad[joint] + bar_links.get(joint).map_or(0.0, |link| link.theta_rad);
-        (angle - PI * (angle / PI).round()).abs()
-    };
-    to_multiple_of_pi(1).min(to_multiple_of_pi(3))
+    let angles_rad = angles_from_joints(bar_links, bar_rad);
+    let to_multiple_of_pi = |angle: f64| (angle - PI * (angle / PI).round()).abs();
+    to_multiple_of_pi(angles_rad[1]).min(to_multiple_of_pi(angles_rad[3]))
 }
 
 /// Signs of the twists of links 1 to 4.
@@ -111,7 +111,7 @@ pub fn ball_bar_inverse(
 ) -> Result<[(Configuration, [f64; BAR_JOINTS]); 4], InverseError> {
     let (first, angles_rad) = inverse_in_first(chain, target)?;
     Ok(Configuration::ALL.map(|configuration| {
-        (configuration, joints_from_angles(chain, &configuration.carry_from(first, &angles_rad)))
+        (configuration, joints_from_angles(&chain.links, &configuration.carry_from(first, &angles_rad)))
     }))
 }
 
@@ -120,16 +120,19 @@ pub fn ball_bar_inverse(
 /// # Errors
 /// As [`ball_bar_inverse`].
 pub fn first_ball_bar_inverse(chain: &Chain, target: &Pose) -> Result<[f64; BAR_JOINTS], InverseError> {
-    inverse_in_first(chain, target).map(|(_, angles_rad)| joints_from_angles(chain, &angles_rad))
+    inverse_in_first(chain, target).map(|(_, angles_rad)| joints_from_angles(&chain.links, &angles_rad))
 }
 
-/// Joint variables from the angles of the links: without the links' offsets `theta`.
-fn joints_from_angles(chain: &Chain, angles_rad: &[f64; BAR_JOINTS]) -> [f64; BAR_JOINTS] {
-    let mut joints = *angles_rad;
-    for (joint, link) in joints.iter_mut().zip(&chain.links) {
-        *joint = wrapped(*joint - link.theta_rad);
-    }
-    joints
+/// Angles of the links: joint variables with the links' offsets `theta`.
+fn angles_from_joints(bar_links: &[DhLink], bar_rad: &[f64; BAR_JOINTS]) -> [f64; BAR_JOINTS] {
+    std::array::from_fn(|joint| bar_rad[joint] + bar_links.get(joint).map_or(0.0, |link| link.theta_rad))
+}
+
+/// Joint variables, each in (-pi, pi], from the angles of the links: without the links' offsets `theta`.
+fn joints_from_angles(bar_links: &[DhLink], angles_rad: &[f64; BAR_JOINTS]) -> [f64; BAR_JOINTS] {
+    std::array::from_fn(|joint| {
+        wrapped(angles_rad[joint] - bar_links.get(joint).map_or(0.0, |link| link.theta_rad))
+    })
 }
 
 /// The first of [`Configuration::ALL`], and the angles of the links in it (joint variable + theta) \[rad\].

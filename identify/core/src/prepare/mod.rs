@@ -65,7 +65,7 @@ use serde::{Deserialize, Serialize};
 use shared::recording::schema::required;
 use shared::time::UtcNs;
 
-use crate::kinematics::{BAR_JOINTS, Configuration};
+use crate::kinematics::BAR_JOINTS;
 use crate::model::Observation;
 
 /// Limits and sizes of the preparation. The defaults suit a run of half a minute to an hour.
@@ -243,9 +243,6 @@ pub struct Prepared {
     pub measured: [bool; BAR_JOINTS],
     /// Start values of a solve.
     pub initial: InitialValues,
-    /// Configuration of the bar in the longest segment between two singular poses. Samples are in the configuration in which they
-    /// were measured.
-    pub configuration: Configuration,
     /// The clocks and how well the logs match.
     pub alignment: Alignment,
     /// Offset of each encoder and how well it fits the prediction.
@@ -280,15 +277,12 @@ impl Prepared {
         let kept = observations.len();
         let overlap_s =
             observations.last().zip(observations.first()).map_or(0.0, |(last, first)| last.t_s - first.t_s);
-        let configuration =
-            observations.first().map_or(Configuration::ALL[0], |first| Configuration::of(&first.bar_rad));
         Self {
             t_ref,
             observations,
             motion,
             measured,
             initial: InitialValues { base_m, ..InitialValues::default() },
-            configuration,
             alignment: Alignment { correlation: 1.0, overlap_s, ..Alignment::default() },
             offsets: Vec::new(),
             sphere: SphereFit { centre_m: base_m, inliers: 1.0, ..SphereFit::default() },

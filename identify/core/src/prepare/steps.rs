@@ -108,7 +108,6 @@ pub fn prepare(
         t_ref,
         measured: found.encoder_map.used.measured(),
         initial,
-        configuration: found.offset_fit.configuration,
         alignment,
         offsets,
         sphere,

@@ -172,7 +172,7 @@ impl Run<'_> {
         let t_s = time.map_or(0.0, |time| time.seconds_since(self.t_ref));
         let tau_s = self.clock.robot_time_s(t_s);
         let predicted = self.predictor.at(tau_s);
-        let predicted_rad = predicted.map(|bar| self.configuration.carry(&bar.joints_rad));
+        let predicted_rad = predicted.map(|bar| self.in_configuration(&bar.joints_rad));
         let bar_speed_rad_s = sample.and_then(|index| self.bar_speed_rad_s(index));
         let robot_speed_rad_s = self.robot_speed_rad_s(tau_s);
         let moves = |speed: Option<f64>| speed.map(|speed| speed > MOVING_RAD_S);
@@ -202,7 +202,12 @@ impl Run<'_> {
             Some(predicted_rad) if !measured[joint] => predicted_rad[joint],
             _ => bar_rad[joint],
         });
-        self.configuration.carry(&filled)
+        self.in_configuration(&filled)
+    }
+
+    /// The bar's joints in the configuration that is shown.
+    fn in_configuration(&self, bar_rad: &[f64; BAR_JOINTS]) -> [f64; BAR_JOINTS] {
+        self.configuration.carry(self.predictor.bar_links(), bar_rad)
     }
 
     /// Largest speed of a bar joint about a sample; `None` without near neighbours.

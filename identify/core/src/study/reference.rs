@@ -120,7 +120,7 @@ fn bar_joints(
         let first = first_ball_bar_inverse(bar, &pose)?;
         let previous = bar_rad.last().copied().unwrap_or(first);
         let in_configurations = Configuration::ALL.map(|configuration| {
-            let joints = configuration.carry(&first);
+            let joints = configuration.carry(&bar.links, &first);
             std::array::from_fn(|i| nearest_turn(joints[i], previous[i]))
         });
         let squared_distance = |joints: &[f64; BAR_JOINTS]| {

@@ -353,7 +353,7 @@ impl Search<'_> {
     fn offset_fit(&self, pairs: &[AnglePair], encoder_map: &EncoderMap) -> OffsetFit {
         // Wider than the limit for a whole run: a short segment may lie where the nominal geometry is worst.
         let limit_rad = 4.0 * self.options.spread_max_mrad * 1e-3;
-        fit_offsets(pairs, encoder_map, self.origins, limit_rad)
+        fit_offsets(self.predictor.bar_links(), pairs, encoder_map, self.origins, limit_rad)
     }
 
     /// [`refine`] on the samples of an offset fit, spread over the motion.

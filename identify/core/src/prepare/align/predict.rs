@@ -3,7 +3,7 @@
 use nalgebra::{Translation3, Vector3};
 
 use crate::kinematics::{
-    BAR_JOINTS, Chain, Configuration, InverseError, Joints, Trace, Tracer, first_ball_bar_inverse,
+    BAR_JOINTS, Chain, Configuration, DhLink, InverseError, Joints, Trace, Tracer, first_ball_bar_inverse,
     singularity_margin_rad,
 };
 use crate::logs::CubicSpline;
@@ -45,6 +45,11 @@ impl<'a> Predictor<'a> {
         // Any pose shows whether the structure is right; a prediction then cannot fail.
         first_ball_bar_inverse(&bar, &bar.forward(&[0.1; BAR_JOINTS]))?;
         Ok(Self { log, robot: Tracer::new(robot), bar })
+    }
+
+    /// Links of the nominal bar.
+    pub fn bar_links(&self) -> &[DhLink] {
+        &self.bar.links
     }
 
     /// Position of the bar's base \[m\].

@@ -6,7 +6,7 @@
 
 use super::circular::{circular_median, spread_of};
 use super::encoder_map::{AnglePair, EncoderMap};
-use crate::kinematics::{BAR_JOINTS, Configuration, wrapped};
+use crate::kinematics::{BAR_JOINTS, Configuration, DhLink, wrapped};
 use crate::statistics::median;
 
 /// Offsets of one origin.
@@ -60,8 +60,10 @@ impl OffsetFit {
 /// Smallest number of pairs that determine the offsets of an origin.
 const PAIRS_MIN: usize = 10;
 
-/// Finds offsets and configurations. Segments in which the median angle is off by more than `limit_rad` are left out.
+/// Finds offsets and configurations of the bar with these links. Segments in which the median angle is off by more than
+/// `limit_rad` are left out.
 pub(in crate::prepare) fn fit_offsets(
+    bar_links: &[DhLink],
     pairs: &[AnglePair],
     encoder_map: &EncoderMap,
     origins: usize,
@@ -84,19 +86,20 @@ pub(in crate::prepare) fn fit_offsets(
         let mut segments: Vec<&[AnglePair]> = of_origin.chunk_by(|a, b| a.segment == b.segment).collect();
         segments.sort_by_key(|segment| std::cmp::Reverse(segment.len()));
         let Some(longest) = segments.first().filter(|segment| segment.len() >= PAIRS_MIN) else { continue };
-        let (configuration, offsets_rad) = configuration_and_offsets(longest, measured);
+        let (configuration, offsets_rad) = configuration_and_offsets(bar_links, longest, measured);
         if longest.len() > longest_of_all {
             (longest_of_all, fit.configuration) = (longest.len(), configuration);
         }
         // Segments in the configuration that fits these offsets.
         let mut fitting: Vec<(&[AnglePair], Configuration)> = Vec::new();
         for segment in &segments {
-            let misfit_in =
-                |configuration: &Configuration| misfit_rad(segment, *configuration, &offsets_rad, measured);
+            let misfit_in = |configuration: &Configuration| {
+                misfit_rad(bar_links, segment, *configuration, &offsets_rad, measured)
+            };
             let best = Configuration::ALL.into_iter().min_by(|a, b| misfit_in(a).total_cmp(&misfit_in(b)));
             fitting.extend(best.filter(|best| misfit_in(best) <= limit_rad).map(|best| (*segment, best)));
         }
-        let offsets_rad = offsets_in(&fitting, measured);
+        let offsets_rad = offsets_in(bar_links, &fitting, measured);
         let used = fitting.iter().map(|(segment, _)| segment.len()).sum();
         if let Some(offsets) = fit.by_origin.get_mut(longest[0].origin) {
             *offsets = Some(Offsets { offsets_rad, pairs: used });
@@ -105,7 +108,7 @@ pub(in crate::prepare) fn fit_offsets(
             .iter()
             .flat_map(|(segment, configuration)| segment.iter().map(|pair| (pair, *configuration)));
         for (pair, configuration) in pairs_with_configuration {
-            let predicted = configuration.carry(&pair.predicted_rad);
+            let predicted = configuration.carry(bar_links, &pair.predicted_rad);
             let joints: [f64; BAR_JOINTS] = std::array::from_fn(|joint| {
                 if measured[joint] { pair.recorded_rad[joint] + offsets_rad[joint] } else { predicted[joint] }
             });
@@ -124,13 +127,14 @@ pub(in crate::prepare) fn fit_offsets(
 
 /// The configuration in which the differences scatter least, and their medians in it.
 fn configuration_and_offsets(
+    bar_links: &[DhLink],
     segment: &[AnglePair],
     measured: &[bool; BAR_JOINTS],
 ) -> (Configuration, [f64; BAR_JOINTS]) {
     let mut best: Option<(f64, Configuration, [f64; BAR_JOINTS])> = None;
     for configuration in Configuration::ALL {
-        let offsets_rad = offsets_in(&[(segment, configuration)], measured);
-        let misfit_rad = misfit_rad(segment, configuration, &offsets_rad, measured);
+        let offsets_rad = offsets_in(bar_links, &[(segment, configuration)], measured);
+        let misfit_rad = misfit_rad(bar_links, segment, configuration, &offsets_rad, measured);
         // Clearly less: without some encoders two configurations fit alike, and rounding must not decide.
         if best.is_none_or(|(least, _, _)| misfit_rad < 0.99 * least) {
             best = Some((misfit_rad, configuration, offsets_rad));
@@ -143,13 +147,14 @@ fn configuration_and_offsets(
 
 /// Circular median of predicted minus measured, by joint.
 fn offsets_in(
+    bar_links: &[DhLink],
     segments: &[(&[AnglePair], Configuration)],
     measured: &[bool; BAR_JOINTS],
 ) -> [f64; BAR_JOINTS] {
     let mut differences: [Vec<f64>; BAR_JOINTS] = Default::default();
     for (segment, configuration) in segments {
         for pair in *segment {
-            let predicted = configuration.carry(&pair.predicted_rad);
+            let predicted = configuration.carry(bar_links, &pair.predicted_rad);
             for joint in (0..BAR_JOINTS).filter(|joint| measured[*joint]) {
                 differences[joint].push(predicted[joint] - pair.recorded_rad[joint]);
             }
@@ -160,6 +165,7 @@ fn offsets_in(
 
 /// Median over the pairs of the largest error among the measured joints \[rad\].
 fn misfit_rad(
+    bar_links: &[DhLink],
     segment: &[AnglePair],
     configuration: Configuration,
     offsets_rad: &[f64; BAR_JOINTS],
@@ -168,7 +174,7 @@ fn misfit_rad(
     let mut largest: Vec<f64> = segment
         .iter()
         .map(|pair| {
-            let predicted = configuration.carry(&pair.predicted_rad);
+            let predicted = configuration.carry(bar_links, &pair.predicted_rad);
             let joints = (0..BAR_JOINTS).filter(|joint| measured[*joint]);
             let errors = joints
                 .map(|joint| wrapped(predicted[joint] - pair.recorded_rad[joint] - offsets_rad[joint]).abs());
