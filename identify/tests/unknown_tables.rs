@@ -330,6 +330,24 @@ fn columns_that_are_exchanged_or_reversed_or_in_another_unit_are_named_by_trying
     );
 }
 
+/// Rows at 1 Hz in seconds and at 1 kHz in milliseconds have the same stamps.
+#[test]
+fn a_unit_of_the_time_that_is_not_in_the_header_is_named_as_a_guess() {
+    let doubts = |time: &'static str, ticks: f64| {
+        let log = Style { time, ticks, ..USUAL }.written(Beside::Time);
+        proposed(&log).notes.doubts
+    };
+    let guess = doubts("time", 1e3);
+    assert!(
+        matches!(&guess[..], [one] if one.contains("ms is taken") && one.contains("if it is in s")),
+        "{guess:?}"
+    );
+    // Seconds that are less than one second apart have no other reading.
+    for (time, ticks) in [("time", 1.0), ("time [ms]", 1e3), ("time [us]", 1e6)] {
+        assert!(doubts(time, ticks).is_empty(), "{time}");
+    }
+}
+
 #[test]
 fn a_date_written_as_one_number_is_no_time_in_milliseconds() {
     let mut csv = String::from("Timestamp;q1;q2;q3;q4;q5;q6;tracker_x;tracker_y;tracker_z\n");

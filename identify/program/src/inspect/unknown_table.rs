@@ -187,6 +187,8 @@ fn for_sheet(
     let others: Vec<&Column> = columns.iter().filter(|column| !taken(column)).collect();
     let mut notes = Notes::default();
     let time = time(&others, &mut notes);
+    // Only a robot's log has a mapping with the time.
+    let time_doubts = std::mem::take(&mut notes.doubts);
     let length = others.iter().find(|column| column.has_word(LENGTHS)).copied();
     let position = triple(&others, &["x", "y", "z"]);
     let of_tracker = position.is_some_and(|xyz| xyz[0].has_word(TRACKERS));
@@ -196,6 +198,7 @@ fn for_sheet(
         (_, _, _, Some(socket)) => contacts(csv, joints, socket, &mut notes),
         (_, Some(length), _, _) => lengths(csv, joints, length, &others, &mut notes),
         (Some(time), _, _, _) if !of_tracker => {
+            notes.doubts = time_doubts;
             let joints = if is_own_log {
                 let reason = format!("{} are the columns of the robot's own log", listed(&log_columns));
                 joint_notes = Notes { reasons: vec![reason], ..Notes::default() };

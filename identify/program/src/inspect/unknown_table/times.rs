@@ -43,11 +43,15 @@ pub(super) fn time(columns: &[&Column], notes: &mut Notes) -> Option<TimeColumn>
         notes.reason(format!("`{}` has dates (YYYYMMDDhhmmss), too coarse for times of rows", column.name));
         return None;
     }
-    let (unit, why) = match column.unit.as_deref() {
-        Some("s") => (TimeUnit::S, "from the header".to_owned()),
-        Some("ms") => (TimeUnit::Ms, "from the header".into()),
-        Some("us") => (TimeUnit::Us, "from the header".into()),
-        Some("ns") => (TimeUnit::Ns, "from the header".into()),
+    let in_header = match column.unit.as_deref() {
+        Some("s") => Some(TimeUnit::S),
+        Some("ms") => Some(TimeUnit::Ms),
+        Some("us") => Some(TimeUnit::Us),
+        Some("ns") => Some(TimeUnit::Ns),
+        _ => None,
+    };
+    let (unit, why) = match in_header {
+        Some(unit) => (unit, "from the header".to_owned()),
         _ if FILETIME.contains(&column.numbers[0]) => (TimeUnit::Filetime, "by its size".into()),
         // Robots log faster than 1 Hz, up to 1 kHz: a step of one is a millisecond, of a thousand a microsecond.
         _ if step < 0.9 => (TimeUnit::S, format!("stamps are {step:.4} apart")),
@@ -55,6 +59,22 @@ pub(super) fn time(columns: &[&Column], notes: &mut Notes) -> Option<TimeColumn>
         _ if step < 9e5 => (TimeUnit::Us, format!("stamps are {step:.0} apart")),
         _ => (TimeUnit::Ns, format!("stamps are {step:.0} apart")),
     };
-    notes.reason(format!("`{}` is the time in {}: {why}", column.name, format!("{unit:?}").to_lowercase()));
+    let name_of = |unit: TimeUnit| format!("{unit:?}").to_lowercase();
+    notes.reason(format!("`{}` is the time in {}: {why}", column.name, name_of(unit)));
+    // Stamps of a slow log in the next larger unit are as far apart.
+    let larger = match unit {
+        TimeUnit::Ms => Some(TimeUnit::S),
+        TimeUnit::Us => Some(TimeUnit::Ms),
+        TimeUnit::Ns => Some(TimeUnit::Us),
+        _ => None,
+    };
+    if let Some(larger) = larger.filter(|_| in_header.is_none()) {
+        notes.doubt(format!(
+            "`{}` has no unit: {} is taken, because robots log faster than 1 Hz; if it is in {}, correct `unit` of [time]",
+            column.name,
+            name_of(unit),
+            name_of(larger)
+        ));
+    }
     Some(TimeColumn::new(&column.name, unit))
 }
