@@ -265,7 +265,7 @@ fn without_a_degree_of_freedom_there_is_no_sigma_unless_the_noise_is_known() {
     let estimated = solved(Noise::Estimated);
     assert_eq!([0, 1].map(|column| estimated.covariance.sigma(column)), [None, None]);
     let error = estimated.require_sigmas().unwrap_err().to_string();
-    assert!(error.contains("2 free parameters"), "{error}");
+    assert!(error.contains("2 parameters are free"), "{error}");
     let known = solved(Noise::Known);
     assert!(known.covariance.sigma(0).is_some() && known.require_sigmas().is_ok());
 }

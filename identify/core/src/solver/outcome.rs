@@ -126,7 +126,7 @@ pub struct NotConverged {
 /// The samples leave no degree of freedom to estimate their noise from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "too few samples: they have no more residuals, counted with robust weights, than free parameters without prior ({columns}), so \
+    "too few samples: {columns} parameters are free without a prior, and no more residuals than that count (robust weights), so \
      noise and uncertainties cannot be estimated; measure more poses, or fix parameters (`--fix`)"
 )]
 pub struct NoFreedom {
