@@ -371,7 +371,7 @@ fn options_of_the_ball_bar_alone_are_refused_for_a_mix_by_name() {
     let data = DataSets { rows: vec![Tracker::new(&cell.poses).into()], ..DataSets::default() };
     let config = IdentifyConfig { selection: SelectionName::Thesis, ..IdentifyConfig::default() };
     let said = calibrate(&data, &irb2400(), &config, None).unwrap_err().to_string();
-    assert!(said.contains("`selection`"), "{said}");
+    assert!(said.contains("selection = \"thesis\""), "{said}");
     let config = IdentifyConfig { bar_length_um: 0.0, ..IdentifyConfig::default() };
     let said = calibrate(&data, &irb2400(), &config, None).unwrap_err().to_string();
     assert!(said.contains("`bar_length_um`") && said.contains("leave it out"), "{said}");
