@@ -59,7 +59,7 @@ pub struct TimelinePoint {
     pub bar_moves: Option<bool>,
     /// Faster than [`super::MOVING_RAD_S`].
     pub robot_moves: Option<bool>,
-    /// Bar joints by their encoders, offsets added, in [`super::Prepared::configuration`], each in (-pi, pi] \[rad\].
+    /// Bar joints by their encoders, offsets added, in one configuration of the bar, each in (-pi, pi] \[rad\].
     /// None for invalid cycles; joints without encoder are as predicted.
     pub measured_rad: Option<[f64; BAR_JOINTS]>,
     /// Bar joints that the robot's log implies, in the same configuration \[rad\]; none outside the log.
