@@ -96,6 +96,7 @@ macro_rules! facts {
 
 const REPLACE: &str = "power the terminals off and on, and replace that one if this persists";
 const ATTACH: &str = "check its cable, its power, or its network connection";
+const UNLOAD: &str = "run `ballbard tune`; end programs that load the processor";
 
 facts! {
     /// The service has not yet tried to bring the bus up.
@@ -188,7 +189,7 @@ facts! {
     /// The thread of the cycle does not run.
     CycleStalled = "cycle_stalled", Bad { age_s: i64 } =>
         format!("no bus cycle for {age_s} s: the cycle thread is blocked or starved"),
-        "run `ballbard tune`; end programs that load the processor";
+        UNLOAD;
     /// A thread of the service has ended.
     ThreadEnded = "thread_ended", Bad { thread: String } =>
         format!("the {thread} thread has ended"),
@@ -515,7 +516,7 @@ fn is_only_unsynchronised(status: Option<u16>) -> bool {
 
 fn encoder_remedy(status: Option<u16>) -> &'static str {
     if is_only_unsynchronised(status) {
-        "run `ballbard tune`; end programs that take the processor"
+        UNLOAD
     } else {
         "check the encoder's cable and plug, and its signal amplitude"
     }

@@ -299,13 +299,7 @@ impl Measures for Tracker {
     fn undone(&self, mistake: Mistake, robot: &Chain) -> Vec<Instrument> {
         let rows = &self.rows;
         match mistake {
-            Mistake::Joints(mistake) => {
-                vec![
-                    self.at_rest(
-                        rows.with_joints(|joints_rad| mistake.undone(joints_rad, robot.joint_kinds())),
-                    ),
-                ]
-            }
+            Mistake::Joints(mistake) => vec![self.at_rest(rows.undone(mistake, robot))],
             Mistake::RowsShifted => rows.shifted().map(|rows| self.at_rest(rows)).to_vec(),
             Mistake::Mirrored => {
                 // Any mirror image is this one in another pose of the tracker.

@@ -286,14 +286,7 @@ impl Measures for Wire {
     fn undone(&self, mistake: Mistake, robot: &Chain) -> Vec<Instrument> {
         let all = &self.rows.all;
         match mistake {
-            Mistake::Joints(mistake) => {
-                vec![
-                    self.with_rows(
-                        all.with_joints(|joints_rad| mistake.undone(joints_rad, robot.joint_kinds())),
-                    )
-                    .into(),
-                ]
-            }
+            Mistake::Joints(mistake) => vec![self.with_rows(all.undone(mistake, robot)).into()],
             Mistake::LengthUnit(thousandths) => {
                 let factor = f64::from(thousandths) * 1e-3;
                 vec![self.with_lengths(all.rows.iter().map(|row| row.length_m * factor))]

@@ -125,14 +125,17 @@ pub fn first_ball_bar_inverse(chain: &Chain, target: &Pose) -> Result<[f64; BAR_
 
 /// Angles of the links: joint variables with the links' offsets `theta`.
 fn angles_from_joints(bar_links: &[DhLink], bar_rad: &[f64; BAR_JOINTS]) -> [f64; BAR_JOINTS] {
-    std::array::from_fn(|joint| bar_rad[joint] + bar_links.get(joint).map_or(0.0, |link| link.theta_rad))
+    std::array::from_fn(|joint| bar_rad[joint] + theta_rad(bar_links, joint))
 }
 
 /// Joint variables, each in (-pi, pi], from the angles of the links: without the links' offsets `theta`.
 fn joints_from_angles(bar_links: &[DhLink], angles_rad: &[f64; BAR_JOINTS]) -> [f64; BAR_JOINTS] {
-    std::array::from_fn(|joint| {
-        wrapped(angles_rad[joint] - bar_links.get(joint).map_or(0.0, |link| link.theta_rad))
-    })
+    std::array::from_fn(|joint| wrapped(angles_rad[joint] - theta_rad(bar_links, joint)))
+}
+
+/// Offset of a link's angle; zero for a missing link.
+fn theta_rad(bar_links: &[DhLink], joint: usize) -> f64 {
+    bar_links.get(joint).map_or(0.0, |link| link.theta_rad)
 }
 
 /// The first of [`Configuration::ALL`], and the angles of the links in it (joint variable + theta) \[rad\].

@@ -4,8 +4,10 @@
 use std::collections::BTreeMap;
 
 use super::{RowError, split};
-use crate::kinematics::Joints;
+use crate::kinematics::{Chain, Joints};
+use crate::logs::JointMistake;
 use crate::model::{JointState, Observation, ParameterId, PerObservation, RobotMotion, SetUp};
+use crate::statistics::largest_difference;
 
 /// A joint that moved less than this since the previous pose keeps its direction of motion \[rad, m\].
 const MOVED_MIN: f64 = 1e-3;
@@ -39,7 +41,7 @@ pub(super) fn poses(joints_rad: &[Joints]) -> Vec<usize> {
     let mut pose = 0;
     let mut first_of_pose = joints_rad.first();
     let numbers = joints_rad.iter().map(|q| {
-        let moved = |first: &Joints| first.iter().zip(q.iter()).any(|(a, b)| (a - b).abs() > MOVED_MIN);
+        let moved = |first: &Joints| largest_difference(first, q) > MOVED_MIN;
         if first_of_pose.is_some_and(moved) {
             pose += 1;
             first_of_pose = Some(q);
@@ -91,9 +93,10 @@ impl<R: Copy> Standing<R> {
         self.states.iter().map(|state| state.q).collect()
     }
 
-    /// The same rows with other joints.
-    pub(in crate::instrument) fn with_joints(&self, other: impl Fn(&Joints) -> Joints) -> Self {
-        Self { states: standing(self.states.iter().map(|state| other(&state.q))), ..self.clone() }
+    /// The same rows with a mistake of their joints undone.
+    pub(in crate::instrument) fn undone(&self, mistake: JointMistake, robot: &Chain) -> Self {
+        let undone = self.states.iter().map(|state| mistake.undone(&state.q, robot.joint_kinds()));
+        Self { states: standing(undone), ..self.clone() }
     }
 
     /// The measurements with the joints of the following row, then with those of the preceding row.

@@ -283,8 +283,6 @@ impl<A: Artefact> Measures for Tip<A> {
 
     fn undone(&self, mistake: Mistake, robot: &Chain) -> Vec<Instrument> {
         let Mistake::Joints(mistake) = mistake else { return Vec::new() };
-        vec![self.with_rows(
-            self.rows.all.with_joints(|joints_rad| mistake.undone(joints_rad, robot.joint_kinds())),
-        )]
+        vec![self.with_rows(self.rows.all.undone(mistake, robot))]
     }
 }
