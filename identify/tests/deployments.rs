@@ -72,7 +72,7 @@ fn by_direct_fit(name: &str, robot: &RobotConfig, rows: &[PoseRow]) -> [f64; 2] 
         let deployed = found.0.deployed(wanted, None).unwrap().unwrap();
         let (ours_m, direct_m, nominal_m) =
             (apart_m(deployed.model(), others), direct[word], direct["nominal"]);
-        let written = is_surely_better(own.rows, [nominal.rms(), own.rms()]);
+        let written = is_surely_better(found.rows().independent_held_out(), [nominal.rms(), own.rms()]);
         println!(
             "{name}, {word}: {} um, direct {}, nominal {}{}",
             um(ours_m),

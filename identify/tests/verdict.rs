@@ -72,6 +72,7 @@ fn rows_entry(rows: usize, [nominal_mm, calibrated_mm]: [f64; 2]) -> RowsEntry {
         names: BTreeMap::new(),
         fitted: stages,
         held_out: stages,
+        independent: None,
     }
 }
 
@@ -104,6 +105,16 @@ fn green_needs_unseen_data_within_the_claim_beyond_chance() {
     assert_eq!(verdict(100, 0.42, 0.41).grade, Grade::Green);
     assert_eq!(verdict(3, 0.2, 0.15).grade, Grade::Green);
     assert_eq!(verdict(100, 1.5, 0.05).grade, Grade::Red);
+}
+
+#[test]
+fn rows_that_were_held_out_together_count_as_few_errors() {
+    let grade = |independent: Option<usize>| {
+        let (mut file, workspace) = file(0.1e-3, [1.0, 0.05], [1.0, 0.1]);
+        file.rows.push(RowsEntry { independent, ..rows_entry(200, [0.4, 0.55]) });
+        file.with_verdict(&workspace, &[], None).verdict.unwrap().grade
+    };
+    assert_eq!([grade(Some(200)), grade(Some(5)), grade(None)], [Grade::Red, Grade::Amber, Grade::Red]);
 }
 
 #[test]

@@ -278,6 +278,15 @@ impl RowSet {
         self.figures(&without(&self.held_out_rows, &self.rejected))
     }
 
+    /// Number of independent errors among all held-out rows: those of one pose, segment or region share theirs along each measured
+    /// direction.
+    pub fn independent_held_out(&self) -> usize {
+        let rows = self.whole.part(&self.held_out_rows);
+        let directions = if rows.lengths_m().is_empty() { 3 } else { 1 };
+        let groups = rows.independent(rows.samples());
+        (directions * groups.len()).min(rows.samples())
+    }
+
     /// Errors of all held-out rows.
     pub fn held_out_with_rejected(&self) -> Stages {
         self.figures(&self.held_out_rows)

@@ -241,6 +241,7 @@ impl Tables {
                 names: beside.names.clone(),
                 fitted: set.fitted(),
                 held_out: set.held_out_with_rejected(),
+                independent: Some(set.independent_held_out()),
             }));
             tables.names.push(name);
         }

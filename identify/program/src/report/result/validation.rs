@@ -44,6 +44,9 @@ pub struct RowsEntry {
     pub fitted: Stages,
     /// Held-out rows.
     pub held_out: Stages,
+    /// Number of independent errors among the held-out rows; files of earlier versions lack it, which count all rows.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub independent: Option<usize>,
 }
 
 /// Rows at one part of an instrument, such as a socket, predicted by the fit to all other data.
@@ -141,7 +144,7 @@ impl CalibrationFile {
             };
             HeldOutErrors {
                 what: format!("held-out rows of data set {}", rows.data_set),
-                independent: calibrated.rows,
+                independent: rows.independent.unwrap_or(calibrated.rows),
                 nominal: nominal.rms(),
                 calibrated: (calibrated.rows > 0).then(|| calibrated.rms()),
                 fitted: rows.fitted.joints.rms(),
