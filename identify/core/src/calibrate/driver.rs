@@ -113,8 +113,9 @@ fn screen_rows(runs: &mut [Run], rows: &mut [RowSet], plan: &Plan<'_>) -> Result
     let first_of_rows = runs.len() - rows.len();
     for (number, set) in (first_of_rows..).zip(rows) {
         let run = &mut runs[number];
-        set.judge_links(offsets_runs.get(number).map(|run| &run.model), &run.model);
-        set.screen(number + 1, run, links.sigmas[number])?;
+        let offsets = offsets_runs.get(number).map(|run| &run.model);
+        set.judge_links(offsets, &run.model);
+        set.screen(number + 1, run, offsets, links.sigmas[number])?;
     }
     Ok(())
 }

@@ -55,7 +55,7 @@ pub(super) fn lay_out<'w>(
         sets.push(set);
     }
     for (set, Run { model, .. }) in sets.iter_mut().zip(&mut runs[data.bars.len()..]) {
-        set.judge_nominal(model);
+        set.judge_nominal(model)?;
         config.set_link_roles(model)?;
     }
     // Without a known length, the scale of robot and face distances is free: fix the length of the longest link. Its tolerance

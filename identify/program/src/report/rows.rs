@@ -93,13 +93,13 @@ fn append_errors(text: &mut String, name: &str, figures: &PoseFigures) {
     let _ = writeln!(text, "{name:<44}{:>6} {}   {rotation}", figures.rows, sizes(&figures.position_m));
 }
 
-/// Appends a line for each stage of the model. `instrument_parts` were fitted in all; `last` names what the last stage adds.
-fn append_stages(text: &mut String, name: &str, [instrument_parts, last]: [&str; 2], stages: &Stages) {
+/// Appends a line for each stage of the model. `instrument_parts` were fitted in all.
+fn append_stages(text: &mut String, name: &str, instrument_parts: &str, stages: &Stages) {
     let _ = writeln!(text, "{name}");
     append_errors(text, &format!("  nominal robot, {instrument_parts} fitted"), &stages.nominal);
     append_errors(text, "  and joint offsets", &stages.offsets);
     append_errors(text, "  and the other numbers of links", &stages.links);
-    append_errors(text, &format!("  and {last}"), &stages.joints);
+    append_errors(text, "  and joint errors", &stages.joints);
 }
 
 /// Heading of the errors of a line.
@@ -124,12 +124,12 @@ pub fn table(
         let what = if instrument.lengths_m().is_empty() { "position" } else { "length" };
         format!("{:<44}{:>6} {FIGURES}\n", format!("{what} error [mm]"), "rows")
     };
-    let last = if set.drift.is_some() { "joint errors and drift" } else { "joint errors" };
-    let names = [instrument.parts(), last];
-    append_stages(&mut text, "fitted", names, &fitted);
-    append_stages(&mut text, "held out", names, &held_out);
+    let drifts = if set.drift.is_some() { " and its drift" } else { "" };
+    let parts = format!("{}{drifts}", instrument.parts());
+    append_stages(&mut text, "fitted", &parts, &fitted);
+    append_stages(&mut text, "held out", &parts, &held_out);
     if with_rejected.nominal.rows != held_out.nominal.rows {
-        append_stages(&mut text, "held out, with faulty rows", names, &with_rejected);
+        append_stages(&mut text, "held out, with faulty rows", &parts, &with_rejected);
     }
     for validation in validations {
         let ValidationEntry { name, nominal, calibrated, .. } = &validation.entry;

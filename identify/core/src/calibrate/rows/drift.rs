@@ -220,7 +220,8 @@ pub(super) fn find(
     sigma_m: f64,
 ) -> Result<Option<(Drift, Vec<f64>)>, CalibrateError> {
     let folds = all.part(fitting).independent(FOLDS);
-    let Some(drift) = choose(model, all, fitting, &folds, sigma_m)? else { return Ok(None) };
+    let Some(chosen) = choose(model, all, fitting, &folds, sigma_m)? else { return Ok(None) };
+    let drift = scaled(chosen, model, all, fitting)?;
     let drift_m = fit(model, all, fitting, &drift)?;
     Ok(Some((drift, drift_m)))
 }
@@ -245,6 +246,23 @@ fn choose(
     });
     let best = tried.min_by(|a, b| a.0.rms_with_m.total_cmp(&b.0.rms_with_m));
     Ok(best.filter(|(_, with)| falls(&without, with)).map(|(best, _)| best))
+}
+
+/// The drift with the size and the white noise that its residuals have: `r^T C^-1 r` is the number of rows minus that of columns
+/// for their covariance `C`. Predictions depend on the ratio of both only, so the choice does not determine them.
+fn scaled(drift: Drift, model: &Model, all: &Instrument, fitting: &[usize]) -> Result<Drift, CalibrateError> {
+    let Some(linear) = Linear::at(model, all, fitting)? else { return Ok(drift) };
+    let mut weights = vec![0.0; all.samples()];
+    fitting.iter().for_each(|&row| weights[row] = 1.0);
+    let sweep = linear.sweep(&drift, &weights);
+    let Some(step) = linear.step(&sweep) else { return Ok(drift) };
+    let after = linear.after(&step);
+    let squared: f64 = after.iter().zip(sweep.by_inverse_covariance(&after)).map(|(r, by)| r * by).sum();
+    let freedom = fitting.len().saturating_sub(linear.columns.len()).max(1);
+    let factor = (squared / freedom as f64).sqrt();
+    let is_usable = factor.is_finite() && factor > 0.0;
+    let scaled = Drift { size_m: factor * drift.size_m, white_m: factor * drift.white_m, ..drift };
+    Ok(if is_usable { scaled } else { drift })
 }
 
 /// Fits the model with the drift removed from its residuals; returns the drift of every row \[m\].

@@ -64,7 +64,7 @@ pub fn is_surely_worse(n: usize, [nominal, calibrated]: [f64; 2]) -> bool {
     calibrated > nominal * ratio_by_chance(n, 1.0 - WORSE_BY_CHANCE)
 }
 
-/// Results for the same rows after successive fits to the fitting rows.
+/// Results for the same rows after successive fits to the fitting rows, of an instrument whose offset drifts with the drift.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct Stages<T = PoseFigures> {
     /// Fit of tracker and probe, or wire; robot nominal.
@@ -74,6 +74,6 @@ pub struct Stages<T = PoseFigures> {
     pub offsets: T,
     /// Fit that adds the other link parameters.
     pub links: T,
-    /// Fit that adds joint errors, and the drift of the wire's offset.
+    /// Fit that adds joint errors.
     pub joints: T,
 }

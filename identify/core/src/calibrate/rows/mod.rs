@@ -17,7 +17,8 @@ use crate::instrument::{
     Deviation, Instrument, PoseError, RejectedRow, Rejection, RowError, Run, faulty, gross_rows, without,
 };
 use crate::kinematics::Chain;
-use crate::model::Model;
+use crate::model::{Model, ParameterId, Role};
+use crate::statistics::rms;
 
 pub use drift::Drift;
 pub use faulty_runs::{FaultyRun, RunCause};
@@ -64,7 +65,8 @@ pub struct RowSet {
     pub rejected: Vec<RejectedRow>,
     /// Faulty runs of rows, with possible causes.
     pub runs: Vec<FaultyRun>,
-    /// Drift of the instrument's offset, if left-out rows require it; it is part of the last stage of all statistics.
+    /// Drift of the instrument's offset, if left-out rows require it at the best links. It is removed in the last two stages of
+    /// all statistics; the nominal robot and the joint offsets have drifts of their own.
     pub drift: Option<Drift>,
     /// Drift of each row \[m\]; empty without a drift.
     drift_m: Vec<f64>,
@@ -72,6 +74,8 @@ pub struct RowSet {
     given: Vec<usize>,
     /// A step of the observed positions, relative to the nominal robot.
     step: Option<Step>,
+    /// The nominal robot with the instrument fitted to it.
+    nominal: Option<Model>,
 }
 
 impl RowSet {
@@ -94,6 +98,7 @@ impl RowSet {
             drift_m: Vec::new(),
             given: Vec::new(),
             step: None,
+            nominal: None,
         }
     }
 
@@ -108,9 +113,19 @@ impl RowSet {
     }
 
     /// Records the errors of the nominal robot, with the instrument fitted to it.
-    pub(super) fn judge_nominal(&mut self, model: &Model) {
+    ///
+    /// # Errors
+    /// [`CalibrateError::Model`] if the scale has no role.
+    pub(super) fn judge_nominal(&mut self, model: &Model) -> Result<(), CalibrateError> {
         self.errors.nominal = self.errors_with(model);
         self.step = implausible::step(&self.whole, model);
+        let mut nominal = model.clone();
+        // As where the instrument was placed: the nominal robot has no scale of its own.
+        if nominal.role(ParameterId::Scale).is_some() {
+            nominal.set_role(ParameterId::Scale, Role::Fixed)?;
+        }
+        self.nominal = Some(nominal);
+        Ok(())
     }
 
     /// Records the errors with the best joint offsets, and with the best links.
@@ -119,7 +134,7 @@ impl RowSet {
         self.errors.links = self.errors_with(links);
     }
 
-    /// Records the errors with all accepted joint errors and the drift; rejects misplaced rows.
+    /// Records the errors with all accepted joint errors; rejects misplaced rows.
     pub(super) fn judge_joints(&mut self, model: &Model) {
         self.errors.joints = self.without_drift().errors(&model.geometry(&[]));
         self.runs = faulty_runs::runs(model, &self.whole, &self.rejected);
@@ -136,12 +151,12 @@ impl RowSet {
 
     /// Rejects rows that are far from both the nominal and the calibrated robot, fitted or held out: a broken beam, a wrong
     /// target, a misread length. If a calibration predicts poorly, its held-out rows are still near the nominal robot and are
-    /// kept.
+    /// kept. The nominal robot has no drift here: in a segment that is held out a drift is unknown, which is no fault of a row.
     pub(super) fn leave_out_gross(&mut self, model: &Model) {
         let mut whole = self.whole.clone();
         whole.adapt(model);
-        let Stages { nominal, joints, .. } = &self.errors;
-        let is_gross = gross_rows(nominal, joints, &whole.relative_noise());
+        let nominal = self.nominal.as_ref().map_or_else(Vec::new, |nominal| self.errors_with(nominal));
+        let is_gross = gross_rows(&nominal, &self.errors.joints, &whole.relative_noise());
         let rows = without(&(0..is_gross.len()).collect::<Vec<_>>(), &self.rejected);
         let residuals_m = faulty_runs::residuals_m(&self.without_drift(), model);
         let gross = rows.into_iter().filter(|row| is_gross[*row]).map(|row| {
@@ -155,6 +170,17 @@ impl RowSet {
         self.whole.errors(&model.geometry(&[]))
     }
 
+    /// Errors with the drift that predicts left-out ones of these rows best at this model, if any does. With the drift of another
+    /// model, or none, the comparison of both would contain the drift.
+    fn errors_with_own_drift(&self, model: &Model, rows: &[usize]) -> Result<Vec<PoseError>, CalibrateError> {
+        let mut model = model.clone();
+        let without = self.errors_with(&model);
+        let sigma_m = rms(rows.iter().filter_map(|&row| Some(without.get(row)?.position_m)));
+        let found = drift::find(&mut model, &self.whole, rows, sigma_m)?;
+        let corrected = found.and_then(|(_, drift_m)| self.whole.longer_by(&drift_m));
+        Ok(corrected.map_or(without, |whole| whole.errors(&model.geometry(&[]))))
+    }
+
     /// The instrument with the drift of its offset removed.
     fn without_drift(&self) -> Instrument {
         let corrected = self.drift.as_ref().and_then(|_| self.whole.longer_by(&self.drift_m));
@@ -162,7 +188,8 @@ impl RowSet {
     }
 
     /// Detects outliers among rows of lengths, and a drift of their offset, in a run at its best links with the fitting rows.
-    /// The drift is known in later stages.
+    /// The drift is known in later stages; the errors of the stages so far then exclude a drift, too. The fit of joint offsets
+    /// alone is `offsets`.
     ///
     /// Single gross residuals are rejected from the fit only. Faulty runs are rejected everywhere, but detected from their
     /// fitting rows only. With a drift, faulty runs are used again: the drift includes the change of their offset. Lengths of
@@ -171,6 +198,7 @@ impl RowSet {
         &mut self,
         data_set: usize,
         run: &mut Run,
+        offsets: Option<&Model>,
         sigma_m: f64,
     ) -> Result<(), CalibrateError> {
         if self.whole.lengths_m().is_empty() {
@@ -186,7 +214,7 @@ impl RowSet {
         let already_rejected: Vec<usize> = self.rejected.iter().map(|rejected| rejected.row).collect();
         self.rejected.extend(faulty.iter().filter(|faulty| !already_rejected.contains(&faulty.row)));
         self.rejected.sort_by_key(|rejected| rejected.row);
-        self.remove_drift(run, &self.usable_with_drift(&fitting), sigma_m)
+        self.remove_drift(run, offsets, &self.usable_with_drift(&fitting), sigma_m)
     }
 
     /// Rows that contradict the others at the model of the run, whose rows are the `fitting` ones. Weights all rows by the noise of
@@ -202,11 +230,26 @@ impl RowSet {
     }
 
     /// Removes a drift from the lengths of the run, if these rows show one; they are then its rows.
-    fn remove_drift(&mut self, run: &mut Run, rows: &[usize], sigma_m: f64) -> Result<(), CalibrateError> {
-        if let Some((drift, drift_m)) = drift::find(&mut run.model.clone(), &self.whole, rows, sigma_m)? {
-            (self.drift, self.drift_m) = (Some(drift), drift_m);
-            run.instrument = self.without_drift().part(rows);
-        }
+    fn remove_drift(
+        &mut self,
+        run: &mut Run,
+        offsets: Option<&Model>,
+        rows: &[usize],
+        sigma_m: f64,
+    ) -> Result<(), CalibrateError> {
+        let mut links = run.model.clone();
+        let Some((drift, drift_m)) = drift::find(&mut links, &self.whole, rows, sigma_m)? else {
+            return Ok(());
+        };
+        let with_own_drift = |model: Option<&Model>| {
+            model.map_or_else(|| Ok(Vec::new()), |model| self.errors_with_own_drift(model, rows))
+        };
+        let (nominal, offsets) = (with_own_drift(self.nominal.as_ref())?, with_own_drift(offsets)?);
+        (self.drift, self.drift_m) = (Some(drift), drift_m);
+        let corrected = self.without_drift();
+        self.errors =
+            Stages { nominal, offsets, links: corrected.errors(&links.geometry(&[])), ..Stages::default() };
+        run.instrument = corrected.part(rows);
         Ok(())
     }
 
