@@ -227,6 +227,17 @@ fn rows_that_all_contradict_the_robots_file_are_of_another_robot_and_not_too_few
     assert!(refused.contains("give the file of this robot"), "{refused}");
 }
 
+#[test]
+fn exchanged_joints_that_contradict_the_controllers_positions_are_named() {
+    let (mut rows, _) = made_up(200);
+    rows.iter_mut().for_each(|row| row.joints_rad.swap(3, 4));
+    let refused = Alone::default().lengths(&rows, &irb120()).err().unwrap().to_string();
+    for words in ["flange positions of the controller differ", "; most likely joints 4 and 5 are exchanged"] {
+        assert!(refused.contains(words), "{refused}");
+    }
+    assert!(!refused.contains("give the file of this robot"), "{refused}");
+}
+
 /// Half of the rows have fifteen times the noise, and the file states it.
 #[test]
 fn lengths_of_two_qualities_calibrate_better_with_their_uncertainties() {

@@ -35,15 +35,18 @@ pub fn calibrate(
     watch: Option<&dyn Watch>,
 ) -> Result<Calibration, CalibrateError> {
     data.check(config)?;
-    let solve_error = match calibrate_in_stages(data, robot, config, true, watch) {
-        Err(error) if error.is_of_solve() && !data.rows.is_empty() => error,
+    let error = match calibrate_in_stages(data, robot, config, true, watch) {
+        Err(error) if error.may_be_a_mistake() && !data.rows.is_empty() => error,
         result => return result,
     };
     if let Some(likely) = rows::likely_of_all(&data.rows, &flange_chain(robot)) {
-        return Err(CalibrateError::Implausible { found: solve_error.to_string(), likely: Some(likely) });
+        // The remedy is that of the mistake.
+        let found = error.to_string().split("; ").take(1).collect();
+        return Err(CalibrateError::Implausible { found, likely: Some(likely) });
     }
+    // Rows of another robot are refused again.
     let calibration = calibrate_in_stages(data, robot, config, false, watch)?;
-    tracing::warn!("errors on held-out rows are not determined: {solve_error}");
+    tracing::warn!("errors on held-out rows are not determined: {error}");
     Ok(calibration)
 }
 

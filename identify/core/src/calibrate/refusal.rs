@@ -2,6 +2,7 @@
 
 use super::error::CalibrateError;
 use crate::cost::CostError;
+use crate::instrument::RowError;
 use crate::prepare::{Deviations, Place};
 use crate::solver::SolveError;
 
@@ -35,6 +36,11 @@ impl CalibrateError {
             _ => (None, Place::default(), None),
         };
         of_data.then(|| Refusal { message: self.to_string(), run, place, deviations })
+    }
+
+    /// Whether a mistake in a file of rows may be the cause.
+    pub(super) fn may_be_a_mistake(&self) -> bool {
+        matches!(self, Self::Rows { error: RowError::OtherRobot { .. }, .. }) || self.is_of_solve()
     }
 
     /// Whether a solve failed because of the samples.
