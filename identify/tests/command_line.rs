@@ -456,9 +456,11 @@ fn another_robots_configuration_is_refused() {
 fn measured_lengths_calibrate_from_a_csv_with_a_mapping() {
     let robot = shared::config::load(&config("robots/irb120_3.toml")).unwrap();
     let csv = lengths::table(&robot, 200, 12.0);
+    // The first rows once more: copies are not used.
+    let copies = csv.lines().skip(1).take(10).collect::<Vec<_>>().join("\n");
     let (inputs, out) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let path = inputs.path().join("lengths.csv");
-    std::fs::write(&path, &csv).unwrap();
+    std::fs::write(&path, format!("{csv}{copies}")).unwrap();
     let mapping = config("measured_length.toml");
     let arguments = ["calibrate", "wire", path.to_str().unwrap(), "--mapping", mapping.to_str().unwrap()];
     let output = identify(&[&arguments[..], &["--verbose"]].concat(), "irb120_3.toml", out.path());

@@ -274,6 +274,9 @@ fn inspected(at: &Path, rows: &str) {
         text.contains("! line 5: the ball is") && text.contains("from `D`: look for a wrong name"),
         "{text}"
     );
+    std::fs::write(at.join("copied.csv"), rows.to_owned() + rows.lines().last().unwrap()).unwrap();
+    let text = inspect("copied.csv", &usual);
+    assert!(text.contains("! 1 of 201 rows are copies of earlier rows"), "{text}");
     let text = inspect("contacts.csv", &["--propose", "proposed.toml"]);
     assert!(text.contains("`identify calibrate contact --mapping`"), "{text}");
     let [written, proposed] =

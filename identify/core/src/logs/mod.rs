@@ -41,7 +41,7 @@ pub use rows::measured_pose::{
     RotationColumns, RotationForm, TimedPoses, UncertaintyColumns,
 };
 pub use rows::pose_rows::{
-    JointColumn, JointTableMapping, JointUnit, LengthUnit, joint_columns, joints_of_robot,
+    JointColumn, JointTableMapping, JointUnit, LengthUnit, drop_copies, joint_columns, joints_of_robot,
 };
 pub use rows::touch::{ContactMapping, ReadingColumn, TipRow, TouchMapping, Touches};
 pub use tables::stamp::{TimeColumn, TimeUnit};

@@ -4,7 +4,7 @@
 use shared::config::RobotConfig;
 use shared::output::named;
 
-use super::contacts::ranges;
+use super::contacts::{copies, ranges};
 use super::{Inspection, stamps};
 use crate::calibrate::rows::{likely, misfit, some_of};
 use crate::instrument::{FaceTable, Instrument, Mistake, PoseError, Touch, Tracker, Wire};
@@ -27,6 +27,7 @@ pub fn poses(read: &MeasuredPoses, robot: &RobotConfig) -> Inspection {
     inspection.fact("rows", format!("{}, {what}", rows.len()));
     set_ups(&mut inspection, [("stations", &read.stations), ("targets", &read.targets)]);
     extent(&mut inspection, rows.iter().map(|row| row.position_m.into()));
+    copies(&mut inspection, rows, |row| &mut row.line);
     ranges(&mut inspection, rows.iter().map(|row| row.joints_rad), robot);
     nominal_robot(&mut inspection, &Tracker::new(rows).into(), robot);
     inspection
@@ -81,6 +82,7 @@ pub fn lengths(read: &MeasuredLengths, robot: &RobotConfig) -> Inspection {
     inspection
         .fact("rows", format!("{}, lengths of {:.2} to {:.2} mm", rows.len(), low_m * 1e3, high_m * 1e3));
     set_ups(&mut inspection, [("anchors", &read.anchors), ("attachments", &read.attachments)]);
+    copies(&mut inspection, rows, |row| &mut row.line);
     ranges(&mut inspection, rows.iter().map(|row| row.joints_rad), robot);
     nominal_robot(&mut inspection, &Wire::new(rows).into(), robot);
     inspection
@@ -96,6 +98,7 @@ pub fn touches(read: &Touches, robot: &RobotConfig) -> Inspection {
         inspection.fact("readings", format!("{:.3} to {:.3} mm", low_m * 1e3, high_m * 1e3));
     }
     inspection.fact("faces", format!("{}: {}", read.faces.len(), named(&read.faces, NAMED)));
+    copies(&mut inspection, rows, |row| &mut row.line);
     ranges(&mut inspection, rows.iter().map(|row| row.joints_rad), robot);
     let touch = Touch::new(rows, &read.faces, &FaceTable::default(), &flange_chain(robot));
     nominal_robot(&mut inspection, &touch.into(), robot);

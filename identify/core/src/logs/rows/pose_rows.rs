@@ -1,11 +1,13 @@
 //! Common parts of the tables of single poses in this folder: joints by the columns that a mapping names, the layout of the text,
 //! and reading row by row.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
+use std::fmt::Debug;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 use shared::config::{AXES_MAX, AXES_MIN, JointKind, RobotConfig, Validate, Violation};
+use shared::output::named;
 
 use crate::kinematics::Joints;
 use crate::logs::source::Source;
@@ -248,6 +250,31 @@ pub(in crate::logs) fn rows<C, R>(
     Ok(rows)
 }
 
+/// Removes rows that differ from an earlier one by their `line` only, and returns a remark if there are any. A pose that is
+/// measured again has other noise, but a copy adds no information and would make the uncertainties too small.
+pub fn drop_copies<R: Clone + Debug>(rows: &mut Vec<R>, line: impl Fn(&mut R) -> &mut u64) -> Option<String> {
+    /// Largest number of lines that the remark names.
+    const NAMED: usize = 8;
+    let (count, mut seen, mut copies) = (rows.len(), HashSet::new(), Vec::new());
+    rows.retain(|row| {
+        let mut values = row.clone();
+        let number = std::mem::take(line(&mut values));
+        // Numbers are written so that different ones have different texts.
+        let is_first = seen.insert(format!("{values:?}"));
+        if !is_first {
+            copies.push(number);
+        }
+        is_first
+    });
+    (!copies.is_empty()).then(|| {
+        format!(
+            "{} of {count} rows are copies of earlier rows (line {}) and are not used; find out why the file repeats them",
+            copies.len(),
+            named(&copies, NAMED)
+        )
+    })
+}
+
 /// Names of a column, each with its place in the order in which the file has them.
 #[derive(Default)]
 pub(in crate::logs) struct Names(HashMap<String, usize>);
@@ -355,4 +382,20 @@ pub(in crate::logs) fn mapped_if_named(
     name: Option<&String>,
 ) -> Result<Option<Column>, LogError> {
     name.map(|name| mapped(table, name)).transpose()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::logs::LengthRow;
+
+    #[test]
+    fn copies_of_a_row_are_removed_and_their_lines_named() {
+        let row = |length_m, line| LengthRow { length_m, line, ..LengthRow::default() };
+        let mut rows = vec![row(0.5, 2), row(0.5 + 1e-15, 3), row(0.5, 4), row(0.6, 5), row(0.5, 6)];
+        let remark = drop_copies(&mut rows, |row| &mut row.line).unwrap_or_default();
+        assert_eq!(rows.iter().map(|row| row.line).collect::<Vec<_>>(), [2, 3, 5]);
+        assert!(remark.contains("2 of 5 rows") && remark.contains("(line 4, 6)"), "{remark}");
+        assert_eq!(drop_copies(&mut rows, |row| &mut row.line), None);
+    }
 }

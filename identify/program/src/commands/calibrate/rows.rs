@@ -4,6 +4,7 @@
 //! are files of `--validate`.
 
 use std::collections::BTreeMap;
+use std::fmt::Display;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
@@ -21,7 +22,8 @@ use crate::instrument::{Contact, FaceTable, HoldOut, Instrument, Rows, SocketTab
 use crate::kinematics::flange_chain;
 use crate::logs::{
     ContactMapping, LogFormat, LogOptions, MeasuredLengthMapping, MeasuredLengths, MeasuredPoseMapping,
-    MeasuredPoses, PoseRow, TimedPoses, TipRow, TouchMapping, Touches, is_simulated, joints_of_robot,
+    MeasuredPoses, PoseRow, TimedPoses, TipRow, TouchMapping, Touches, drop_copies, is_simulated,
+    joints_of_robot,
 };
 use crate::model::{JointState, Model, Waves, further};
 use crate::prepare::{AlignedPoses, Alignment, PrepareOptions, align_poses};
@@ -232,7 +234,8 @@ fn rows_with_joints(
                 mapping_file.display()
             );
             joints_of_robot(&mapping.joints, robot, mapping_file)?;
-            let read = MeasuredPoses::load(file, &mapping)?;
+            let mut read = MeasuredPoses::load(file, &mapping)?;
+            warn_of(file, drop_copies(&mut read.rows, |row| &mut row.line));
             let lines = read.rows.iter().map(|row| row.line).collect();
             let names = names_by_prefix([("tracker", read.stations), ("probe", read.targets)]);
             let tracker = Tracker::new(&read.rows).with_scale_u_ppm(mapping.scale_u_ppm);
@@ -241,7 +244,8 @@ fn rows_with_joints(
         Kind::Wire => {
             let mapping: MeasuredLengthMapping = config::load(mapping_file)?;
             joints_of_robot(&mapping.joints, robot, mapping_file)?;
-            let read = MeasuredLengths::load(file, &mapping)?;
+            let mut read = MeasuredLengths::load(file, &mapping)?;
+            warn_of(file, drop_copies(&mut read.rows, |row| &mut row.line));
             let lines = read.rows.iter().map(|row| row.line).collect();
             let names = names_by_prefix([("anchor", read.anchors), ("attachment", read.attachments)]);
             let wire = Wire::new(&read.rows).with_scale_u_ppm(mapping.scale_u_ppm);
@@ -252,7 +256,8 @@ fn rows_with_joints(
             let table: SocketTable = config::load(sockets)?;
             let mapping: ContactMapping = config::load(mapping_file)?;
             joints_of_robot(&mapping.joints, robot, mapping_file)?;
-            let rows = mapping.load(file, &table.names())?;
+            let mut rows = mapping.load(file, &table.names())?;
+            warn_of(file, drop_copies(&mut rows, |row| &mut row.line));
             let contact =
                 Contact::new(&rows, &table).map_err(|error| CalibrateError::Rows { data_set, error })?;
             (contact.into(), Beside { lines: lines(&rows), ..Beside::default() })
@@ -261,7 +266,8 @@ fn rows_with_joints(
             let table = options.faces.as_deref().map_or_else(|| Ok(FaceTable::default()), config::load)?;
             let mapping: TouchMapping = config::load(mapping_file)?;
             joints_of_robot(&mapping.joints, robot, mapping_file)?;
-            let read = Touches::load(file, &mapping)?;
+            let mut read = Touches::load(file, &mapping)?;
+            warn_of(file, drop_copies(&mut read.rows, |row| &mut row.line));
             if let (Some(path), Some(face)) = (&options.faces, table.untouched(&read.faces).first()) {
                 tracing::warn!(
                     "{}: no row of {} touches face `{face}`, so its known distances and angles have no effect; check its name in both files",
@@ -273,6 +279,11 @@ fn rows_with_joints(
             (touch.into(), Beside { lines: lines(&read.rows), ..Beside::default() })
         }
     })
+}
+
+/// Logs remarks on a file.
+fn warn_of(file: &Path, remarks: impl IntoIterator<Item = impl Display>) {
+    remarks.into_iter().for_each(|remark| tracing::warn!("{}: {remark}", file.display()));
 }
 
 fn names_by_prefix(prefixes: [(&str, Vec<String>); 2]) -> BTreeMap<String, Vec<String>> {
@@ -296,9 +307,7 @@ fn timed_poses(
         options.mapping.display()
     );
     let read = TimedPoses::load(&options.file, &mapping)?;
-    for remark in &read.remarks {
-        tracing::warn!("{}: {remark}", options.file.display());
-    }
+    warn_of(&options.file, &read.remarks);
     let log = load_log(robot_log, with.robot, with.logs)?;
     let AlignedPoses { rows, states, moving, alignment, t_ref, left_out } =
         align_poses(&read, &log, &flange_chain(with.robot), with.options)
