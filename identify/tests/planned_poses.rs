@@ -235,6 +235,18 @@ fn poses_of_any_arm_and_instrument_are_clear_within_limits_and_expected_to_be_be
 }
 
 #[test]
+fn a_calibration_needs_as_many_poses_as_a_plan_states() {
+    let needed = Measures::Poses.poses_min();
+    let rows = Rows::of(&repository("identify/tests/data/ur10/grid.csv"), 1, needed, 1).offered;
+    let is_too_few = |rows: &[PoseRow]| {
+        let result = Alone::quick().without_joint_errors().poses(rows, &ur10());
+        result.is_err_and(|error| error.to_string().contains("remain for the fit"))
+    };
+    assert!(is_too_few(&rows[1..]) && !is_too_few(&rows));
+    assert_eq!(Measures::Lengths.poses_min(), 18);
+}
+
+#[test]
 fn the_arm_that_folds_into_itself_is_not_clear() {
     let (robot, bodies) = (ur10(), Bodies::for_reach(1.3));
     let arm = flange_chain(&robot);
@@ -261,6 +273,7 @@ fn the_command_writes_poses_that_calibrate_reads_and_a_program_that_stops_at_eac
     assert!(said.contains("20 of 60 poses") && said.contains("waves per turn"), "{said}");
     // The default target does not move when joint 6 turns.
     assert!(said.contains("on the axis of joint 6") && said.contains("--target 0.1,0,0.1"), "{said}");
+    assert!(said.contains("--count 20 is too few: `identify calibrate` needs at least 25"), "{said}");
     let mapping: JointTableMapping = config::load(&out.join("poses.toml")).unwrap();
     let joints = mapping.load(&out.join("poses.csv")).unwrap();
     assert_eq!(joints.len(), 20);

@@ -17,10 +17,10 @@ use shared::config::{JointKind, RobotConfig};
 
 use super::{Bodies, Design, way};
 use crate::calibrate::IdentifyConfig;
-use crate::calibrate::rows::{WAVES_PER_TURN_MAX, groups};
+use crate::calibrate::rows::{WAVES_PER_TURN_MAX, groups, rows_min};
 use crate::calibrate::selection::terms::CandidateGroup;
 use crate::cost::{LoopProblem, MeasuredLength, MeasuredPose, MeasuredPosition, PoseNoise, Residual};
-use crate::instrument::standing;
+use crate::instrument::{Tracker, Wire, standing};
 use crate::kinematics::{Joints, Pose, Trace, Tracer, flange_chain};
 use crate::model::{
     Coordinate, DriveTrain, JointState, Model, ModelError, Observation, Owner, ParameterId, Placement, Role,
@@ -61,6 +61,14 @@ impl Measures {
             Self::Positions => MeasuredPosition::ROWS,
             Self::Lengths => MeasuredLength::ROWS,
         }
+    }
+
+    /// Fewest poses from which a robot can be calibrated without other data.
+    pub fn poses_min(self) -> usize {
+        rows_min(&match self {
+            Self::Poses | Self::Positions => Tracker::new(&[]).into(),
+            Self::Lengths => Wire::new(&[]).into(),
+        })
     }
 }
 

@@ -475,6 +475,12 @@ fn select_poses(arguments: &PosesArguments) -> anyhow::Result<()> {
             x + OFF_AXIS_M
         ))?;
     }
+    let count_min = measures.poses_min();
+    if *count < count_min {
+        say(format_args!(
+            "--count {count} is too few: `identify calibrate` needs at least {count_min} of these poses, or data of other instruments with them"
+        ))?;
+    }
     let planned = plan::poses(&request, &candidates, *count, bodies, *seed)?;
     show(path::poses(&planned, candidates.len()))?;
     fs::create_dir_all(out).with_context(|| format!("cannot create {}", out.display()))?;

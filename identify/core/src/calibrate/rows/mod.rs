@@ -35,6 +35,11 @@ pub const WAVES_PER_TURN_MAX: u8 = 64;
 /// Number of parts of a file, of which one is held out.
 const PARTS: usize = 5;
 
+/// Fewest rows of a file from which a robot can be calibrated without other data, of which a part is held out.
+pub(crate) fn rows_min(instrument: &Instrument) -> usize {
+    (instrument.samples_min() * PARTS).div_ceil(PARTS - 1)
+}
+
 /// Rows with contradictory data; all others are used. If the file is `alone`, the others must be sufficient for a fit.
 pub(super) fn checked(
     instrument: &Instrument,
