@@ -6,8 +6,8 @@ use std::path::Path;
 use identify::inspect::{Mapping, Proposal, propose};
 use identify::kinematics::{Pose, flange_chain};
 use identify::logs::{
-    LogOptions, MeasuredLengthMapping, MeasuredLengths, MeasuredPoseMapping, MeasuredPoses, RobotLogMapping,
-    read_with,
+    LengthUnit, LogOptions, MeasuredLengthMapping, MeasuredLengths, MeasuredPoseMapping, MeasuredPoses,
+    RobotLogMapping, read_with,
 };
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
 use shared::config;
@@ -289,6 +289,29 @@ fn tables_of_lengths_are_read_through_the_mapping_proposed_for_them() {
             same(&[length.length_m], &[length_m(row)], number);
         }
     }
+}
+
+#[test]
+fn positions_beside_a_length_are_proposed_if_they_are_those_of_the_flange() {
+    let table = |tool_mm: f64| {
+        let mut text = "x_mm,y_mm,z_mm,q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg,cable_mm\n".to_owned();
+        for row in 0..ROWS {
+            let flange = flange_chain(&irb2400()).forward(&joints_rad(row));
+            let at_mm = flange.translation.vector * 1e3 + flange.rotation * Vector3::new(0.0, 0.0, tool_mm);
+            let q_deg = joints_rad(row).map(f64::to_degrees);
+            let cells: Vec<String> =
+                at_mm.iter().chain(&q_deg).map(|number| format!("{number:.6},")).collect();
+            text += &format!("{}{:.6}\n", cells.concat(), length_m(row) * 1e3);
+        }
+        text
+    };
+    let mapping: MeasuredLengthMapping = from_file(&proposed(table(0.0).as_bytes()));
+    let flange = mapping.flange.unwrap();
+    assert_eq!((flange.columns.join(" "), flange.unit), ("x_mm y_mm z_mm".to_owned(), LengthUnit::Mm));
+    let proposal = proposed(table(100.0).as_bytes());
+    assert!(from_file::<MeasuredLengthMapping>(&proposal).flange.is_none());
+    let doubts = proposal.notes.doubts.join("; ");
+    assert!(doubts.contains("`x_mm`, `y_mm`, `z_mm` are left out: 80 of 80 flange positions"), "{doubts}");
 }
 
 #[test]

@@ -193,10 +193,15 @@ fn for_sheet(
     let position = triple(&others, &["x", "y", "z"]);
     let of_tracker = position.is_some_and(|xyz| xyz[0].has_word(TRACKERS));
     let socket = others.iter().find(|column| column.has_word(SOCKETS));
+    let trial = Trial { bytes, path, robot };
     // The most specific content decides: a log with times may also have the controller's own positions.
     let mapping = match (time, length, position, socket) {
         (_, _, _, Some(socket)) => contacts(csv, joints, socket, &mut notes),
-        (_, Some(length), _, _) => lengths(csv, joints, length, &others, &mut notes),
+        (_, Some(length), _, _) => {
+            let mapping = lengths(csv, joints, length, &others, &mut notes);
+            let flange = position.filter(|_| !of_tracker);
+            Mapping::MeasuredLengths(trial.with_flange(mapping, flange, &mut notes))
+        }
         (Some(time), _, _, _) if !of_tracker => {
             notes.doubts = time_doubts;
             let joints = if is_own_log {
@@ -211,7 +216,7 @@ fn for_sheet(
         }
         (_, _, Some(xyz), _) => {
             let mapping = poses(csv, joints, xyz, &others, &mut notes);
-            Mapping::MeasuredPoses(Trial { bytes, path, robot }.corrected(mapping, &others, &mut notes))
+            Mapping::MeasuredPoses(trial.corrected(mapping, &others, &mut notes))
         }
         _ => return Err(ProposeError::NothingMeasured { path: shown, found: found() }),
     };
@@ -234,17 +239,17 @@ fn lengths(
     length: &Column,
     others: &[&Column],
     notes: &mut Notes,
-) -> Mapping {
+) -> MeasuredLengthMapping {
     let (unit, why) = length.length_unit();
     notes.reason(format!("`{}` is the measured length: inferred from the column's name; {why}", length.name));
-    Mapping::MeasuredLengths(MeasuredLengthMapping {
+    MeasuredLengthMapping {
         csv,
         length: LengthColumn { column: length.name.clone(), unit, offset_mm: 0.0 },
         joints,
         anchor: label_column(others, "wire's anchor", &["anchor", "station"], notes),
         attachment: label_column(others, "place on the flange", &["attachment", "target"], notes),
         ..MeasuredLengthMapping::default()
-    })
+    }
 }
 
 fn poses(

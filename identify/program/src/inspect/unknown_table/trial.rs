@@ -1,19 +1,19 @@
-//! What the names of the columns of a tracker leave open, by the residuals of the nominal robot: signs, order and unit of the joints,
-//! and the form of the orientation.
+//! What the names of the columns leave open, by the nominal robot: with a tracker signs, order and unit of the joints, and the form
+//! of the orientation, by its residuals; with a wire whether positions are those of the flange.
 
 use std::path::Path;
 
 use shared::config::RobotConfig;
 
-use super::Notes;
 use super::columns::{Column, group};
 use super::joints::angle_unit;
+use super::{Notes, listed};
 use crate::calibrate::rows::{likely, misfit, some_of};
-use crate::instrument::{Instrument, Mistake, PoseError, Tracker};
+use crate::instrument::{Instrument, Measures, Mistake, PoseError, Tracker, Wire};
 use crate::kinematics::flange_chain;
 use crate::logs::{
-    EulerFrame, JointColumn, JointMistake, JointUnit, MeasuredPoseMapping, MeasuredPoses, RotationColumns,
-    RotationForm,
+    EulerFrame, FlangeColumns, JointColumn, JointMistake, JointUnit, MeasuredLengthMapping, MeasuredLengths,
+    MeasuredPoseMapping, MeasuredPoses, RotationColumns, RotationForm,
 };
 
 /// Determines by residuals of the nominal robot what the names of the columns leave open.
@@ -83,6 +83,30 @@ impl Trial<'_> {
             }
             None => mapping,
         }
+    }
+
+    /// The mapping with these columns of positions, if the flange of the nominal robot is at them: they may also be those of a
+    /// tool, or in another frame.
+    pub(super) fn with_flange(
+        &self,
+        mapping: MeasuredLengthMapping,
+        xyz: Option<[&Column; 3]>,
+        notes: &mut Notes,
+    ) -> MeasuredLengthMapping {
+        let Some(xyz) = xyz else { return mapping };
+        let columns = xyz.map(|column| column.name.clone());
+        let ((unit, why), names) = (xyz[0].length_unit(), listed(&columns));
+        let with_flange =
+            MeasuredLengthMapping { flange: Some(FlangeColumns { columns, unit }), ..mapping.clone() };
+        let Ok(read) = MeasuredLengths::read(self.bytes, self.path, &with_flange) else { return mapping };
+        if let Err(error) = Wire::new(&read.rows).contradicting(&flange_chain(self.robot)) {
+            notes.doubt(format!("{names} are left out: {error}"));
+            return mapping;
+        }
+        notes.reason(format!(
+            "{names} are the controller's own positions of the flange: the nominal robot is there at the same joints; {why}"
+        ));
+        with_flange
     }
 }
 
