@@ -453,6 +453,23 @@ fn another_robots_configuration_is_refused() {
 }
 
 #[test]
+fn the_part_of_a_recording_that_a_shorter_robot_log_covers_is_printed() {
+    let (inputs, out) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let text = std::fs::read_to_string(experiment().join("robot_log.csv")).unwrap();
+    let lines: Vec<&str> = text.lines().collect();
+    let log = inputs.path().join("short.csv");
+    std::fs::write(&log, lines[..lines.len() / 2].join("\n")).unwrap();
+    let output = calibrate(&experiment().join("recording.mcap"), &log, &[], out.path());
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let text = String::from_utf8_lossy(&output.stdout);
+    // Lines are wrapped to the width of a terminal.
+    let words = text.split_whitespace().collect::<Vec<_>>().join(" ");
+    for part in ["short.csv covers 0.0 s to ", "s of the recording: ", "cycles are outside it and not used"] {
+        assert!(words.contains(part), "{part}: {text}");
+    }
+}
+
+#[test]
 fn measured_lengths_calibrate_from_a_csv_with_a_mapping() {
     let robot = shared::config::load(&config("robots/irb120_3.toml")).unwrap();
     let csv = lengths::table(&robot, 200, 12.0);

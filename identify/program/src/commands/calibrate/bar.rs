@@ -18,7 +18,7 @@ use crate::instrument::CostName;
 use crate::logs::{
     self, BarLog, BarLogMapping, ForceLog, ForceLogMapping, LogFormat, LogOptions, RobotLog, is_recording,
 };
-use crate::prepare::{EncoderMapChoice, bar_angles};
+use crate::prepare::{EncoderMapChoice, Prepared, SampleCounts, bar_angles};
 use crate::report::page::Source;
 use crate::report::result::file::MeasurementEntry;
 use crate::threads::both;
@@ -162,6 +162,22 @@ impl RunFiles<'_> {
         let boundary = self.cycles.start + self.cycles().iter().take_while(is_before).count();
         let part = |cycles: Range<usize>| (!cycles.is_empty()).then(|| Self { cycles, ..self.clone() });
         Some([part(self.cycles.start..boundary)?, part(boundary..self.cycles.end)?])
+    }
+
+    /// A line on the part of the recording that the robot's log covers, if it is not all of it.
+    pub(super) fn covered(&self, prepared: &Prepared) -> Option<String> {
+        let SampleCounts { recorded, outside_robot_log, .. } = prepared.counts;
+        let overlap_s = prepared.alignment.overlap_s;
+        let first = self.cycles().first().map_or(prepared.t_ref, |cycle| cycle.sample_time);
+        // The reference time is the middle of the overlap.
+        let from_s = (prepared.t_ref.seconds_since(first) - 0.5 * overlap_s).max(0.0);
+        (outside_robot_log > 0).then(|| {
+            format!(
+                "{} covers {from_s:.1} s to {:.1} s of the recording: {outside_robot_log} of {recorded} cycles are outside it and not used\n",
+                self.log_path.display(),
+                from_s + overlap_s
+            )
+        })
     }
 
     /// The recording's clock shows a date.

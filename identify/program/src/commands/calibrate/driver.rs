@@ -102,7 +102,9 @@ pub(super) fn calibrate(
     if let Some(truth) = &truth {
         show(wrapped(&(table::comparison(&Comparison::new(&calibration, truth)) + "\n")))?;
     }
-    show(wrapped(&tables.validation_lines))?;
+    let runs = bars.iter().zip(calibration.bar_runs());
+    let covered: String = runs.filter_map(|(run, (prepared, _))| run.covered(prepared)).collect();
+    show(wrapped(&(covered + &tables.validation_lines)))?;
     let verbose = result.verbose.then(|| table::calibration(&file) + "\n" + &tables.text + &limited(&file));
     conclude(&file, verbose.as_deref(), &summary(&file, &evidence.workspace, &written, &page), &page)
 }
