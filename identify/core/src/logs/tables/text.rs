@@ -16,28 +16,29 @@ pub(super) const COMMENT: u8 = b'#';
 /// Size of the blocks that are decoded.
 const BLOCK_BYTES: u64 = 1 << 18;
 
-/// The text of a file without its byte order mark, decoded block by block as it is read: ten hours of a robot's log are a
-/// gigabyte. Of a workbook it is the named sheet, or the only one, with a line for each row and tabs between the cells.
+/// The text of a file without its byte order mark. It is decoded block by block while it is read, because ten hours of a
+/// robot's log are a gigabyte. The text of a workbook is that of the named sheet, or of its only one, with a line for each row
+/// and tabs between the cells.
 ///
-/// A line that is not UTF-8, in a file without byte order mark, is Windows-1252, as instruments export a micro or degree sign;
-/// a damaged digit is not a digit in any of these encodings.
+/// In a file without byte order mark, a line that is not valid UTF-8 is decoded as Windows-1252, in which some instruments
+/// export micro and degree signs. This cannot change a number: digits have the same bytes in both encodings.
 pub(in crate::logs) struct Text<'a> {
     /// Path of the file, for errors.
     pub path: &'a Path,
     source: Box<dyn Read + 'a>,
-    /// Of a file with byte order mark.
+    /// `None` for a file without byte order mark.
     decoder: Option<Decoder>,
-    /// A line whose end was not read yet, in UTF-8 or Windows-1252.
-    begun: Vec<u8>,
-    /// Decoded whole lines, without those that were both read and counted. They begin at `lines_at`; this and the next three
-    /// numbers are offsets in the whole decoded text.
+    /// Bytes of a line whose end was not read yet, in UTF-8 or Windows-1252.
+    partial_line: Vec<u8>,
+    /// Decoded whole lines. Those that were both read and counted are removed.
     lines: String,
-    lines_at: usize,
-    /// The text is read up to this offset.
+    /// Offset of `lines` in the whole decoded text, as all offsets below.
+    lines_start: usize,
+    /// Offset up to which the text was read.
     read_to: usize,
-    /// The table begins at this offset.
-    table_at: usize,
-    /// Lines are counted up to this offset.
+    /// Offset of the table.
+    table_start: usize,
+    /// Offset up to which lines were counted.
     counted_to: usize,
     /// Number of the line at `counted_to`, from 1.
     line: u64,
@@ -46,22 +47,22 @@ pub(in crate::logs) struct Text<'a> {
 }
 
 impl<'a> Text<'a> {
-    /// Of a file, of which `sheet` is read if it is a workbook.
+    /// The text of a file; `sheet` names the sheet of a workbook.
     ///
     /// # Errors
-    /// [`LogError::NotText`] for anything else, such as binary data, a workbook with several sheets of which none is named, or
-    /// a sheet of a file that is not a workbook: here or where it is reached.
+    /// [`LogError::NotText`] for binary data, a workbook with several sheets of which none is named, or a sheet named for a file
+    /// that is not a workbook. Binary data after the first block give this error when they are reached.
     pub fn new(source: Source<'a>, sheet: Option<&str>) -> Result<Self, LogError> {
         let path = source.path;
         let mut text = Self {
             path,
             source: Box::new(io::empty()),
             decoder: None,
-            begun: Vec::new(),
+            partial_line: Vec::new(),
             lines: String::new(),
-            lines_at: 0,
+            lines_start: 0,
             read_to: 0,
-            table_at: 0,
+            table_start: 0,
             counted_to: 0,
             line: 1,
             comments: Vec::new(),
@@ -75,7 +76,7 @@ impl<'a> Text<'a> {
                 format!("not a workbook, but the mapping names the sheet `{sheet}`: remove `sheet`");
             return Err(text.bad(problem));
         } else {
-            // The decoder takes the mark off.
+            // The decoder removes the mark.
             text.decoder = Encoding::for_bom(source.beginning()).map(|(encoding, _)| encoding.new_decoder());
             text.source = source.reader();
         }
@@ -102,7 +103,7 @@ impl<'a> Text<'a> {
             while line_length(self.unread()).is_none() && self.decode_more()? {}
             self.read_to += line_length(self.unread()).unwrap_or(self.unread().len());
         }
-        self.table_at = self.read_to;
+        self.table_start = self.read_to;
         Ok(())
     }
 
@@ -120,10 +121,10 @@ impl<'a> Text<'a> {
         &self.comments
     }
 
-    /// Number of the line with a record, for records in the order in which they are read: `byte` is where one begins for the
-    /// `csv` crate, before the comments, blank lines and line ends that precede it, so that its own line numbers are too small.
+    /// Line number of a record; call it for records in the order of the text. `byte` is the position of the record according to
+    /// the `csv` crate: that of the comments and blank lines before it, so that the line numbers of the crate are too small.
     pub fn line_of_record(&mut self, byte: u64) -> u64 {
-        self.count_lines(self.table_at + byte as usize);
+        self.count_lines(self.table_start + byte as usize);
         while let Some(length) = self.length_of_skipped_line() {
             self.count_lines(self.counted_to + length);
         }
@@ -132,15 +133,17 @@ impl<'a> Text<'a> {
 
     /// Counts the lines that end before `until`.
     fn count_lines(&mut self, until: usize) {
-        let passed =
-            self.lines.as_bytes().get(self.counted_to - self.lines_at..until.saturating_sub(self.lines_at));
+        let passed = self
+            .lines
+            .as_bytes()
+            .get(self.counted_to - self.lines_start..until.saturating_sub(self.lines_start));
         self.line += passed.unwrap_or_default().iter().filter(|&&byte| byte == b'\n').count() as u64;
         self.counted_to = self.counted_to.max(until);
     }
 
-    /// Length of the comment or blank line after those that were counted, with its line end.
+    /// Length of the next line with its line end, if it is a comment or blank; `None` otherwise.
     fn length_of_skipped_line(&self) -> Option<usize> {
-        let rest = self.lines.as_bytes().get(self.counted_to - self.lines_at..)?;
+        let rest = self.lines.as_bytes().get(self.counted_to - self.lines_start..)?;
         if !matches!(*rest.first()?, COMMENT | b'\r' | b'\n') {
             return None;
         }
@@ -152,7 +155,7 @@ impl<'a> Text<'a> {
 
     /// The text that was decoded and not read yet.
     fn unread(&self) -> &str {
-        self.lines.get(self.read_to - self.lines_at..).unwrap_or_default()
+        self.lines.get(self.read_to - self.lines_start..).unwrap_or_default()
     }
 
     /// Adds whole lines; false at the end.
@@ -162,52 +165,52 @@ impl<'a> Text<'a> {
         }
         let mut end = None;
         while end.is_none() && !self.is_at_end {
-            let from = self.begun.len();
+            let from = self.partial_line.len();
             self.read_block()?;
-            let last_end = self.begun[from..].iter().rposition(|&byte| byte == b'\n');
+            let last_end = self.partial_line[from..].iter().rposition(|&byte| byte == b'\n');
             end = last_end.map(|end| from + end + 1);
         }
         let rest = match end {
-            Some(end) if !self.is_at_end => self.begun.split_off(end),
+            Some(end) if !self.is_at_end => self.partial_line.split_off(end),
             _ => Vec::new(),
         };
-        let lines = String::from_utf8(std::mem::replace(&mut self.begun, rest));
+        let lines = String::from_utf8(std::mem::replace(&mut self.partial_line, rest));
         let mut lines = lines.unwrap_or_else(|error| each_utf8_or_windows_1252(error.as_bytes()));
         if self.is_at_end && !lines.is_empty() && !lines.ends_with('\n') {
-            // The `csv` crate takes a comment without it for a row.
+            // Without a line end the `csv` crate reads a comment as a row.
             lines.push('\n');
         }
-        let done = self.read_to.min(self.counted_to) - self.lines_at;
+        let done = self.read_to.min(self.counted_to) - self.lines_start;
         // A read may end within a character: then nothing is dropped yet.
         let done = if self.lines.is_char_boundary(done) { done } else { 0 };
         self.lines.drain(..done);
-        self.lines_at += done;
+        self.lines_start += done;
         if let Some((in_lines, character)) = control_character(&lines) {
-            let offset = self.lines_at + self.lines.len() + in_lines;
+            let offset = self.lines_start + self.lines.len() + in_lines;
             return Err(self.bad(format!("character {character:?} at offset {offset}")));
         }
         self.comments.extend(comments(&lines));
-        self.lines += &without_blanks(&lines);
+        self.lines += &with_empty_blank_lines(&lines);
         Ok(true)
     }
 
-    /// Adds bytes to the line that was begun.
+    /// Reads a block into `partial_line`, as UTF-8 if the file has a byte order mark.
     fn read_block(&mut self) -> Result<(), LogError> {
         let mut block = Vec::new();
         let read = self.source.by_ref().take(BLOCK_BYTES).read_to_end(&mut block);
         let read = read.map_err(|source| LogError::Unreadable { path: self.path.to_owned(), source })?;
         self.is_at_end = (read as u64) < BLOCK_BYTES;
         let Some(decoder) = &mut self.decoder else {
-            self.begun.append(&mut block);
+            self.partial_line.append(&mut block);
             return Ok(());
         };
         let mut decoded = String::new();
         decoded.reserve(decoder.max_utf8_buffer_length(read).unwrap_or_default());
         let (_, _, is_damaged) = decoder.decode_to_string(&block, &mut decoded, self.is_at_end);
         if is_damaged {
-            return Err(self.bad("its byte order mark promises another encoding than it has".into()));
+            return Err(self.bad("its content does not have the encoding of its byte order mark".into()));
         }
-        self.begun.extend(decoded.into_bytes());
+        self.partial_line.extend(decoded.into_bytes());
         Ok(())
     }
 
@@ -216,13 +219,13 @@ impl<'a> Text<'a> {
     }
 }
 
-/// Errors are [`LogError`]s.
+/// Its errors contain a [`LogError`].
 impl Read for Text<'_> {
     fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
-        while self.read_to == self.lines_at + self.lines.len()
+        while self.read_to == self.lines_start + self.lines.len()
             && self.decode_more().map_err(io::Error::other)?
         {}
-        let mut unread = self.lines.as_bytes().get(self.read_to - self.lines_at..).unwrap_or_default();
+        let mut unread = self.lines.as_bytes().get(self.read_to - self.lines_start..).unwrap_or_default();
         let read = unread.read(into)?;
         self.read_to += read;
         Ok(read)
@@ -237,8 +240,8 @@ fn each_utf8_or_windows_1252(lines: &[u8]) -> String {
     lines.split_inclusive(|&byte| byte == b'\n').map(line).collect()
 }
 
-/// The lines, those of blanks alone without them: the `csv` crate skips empty lines only.
-fn without_blanks(lines: &str) -> Cow<'_, str> {
+/// Empties the lines that contain only white space: the `csv` crate skips only empty lines.
+fn with_empty_blank_lines(lines: &str) -> Cow<'_, str> {
     let is_blank = |line: &str| line != "\n" && line.trim().is_empty();
     if !lines.split_inclusive('\n').any(is_blank) {
         return lines.into();
@@ -249,17 +252,18 @@ fn without_blanks(lines: &str) -> Cow<'_, str> {
 /// The first character that is invalid in a table, and its position.
 fn control_character(text: &str) -> Option<(usize, char)> {
     let is_invalid = |character: char| character.is_control() && !character.is_whitespace();
-    // Blocks of ordinary ASCII are passed over first: texts are long.
+    // Skips blocks of ordinary ASCII, which is fast: texts are long.
     const BLOCK: usize = 64;
-    let is_usual = |byte: &u8| matches!(byte, b'\t'..=b'\r' | b' '..=b'~');
-    let are_usual = |block: &&[u8]| block.iter().fold(true, |usual, byte| usual & is_usual(byte));
-    let usual = BLOCK * text.as_bytes().chunks_exact(BLOCK).take_while(are_usual).count();
-    let (offset, character) = text[usual..].char_indices().find(|(_, character)| is_invalid(*character))?;
-    Some((usual + offset, character))
+    let is_ordinary = |byte: &u8| matches!(byte, b'\t'..=b'\r' | b' '..=b'~');
+    let are_ordinary = |block: &&[u8]| block.iter().fold(true, |ordinary, byte| ordinary & is_ordinary(byte));
+    let ordinary = BLOCK * text.as_bytes().chunks_exact(BLOCK).take_while(are_ordinary).count();
+    let (offset, character) =
+        text[ordinary..].char_indices().find(|(_, character)| is_invalid(*character))?;
+    Some((ordinary + offset, character))
 }
 
-/// Whether a line is a comment. As in the `csv` crate, `#` is its first character: after a blank cell, `#` begins another cell,
-/// such as `#N/A`.
+/// Whether a line is a comment: `#` is its first character, as in the `csv` crate. A `#` after a blank begins a cell, such as
+/// `#N/A`.
 pub fn is_comment(line: impl AsRef<[u8]>) -> bool {
     line.as_ref().first() == Some(&COMMENT)
 }
@@ -295,7 +299,7 @@ impl<'a> RowsAsText<'a> {
         Ok(Self { text, path, is_workbook: is_workbook(bytes) })
     }
 
-    /// Names of a workbook's sheets with cells, if there are several: the user must select one.
+    /// Names of the sheets that have cells, if a workbook has several of them: the user must select one. Empty otherwise.
     pub fn sheets(bytes: &[u8]) -> Vec<String> {
         let sheets = if is_workbook(bytes) { sheets(bytes).unwrap_or_default() } else { Vec::new() };
         if sheets.len() > 1 { sheets.into_iter().map(|(name, _)| name).collect() } else { Vec::new() }
@@ -311,10 +315,10 @@ impl<'a> RowsAsText<'a> {
         self.is_workbook
     }
 
-    /// The first rows in a layout.
+    /// Reads the first rows with a layout.
     ///
     /// # Errors
-    /// [`LogError`] if the layout does not suit them.
+    /// [`LogError`] if the rows do not have this layout.
     pub fn rows(&self, layout: &CsvLayout, rows_max: usize) -> Result<Cells, LogError> {
         let text = Text::new(Source::in_memory(self.text.as_bytes(), self.path), None)?;
         let mut table = Table::mapped(text, &CsvLayout { unit_lines: 0, ..layout.clone() })?;
