@@ -137,7 +137,7 @@ impl<'a> Text<'a> {
             .lines
             .as_bytes()
             .get(self.counted_to - self.lines_start..until.saturating_sub(self.lines_start));
-        self.line += passed.unwrap_or_default().iter().filter(|&&byte| byte == b'\n').count() as u64;
+        self.line += line_ends(passed);
         self.counted_to = self.counted_to.max(until);
     }
 
@@ -186,8 +186,10 @@ impl<'a> Text<'a> {
         self.lines.drain(..done);
         self.lines_start += done;
         if let Some((in_lines, character)) = control_character(&lines) {
-            let offset = self.lines_start + self.lines.len() + in_lines;
-            return Err(self.bad(format!("character {character:?} at offset {offset}")));
+            let uncounted = self.lines.as_bytes().get(self.counted_to - self.lines_start..);
+            let before = lines.as_bytes().get(..in_lines);
+            let line = self.line + line_ends(uncounted) + line_ends(before);
+            return Err(self.bad(format!("character {character:?} in line {line}")));
         }
         self.comments.extend(comments(&lines));
         self.lines += &with_empty_blank_lines(&lines);
@@ -230,6 +232,10 @@ impl Read for Text<'_> {
         self.read_to += read;
         Ok(read)
     }
+}
+
+fn line_ends(text: Option<&[u8]>) -> u64 {
+    text.unwrap_or_default().iter().filter(|&&byte| byte == b'\n').count() as u64
 }
 
 fn each_utf8_or_windows_1252(lines: &[u8]) -> String {
