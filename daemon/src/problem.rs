@@ -94,12 +94,12 @@ macro_rules! facts {
     };
 }
 
-const REPLACE: &str = "power the terminals off and on, and replace that one if this persists";
-const ATTACH: &str = "check its cable, its power, or its network connection";
-const UNLOAD: &str = "run `ballbard tune`; end programs that load the processor";
+const REPLACE_TERMINAL: &str = "power the terminals off and on; if this persists, replace the named one";
+const CHECK_DISK: &str = "check its cable, its power, or its network connection";
+const REDUCE_LOAD: &str = "run `ballbard tune`; end programs that load the processor";
 
 facts! {
-    /// The service has not yet tried to bring the bus up.
+    /// The bus has not been in operation yet.
     BusStarting = "bus_starting", Bad =>
         "the bus is being brought into operation",
         "wait a few seconds";
@@ -110,7 +110,7 @@ facts! {
          interface is up";
     /// Terminals from this position on do not answer; the coupler is 0.
     BusDeviceMissing = "bus_device_missing", Bad { position: usize, expected: Vec<String>, found: Vec<String> } =>
-        format!("{} and all behind it do not answer: {}", device(*position), compared(expected, found)),
+        format!("{} and all behind it do not answer: {}", device(*position), expected_and_found(expected, found)),
         format!(
             "check {} (bus position {position}): its power, and that it and those behind it sit firmly on the one \
              before; if it was taken away, correct the list of encoders in ball_bar.toml",
@@ -118,11 +118,11 @@ facts! {
         );
     /// There are more devices than configured.
     BusDeviceUnexpected = "bus_device_unexpected", Bad { position: usize, expected: Vec<String>, found: Vec<String> } =>
-        format!("{} is not configured: {}", device(*position), compared(expected, found)),
+        format!("{} is not configured: {}", device(*position), expected_and_found(expected, found)),
         "add its encoder and those of the terminals behind it to ball_bar.toml, or remove these terminals";
     /// Another device than configured.
     BusDeviceWrong = "bus_device_wrong", Bad { position: usize, expected: Vec<String>, found: Vec<String> } =>
-        format!("{} is another device than configured: {}", device(*position), compared(expected, found)),
+        format!("{} is another device than configured: {}", device(*position), expected_and_found(expected, found)),
         "correct the order of the terminals or the list of encoders in ball_bar.toml";
     /// A device lost its address or configuration: it was without power.
     BusDeviceRestarted = "bus_device_restarted", Bad =>
@@ -135,12 +135,12 @@ facts! {
     /// A device does not enter a state.
     BusStateRefused = "bus_state_refused", Bad { position: usize, state: String, wanted: String, al_status: String } =>
         format!("{} stays in {state} instead of {wanted}: AL status {al_status}", device(*position)),
-        REPLACE;
+        REPLACE_TERMINAL;
     /// A terminal refuses a setting.
     BusSettingRefused = "bus_setting_refused", Bad { position: usize, doing: String, error: String } =>
         format!("{} refused a command while {doing}: {error}", device(*position)),
-        REPLACE;
-    /// A terminal keeps another interpolation than was written.
+        REPLACE_TERMINAL;
+    /// A terminal did not accept the configured number of interpolation bits.
     BusInterpolation = "bus_interpolation", Bad { position: usize, wanted: u8, found: u32 } =>
         format!("{} interpolates with {found} bits instead of the {wanted} that were set", device(*position)),
         "power the terminals off and on, or give a number of bits in ball_bar.toml that its firmware offers";
@@ -162,14 +162,14 @@ facts! {
             "the clock of {} differs from the bus time by {difference_ns} ns; 1000 ns are allowed",
             device(*position)
         ),
-        REPLACE;
+        REPLACE_TERMINAL;
     /// The reference clock jumped.
     BusClockJumped = "bus_clock_jumped", Check { by_ns: Option<i64> } =>
         match by_ns {
             Some(by_ns) => format!("the reference clock jumped by {:.3} ms", *by_ns as f64 * 1e-6),
             None => "the reference clock jumped".into(),
         },
-        "nothing: sample times follow it; replace the coupler if this happens again";
+        "nothing to do: sample times follow it; replace the coupler if this happens again";
     /// Replies with a wrong working counter.
     BusBadReplies = "bus_bad_replies", Bad { position: Option<usize>, flags: Vec<String> } =>
         format!("several replies in a row have errors ({})", flags.join(", ")),
@@ -189,7 +189,7 @@ facts! {
     /// The thread of the cycle does not run.
     CycleStalled = "cycle_stalled", Bad { age_s: i64 } =>
         format!("no bus cycle for {age_s} s: the cycle thread is blocked or starved"),
-        UNLOAD;
+        REDUCE_LOAD;
     /// A thread of the service has ended.
     ThreadEnded = "thread_ended", Bad { thread: String } =>
         format!("the {thread} thread has ended"),
@@ -223,7 +223,7 @@ facts! {
     /// Counts may have a new origin.
     CountsRestarted = "counts_restarted", Check { joint: Option<u8>, because: String } =>
         format!("counts may have a new origin: {because}"),
-        "home again if runs use reference marks; the calibration needs nothing";
+        "home again if runs use reference marks; a calibration accounts for it";
     /// Cycles were started after their deadline.
     CyclesLate = "cycles_late", Check =>
         "cycles were started after their deadline",
@@ -254,7 +254,7 @@ facts! {
             directory.as_ref().map_or(String::new(), |place| format!(" of {}", place.display())),
             silent_s.map_or("does not answer".into(), |s| format!("has not answered for {s:.1} s"))
         ),
-        ATTACH;
+        CHECK_DISK;
     /// Files of earlier runs are being recovered.
     DiskRecovering = "disk_recovering", Check { since_s: Option<f64> } =>
         match since_s {
@@ -267,7 +267,7 @@ facts! {
     /// A run waits for its file.
     FilePending = "file_pending", Bad { since_s: f64, step: String } =>
         format!("the run has no file yet: the disk has been {step} for {since_s:.1} s"),
-        ATTACH;
+        CHECK_DISK;
     /// The file of the run is not where it was.
     FileLost = "file_lost", Bad { error: String } =>
         format!("{error}; the run's cycles are being moved to another place"),
@@ -369,7 +369,7 @@ facts! {
         "move the robot more slowly";
     /// A joint has not turned since the run began.
     JointStill = "joint_still", Check { joint: u8, range_deg: f64 } =>
-        format!("joint {joint} has turned by {range_deg:.1} degrees since the run began"),
+        format!("joint {joint} has turned by only {range_deg:.1} degrees since the run began"),
         "check whether its coupling is loose, or change the path so that it turns the joint";
     /// Angles count from zero again.
     AnglesRestarted = "angles_restarted", Check { since_s: f64 } =>
@@ -378,8 +378,8 @@ facts! {
 }
 
 impl Fact {
-    /// The most severe cause of cycles with these flags. `silent` are the joints without valid samples, `position` is that of the
-    /// first of their terminals if those before it give samples.
+    /// The most severe cause of cycles with these flags. `silent` are the joints without valid samples. `position` is that of
+    /// their first terminal; `None` if it is unknown or no terminal gives valid samples.
     pub fn of_flags(bits: u32, bus: &str, silent: Vec<u8>, position: Option<usize>) -> Self {
         let has = |bit| bits & bit != 0;
         if has(flags::NO_REPLY) {
@@ -424,7 +424,7 @@ impl From<PortCounts> for Fact {
 }
 
 impl Problem {
-    /// These joints give no valid samples because of it; `all`: no joint of the bar does.
+    /// The problem as the cause that these joints give no valid samples; `all` is true if no joint of the bar gives any.
     pub fn with_joints(self, joints: Vec<u8>, all: bool) -> Self {
         let subject = if all { "any encoder".into() } else { format!("joint {}", numbers(&joints)) };
         Self {
@@ -435,7 +435,7 @@ impl Problem {
         }
     }
 
-    /// With another severity than usual.
+    /// The problem with another severity than that of its fact.
     pub fn with_severity(self, severity: Level) -> Self {
         Self { severity, ..self }
     }
@@ -516,13 +516,13 @@ fn is_only_unsynchronised(status: Option<u16>) -> bool {
 
 fn encoder_remedy(status: Option<u16>) -> &'static str {
     if is_only_unsynchronised(status) {
-        UNLOAD
+        REDUCE_LOAD
     } else {
         "check the encoder's cable and plug, and its signal amplitude"
     }
 }
 
-/// Advice if the bus itself does not identify the device.
+/// Where to look first for the cause, beginning at the device at `position`, or at the coupler.
 fn first_check(position: Option<usize>) -> String {
     let place = match position {
         Some(position) => format!("{} and the contact before it", device(position)),
@@ -531,7 +531,7 @@ fn first_check(position: Option<usize>) -> String {
     format!("first check {place}; the bus returns to operation once all devices answer")
 }
 
-fn compared(expected: &[String], found: &[String]) -> String {
+fn expected_and_found(expected: &[String], found: &[String]) -> String {
     let list = |names: &[String]| if names.is_empty() { "nothing".into() } else { names.join(", ") };
     format!("expected [{}], found [{}]", list(expected), list(found))
 }
