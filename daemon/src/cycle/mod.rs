@@ -304,7 +304,8 @@ impl Acquisition {
         if self.distributed_clocks {
             self.fit.monotonic_from_dc(DcNs(instant_ns))
         } else {
-            // The terminal samples between this frame and the one before; the centre minimises the error.
+            // Without distributed clocks the terminal samples at an unknown time between the frame before and this one. The
+            // middle of the period has the smallest error.
             MonoNs(instant_ns).plus_ns(-self.period_ns / 2)
         }
     }

@@ -1,14 +1,15 @@
 //! Data sets of one robot (different paths, bars, positions of the bar, or instruments) as one problem, for a calibration.
 //!
 //! Each data set (`run` is its index) has its own model. A parameter that two models share, such as a link of the robot, has
-//! one column in the combined problem; one that each run has for itself, such as the bar's position, has a column per run.
+//! one column in the combined problem. A parameter that each run has for itself, such as the bar's position, has a column
+//! per run.
 
 use crate::model::{Column, Model, ParameterId};
 use crate::solver::{Linearisation, Prior, Problem};
 
 /// Whitened samples of one instrument, independent of the type of residual.
 pub trait DataSet: Problem {
-    /// [`Problem::at`], with the derivatives by parameter `i` in column `columns[i]` of the caller's problem.
+    /// As [`Problem::at`], but in the columns of the caller's problem: parameter `i` is its column `columns[i]`.
     fn at_into<'a>(&'a self, x: &[f64], columns: &'a [usize]) -> Linearisation<'a>;
 }
 

@@ -31,7 +31,7 @@ pub trait Residual: Sync {
     /// Whether the parameter changes the residual of this robot. Other parameters need not be free.
     fn depends_on(id: ParameterId, robot: &Chain) -> bool;
 
-    /// Whether named selections free the parameter with this cost: the residual distinguishes it from the others.
+    /// Whether the residual distinguishes the parameter from the others. Only then do named selections free it.
     fn identifies(id: ParameterId, robot: &Chain) -> bool {
         Self::depends_on(id, robot)
     }

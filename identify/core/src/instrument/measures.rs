@@ -68,7 +68,7 @@ pub trait Measures: Boxed + fmt::Debug + Send + Sync {
         self.time_s(0)
     }
 
-    /// How the log and the robot's were aligned; `None` for an instrument without continuous measurement.
+    /// The alignment of the instrument's log with the robot's; `None` for an instrument that does not measure continuously.
     fn prepared(&self) -> Option<&Prepared> {
         None
     }

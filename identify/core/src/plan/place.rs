@@ -128,7 +128,7 @@ impl PlaceRequest<'_> {
         const TRIES: usize = 2000;
         let (arm, mut chain) = (robot_chain(self.robot, bar), ball_bar_chain(bar));
         let limits = self.robot.joint_limits();
-        // Within half a turn: a larger rotation of a joint has no advantage.
+        // A joint needs no angles beyond half a turn: they give the same poses.
         let ranges: Vec<[f64; 2]> = limits.iter().map(|[low, high]| [low.max(-PI), high.min(PI)]).collect();
         for _ in 0..TRIES {
             let q = Joints::random(&ranges, random);

@@ -102,7 +102,7 @@ pub struct BarLoad {
     pub force_n: f64,
     /// Elongation of the bar per newton of tension \[um/N\]; the thesis computes 0.055 and measures 0.17.
     pub compliance_um_per_n: f64,
-    /// Play of the bar's joints: elongation under tension and shortening under compression, independent of the force \[um\].
+    /// Half of the play of the bar's joints: elongation under tension, shortening under compression, whatever the force \[um\].
     pub play_um: f64,
     /// Standard deviation of the white noise of the force in the log \[N\].
     pub noise_n: f64,
