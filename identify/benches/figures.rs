@@ -37,8 +37,8 @@ fn ms(duration: Duration) -> f64 {
     duration.as_secs_f64() * 1e3
 }
 
-/// Shortest and middle of some durations [ms]: the shortest is what the code takes, the rest is what else the machine did.
-fn shortest_and_middle(mut durations: Vec<Duration>) -> (f64, f64) {
+/// Shortest and median duration [ms]. The shortest is that of the code; longer ones include other work of the machine.
+fn shortest_and_median(mut durations: Vec<Duration>) -> (f64, f64) {
     durations.sort();
     (ms(durations[0]), ms(durations[durations.len() / 2]))
 }
@@ -58,13 +58,13 @@ fn iteration(problem: &dyn Problem, start: &[f64]) -> f64 {
     let options = Options { iterations_max: 3, ..alone() };
     let passes = minimise(problem, start, &options).unwrap().1.evaluations as f64;
     let runs = (0..RUNS).map(|_| timed(|| minimise(problem, start, &options).unwrap()));
-    let (shortest, middle) = shortest_and_middle(runs.collect());
+    let (shortest, median) = shortest_and_median(runs.collect());
     println!(
-        "  {:>2} rows x {:>2} columns: {:.2} ms (middle {:.2})",
+        "  {:>2} rows x {:>2} columns: {:.2} ms (median {:.2})",
         problem.rows(),
         problem.columns(),
         shortest / passes,
-        middle / passes
+        median / passes
     );
     shortest / passes
 }
@@ -86,7 +86,7 @@ fn beside_another_solver() {
         ours.push(timed(|| solve(&problem, &start, &alone()).unwrap()));
         theirs.push(timed(|| LevenbergMarquardt::new().minimize(Other::new(&problem, &start))));
     }
-    let ((ours, _), (theirs, _)) = (shortest_and_middle(ours), shortest_and_middle(theirs));
+    let ((ours, _), (theirs, _)) = (shortest_and_median(ours), shortest_and_median(theirs));
     println!("  ours {ours:.1} ms, levenberg-marquardt {theirs:.1} ms: {:.1} times", theirs / ours);
 }
 
@@ -146,8 +146,8 @@ fn whole_calibration() {
             calibrate_run(cycles, encoders, &simulated.robot_log, &robot, &bar, &config).unwrap()
         })
     });
-    let (shortest, middle) = shortest_and_middle(runs.collect());
-    println!("  {shortest:.0} ms (middle {middle:.0})");
+    let (shortest, median) = shortest_and_median(runs.collect());
+    println!("  {shortest:.0} ms (median {median:.0})");
 }
 
 fn main() {

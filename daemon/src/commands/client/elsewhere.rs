@@ -132,7 +132,9 @@ impl FromStr for Address {
         let authority =
             uri.as_ref().and_then(Uri::authority).filter(|authority| !authority.as_str().contains('@'));
         authority.map(|authority| Self(authority.to_string())).ok_or_else(|| {
-            "write https://HOST:PORT with the port of --listen; for the service of this machine --port is enough".into()
+            "write https://HOST:PORT as `ballbard status` on that machine prints it; for the service of this machine use \
+             --port"
+                .into()
         })
     }
 }

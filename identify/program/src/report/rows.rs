@@ -216,7 +216,7 @@ fn rejected_rows(set: &RowSet, run: &Run, remarks: &[(usize, String)], lines: &[
         };
         let _ = writeln!(
             text,
-            "  lines {} to {}: deviate together by {:.1} mm{cause}",
+            "  lines {} to {}: all deviate by about {:.1} mm{cause}",
             line(run.first),
             line(run.last),
             run.median_m * 1e3

@@ -143,7 +143,7 @@ impl RefusedPage<'_> {
                     "poses of the bar. Waves are errors of the geometry, a step of one encoder alone is a slip, steps of several in "
                     "proportion to their speeds are a step of a clock"
                     @if !deviations.local_shifts.is_empty() {
-                        "; the last figure is the time shift of each 5 s alone"
+                        "; the last figure is the time shift of the logs in each 5 s, relative to the whole run"
                     }
                     "." (self.legend())
                 }
