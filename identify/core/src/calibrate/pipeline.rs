@@ -8,7 +8,7 @@
 use super::change;
 use super::error::CalibrateError;
 use super::selection::choose::CommonPrior;
-use super::selection::line_spectrum::Shown;
+use super::selection::line_spectrum::DetectedWaves;
 use super::selection::terms::{Candidate, CandidateGroup};
 use crate::cost::{CostError, DataSets, SharedColumns};
 use crate::instrument::{CostName, Run, ScaleFrom};
@@ -134,7 +134,7 @@ pub(super) struct Solver<'a> {
     /// Rod and plate lengths that differ between runs.
     pub(super) own_lengths: Vec<ParameterId>,
     /// Waves that were detected in residuals.
-    pub(super) shown: Shown,
+    pub(super) waves: DetectedWaves,
 }
 
 /// Solves, chooses terms, solves again, and sets the models to the solution.
@@ -216,7 +216,7 @@ impl<'a> Solver<'a> {
     fn new(runs: &'a mut [Run], plan: &'a Plan<'a>) -> Self {
         let own_lengths = differ(runs);
         let sigmas = vec![UNWEIGHTED; runs.len()];
-        Self { runs, plan, sigmas, own_lengths, shown: Shown::default() }
+        Self { runs, plan, sigmas, own_lengths, waves: DetectedWaves::default() }
     }
 
     pub(super) fn columns(&self) -> SharedColumns {

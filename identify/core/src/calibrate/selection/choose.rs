@@ -74,7 +74,7 @@ impl Solver<'_> {
         self.add_detected_waves(&mut groups, &solution.sample_weights)?;
         let offered = self.offer(&mut groups, solution.loss, HELD_OUT)?;
         let verdicts = offered.verdicts(select);
-        self.leave_out(&self.shown.by_parts())?;
+        self.leave_out(&self.waves.only_without_a_fold())?;
         let mut report = Vec::new();
         let mut accepted = self.apply(&groups, &offered, &verdicts, &mut report)?;
         // The orders of a line spectrum were detected in these samples: no test of the same samples can confirm them.
@@ -100,10 +100,13 @@ impl Solver<'_> {
             |group: &&mut CandidateGroup| group.group == TermGroup::LineSpectrum && group.ids.is_empty();
         let Some(spectrum) = groups.iter_mut().find(is_undetected) else { return Ok(()) };
         self.detect_line_spectrum(weights)?;
-        spectrum.ids.clone_from(&self.shown.by_all);
+        spectrum.ids.clone_from(&self.waves.in_all);
         if !spectrum.ids.is_empty() {
             // Waves detected in only a part of the samples are used for the prediction of single folds only.
-            self.set_roles(&self.shown.by_parts(), Role::Prior { value: 0.0, sigma: spectrum.sigma })?;
+            self.set_roles(
+                &self.waves.only_without_a_fold(),
+                Role::Prior { value: 0.0, sigma: spectrum.sigma },
+            )?;
         }
         Ok(())
     }
@@ -205,7 +208,7 @@ impl Solver<'_> {
         groups.retain(|group| offered.columns_of(&group.ids).next().is_some());
         let offer_of = |group: &CandidateGroup| {
             // The waves of each fold's prediction.
-            let without = self.shown.without.iter().filter(|_| group.group == TermGroup::LineSpectrum);
+            let without = self.waves.without_fold.iter().filter(|_| group.group == TermGroup::LineSpectrum);
             Offer {
                 columns: offered.columns_of(&group.ids).collect(),
                 without: without.map(|ids| offered.columns_of(ids).collect()).collect(),
@@ -269,15 +272,15 @@ impl Solver<'_> {
             let weights = weights.get(samples[0]..samples[1]).unwrap_or_default();
             spectrum.add(run, *sigma, weights, &run.instrument.independent(HELD_OUT))?;
         }
-        let mut shown = spectrum.shown();
+        let mut waves = spectrum.detect();
         let has_role = |id: &ParameterId| {
             self.runs.iter().any(|run| run.model.role(*id).is_some_and(|role| role != Role::Fixed))
         };
-        shown.retain(|id| !self.plan.fix.contains(id) && !has_role(id));
+        waves.retain(|id| !self.plan.fix.contains(id) && !has_role(id));
         for run in &mut *self.runs {
-            run.model = run.model.clone().with(shown.ids());
+            run.model = run.model.clone().with(waves.ids());
         }
-        self.shown.extend(shown);
+        self.waves.extend(waves);
         Ok(())
     }
 

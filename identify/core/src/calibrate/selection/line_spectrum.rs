@@ -1,5 +1,5 @@
-//! Detection of waves of the robot's axes in the residuals: teeth and lobes of gears whose numbers are unknown. From residuals
-//! at the solution to the orders to try as terms; used by `choose`.
+//! Detects waves of the robot's axes in the residuals of a solution: errors of gears whose numbers of teeth or lobes are
+//! unknown. `choose` tries the detected orders as terms.
 //!
 //! An error `a sin(n g) + b cos(n g)` of a drive at angle `g` adds `(a sin(n g) + b cos(n g)) J` to a residual `r`; `J` is the
 //! derivative of the residual by the drive's angle. The decrease of the sum of squares for the best `a` and `b`, over all
@@ -8,8 +8,8 @@
 //! together show each other's waves. The residuals are orthogonal to the solved parameters. Parameters that resemble a wave can
 //! therefore hide it but not create it.
 //!
-//! Orders are detected in all samples, and in all samples without each fold, so that no fold confirms an order that it
-//! suggested. Both use sums over the samples of each fold, which are computed once.
+//! Orders are detected in all samples, and again without each fold of the samples, so that no fold confirms an order that was
+//! detected in it. All detections use sums over the samples of each fold, which are computed once.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::TAU;
@@ -29,7 +29,7 @@ const ORDER_MIN: u8 = *Waves::OF_AXIS.start();
 const ORDERS: usize = (*Waves::OF_AXIS.end() - ORDER_MIN + 1) as usize;
 /// Detection limit, relative to the noise variance. The decrease due to one wave in white noise is chi-squared with two
 /// degrees of freedom. Some 700 tries exceed the limit by chance with a probability of one in ten thousand.
-const STANDS_OUT: f64 = 32.0;
+const DETECTION_LIMIT: f64 = 32.0;
 /// Median of the chi-squared distribution with two degrees of freedom.
 const CHI_SQUARED_MEDIAN: f64 = 1.386;
 /// Highest order of the waves once and twice per turn, which are terms of every axis.
@@ -43,46 +43,46 @@ type Wave = (usize, u8);
 /// Sums of `J^T J` times `sin^2`, `sin cos` and `cos^2` of one wave.
 type Normal = [f64; 3];
 
-/// Sums of `J_a^T J_b` times the sine and cosine of all waves (axis `a`, order, phase) and those of one wave of axis `b`
-/// (last index: phase).
+/// Products of one wave of axis `b` with all waves: sums of `J_a^T J_b` times a sine or cosine of each, by axis `a`, order and
+/// phase of the other wave, and phase of this wave.
 type Cross = Vec<[[[f64; 2]; 2]; ORDERS]>;
 
 /// Detected waves, with sine and cosine parameters of each.
 #[derive(Debug, Clone, Default)]
-pub(in crate::calibrate) struct Shown {
-    /// Waves detected in all samples.
-    pub by_all: Vec<ParameterId>,
-    /// For each fold, the waves detected in the other folds, which this fold may confirm.
-    pub without: Vec<Vec<ParameterId>>,
+pub(in crate::calibrate) struct DetectedWaves {
+    /// Waves detected in all samples together.
+    pub in_all: Vec<ParameterId>,
+    /// For each fold, the waves detected in the other folds. This fold may confirm them.
+    pub without_fold: Vec<Vec<ParameterId>>,
 }
 
-impl Shown {
+impl DetectedWaves {
     /// All detected waves, without duplicates.
     pub fn ids(&self) -> Vec<ParameterId> {
         let all: BTreeSet<ParameterId> =
-            self.without.iter().chain([&self.by_all]).flatten().copied().collect();
+            self.without_fold.iter().chain([&self.in_all]).flatten().copied().collect();
         all.into_iter().collect()
     }
 
-    /// Waves that are detected only in a part of the samples.
-    pub fn by_parts(&self) -> Vec<ParameterId> {
-        self.ids().into_iter().filter(|id| !self.by_all.contains(id)).collect()
+    /// Waves detected without some fold, but not in all samples together.
+    pub fn only_without_a_fold(&self) -> Vec<ParameterId> {
+        self.ids().into_iter().filter(|id| !self.in_all.contains(id)).collect()
     }
 
-    /// Removes all waves for which `wanted` is false.
+    /// Keeps the waves for which `wanted` is true.
     pub fn retain(&mut self, wanted: impl Fn(&ParameterId) -> bool) {
-        self.without.iter_mut().chain([&mut self.by_all]).for_each(|ids| ids.retain(&wanted));
+        self.without_fold.iter_mut().chain([&mut self.in_all]).for_each(|ids| ids.retain(&wanted));
     }
 
-    /// Adds the waves detected after the present ones were fitted. These are no longer in the residuals and are kept.
+    /// Adds waves that were detected later. The present ones stay: they were fitted, so the residuals no longer contain them.
     pub fn extend(&mut self, others: Self) {
         let add = |own: &mut Vec<ParameterId>, new: Vec<ParameterId>| {
             own.retain(|id| !new.contains(id));
             own.extend(new);
         };
-        self.without.resize(self.without.len().max(others.without.len()), Vec::new());
-        self.without.iter_mut().zip(others.without).for_each(|(own, new)| add(own, new));
-        add(&mut self.by_all, others.by_all);
+        self.without_fold.resize(self.without_fold.len().max(others.without_fold.len()), Vec::new());
+        self.without_fold.iter_mut().zip(others.without_fold).for_each(|(own, new)| add(own, new));
+        add(&mut self.in_all, others.in_all);
     }
 }
 
@@ -228,20 +228,20 @@ impl LineSpectrum {
     }
 
     /// Detects the waves that exceed the noise and the other waves of their axis.
-    pub fn shown(&self) -> Shown {
+    pub fn detect(&self) -> DetectedWaves {
         let axes = self.samples.first().map_or(0, |sample| sample.angles_rad.len());
         let mut folds = vec![Sums::zeros(axes); self.folds];
         self.samples.iter().for_each(|sample| folds[sample.fold].add(sample));
-        let resolved = (0..axes).map(|axis| self.resolved(axis)).collect();
-        let mut search = Search { spectrum: self, folds, resolved, crosses: BTreeMap::new() };
-        Shown {
-            by_all: search.detect(None),
-            without: (0..self.folds).map(|fold| search.detect(Some(fold))).collect(),
+        let order_distances_min = (0..axes).map(|axis| self.order_distance_min(axis)).collect();
+        let mut search = Search { spectrum: self, folds, order_distances_min, crosses: BTreeMap::new() };
+        DetectedWaves {
+            in_all: search.detect(None),
+            without_fold: (0..self.folds).map(|fold| search.detect(Some(fold))).collect(),
         }
     }
 
     /// Minimum difference of orders that can be distinguished over the travel of a drive.
-    fn resolved(&self, axis: usize) -> f64 {
+    fn order_distance_min(&self, axis: usize) -> f64 {
         let [low, high] = extremes(self.samples.iter().map(|sample| sample.angles_rad[axis]));
         (TAU / (high - low)).ceil()
     }
@@ -271,7 +271,7 @@ struct Search<'a> {
     spectrum: &'a LineSpectrum,
     folds: Vec<Sums>,
     /// Minimum difference of distinguishable orders on each axis.
-    resolved: Vec<f64>,
+    order_distances_min: Vec<f64>,
     /// Cross products of waves that were detected in some folds.
     crosses: BTreeMap<Wave, Vec<Cross>>,
 }
@@ -281,7 +281,7 @@ impl Search<'_> {
     fn detect(&mut self, without: Option<usize>) -> Vec<ParameterId> {
         let is_used = |fold: &usize| Some(*fold) != without;
         let folds: Vec<usize> = (0..self.folds.len()).filter(is_used).collect();
-        let mut all = Sums::zeros(self.resolved.len());
+        let mut all = Sums::zeros(self.order_distances_min.len());
         folds.iter().for_each(|fold| all.add_all(&self.folds[*fold]));
         let mut found: Vec<Wave> = Vec::new();
         let mut residual = all.clone();
@@ -300,13 +300,14 @@ impl Search<'_> {
     fn strongest(&self, residual: &Sums, found: &[Wave]) -> Option<Wave> {
         let is_new = |&(_, (axis, order)): &(f64, Wave)| {
             let of_axis = found.iter().filter(|wave| wave.0 == axis);
-            // Over a part of a turn a wave resembles waves of neighbouring orders, which are excluded. Waves with one and two
-            // periods per turn have the same effect: they are separate terms that may not have been fitted yet.
+            // Over a part of a turn a wave resembles waves of neighbouring orders. The neighbours of detected waves are therefore
+            // excluded, and those of one and two waves per turn, which are other terms and may not have been fitted yet.
             let mut distances = of_axis.clone().map(|wave| f64::from(wave.1.abs_diff(order)));
-            let is_slow = f64::from(order) <= SLOW_ORDER_MAX + self.resolved[axis];
+            let distance_min = self.order_distances_min[axis];
+            let is_slow = f64::from(order) <= SLOW_ORDER_MAX + distance_min;
             !is_slow
                 && of_axis.clone().count() < WAVES_MAX
-                && distances.all(|distance| distance > self.resolved[axis])
+                && distances.all(|distance| distance > distance_min)
         };
         let variance = residual.squared / residual.rows.max(1.0);
         let of_axes = residual.gradients.iter().zip(&residual.normals).enumerate();
@@ -368,7 +369,7 @@ fn significant_orders(
     let floor = sorted[ORDERS / 2] / CHI_SQUARED_MEDIAN;
     let noise = floor.max(variance);
     let orders = decreases.into_iter().zip(ORDER_MIN..);
-    let significant = orders.filter(|(decrease, _)| *decrease > STANDS_OUT * noise);
+    let significant = orders.filter(|(decrease, _)| *decrease > DETECTION_LIMIT * noise);
     significant.map(|(decrease, order)| (decrease / noise, order)).collect()
 }
 
@@ -442,23 +443,23 @@ mod tests {
     }
 
     #[test]
-    fn a_wave_is_shown_without_any_fold_and_one_that_a_single_fold_has_is_not_shown_by_the_others() {
+    fn a_wave_of_a_single_fold_is_not_detected_without_this_fold() {
         let (lasting, of_one) = ((0, 11), (1, 40));
         let mut once = [0.0; FOLDS];
         once[3] = 3.0;
-        let shown = spectrum(&[(lasting, [0.4; FOLDS]), (of_one, once)]).shown();
+        let detected = spectrum(&[(lasting, [0.4; FOLDS]), (of_one, once)]).detect();
         assert_eq!(
-            shown.by_all.iter().collect::<BTreeSet<_>>(),
+            detected.in_all.iter().collect::<BTreeSet<_>>(),
             [ids(lasting), ids(of_one)].concat().iter().collect()
         );
-        for (fold, without) in shown.without.iter().enumerate() {
+        for (fold, without) in detected.without_fold.iter().enumerate() {
             assert!(without.contains(&ids(lasting)[0]), "{fold}: {without:?}");
             assert_eq!(without.contains(&ids(of_one)[0]), fold != 3, "{fold}: {without:?}");
         }
     }
 
     #[test]
-    fn noise_shows_nothing() {
-        assert!(spectrum(&[]).shown().ids().is_empty());
+    fn no_wave_is_detected_in_noise() {
+        assert!(spectrum(&[]).detect().ids().is_empty());
     }
 }
