@@ -1,22 +1,23 @@
 //! From a recording and a robot log, each on its own clock, to samples and start values of a solve.
 //!
-//! Only nominal geometry is known at the beginning; the clocks, the encoders' offsets, the bar's place and its configuration are
-//! not. The steps, each a plain function on values:
+//! At the beginning only the nominal geometry is known. Unknown are the clocks, the encoders' offsets, the bar's place and its
+//! configuration. The steps, each a plain function on values:
 //!
-//! 1. [`bar_angles`]: counts to angles, bad cycles dropped, runs split where counters lost their origin;
-//!    [`unwrapped_log`]: joints that wrap after a turn made continuous. Optionally a moving average of both logs
+//! 1. [`bar_angles`] converts counts to angles, drops bad cycles and splits runs where counters lost their origin.
+//!    [`unwrapped_log`] makes joints continuous that wrap after a turn. A moving average of both logs is optional
 //!    ([`Stream::averages`](crate::logs::Stream::averages)).
-//! 2. [`fit_sphere`]: the robot's own positions give the bar's base and length.
-//! 3. [`Predictor`]: with these, nominal inverse kinematics of the bar predicts its joints from the robot's log.
-//! 4. [`correlate`]: predicted and measured joint *speeds* do not depend on offsets, signs or configurations, and the root of the
-//!    sum of their squares does not depend on the order of the joints; their cross-correlation gives candidates for the clock
-//!    difference, whatever its size. The rate of the clocks is found before, from short parts of the run (`align::rate`).
-//! 5. At each candidate angles are compared: [`find_encoder_map`] finds which encoder is which and which way it counts, then
-//!    offsets and configurations follow, segment by segment between singular poses and origins (`segments`). The shift
-//!    whose angles fit best wins.
-//! 6. `refine` fits clocks, base and offsets to the angles while all numbers of both chains may move within their
-//!    tolerances. Residuals from this fit show the outliers (`samples::angle_errors`). Changes during the run are found with
-//!    calibrated links (`calibrate::change`), except those so large that nothing fits (`slip`, `parts`).
+//! 2. [`fit_sphere`] finds the bar's base and length from the robot's own positions.
+//! 3. [`Predictor`] computes the bar's joints from the robot's log with these, by nominal inverse kinematics of the bar.
+//! 4. [`correlate`] compares predicted with measured joint *speeds*. Their magnitudes do not depend on offsets, signs or
+//!    configurations, and the root of the sum of their squares does not depend on the order of the joints. The cross-correlation
+//!    gives candidates for the clock difference, whatever its size. The relative rate of the clocks is found first, from short
+//!    parts of the run (`align::rate`).
+//! 5. At each candidate the angles are compared. [`find_encoder_map`] finds the joint and the direction of each encoder. Offsets
+//!    and configurations follow for each segment between singular poses and changes of origin (`segments`). The candidate whose
+//!    angles fit best is taken.
+//! 6. `refine` fits clocks, base and offsets to the angles, and lets all numbers of both chains move within their tolerances.
+//!    Residuals of this fit show the outliers (`samples::angle_errors`). Changes during the run are found later, with calibrated
+//!    links (`calibrate::change`), except those so large that nothing fits (`slip`, `parts`).
 //! 7. [`select`], [`spread_over_sphere`]: samples at standstill, near singular poses or beyond the wanted number are left out.
 //! 8. Where a force was measured, each sample gets its component along the bar (`forces`).
 //!
@@ -75,9 +76,9 @@ pub struct PrepareOptions {
     /// Smallest correlation of speeds at which two logs match (1 is identical). Runs of the same experiment reach 0.99;
     /// different runs stay below 0.5.
     pub correlation_min: f64,
-    /// Shortest overlap of two logs \[s\]...
+    /// Shortest overlap of two logs \[s\].
     pub overlap_min_s: f64,
-    /// ...and its smallest share of the shorter log.
+    /// Smallest overlap as a part of the shorter log.
     pub overlap_min_part: f64,
     /// Largest difference of measured and predicted angles (1.48 times the median deviation) \[mrad\].
     pub spread_max_mrad: f64,
@@ -94,8 +95,8 @@ pub struct PrepareOptions {
     pub motion_min_mrad: f64,
     /// Joint and direction of each encoder: `find`, `recorded`, or stated one by one.
     pub encoders: EncoderMapChoice,
-    /// Width of a centred moving average over both logs \[ms\]; 0 is none. The thesis took 100 ms. Bends of the path are preserved
-    /// ([`Stream::averages`](crate::logs::Stream::averages)) unless it is much longer.
+    /// Width of a centred moving average over both logs \[ms\]; 0 for none. The thesis of this method used 100 ms. An average of
+    /// this width preserves bends of the path ([`Stream::averages`](crate::logs::Stream::averages)); a much longer one does not.
     pub moving_average_ms: f64,
     /// Largest residual of angles from the refined fit (1.48 times the median deviation) \[mrad\].
     pub fit_max_mrad: f64,
@@ -145,7 +146,7 @@ pub struct SampleCounts {
     pub recorded: usize,
     /// Cycles with stale or invalid counts.
     pub invalid: usize,
-    /// Time stamp not later than the one before.
+    /// With a time stamp not later than the one before.
     pub time_not_increasing: usize,
     /// Between two changes of the counters' origin that are too close to find the offsets.
     pub other_origin: usize,
@@ -159,7 +160,7 @@ pub struct SampleCounts {
     pub standstill: usize,
     /// Beyond the wanted number of samples.
     pub thinned: usize,
-    /// Their angles do not fit those of their neighbours.
+    /// With angles that do not fit those of their neighbours.
     pub outliers: usize,
     /// Without a force, if others have one.
     pub no_force: usize,
@@ -200,7 +201,7 @@ pub struct Alignment {
     /// The angles fit as well at another shift: the motion repeats, and the shift with the longest overlap was taken. The geometry
     /// is the same either way, the clocks are not.
     pub ambiguous: bool,
-    /// How long the logs overlap \[s\].
+    /// Duration of the overlap of the logs \[s\].
     pub overlap_s: f64,
     /// Robot clock minus the other clock, of bar or tracker, at the reference time \[ns\].
     pub clock_difference_ns: i64,
