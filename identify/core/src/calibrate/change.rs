@@ -15,10 +15,10 @@ use crate::solver::{Change, Course, LossName, change_point};
 const FALSE_ALARMS: f64 = 1e-4;
 /// Minimum clock step that refuses a run \[s\]: at 0.15 rad/s it corresponds to `slip_min_mrad`.
 const CLOCK_S_MIN: f64 = 0.002;
-/// Minimum displacement of the bar's base that refuses a run, per radian of `slip_min_mrad` \[m\]: a rod of half a metre.
+/// Minimum displacement of the bar's base that refuses a run, per radian of `slip_min_mrad` \[m\]: about the rod's length.
 const LEVER_M: f64 = 0.5;
-/// Minimum fraction of the squared residuals that a change must explain to refuse a run. Below it model errors dominate, and
-/// these can look like a change if the path differs from part to part.
+/// Minimum fraction of the squared residuals that a change must explain to refuse a run. Below this fraction model errors
+/// dominate. These can look like a change if the parts of the path differ.
 const EXPLAINED: f64 = 0.3;
 /// Maximum number of samples tested: a change that needs more samples is too small to matter.
 const SAMPLES_MAX: usize = 3000;
@@ -127,7 +127,7 @@ fn time_of_step(instrument: &Instrument, samples: &[usize], first_after: usize) 
 }
 
 impl Changed {
-    /// Magnitude of the change, SI; for a tracker the distance.
+    /// Magnitude of the change, SI; for a tracker, which can also turn, the distance.
     pub fn size(&self) -> f64 {
         let components = self.by.iter().zip(&self.cause.ids);
         let of_unit = components.filter(|(_, id)| id.unit() == self.cause.unit());
@@ -139,8 +139,8 @@ impl Changed {
         self.by.first().copied().unwrap_or_default()
     }
 
-    /// Displacement of the end of an arm with this reach \[m\]; a clock does not change the geometry.
-    pub fn moves_m(&self, reach_m: f64) -> f64 {
+    /// Displacement of the end of an arm with this reach \[m\]; zero for a clock, which does not change the geometry.
+    pub fn displacement_m(&self, reach_m: f64) -> f64 {
         match self.cause.unit() {
             Unit::Radian => self.size() * reach_m,
             Unit::Second => 0.0,
@@ -154,7 +154,7 @@ impl Changed {
         let slip_min_rad = options.slip_min_mrad * 1e-3;
         // The offset has the opposite sign of the error in the reported angle.
         let by_mrad = -self.first_component() * 1e3;
-        let (error, least) = match self.cause.ids.first()? {
+        let (error, size_min) = match self.cause.ids.first()? {
             ParameterId::Bar { link, .. } => {
                 (PrepareError::EncoderSlip { joint: *link as u8 + 1, at_s, by_mrad }, slip_min_rad)
             }
@@ -169,7 +169,7 @@ impl Changed {
             }
             _ => return None,
         };
-        (self.size() > least).then_some(error)
+        (self.size() > size_min).then_some(error)
     }
 }
 

@@ -201,7 +201,7 @@ fn of_changes(changed: &[Changed], reach_m: f64, expanded_m: f64) -> Option<Limi
              check the named parts, or calibrate from the data on one side of the change.",
             named(changed, NAMED)
         ),
-        serious: changed.iter().any(|change| change.moves_m(reach_m) > NEGLIGIBLE * expanded_m),
+        serious: changed.iter().any(|change| change.displacement_m(reach_m) > NEGLIGIBLE * expanded_m),
     })
 }
 
