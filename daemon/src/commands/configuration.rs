@@ -34,15 +34,15 @@ impl Configuration {
         self.load(BALL_BAR)
     }
 
-    /// The file of reference marks. Earlier versions kept it beside `ball_bar.toml`, or with the recordings if there was no such
-    /// file.
+    /// The file of reference marks. An older one is read where earlier versions kept it: beside `ball_bar.toml`, or with the
+    /// recordings if there is no `ball_bar.toml`.
     pub fn marks_file(&self, state: &State, daemon: &DaemonConfig) -> MarksFile {
         let beside = self.find(BALL_BAR).and_then(|file| file.parent().map(Path::to_owned));
         let older = beside.unwrap_or_else(|| daemon.directory.clone()).join(HomingConfig::FILE_NAME);
         MarksFile::new(state.directory(), Some(older))
     }
 
-    /// Origin of the daemon's configuration, for people.
+    /// Origin of the daemon's configuration, for messages.
     pub fn origin(&self) -> String {
         match self.find(DAEMON) {
             Some(file) => file.display().to_string(),
@@ -53,7 +53,7 @@ impl Configuration {
         }
     }
 
-    /// `None` for the built-in configuration.
+    /// Path of a configuration file; `None` for the built-in configuration.
     fn find(&self, name: &str) -> Option<PathBuf> {
         match self.source(name) {
             Some(Source::File(file)) => Some(file),
@@ -63,7 +63,7 @@ impl Configuration {
 
     fn source(&self, name: &str) -> Option<Source> {
         match &self.config {
-            // A named directory is used even if the file is missing.
+            // Even if the file is missing, so that a directory without it is an error.
             Some(directory) => Some(Source::File(directory.join(name).with_extension("toml"))),
             None => Source::named(name),
         }
@@ -85,7 +85,7 @@ pub struct State {
 }
 
 impl State {
-    /// Whether it is named on the command line.
+    /// Whether the directory is named on the command line.
     pub fn is_given(&self) -> bool {
         self.directory.is_some()
     }

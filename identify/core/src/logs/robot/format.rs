@@ -6,10 +6,10 @@ use crate::logs::LogError;
 use crate::logs::tables::text::header_line;
 use crate::logs::tables::workbook::is_workbook;
 
-/// The header of a table, after comments, begins within this number of bytes: the rest may be a gigabyte.
+/// The header of a table begins within this number of bytes, even after comments. The rest may be a gigabyte.
 const HEADER_BYTES_MAX: usize = 1 << 16;
 
-/// Kinds of robot logs.
+/// Formats of robot logs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum LogFormat {
@@ -28,10 +28,10 @@ pub enum LogFormat {
 }
 
 impl LogFormat {
-    /// The kind of the file with these `bytes`.
+    /// The format of the log with these `bytes`, which may be its beginning only.
     ///
     /// # Errors
-    /// [`LogError::UnknownFormat`] if it is none of them.
+    /// [`LogError::UnknownFormat`] if it has none of these formats.
     pub fn detect(bytes: &[u8], path: &Path) -> Result<Self, LogError> {
         if bytes.starts_with(b"\x89MCAP0\r\n") {
             return Ok(Self::Ros2Mcap);
@@ -42,15 +42,16 @@ impl LogFormat {
         if is_workbook(bytes) {
             return Ok(Self::Csv);
         }
-        let ending = path.extension().and_then(|ending| ending.to_str()).unwrap_or_default().to_lowercase();
-        if ending == "egm" {
+        let extension =
+            path.extension().and_then(|extension| extension.to_str()).unwrap_or_default().to_lowercase();
+        if extension == "egm" {
             return Ok(Self::Egm);
         }
         let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
         if text.trim_ascii_start().starts_with(b"<") {
             return Ok(Self::Rsi);
         }
-        // UTF-16, which begins with its byte order mark, is text, too: the reader decodes it.
+        // UTF-16 text, which begins with a byte order mark, also has control bytes. The reader decodes it.
         let is_utf_16 = text.starts_with(b"\xff\xfe") || text.starts_with(b"\xfe\xff");
         let has_control_bytes = text.iter().take(4096).any(|byte| matches!(byte, 0..=8 | 14..=31));
         if has_control_bytes && !is_utf_16 {
@@ -63,7 +64,7 @@ impl LogFormat {
         Ok(if is_rtde { Self::UrRtde } else { Self::Csv })
     }
 
-    /// The word that `--log-format` takes.
+    /// The value of `--log-format`.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Csv => "csv",
