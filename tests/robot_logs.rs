@@ -28,7 +28,8 @@ fn robot() -> RobotConfig {
     config::load(&config_directory().join("robots/irb120_3.toml")).unwrap()
 }
 
-fn written(directory: &Path, modules: &[&str], kind: &str) -> PathBuf {
+/// Lets `write_robot_log.py` write a log of this kind; it needs these Python modules.
+fn write_log(directory: &Path, modules: &[&str], kind: &str) -> PathBuf {
     let python = python_with(modules);
     let path = directory.join(format!("log.{}", kind.split('-').next().unwrap()));
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("write_robot_log.py");
@@ -37,9 +38,9 @@ fn written(directory: &Path, modules: &[&str], kind: &str) -> PathBuf {
     path
 }
 
-/// Checks that all rows but `left_out` agree with the written ones within `tolerance_rad`.
-fn assert_follows(log: &RobotLog, left_out: Option<usize>, tolerance_rad: f64) {
-    let rows: Vec<usize> = (0..ROWS).filter(|row| Some(*row) != left_out).collect();
+/// Checks that all rows but `dropped_row` agree with the angles of the script within `tolerance_rad`.
+fn assert_follows(log: &RobotLog, dropped_row: Option<usize>, tolerance_rad: f64) {
+    let rows: Vec<usize> = (0..ROWS).filter(|row| Some(*row) != dropped_row).collect();
     assert_eq!(log.q_rad.len(), rows.len());
     for ((row, q_rad), t_s) in rows.iter().zip(log.q_rad.iter()).zip(&log.q_rad.t_s) {
         assert!((t_s - *row as f64 * PERIOD_S).abs() < 1e-9, "row {row} at {t_s} s");
@@ -49,9 +50,9 @@ fn assert_follows(log: &RobotLog, left_out: Option<usize>, tolerance_rad: f64) {
     }
 }
 
-fn bag_reads_by_name(kind: &str) {
+fn check_bag(kind: &str) {
     let directory = tempfile::tempdir().unwrap();
-    let path = written(directory.path(), &["rosbags"], kind);
+    let path = write_log(directory.path(), &["rosbags"], kind);
     let log = load(&path, &robot()).unwrap();
     // One message has a joint that is NaN.
     assert_follows(&log, Some(100), 1e-12);
@@ -63,10 +64,10 @@ fn bag_reads_by_name(kind: &str) {
         }
     }
     assert!(log.torque.is_none());
-    the_wrong_topic_is_refused(&path);
+    check_wrong_topic(&path);
 }
 
-fn the_wrong_topic_is_refused(path: &Path) {
+fn check_wrong_topic(path: &Path) {
     let joints: String = (1..=6)
         .map(|joint| format!("[[joints]]\ncolumn = \"right_joint_{joint}\"\nunit = \"rad\"\n"))
         .collect();
@@ -76,28 +77,28 @@ fn the_wrong_topic_is_refused(path: &Path) {
     ] {
         let mapping: RobotLogMapping = config::parse(&text, Path::new("mapping.toml")).unwrap();
         let options = LogOptions { mapping: Some(mapping), ..LogOptions::default() };
-        let told = load_with(path, &robot(), &options).unwrap_err().to_string();
-        assert!(told.contains(expected), "{told}");
+        let message = load_with(path, &robot(), &options).unwrap_err().to_string();
+        assert!(message.contains(expected), "{message}");
     }
 }
 
 #[test]
 #[ignore = "needs Python with tests/requirements.txt"]
 fn joint_states_of_an_mcap_bag_by_rosbags_are_found_by_name() {
-    bag_reads_by_name("mcap");
+    check_bag("mcap");
 }
 
 #[test]
 #[ignore = "needs Python with tests/requirements.txt"]
 fn joint_states_of_a_db3_bag_by_rosbags_are_found_by_name() {
-    bag_reads_by_name("db3");
+    check_bag("db3");
 }
 
 #[test]
 #[ignore = "needs Python with tests/requirements.txt"]
-fn a_bag_that_breaks_off_is_read_up_to_there_and_says_so() {
+fn an_incomplete_bag_is_read_as_far_as_it_goes_with_a_remark() {
     let directory = tempfile::tempdir().unwrap();
-    let path = written(directory.path(), &["rosbags"], "mcap");
+    let path = write_log(directory.path(), &["rosbags"], "mcap");
     let bytes = std::fs::read(&path).unwrap();
     let log = read(&bytes[..bytes.len() * 2 / 3], &path, &robot()).unwrap();
     assert!((ROWS / 3..ROWS).contains(&log.q_rad.len()));
@@ -153,7 +154,7 @@ fn a_bar_s_joint_states_in_bags_by_rosbags_calibrate_as_the_recording_does() {
 fn egm_messages_by_googles_protobuf_are_read_in_degrees_on_either_clock() {
     let directory = tempfile::tempdir().unwrap();
     for (kind, clock) in [("egm", "controller, ms of its own"), ("egm-utc", "controller, UTC")] {
-        let path = written(directory.path(), &["google.protobuf"], kind);
+        let path = write_log(directory.path(), &["google.protobuf"], kind);
         let log = load(&path, &robot()).unwrap();
         if kind == "egm" {
             // The counter of milliseconds wraps after 20 s of the 40 s.
@@ -169,9 +170,9 @@ fn egm_messages_by_googles_protobuf_are_read_in_degrees_on_either_clock() {
 
 #[test]
 #[ignore = "needs Python with tests/requirements.txt"]
-fn csv_of_a_rtde_client_is_read_by_name_and_measured_not_targeted() {
+fn measured_not_target_angles_of_an_rtde_client_are_read_by_name() {
     let directory = tempfile::tempdir().unwrap();
-    let path = written(directory.path(), &["csv"], "rtde");
+    let path = write_log(directory.path(), &["csv"], "rtde");
     let log = load(&path, &robot()).unwrap();
     assert_follows(&log, None, 1e-12);
     assert_eq!((log.q_rad.first_stamp_ns, log.origin), (250_000_000_000, Origin::Measured));
@@ -184,9 +185,9 @@ fn csv_of_a_rtde_client_is_read_by_name_and_measured_not_targeted() {
 
 #[test]
 #[ignore = "needs Python with tests/requirements.txt"]
-fn rsi_telegrams_by_an_xml_writer_are_read_measured_or_commanded() {
+fn measured_angles_of_rsi_telegrams_by_an_xml_writer_are_read() {
     let directory = tempfile::tempdir().unwrap();
-    let path = written(directory.path(), &["xml.etree"], "rsi");
+    let path = write_log(directory.path(), &["xml.etree"], "rsi");
     let log = load(&path, &robot()).unwrap();
     assert_follows(&log, None, 1e-12);
     assert_eq!((log.clock.as_str(), log.origin), ("IPOC", Origin::Measured));
@@ -196,7 +197,7 @@ fn rsi_telegrams_by_an_xml_writer_are_read_measured_or_commanded() {
 #[ignore = "needs Python with tests/requirements.txt"]
 fn a_spreadsheets_export_with_decimal_commas_is_read_by_its_mapping() {
     let directory = tempfile::tempdir().unwrap();
-    let path = written(directory.path(), &["csv"], "table");
+    let path = write_log(directory.path(), &["csv"], "table");
     let layout = "delimiter = \";\"\ndecimal_comma = true\nskip_lines = 1\nunit_lines = 1\n";
     let joints: String =
         (1..=6).map(|joint| format!("[[joints]]\ncolumn = \"Achse {joint}\"\nunit = \"deg\"\n")).collect();
@@ -210,7 +211,7 @@ fn a_spreadsheets_export_with_decimal_commas_is_read_by_its_mapping() {
 #[ignore = "needs Python with tests/requirements.txt"]
 fn an_egm_capture_that_is_cut_is_refused_with_the_message_and_the_byte() {
     let directory = tempfile::tempdir().unwrap();
-    let path = written(directory.path(), &["google.protobuf"], "egm");
+    let path = write_log(directory.path(), &["google.protobuf"], "egm");
     let bytes = std::fs::read(&path).unwrap();
     let error = read(&bytes[..bytes.len() - 3], &path, &robot()).unwrap_err();
     assert!(matches!(&error, LogError::BadRecord { place, .. } if place.contains("5001")), "{error}");
