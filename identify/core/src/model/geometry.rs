@@ -1,5 +1,5 @@
-//! [`Geometry`]: the values of all parameters, by their meaning: chains of robot and bar, joint errors, clock, and the parts of
-//! the other instruments. It converts reported joints and encoder readings to true ones, for the residuals ([`crate::cost`]),
+//! [`Geometry`] has the values of all parameters by their meaning: chains of robot and bar, joint errors, clock, and the parts
+//! of the other instruments. It converts reported joints and encoder readings to true ones, for the residuals ([`crate::cost`]),
 //! for corrections of poses and for simulations. [`super::Model`] builds it from the columns of a solve.
 
 use std::cell::OnceCell;
@@ -29,7 +29,7 @@ pub struct MovingJoints {
 }
 
 impl MovingJoints {
-    /// Drive states that belong to `reported`, computed on first use.
+    /// Drive states that belong to `reported`, computed on first use. `drives` are those of the robot.
     pub fn drives(&self, drives: &DriveTrain) -> &DriveState {
         self.drives.get_or_init(|| drives.state(&self.reported))
     }
@@ -169,7 +169,7 @@ pub struct Geometry {
 }
 
 impl Geometry {
-    /// Robot and, if given, ball-bar with nominal links; all other parameters are zero.
+    /// The robot with nominal links, and the ball-bar if it is given; all other parameters are zero.
     pub fn new(robot: Chain, bar: Option<&Chain>) -> Self {
         let (bar_links, base) = bar.map_or_else(Default::default, |bar| {
             let origin_m = bar.root_from_base.translation.vector;
@@ -215,7 +215,7 @@ impl Geometry {
             ParameterId::JointWave { axis, order, phase } => {
                 let wave =
                     joints.drives(drives).turn.get(axis).map_or(0.0, |angle| phase.wave(order, *angle));
-                // Hundreds of orders are tried, and most drives turn one joint only: this is the fast path.
+                // Fast path for the drives that turn one joint only, which most do: hundreds of orders are tried.
                 if let Some(joint) = drives.only_joint(axis) {
                     return Some(end.twist(joint, LinkParameter::Theta)?.scaled(wave));
                 }
