@@ -13,15 +13,15 @@ const HEADER_BYTES_MAX: usize = 1 << 16;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum LogFormat {
-    /// Text table with a header: the robot's own columns, or what a mapping names.
+    /// Text table with a header: the robot's own columns, or those that a mapping names.
     Csv,
-    /// What `record.py` of Universal Robots' RTDE client writes: blanks between cells, `actual_q_0` and so on.
+    /// Output of `record.py` of Universal Robots' RTDE client: blanks between cells, columns `actual_q_0` and so on.
     UrRtde,
     /// ROS 2 bag in MCAP with `sensor_msgs/JointState`.
     Ros2Mcap,
     /// ROS 2 bag in SQLite (`.db3`) with `sensor_msgs/JointState`.
     Ros2Db3,
-    /// ABB EGM: `EgmRobot` messages, each behind its length.
+    /// ABB EGM: `EgmRobot` messages, each preceded by its length.
     Egm,
     /// KUKA RSI: `<Rob>` telegrams one after the other.
     Rsi,

@@ -1,5 +1,5 @@
-//! `identify calibrate bar`: makes an experiment of the options. For the `driver` of all calibrations it also reads the
-//! recordings of the ball-bar with the robot's logs ([`runs`]), and splits a run at a change point ([`solved`]).
+//! `identify calibrate bar`: converts the options to an experiment. The `driver` of all calibrations uses this module to read
+//! the recordings of the ball-bar with the robot's logs ([`runs`]), and to split a run at a change point ([`solved`]).
 
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -65,8 +65,8 @@ pub struct BarArguments {
     /// Cost; default: the best that the encoders allow
     #[arg(long, help_heading = "Estimation")]
     pub(super) cost: Option<CostName>,
-    /// Joint of each encoder: find, recorded, or for each encoder of the recording its joint, negative where
-    /// it counts the other way, such as 1,2,-3,5,4; default: find
+    /// Joint of each encoder: find, recorded, or a list of joints in the order of the recording's encoders, negative where one
+    /// counts the other way than recorded, such as 1,2,-3,5,4; default: find
     #[arg(long, help_heading = "Estimation", value_name = "ENCODERS", allow_hyphen_values = true)]
     pub(super) encoders: Option<EncoderMapChoice>,
     /// True parameters of a simulated experiment (the first one), to compare with
@@ -180,12 +180,12 @@ impl RunFiles<'_> {
         })
     }
 
-    /// The recording's clock shows a date.
+    /// Whether the recording's clock shows a date.
     pub(super) fn is_dated(&self) -> bool {
         !matches!(&*self.recording, BarLog::Other(other) if !other.is_dated)
     }
 
-    /// What is in the recording and in the robot's log.
+    /// Content of the recording and of the robot's log, without curves.
     pub(super) fn sources(&self, robot: &RobotConfig) -> [Source; 2] {
         let recording = || match &*self.recording {
             BarLog::Recording(recording) => inspect::recording(recording),
@@ -199,7 +199,7 @@ impl RunFiles<'_> {
         [source("recording", self.recording_path, recording), source("robot log", self.log_path, robot_log)]
     }
 
-    /// The same with the joints over time.
+    /// As [`Self::sources`], with curves of the joints over time.
     pub(super) fn sources_with_curves(&self, robot: &RobotConfig) -> [Source; 2] {
         let [recording, robot_log] = self.sources(robot);
         let of_bar = curves::of_bar(self.cycles(), self.recording.encoders());
@@ -255,7 +255,7 @@ pub(super) fn runs<'a>(
     Ok(files)
 }
 
-/// Reads the recording of a run and logs its anomalies, and what its file does not contain.
+/// Reads the recording of a run. Logs anomalies and, for a file of another program, what it does not contain.
 fn load_recording(
     path: &Path,
     bar: &BallBarConfig,
@@ -297,7 +297,7 @@ pub(super) fn solved<T>(
     runs: &mut Vec<RunFiles<'_>>,
     solve: impl Fn(&[RunInput<'_>]) -> Result<T, CalibrateError>,
 ) -> Result<T, CalibrateError> {
-    /// A run with more changes is not usable.
+    /// Largest number of cuts of one run: a run with more changes is not usable.
     const CUTS_MAX: usize = 8;
     loop {
         let inputs: Vec<RunInput<'_>> = runs.iter().map(RunFiles::input).collect();
