@@ -11,7 +11,7 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
 use rand::{Rng, SeedableRng, rngs::StdRng};
 
-pub use text::{FaultSwitch, FaultText, FaultWindow};
+pub use text::{FaultSwitch, FaultWindow, InvalidFault};
 
 use super::FRAME_BYTES_MAX;
 use crate::SimulatedSegment;

@@ -1,4 +1,5 @@
-//! Faults as text, for the options of the command line: `lost:0.01`, `gone:3@10s-15s`, `safe-op:2,0x001a@5s`.
+//! Faults as text: with times for the options of the command line (`lost:0.01`, `gone:3@10s-15s`, `safe-op:2,0x001a@5s`), and
+//! as switches for a running segment (`on gone:3`, `off gone:3`).
 
 use std::str::FromStr;
 use std::time::Duration;
@@ -16,7 +17,7 @@ pub struct FaultWindow {
     pub until_ns: Option<i64>,
 }
 
-/// A fault that begins or ends now, as in `on gone:3` and `off gone:3`.
+/// A fault that begins or ends now.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FaultSwitch {
     /// The fault to switch.
@@ -25,105 +26,107 @@ pub struct FaultSwitch {
     pub on: bool,
 }
 
-/// An invalid text of a fault.
+/// The text is neither a fault nor a switch.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
     "`{0}` is not a fault; write one of lost:SHARE, late:SHARE,TIME, duplicated:SHARE, corrupted:SHARE, \
      short:SHARE,BY, noise:POSITION,SHARE, gone:POSITION, safe-op:POSITION,CODE, \
      no-signal:POSITION, too-fast:POSITION, abort:POSITION,CODE, silent:POSITION, \
-     emergency:POSITION,CODE, link-down, clock-step:TIME, each may be followed by @FROM or @FROM-UNTIL, times since \
-     the first frame, such as gone:3@10s-15s; a preceding `on` or `off` switches it now"
+     emergency:POSITION,CODE, link-down, clock-step:TIME; each may be followed by @FROM or @FROM-UNTIL, times since \
+     the first frame, such as gone:3@10s-15s; to switch a fault now, write `on` or `off` before it, and no times"
 )]
-pub struct FaultText(String);
+pub struct InvalidFault(String);
 
 impl FromStr for FaultWindow {
-    type Err = FaultText;
+    type Err = InvalidFault;
 
-    fn from_str(text: &str) -> Result<Self, FaultText> {
-        window(text).ok_or_else(|| FaultText(text.to_owned()))
+    fn from_str(text: &str) -> Result<Self, InvalidFault> {
+        parse_window(text).ok_or_else(|| InvalidFault(text.to_owned()))
     }
 }
 
 impl FromStr for FaultSwitch {
-    type Err = FaultText;
+    type Err = InvalidFault;
 
-    fn from_str(text: &str) -> Result<Self, FaultText> {
-        let unknown = || FaultText(text.to_owned());
-        let (on, fault) = match text.trim().split_once(' ').ok_or_else(unknown)? {
-            ("on", fault) => (true, fault),
-            ("off", fault) => (false, fault),
-            _ => return Err(unknown()),
-        };
-        // A switch takes effect now, so it has no times.
-        let window = window(fault.trim()).filter(|window| (window.from_ns, window.until_ns) == (0, None));
-        Ok(Self { fault: window.ok_or_else(unknown)?.fault, on })
+    fn from_str(text: &str) -> Result<Self, InvalidFault> {
+        parse_switch(text).ok_or_else(|| InvalidFault(text.to_owned()))
     }
 }
 
-fn window(text: &str) -> Option<FaultWindow> {
+fn parse_switch(text: &str) -> Option<FaultSwitch> {
+    let (on, fault) = match text.trim().split_once(' ')? {
+        ("on", fault) => (true, fault),
+        ("off", fault) => (false, fault),
+        _ => return None,
+    };
+    Some(FaultSwitch { fault: parse_fault(fault.trim())?, on })
+}
+
+fn parse_window(text: &str) -> Option<FaultWindow> {
     let (fault, times) = text.split_once('@').map_or((text, None), |(fault, times)| (fault, Some(times)));
     let (from_ns, until_ns) = match times {
         None => (0, None),
         Some(times) => match times.split_once('-') {
-            None => (time_ns(times)?, None),
-            Some((from, until)) => (time_ns(from)?, Some(time_ns(until)?)),
+            None => (parse_time_ns(times)?, None),
+            Some((from, until)) => (parse_time_ns(from)?, Some(parse_time_ns(until)?)),
         },
     };
     if until_ns.is_some_and(|until_ns| until_ns <= from_ns) {
         return None;
     }
-    let (name, values) = fault.split_once(':').unwrap_or((fault, ""));
-    let values: Vec<&str> = values.split(',').filter(|value| !value.is_empty()).collect();
-    Some(FaultWindow { fault: fault_named(name, &values)?, from_ns, until_ns })
+    Some(FaultWindow { fault: parse_fault(fault)?, from_ns, until_ns })
 }
 
-fn fault_named(name: &str, values: &[&str]) -> Option<Fault> {
-    let fault = match (name, values) {
-        ("lost", [probability]) => Fault::FrameLost { share: share(probability)? },
-        ("late", [probability, by]) => Fault::FrameLate { share: share(probability)?, by_ns: time_ns(by)? },
-        ("duplicated", [probability]) => Fault::FrameDuplicated { share: share(probability)? },
-        ("corrupted", [probability]) => Fault::FrameCorrupted { share: share(probability)? },
-        ("short", [probability, by]) => {
-            Fault::WorkingCounterShort { share: share(probability)?, by: by.parse().ok()? }
+fn parse_fault(text: &str) -> Option<Fault> {
+    let (name, values) = text.split_once(':').unwrap_or((text, ""));
+    let values: Vec<&str> = values.split(',').filter(|value| !value.is_empty()).collect();
+    let fault = match (name, &values[..]) {
+        ("lost", [share]) => Fault::FrameLost { share: parse_share(share)? },
+        ("late", [share, by]) => Fault::FrameLate { share: parse_share(share)?, by_ns: parse_time_ns(by)? },
+        ("duplicated", [share]) => Fault::FrameDuplicated { share: parse_share(share)? },
+        ("corrupted", [share]) => Fault::FrameCorrupted { share: parse_share(share)? },
+        ("short", [share, by]) => {
+            Fault::WorkingCounterShort { share: parse_share(share)?, by: by.parse().ok()? }
         }
-        ("noise", [position, probability]) => {
-            Fault::NoisyCable { position: position.parse().ok()?, share: share(probability)? }
+        ("noise", [position, share]) => {
+            Fault::NoisyCable { position: position.parse().ok()?, share: parse_share(share)? }
         }
         ("gone", [from]) => Fault::DevicesGone { from: from.parse().ok()? },
-        ("safe-op", [position, status]) => {
-            Fault::FallToSafeOp { position: position.parse().ok()?, code: code(status)?.try_into().ok()? }
+        ("safe-op", [position, code]) => {
+            Fault::FallToSafeOp { position: position.parse().ok()?, code: parse_code(code)?.try_into().ok()? }
         }
         ("no-signal", [position]) => Fault::SignalLost { position: position.parse().ok()? },
         ("too-fast", [position]) => Fault::SignalTooFast { position: position.parse().ok()? },
-        ("abort", [position, status]) => {
-            Fault::MailboxAbort { position: position.parse().ok()?, code: code(status)? }
+        ("abort", [position, code]) => {
+            Fault::MailboxAbort { position: position.parse().ok()?, code: parse_code(code)? }
         }
         ("silent", [position]) => Fault::MailboxSilent { position: position.parse().ok()? },
-        ("emergency", [position, status]) => {
-            Fault::MailboxEmergency { position: position.parse().ok()?, code: code(status)?.try_into().ok()? }
-        }
+        ("emergency", [position, code]) => Fault::MailboxEmergency {
+            position: position.parse().ok()?,
+            code: parse_code(code)?.try_into().ok()?,
+        },
         ("link-down", []) => Fault::LinkDown,
         ("clock-step", [by]) => match by.strip_prefix('-') {
-            Some(back) => Fault::ClockStep { by_ns: -time_ns(back)? },
-            None => Fault::ClockStep { by_ns: time_ns(by)? },
+            Some(back) => Fault::ClockStep { by_ns: -parse_time_ns(back)? },
+            None => Fault::ClockStep { by_ns: parse_time_ns(by)? },
         },
         _ => return None,
     };
     Some(fault)
 }
 
-fn share(text: &str) -> Option<f64> {
+fn parse_share(text: &str) -> Option<f64> {
     text.parse().ok().filter(|share| (0.0..=1.0).contains(share))
 }
 
-fn code(text: &str) -> Option<u32> {
+fn parse_code(text: &str) -> Option<u32> {
     match text.strip_prefix("0x") {
         Some(hexadecimal) => u32::from_str_radix(hexadecimal, 16).ok(),
         None => text.parse().ok(),
     }
 }
 
-fn time_ns(text: &str) -> Option<i64> {
+fn parse_time_ns(text: &str) -> Option<i64> {
     let time: Duration = humantime::parse_duration(text).ok()?;
     i64::try_from(time.as_nanos()).ok()
 }
@@ -173,7 +176,7 @@ mod tests {
         let fault = Fault::DevicesGone { from: 3 };
         assert_eq!("on gone:3".parse(), Ok(FaultSwitch { fault, on: true }));
         assert_eq!("  off  gone:3 ".parse(), Ok(FaultSwitch { fault, on: false }));
-        for text in ["gone:3", "on", "on gone", "maybe gone:3", "on gone:3@1s-2s"] {
+        for text in ["gone:3", "on", "on gone", "maybe gone:3", "on gone:3@1s-2s", "on gone:3@0s"] {
             assert!(text.parse::<FaultSwitch>().is_err(), "{text}");
         }
     }
