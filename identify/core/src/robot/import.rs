@@ -113,8 +113,7 @@ pub struct Imported {
 /// The arm between links `base` and `tip`. Default of `base`: the link with that name, or the one that carries the first axis.
 /// Default of `tip`: the link named `tool0` or `flange`, or the only end of the longest chain of axes, without a gripper.
 ///
-/// Forward kinematics from `base` to `tip` at the joints' values are those of the file, within the decimals of its right
-/// angles.
+/// The forward kinematics from `base` to `tip` are those of the file. Only right angles that the file rounds become exact.
 ///
 /// # Errors
 /// [`ImportError`].
@@ -178,9 +177,11 @@ pub fn import(text: &str, base: Option<&str>, tip: Option<&str>) -> Result<Impor
     Ok(Imported { config, base, tip, joints: names, assumed, left_out })
 }
 
-/// The controller measures joint 3 from the horizontal: it keeps its value when joint 2 turns. A URDF measures it from the upper
-/// arm, so that its joint 3 is J3 + J2 with axes 2 and 3 in opposite directions, as ROS-Industrial has them for FANUC, and
-/// J3 - J2 with both in one direction, as for ABB.
+/// Couples joint 3 to J2 in the conversion of the log, and returns the assumption as text.
+///
+/// The controller measures J3 from the horizontal, so J3 keeps its value when joint 2 turns. A URDF measures joint 3 from the upper
+/// arm. With axes 2 and 3 in opposite directions, as ROS-Industrial has them for FANUC, joint 3 is J3 + J2. With both in the same
+/// direction, as for ABB, it is J3 - J2.
 fn couple_joint_3(config: &mut RobotConfig, axes: &[AxisLine]) -> String {
     let (a_maker, factor, ros) = match config.maker() {
         Some(Maker::Fanuc) => ("a FANUC", 1.0, "has joint 3 already and"),
@@ -207,7 +208,7 @@ fn couple_joint_3(config: &mut RobotConfig, axes: &[AxisLine]) -> String {
     }
 }
 
-/// Joint 3 of the model by those of the controller.
+/// Joint 3 of the model as a formula of the controller's joints.
 fn joint_3(factor: f64) -> &'static str {
     if factor < 0.0 { "J3 - J2" } else { "J3 + J2" }
 }
@@ -281,13 +282,12 @@ fn limits(
 ) -> [f64; 2] {
     // A missing value is zero, as in the URDF specification.
     let limit = |key| joint.value("limit", key).map_or(Some(0.0), read).unwrap_or(f64::NAN);
-    // Without the rounding errors of the conversion to degrees.
+    // Removes the rounding errors of the conversion to degrees.
     let limits = ["lower", "upper"].map(|key| (limit(key) * 1e9).round() / 1e9);
     let [low, high] = limits;
     let found = match joint.kind.as_str() {
         "continuous" => "no limits in the file".to_owned(),
         _ if low < high && low.is_finite() && high.is_finite() => return limits,
-        // The default of a file without limits.
         _ if low == 0.0 && high == 0.0 => "no limits in the file, or both are zero".to_owned(),
         _ => format!("limits of {low} to {high} {unit} in the file, which are not a range"),
     };
@@ -305,12 +305,13 @@ fn angle_deg(angle_rad: f64) -> f64 {
     without_rounding(angle_rad.to_degrees(), 1e-9)
 }
 
-/// The nearest number of six decimals if it differs by less than `rounding`; others keep all significant digits.
+/// The nearest number with six decimals if it differs by less than `rounding`; otherwise the value rounded to a thousandth of
+/// `rounding`.
 fn without_rounding(value: f64, rounding: f64) -> f64 {
     let round_to = |scale: f64| (value * scale).round() / scale;
     let six_decimals = round_to(1e6);
     let significant = round_to(1e3 / rounding);
-    // Minus zero is zero.
+    // Adding zero turns -0 into 0.
     (if (value - six_decimals).abs() < rounding { six_decimals } else { significant }) + 0.0
 }
 
@@ -368,8 +369,8 @@ impl Imported {
             if (TransformConfig { xyz_m, rpy_deg }) != TransformConfig::default() {
                 let _ = write!(
                     text,
-                    "\n# From {} to {}: shifted by xyz_m, then turned by rpy_deg about the fixed axes x, y and z of where it\n\
-                     # begins, in this order, as in a URDF: Rz(yaw) Ry(pitch) Rx(roll).\n[{key}]\nxyz_m = {xyz_m:?}\nrpy_deg = {rpy_deg:?}\n",
+                    "\n# From {} to {}: translation xyz_m, then rotations rpy_deg about x, then y, then z of the first frame:\n\
+                     # Rz(yaw) Ry(pitch) Rx(roll), as in a URDF.\n[{key}]\nxyz_m = {xyz_m:?}\nrpy_deg = {rpy_deg:?}\n",
                     one_line(&from),
                     one_line(to)
                 );
@@ -411,7 +412,7 @@ fn log_block(log: &LogConversion) -> String {
     };
     let mut text = format!(
         "\n# How the robot's log becomes joint variables: q = (raw * unit - raw_offset_rad) * raw_to_joint; row i is what\n\
-         # column i of the log contributes to each joint. As it stands here the log has columns joint1_rad, joint2_rad ..\n\
+         # column i of the log contributes to each joint. As written here, the log has columns joint1_rad, joint2_rad ..\n\
          # (joint1_m where the joint is prismatic) with {meaning}.\n\
          # Correct it for a log in degrees (unit = \"deg\") or of motors.\n\
          [log]\ncolumn = \"{}\"\nunit = \"rad\"\nraw_offset_rad = {:?}\nraw_to_joint = [\n",
