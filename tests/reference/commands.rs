@@ -43,5 +43,7 @@ fn check_help(mut program: clap::Command, parse: impl Fn(Vec<String>) -> Result<
 #[test]
 fn every_command_has_an_example_that_parses_options_with_a_heading_and_values_with_a_text() {
     check_help(Ballbard::command(), |words| Ballbard::try_parse_from(words).map(drop));
-    check_help(Identify::command(), |words| Identify::typed(words.into_iter().map(OsString::from)).map(drop));
+    check_help(Identify::command(), |words| {
+        Identify::from_words(words.into_iter().map(OsString::from)).map(drop)
+    });
 }

@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use identify::commands::{self, Arguments, interrupt};
+use identify::commands::{self, Arguments, allow_commands, interrupt};
 use identify::kinematics::Pose;
 use identify::report::CalibratedRobot;
 use identify::report::result::file::{CalibrationFile, Input};
@@ -35,9 +35,10 @@ fn py_error(error: impl Into<Box<dyn std::error::Error>>) -> PyErr {
 /// Runs a command line, which begins with the program's name. Returns standard output and warnings. Ctrl-C ends the command.
 #[pyfunction]
 fn run(py: Python<'_>, words: Vec<OsString>) -> PyResult<(String, String)> {
-    let arguments = Arguments::typed(words).map_err(|error| Error::new_err(error.render().to_string()))?;
+    let arguments =
+        Arguments::from_words(words).map_err(|error| Error::new_err(error.render().to_string()))?;
     // Forget a Ctrl-C that ended an earlier command.
-    interrupt(false);
+    allow_commands();
     let warnings = Lines::default();
     let writer = warnings.clone();
     let subscriber = tracing_subscriber::fmt()
@@ -58,7 +59,7 @@ fn run(py: Python<'_>, words: Vec<OsString>) -> PyResult<(String, String)> {
     while !work.is_finished() {
         py.detach(|| std::thread::sleep(POLL_PERIOD));
         if let Err(signal) = py.check_signals() {
-            interrupt(true);
+            interrupt();
             interrupted = Err(signal);
         }
     }

@@ -1,4 +1,4 @@
-//! The command line: [`Arguments::typed`] parses it, and [`run`] calls the module of the command. Each module reads files,
+//! The command line: [`Arguments::from_words`] parses it, and [`run`] calls the module of the command. Each module reads files,
 //! calls `identify-core`, and prints and writes the result with [`crate::report`].
 
 mod calibrate;
@@ -11,7 +11,7 @@ mod robot;
 mod simulate;
 mod study;
 
-pub use on_terminal::interrupt;
+pub use on_terminal::{allow_commands, interrupt};
 
 use std::ffi::OsString;
 use std::fs::File;
@@ -78,26 +78,34 @@ enum Command {
 }
 
 impl Arguments {
-    /// Parses the words of a command line, the program's name first. `identify calibrate --recording ..` means the ball-bar,
-    /// `identify calibrate --experiment ..` the instruments of the file, `identify plan --robot ..` a path, `identify simulate --robot ..` the ball-bar.
+    /// Parses the words of a command line, the program's name first. Without a subcommand, `plan` plans a path, `simulate`
+    /// simulates the ball-bar, and `calibrate` uses the ball-bar or, with `--experiment`, the instruments of that file.
     ///
     /// # Errors
     /// Those of clap; help and version are errors, too.
-    pub fn typed(words: impl IntoIterator<Item = OsString>) -> Result<Self, clap::Error> {
+    pub fn from_words(words: impl IntoIterator<Item = OsString>) -> Result<Self, clap::Error> {
         let mut words: Vec<OsString> = words.into_iter().collect();
-        let is_option = |word: &OsString| word.to_str().is_some_and(|word| word.starts_with("--"));
-        let option_first = words.get(2).is_some_and(|word| is_option(word) && word != "--help");
-        if option_first && words.get(1).is_some_and(|word| word == "plan") {
-            words.insert(2, "path".into());
-        } else if option_first && words.get(1).is_some_and(|word| word == "simulate") {
-            words.insert(2, "bar".into());
-        } else if option_first && words.get(1).is_some_and(|word| word == "calibrate") {
-            let mixed = words.iter().any(|word| {
-                word.to_str().is_some_and(|word| word == "--experiment" || word.starts_with("--experiment="))
-            });
-            words.insert(2, if mixed { "experiment".into() } else { "bar".into() });
+        if let Some(subcommand) = default_subcommand(&words) {
+            words.insert(2, subcommand.into());
         }
         Self::try_parse_from(words)
+    }
+}
+
+/// The subcommand that is meant if an option directly follows the command.
+fn default_subcommand(words: &[OsString]) -> Option<&'static str> {
+    let [_, command, option, ..] = words else { return None };
+    let option = option.to_str()?;
+    if !option.starts_with("--") || option == "--help" {
+        return None;
+    }
+    let is_experiment = |word: &str| word == "--experiment" || word.starts_with("--experiment=");
+    match command.to_str()? {
+        "plan" => Some("path"),
+        "simulate" => Some("bar"),
+        "calibrate" if words.iter().filter_map(|word| word.to_str()).any(is_experiment) => Some("experiment"),
+        "calibrate" => Some("bar"),
+        _ => None,
     }
 }
 

@@ -1,4 +1,4 @@
-//! Progress of a long solve on a terminal, and Ctrl-C that ends it.
+//! Progress of a long command on a terminal, and its end by Ctrl-C.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, OnceLock, PoisonError};
@@ -8,48 +8,53 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 use crate::solver::{Progress, Watch};
 
-/// Ctrl-C was pressed.
+/// Ctrl-C was pressed, or [`interrupt`] was called.
 static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 /// Set when the handler of Ctrl-C has been installed.
 static HANDLER: OnceLock<()> = OnceLock::new();
-/// The running command polls [`INTERRUPTED`] and keeps its partial result: the first Ctrl-C does not end the program.
+/// Whether the running command polls [`INTERRUPTED`] to keep its partial result: then the first Ctrl-C does not end the program.
 static POLLED: AtomicBool = AtomicBool::new(false);
-/// The visible bar, so that Ctrl-C leaves a clean line.
+/// The bar of the running command; Ctrl-C removes it from the terminal.
 static SHOWN: Mutex<Option<ProgressBar>> = Mutex::new(None);
 
-/// Exit code of a program that Ctrl-C ended, as shells have it.
+/// Exit code of a program that Ctrl-C ended, by the convention of shells.
 const EXIT_INTERRUPTED: i32 = 130;
-/// A solve that is shorter than this shows no progress.
+/// Work that is shorter than this shows no progress.
 const PATIENCE: Duration = Duration::from_millis(500);
 
-/// Ends the running command, as Ctrl-C does, or lets the next one run.
-pub fn interrupt(ends: bool) {
-    INTERRUPTED.store(ends, Ordering::Relaxed);
+/// Ends the running command as the first Ctrl-C does, and any later one until [`allow_commands`].
+pub fn interrupt() {
+    INTERRUPTED.store(true, Ordering::Relaxed);
 }
 
-/// A progress bar on the terminal, where there is one. Ctrl-C ends the program immediately with exit code 130, or, where the command
-/// keeps what it has so far, asks it to end; a second Ctrl-C then ends the program.
+/// Lets commands run again after [`interrupt`].
+pub fn allow_commands() {
+    INTERRUPTED.store(false, Ordering::Relaxed);
+}
+
+/// A progress bar, if there is a terminal. Ctrl-C ends the program immediately with exit code 130. If the command keeps its partial
+/// result, the first Ctrl-C only requests its end, and the second one ends the program.
 #[derive(Debug)]
 pub struct OnTerminal {
     bar: ProgressBar,
-    /// Part of the work that runs.
+    /// Name of the current part of the work.
     stage: Mutex<String>,
 }
 
 impl OnTerminal {
-    /// For a command that polls for Ctrl-C and keeps what it has.
+    /// For a command that polls for Ctrl-C and keeps its partial result.
     pub fn new() -> Self {
         Self::with_polling(true)
     }
 
-    /// For a command that writes nothing before it has everything: Ctrl-C ends it from anywhere.
+    /// For a command without partial results: Ctrl-C ends the program at any point.
     pub fn all_or_nothing() -> Self {
         Self::with_polling(false)
     }
 
     fn with_polling(polled: bool) -> Self {
         HANDLER.get_or_init(|| {
-            // Without a handler Ctrl-C ends the program, which writes no file either. A program that has one keeps it.
+            // A handler that the program installed before is kept. If none can be installed, Ctrl-C ends the program.
             let _ = ctrlc::try_set_handler(|| {
                 if INTERRUPTED.swap(true, Ordering::Relaxed) || !POLLED.load(Ordering::Relaxed) {
                     if let Some(bar) = &*SHOWN.lock().unwrap_or_else(PoisonError::into_inner) {
@@ -65,29 +70,29 @@ impl OnTerminal {
         let bar = style.map_or_else(|_| bar.clone(), |style| bar.clone().with_style(style));
         *SHOWN.lock().unwrap_or_else(PoisonError::into_inner) = Some(bar.clone());
         let shown = bar.clone();
-        // Without a thread nothing is shown.
+        // If the thread cannot be started, nothing is shown.
         let _ = std::thread::Builder::new().spawn(move || {
             std::thread::sleep(PATIENCE);
             if !shown.is_finished() {
                 shown.set_draw_target(ProgressDrawTarget::stderr());
-                // Also shown while no pass over samples reports.
+                // Redraws also between reports of progress.
                 shown.enable_steady_tick(PATIENCE);
             }
         });
         Self { bar, stage: Mutex::default() }
     }
 
-    /// Shows a sentence about work that has no known end; false once Ctrl-C was pressed.
-    pub fn says(&self, sentence: impl FnOnce() -> String) -> bool {
+    /// Shows a sentence about work of unknown length; false once Ctrl-C was pressed.
+    pub fn show_sentence(&self, sentence: impl FnOnce() -> String) -> bool {
         self.set_template("{msg}");
         self.bar.set_message(sentence());
         !INTERRUPTED.load(Ordering::Relaxed)
     }
 
-    /// Shows how much of some work is done; false once Ctrl-C was pressed.
-    pub fn counts(&self, done: usize, of: usize, what: &str) -> bool {
-        self.set_template(&format!("{{wide_bar}} {{pos}}/{{len}} {what}, {{eta}} left"));
-        self.bar.set_length(of as u64);
+    /// Shows that `done` of `all` items are done; false once Ctrl-C was pressed.
+    pub fn show_count(&self, done: usize, all: usize, items: &str) -> bool {
+        self.set_template(&format!("{{wide_bar}} {{pos}}/{{len}} {items}, {{eta}} left"));
+        self.bar.set_length(all as u64);
         self.bar.set_position(done as u64);
         !INTERRUPTED.load(Ordering::Relaxed)
     }
@@ -99,7 +104,7 @@ impl OnTerminal {
     }
 }
 
-/// Takes the bar off the terminal, also before the message of an error.
+/// Removes the bar from the terminal, also before the message of an error.
 impl Drop for OnTerminal {
     fn drop(&mut self) {
         POLLED.store(false, Ordering::Relaxed);
@@ -130,9 +135,9 @@ impl Watch for OnTerminal {
 mod tests {
     use super::*;
 
-    /// As a command that returns early with an error.
+    /// A command that returns early with an error drops its bar.
     #[test]
-    fn the_bar_is_off_the_terminal_however_its_command_ends() {
+    fn a_dropped_bar_is_removed_from_the_terminal() {
         let bar = {
             let on_terminal = OnTerminal::new();
             on_terminal.bar.clone()

@@ -408,7 +408,7 @@ fn search_path(
 ) -> anyhow::Result<Found> {
     let terminal = OnTerminal::new();
     let found = plan::search(constraints, information, arguments.seed, arguments.budget, |progress| {
-        !terminal.says(|| match progress {
+        !terminal.show_sentence(|| match progress {
             None => "first paths; Ctrl-C takes the best so far".into(),
             Some(Progress { tried, taken, score }) => format!(
                 "{tried} changes tried, {taken} taken, criterion {score:.3e}; Ctrl-C takes the path as it is"
@@ -584,7 +584,7 @@ fn find_places(arguments: &PlaceArguments) -> anyhow::Result<()> {
     };
     let terminal = OnTerminal::new();
     let places = plan::places(&request, arguments.seed, arguments.budget, |tried| {
-        !terminal.says(|| format!("{tried} places tried; Ctrl-C shows the best so far"))
+        !terminal.show_sentence(|| format!("{tried} places tried; Ctrl-C shows the best so far"))
     });
     drop(terminal);
     let places = places?;

@@ -133,7 +133,7 @@ fn compute(
         for rows in receiver {
             done += 1;
             let stored = results.add(rows);
-            let goes_on = on_terminal.counts(done, missing.len(), "experiments");
+            let goes_on = on_terminal.show_count(done, missing.len(), "experiments");
             if !is_watched && done * LINES / missing.len() > (done - 1) * LINES / missing.len() {
                 let left_s = begun.elapsed().as_secs_f64() / done as f64 * (missing.len() - done) as f64;
                 tracing::info!("{done} of {} experiments, about {left_s:.0} s left", missing.len());
