@@ -344,7 +344,7 @@ fn the_command_writes_poses_that_calibrate_reads_and_a_program_that_stops_at_eac
 
 /// Output of each language for a pose without a free path to it, and for a path through an intermediate posture.
 #[test]
-fn programs_stop_before_a_pose_without_a_free_way_and_drive_through_the_postures_of_others() {
+fn programs_stop_before_a_blocked_move_and_drive_through_the_postures_of_others() {
     let mut robot = ur10();
     // As FANUC needs it.
     robot.log.raw_to_joint[1][2] = -1.0;
@@ -378,7 +378,7 @@ fn programs_stop_before_a_pose_without_a_free_way_and_drive_through_the_postures
         let is_word =
             |word: &&str| word.strip_suffix(':').is_none_or(|number| number.parse::<u32>().is_err());
         let before = before.split_whitespace().filter(is_word).collect::<Vec<_>>().join(" ");
-        assert!(before.contains("no free way from pose 2 to pose 3"), "{text}");
+        assert!(before.contains("no path without collision from pose 2 to pose 3"), "{text}");
     }
 }
 
@@ -412,7 +412,7 @@ fn moves_go_round_a_wall_through_postures_that_are_clear() {
 /// Two walls with a gap narrower than the wrist: no path connects the two sides.
 #[test]
 #[ignore = "plans among obstacles: a minute and a half"]
-fn poses_without_a_free_way_between_them_are_marked_everywhere_and_end_with_an_error() {
+fn blocked_moves_are_marked_everywhere_and_end_with_an_error() {
     let directory = tempfile::tempdir().unwrap();
     let out = directory.path();
     let arguments = ["plan", "poses", "--measures", "positions", "--draw", "60", "--count", "12"];
@@ -422,10 +422,13 @@ fn poses_without_a_free_way_between_them_are_marked_everywhere_and_end_with_an_e
     let [said, error] =
         [&planned.stdout, &planned.stderr].map(|text| String::from_utf8_lossy(text).into_owned());
     assert_eq!(planned.status.code(), Some(1), "{said} {error}");
-    assert!(error.contains("moves have no free way") && error.contains("--draw"), "{error}");
-    assert!(said.contains("no free way of the joints was found to pose "), "{said}");
+    assert!(
+        error.contains("moves are blocked: no path without collision") && error.contains("--draw"),
+        "{error}"
+    );
+    assert!(said.contains("no path without collision was found to pose "), "{said}");
     let read = |name: &str| std::fs::read_to_string(out.join(name)).unwrap();
-    assert!(read("poses.html").contains("no free way of the joints was found to pose "));
+    assert!(read("poses.html").contains("no path without collision was found to pose "));
     let table = read("poses.csv");
     let marked: Vec<usize> =
         table.lines().enumerate().filter(|(_, row)| row.contains("BLOCKED")).map(|(row, _)| row).collect();

@@ -258,7 +258,10 @@ pub fn pose_program(
             }
             Way::Blocked => steps.push(Step::Halt {
                 message: format!("jog by hand to pose {number}"),
-                reason: format!("no free way from pose {} to pose {number} was found", number - 1),
+                reason: format!(
+                    "no path without collision from pose {} to pose {number} was found",
+                    number - 1
+                ),
                 jogged_to: Some(number),
             }),
         }

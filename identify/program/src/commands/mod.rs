@@ -31,7 +31,7 @@ const AFTER_HELP: &str = "Example: identify calibrate --recording runs/monday-1.
     Exit codes:\n  \
     0    success\n  \
     1    failure; refused data or a red verdict of calibrate, a violated constraint of\n       \
-         plan check, a pose of plan poses without a free way, a study that was\n       \
+         plan check, a blocked move of plan poses, a study that was\n       \
          interrupted or in which every estimate failed\n  \
     2    usage error: an unknown option or invalid value\n  \
     130  ended by Ctrl-C";

@@ -222,7 +222,7 @@ struct PosesArguments {
     #[arg(long, help_heading = "Planning", value_enum)]
     measures: Measures,
     /// Directory for poses.csv, its mapping poses.toml, poses.html and a program for the robot's controller. The exit code is 1
-    /// if no free way to one of the poses was found: the table marks it, and programs stop there
+    /// if no path without collision was found for a move: the table marks it as BLOCKED, and programs stop there
     #[arg(long, help_heading = "Output", value_name = "DIR")]
     out: PathBuf,
     /// Number of poses to choose
@@ -503,8 +503,8 @@ fn select_poses(arguments: &PosesArguments) -> anyhow::Result<()> {
     let blocked = planned.blocked();
     anyhow::ensure!(
         blocked.is_empty(),
-        "{} of {} moves have no free way; poses.csv marks them, and programs stop there; to find a way give another --seed,\n\
-         more poses to choose from (--draw), or a smaller --link-radius-mm",
+        "{} of {} moves are blocked: no path without collision was found; poses.csv marks them, and programs stop there;\n\
+         give another --seed, more poses to choose from (--draw), or a smaller --link-radius-mm",
         blocked.len(),
         planned.joints.len() - 1
     );

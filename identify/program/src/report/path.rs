@@ -268,7 +268,7 @@ pub fn poses(planned: &PlannedPoses, candidates: usize) -> String {
     text
 }
 
-/// A sentence about the poses to which the straight way of the joints is not free, if there are any.
+/// A sentence about moves that avoid an obstacle or are blocked, if there are any.
 pub fn ways(planned: &PlannedPoses) -> Option<String> {
     let detours = planned.ways.iter().filter(|way| matches!(way, Way::Through(_))).count();
     let blocked: Vec<String> = planned.blocked().iter().map(usize::to_string).collect();
@@ -278,7 +278,7 @@ pub fn ways(planned: &PlannedPoses) -> Option<String> {
             "{detours} moves avoid an obstacle by way of intermediate postures (column `way` of the table)"
         )),
         _ => Some(format!(
-            "no free way of the joints was found to pose {}: a program stops before it, jog there by hand",
+            "no path without collision was found to pose {}: a program stops before it; jog there by hand",
             blocked.join(", ")
         )),
     }
@@ -314,7 +314,7 @@ pub fn pose_table(
                 let postures: Vec<String> = postures.iter().map(|q| numbers(q).join(" ")).collect();
                 format!("through {}", postures.join("; "))
             }
-            Way::Blocked => "BLOCKED: no free way from the pose before".into(),
+            Way::Blocked => "BLOCKED: no path without collision from the pose before".into(),
         };
         let empty = columns[joints.len()..].iter().map(|_| String::new());
         table += &numbers(q).into_iter().chain(empty).chain([way]).collect::<Vec<_>>().join(",");
