@@ -22,8 +22,8 @@ fn robot(name: &str) -> RobotConfig {
     config::load(&config_directory().join("robots").join(name)).unwrap()
 }
 
-/// Simulates, records over the bus, and reads everything back from files.
-fn experiment(
+/// Simulates an experiment, records it over the bus, and reads everything back from files.
+fn simulate_and_record(
     directory: &Path,
     experiment: &Experiment<'_>,
     bar: &BallBarConfig,
@@ -44,8 +44,11 @@ fn all_38_parameters_are_recovered_for_both_robots() {
     for (name, seed) in [("irb2400_16.toml", 1), ("nj220_2_7.toml", 2)] {
         let (robot, bar) = (robot(name), ball_bar());
         let directory = tempfile::tempdir().unwrap();
-        let (recording, log, truth) =
-            experiment(directory.path(), &Experiment { seed, ..Experiment::new(&robot, &bar) }, &bar);
+        let (recording, log, truth) = simulate_and_record(
+            directory.path(),
+            &Experiment { seed, ..Experiment::new(&robot, &bar) },
+            &bar,
+        );
         assert!(truth.clock.shift_s.abs() > 1.0 && (truth.clock.skew - 25e-6).abs() < 1e-12);
         let config = IdentifyConfig { selection: SelectionName::Thesis, ..IdentifyConfig::default() };
         let calibration =
@@ -67,7 +70,7 @@ fn the_bar_of_the_thesis_without_encoder_3_calibrates_too() {
     let mut bar = ball_bar();
     bar.encoders.retain(|encoder| encoder.joint != 3);
     let directory = tempfile::tempdir().unwrap();
-    let (recording, log, truth) = experiment(directory.path(), &Experiment::new(&robot, &bar), &bar);
+    let (recording, log, truth) = simulate_and_record(directory.path(), &Experiment::new(&robot, &bar), &bar);
     assert_eq!(recording.run.encoders.len(), 4);
     let config = IdentifyConfig { selection: SelectionName::Thesis, ..IdentifyConfig::default() };
     let calibration =
@@ -79,7 +82,7 @@ fn the_bar_of_the_thesis_without_encoder_3_calibrates_too() {
     assert!(robot_error < 0.05, "{robot_error} mm|mrad");
 }
 
-/// Each kind of fault of cable, terminal and host, one after the other, within two minutes.
+/// Faults of frames, terminals, cable and clock, one after the other within two minutes.
 const FAULTS: [&str; 9] = [
     "lost:0.02@5s-20s",
     "late:0.02,6ms@20s-30s",
@@ -92,8 +95,8 @@ const FAULTS: [&str; 9] = [
     "clock-step:3ms@100s",
 ];
 
-/// Error of the robot's parameters \[mm|mrad\] from a recording without and from one with faults, with the same number of
-/// valid cycles: only a part of the recording without faults is used.
+/// Errors of the robot's parameters \[mm|mrad\] from a recording without faults and from one with faults. Only a part of the
+/// first is used, with as many valid cycles as the second has.
 fn errors_clean_and_faulty(seed: u64) -> [f64; 2] {
     let (robot, bar) = (robot("irb2400_16.toml"), ball_bar());
     let directory = tempfile::tempdir().unwrap();
@@ -105,28 +108,28 @@ fn errors_clean_and_faulty(seed: u64) -> [f64; 2] {
         base_tilt_urad: 5000.0,
         ..Effects::NONE
     };
-    let (clean, log, truth) =
-        experiment(directory.path(), &Experiment { seed, effects, ..Experiment::new(&robot, &bar) }, &bar);
-    let simulated = BusChoice::Replay(directory.path().join("recording.mcap"));
+    let (clean, log, truth) = simulate_and_record(
+        directory.path(),
+        &Experiment { seed, effects, ..Experiment::new(&robot, &bar) },
+        &bar,
+    );
+    let replay = BusChoice::Replay(directory.path().join("recording.mcap"));
     let faults = FAULTS.iter().map(|fault| fault.parse().unwrap()).collect();
     let (_, faulty) =
-        record(directory.path(), &RunRequest { faults, ..request("faulty", simulated, None, true) }, &bar);
+        record(directory.path(), &RunRequest { faults, ..request("faulty", replay, None, true) }, &bar);
     let is_valid = |cycle: &&CycleRecord| cycle.encoders.iter().all(|encoder| encoder.valid);
     let valid = faulty.cycles.iter().filter(is_valid).count();
-    // About 480 are invalid: those with a fault. A lost cycle does not invalidate the next one.
+    // About 480 cycles with a fault are invalid, and no others: a lost cycle does not invalidate the next one.
     assert!(valid < clean.cycles.len() - 400, "{valid} of {}", clean.cycles.len());
     // The same number of cycles from the middle of the run without faults.
     let skipped = (clean.cycles.len() - valid) / 2;
     let error = |cycles: &[CycleRecord], encoders: &[EncoderInfo]| {
         let config = IdentifyConfig::default();
-        let found = calibrate_run(cycles, encoders, &log, &robot, &bar, &config).unwrap();
-        let comparison = Comparison::new(&found, &truth);
+        let calibration = calibrate_run(cycles, encoders, &log, &robot, &bar, &config).unwrap();
+        let comparison = Comparison::new(&calibration, &truth);
         let error = comparison.only(|id| matches!(id, ParameterId::Robot { .. })).euclidean_mm_mrad();
-        println!(
-            "{error:.4} mm|mrad, {} origins, {:?}",
-            found.prepared().unwrap().origins.len(),
-            found.prepared().unwrap().counts
-        );
+        let prepared = calibration.prepared().unwrap();
+        println!("{error:.4} mm|mrad, {} origins, {:?}", prepared.origins.len(), prepared.counts);
         error
     };
     [
@@ -137,14 +140,14 @@ fn errors_clean_and_faulty(seed: u64) -> [f64; 2] {
 
 #[test]
 fn runs_with_faults_calibrate_as_well_as_clean_ones_of_the_same_valid_length() {
-    let [mut of_clean, mut of_faulty] = [0.0, 0.0];
+    let [mut clean_mean, mut faulty_mean] = [0.0, 0.0];
     for seed in [1, 2] {
         let [clean, faulty] = errors_clean_and_faulty(seed);
-        of_clean += clean / 2.0;
-        of_faulty += faulty / 2.0;
+        clean_mean += clean / 2.0;
+        faulty_mean += faulty / 2.0;
     }
-    // The selected samples differ, which alone changes such errors by half.
-    assert!(of_faulty < 1.6 * of_clean, "{of_faulty} mm|mrad with faults, {of_clean} without");
+    // Other samples are selected, which alone changes such errors by up to half.
+    assert!(faulty_mean < 1.6 * clean_mean, "{faulty_mean} mm|mrad with faults, {clean_mean} without");
 }
 
 #[test]
@@ -168,22 +171,22 @@ fn a_run_exported_as_a_table_of_counters_calibrates_as_the_recording_does() {
     let sink = std::fs::File::create(&table).unwrap();
     write_csv(&SystemDisk, &files.recording, Layout::default(), sink).unwrap();
 
-    let of_table = BarLog::load(&table, &bar, None).unwrap();
-    let BarLog::Other(other) = &of_table else { panic!("a table is no recording") };
+    let bar_log = BarLog::load(&table, &bar, None).unwrap();
+    let BarLog::Other(other) = &bar_log else { panic!("a table is no recording") };
     assert!(other.simulated);
     assert_eq!(other.unknown, ["how certain its times are", "the times of a second clock"]);
     let log = logs::load(&files.robot_log, &robot).unwrap();
-    let [(cycles, encoders), recorded] =
-        [(of_table.cycles(), of_table.encoders()), (&recording.cycles[..], &recording.run.encoders[..])];
+    let (cycles, encoders) = (bar_log.cycles(), bar_log.encoders());
     // Times, angles and origins are equal bit by bit, and so are all results.
-    assert_eq!(bar_angles(cycles, encoders).unwrap(), bar_angles(recorded.0, recorded.1).unwrap());
-    let config = IdentifyConfig::default();
-    let of_table = calibrate_run(cycles, encoders, &log, &robot, &bar, &config).unwrap();
     assert_eq!(
-        (of_table.prepared().unwrap().counts.invalid, of_table.prepared().unwrap().origins.len()),
-        (30, 2)
+        bar_angles(cycles, encoders).unwrap(),
+        bar_angles(&recording.cycles, &recording.run.encoders).unwrap()
     );
-    let error = Comparison::new(&of_table, &simulated.truth)
+    let config = IdentifyConfig::default();
+    let calibration = calibrate_run(cycles, encoders, &log, &robot, &bar, &config).unwrap();
+    let prepared = calibration.prepared().unwrap();
+    assert_eq!((prepared.counts.invalid, prepared.origins.len()), (30, 2));
+    let error = Comparison::new(&calibration, &simulated.truth)
         .only(|id| matches!(id, ParameterId::Robot { .. }))
         .euclidean_mm_mrad();
     assert!(error < 0.05, "{error} mm|mrad");
@@ -193,9 +196,9 @@ fn a_run_exported_as_a_table_of_counters_calibrates_as_the_recording_does() {
 fn the_log_of_another_run_is_refused() {
     let (robot, bar) = (robot("irb2400_16.toml"), ball_bar());
     let (one, other) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
-    let (recording, _, _) = experiment(one.path(), &Experiment::new(&robot, &bar), &bar);
+    let (recording, _, _) = simulate_and_record(one.path(), &Experiment::new(&robot, &bar), &bar);
     let (_, log, _) =
-        experiment(other.path(), &Experiment { seed: 7, ..Experiment::new(&robot, &bar) }, &bar);
+        simulate_and_record(other.path(), &Experiment { seed: 7, ..Experiment::new(&robot, &bar) }, &bar);
     let config = IdentifyConfig::default();
     let error = calibrate_run(&recording.cycles, &recording.run.encoders, &log, &robot, &bar, &config)
         .map(|_| ())
