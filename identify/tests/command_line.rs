@@ -567,7 +567,7 @@ fn an_experiment_is_simulated_where_the_bar_stands() {
     let (output, out) = at("9,0,0");
     refused(&output, &["no pose of the robot holds the bar", "--base"], out.path());
     let (output, out) = at("1,2");
-    refused(&output, &["2 numbers are given, 3 belong here"], out.path());
+    refused(&output, &["2 numbers are given, 3 are needed"], out.path());
 }
 
 #[test]

@@ -166,7 +166,7 @@ struct PathArguments {
     #[arg(long, help_heading = "Output", value_name = "DIR")]
     out: PathBuf,
     /// A posture of the robot near which the motion begins, one number for each axis [deg, mm]; it selects elbow and wrist;
-    /// default: 0,20,10,0,60,0 of six axes, otherwise a random one
+    /// default: 0,20,10,0,60,0 for six axes, otherwise a random one
     #[arg(
         long,
         help_heading = "Planning",

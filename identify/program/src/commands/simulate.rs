@@ -30,7 +30,7 @@ enum Errors {
 /// Default sizes of the effects.
 const LABORATORY: Effects = Effects::LABORATORY;
 
-/// What is simulated; an option without a word before it is one of the ball-bar.
+/// What to simulate; by default the ball-bar.
 #[derive(Debug, Args)]
 pub struct SimulateArguments {
     #[command(subcommand)]
@@ -50,25 +50,26 @@ enum SimulateCommand {
     Touch(TouchArguments),
 }
 
-/// What simulations of rows have in common.
+/// Options that `contact` and `touch` share.
 #[derive(Debug, Args)]
 struct ArmArguments {
     /// The robot's configuration, or the name of one in `identify robot list`, such as irb2400_16
     #[arg(long, help_heading = "Input", value_name = "FILE")]
     robot: PathBuf,
-    /// Directory for the rows, their mapping, what is known beside them, and truth.toml
+    /// Directory for the rows, their mapping, sockets.toml or faces.toml, and truth.toml
     #[arg(long, help_heading = "Output", value_name = "DIR")]
     out: PathBuf,
-    /// Plate's frame or block's centre in the robot's base [m]; default: where most postures of the robot reach it
+    /// Position of the plate's frame or of the block's centre in the robot's base frame [m]; default: where the robot
+    /// reaches it in most postures
     #[arg(long, help_heading = "Simulation", value_name = "X,Y,Z", value_parser = numbers::<3>, allow_hyphen_values = true)]
     place: Option<[f64; 3]>,
     /// Seed of poses, noise and errors of the measured objects
     #[arg(long, help_heading = "Simulation", default_value_t = 1)]
     seed: u64,
-    /// Seed of the robot's errors, the same for another set-up of one robot; default: as --seed
+    /// Seed of the robot's errors: give the same one to simulate one robot with another set-up; default: as --seed
     #[arg(long, help_heading = "Simulation", value_name = "SEED")]
     robot_seed: Option<u64>,
-    /// Error of each number of each link, standard deviation [mm|mrad]
+    /// Standard deviation of the error of each link parameter [mm|mrad]
     #[arg(long, help_heading = "Simulation", value_name = "MM", default_value_t = 1.0)]
     errors_mm_mrad: f64,
     /// White noise of each joint [urad|um]
@@ -143,8 +144,8 @@ struct BarArguments {
     /// Seed of path, encoder offsets and noise
     #[arg(long, help_heading = "Simulation", default_value_t = 1)]
     seed: u64,
-    /// Seed of drawn errors and of the phases of gears and encoders, the same for another run of one robot and bar; default: as
-    /// --seed
+    /// Seed of drawn errors and of the phases of gears and encoders: give the same one to simulate another run of one robot and
+    /// bar; default: as --seed
     #[arg(long, help_heading = "Simulation", value_name = "SEED")]
     robot_seed: Option<u64>,
     /// Errors of robot and bar
@@ -155,7 +156,7 @@ struct BarArguments {
     #[arg(long, help_heading = "Simulation", value_name = "X,Y,Z", value_parser = numbers::<3>, allow_hyphen_values = true)]
     base: Option<[f64; 3]>,
     /// A posture of the robot near which the motion begins, one number for each axis [deg, mm]; it selects elbow and wrist;
-    /// default: 0,20,10,0,60,0 of six axes, otherwise a random one
+    /// default: 0,20,10,0,60,0 for six axes, otherwise a random one
     #[arg(
         long,
         help_heading = "Simulation",
@@ -197,22 +198,22 @@ struct BarArguments {
     /// Ripple of each cycloid gear, amplitude [urad]
     #[arg(long, help_heading = "Simulation", value_name = "URAD", default_value_t = LABORATORY.cycloid_urad)]
     cycloid_urad: f64,
-    /// Half of the play of each robot gear [urad]
+    /// Half of the backlash of each robot gear [urad]
     #[arg(long, help_heading = "Simulation", value_name = "URAD", default_value_t = LABORATORY.backlash_urad)]
     backlash_urad: f64,
-    /// Eccentricity of each bar encoder, amplitude [urad]
+    /// Eccentricity of each bar encoder: error with one period per turn, amplitude [urad]
     #[arg(long, help_heading = "Simulation", value_name = "URAD", default_value_t = LABORATORY.encoder_eccentricity_urad)]
     encoder_eccentricity_urad: f64,
-    /// The same twice per turn, amplitude [urad]
+    /// Ellipticity of each bar encoder: error with two periods per turn, amplitude [urad]
     #[arg(long, help_heading = "Simulation", value_name = "URAD", default_value_t = LABORATORY.encoder_ellipticity_urad)]
     encoder_ellipticity_urad: f64,
-    /// Smallest difference of two angles that a bar encoder shows, on top of its counts [urad]
+    /// Resolution of each bar encoder, if coarser than its counts [urad]
     #[arg(long, help_heading = "Simulation", value_name = "URAD", default_value_t = LABORATORY.encoder_step_urad)]
     encoder_step_urad: f64,
     /// Tilt of the bar's base against the robot's [urad]
     #[arg(long, help_heading = "Simulation", value_name = "URAD", default_value_t = LABORATORY.base_tilt_urad)]
     base_tilt_urad: f64,
-    /// Largest force along the bar, which the robot's log then has as `force_N` [N]
+    /// Largest force along the bar [N]; above 0 the robot's log has a column `force_N`
     #[arg(long, help_heading = "Simulation", value_name = "N", default_value_t = 0.0)]
     force_n: f64,
     /// Elongation of the bar for each newton of tension [um/N]
@@ -245,14 +246,14 @@ impl BarArguments {
     }
 }
 
-/// `N` numbers between commas.
+/// Parses `N` numbers that are separated by commas.
 pub(super) fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
     let numbers: Vec<f64> = text
         .split(',')
         .map(|number| number.trim().parse().map_err(|_| format!("`{number}` is not a number")))
         .collect::<Result<_, String>>()?;
     let count = numbers.len();
-    numbers.try_into().map_err(|_| format!("{count} numbers are given, {N} belong here"))
+    numbers.try_into().map_err(|_| format!("{count} numbers are given, {N} are needed"))
 }
 
 /// Largest difference of the rates of two clocks [ppm].
@@ -261,7 +262,7 @@ const SKEW_PPM_MAX: f64 = 1e4;
 const CLOCK_S_MAX: f64 = 9e9;
 
 fn ensure_within(option: &str, value: f64, limit: f64) -> anyhow::Result<()> {
-    // A range that contains the value: NaN fails too.
+    // `contains` also refuses NaN.
     anyhow::ensure!(
         (-limit..=limit).contains(&value),
         "--{option} is {value}; give a number from {} to {limit}",
