@@ -1,9 +1,9 @@
 //! Writes a recording so that a kill loses at most what came since the last [`RecordingWriter::cut`], and a power cut what came
 //! since the last [`RecordingWriter::sync`].
 //!
-//! Each chunk is built in memory and appended in one go with a right header (`disable_seeking`): a file that
-//! was cut ends at a chunk's border or in a torn chunk, never in a record of bogus length. Bytes that a sink refuses stay
-//! in memory, so that the recording continues without a hole once the sink is repaired or replaced.
+//! Each chunk is built in memory and appended as a whole, with its final header (`disable_seeking`): a file that ends early
+//! ends after a chunk or within one, and never has a header with a wrong length. Bytes that a sink refuses stay in memory.
+//! Once the sink is repaired or replaced, the recording continues without a gap.
 
 use std::collections::BTreeMap;
 use std::io::{self, Write};
@@ -19,7 +19,7 @@ use super::digest::{Digest, Flagged};
 use super::disk::{Disk, SystemDisk};
 use super::messages::{self, MessageError, Topic};
 use super::run_file::RunFile;
-use super::schema::{CycleRecord, Event, PortCounts, RunEnd, RunMetadata};
+use super::schema::{CycleRecord, Event, PortCounts, RunEnd, RunMetadata, flags};
 use super::shown::Shown;
 use super::timing::TimingSummary;
 use crate::time::UtcNs;
@@ -34,10 +34,10 @@ pub enum WriteError {
          neither `.` nor `-` first, and no ending such as .mcap"
     )]
     Name(String),
-    /// A file of that name is there already.
+    /// A file of that name exists.
     #[error("{} exists already and is never overwritten; choose another run name or directory", .0.display())]
     Exists(PathBuf),
-    /// A call of the system failed.
+    /// A system call failed.
     #[error("cannot write {}: {source}; check free space and permissions", path.display())]
     Io {
         /// The file or directory.
@@ -45,10 +45,10 @@ pub enum WriteError {
         /// Error of the operating system.
         source: io::Error,
     },
-    /// The run's file was removed, replaced or moved away, or its file system is there no more.
+    /// The run's file was removed, replaced or moved, or its file system is gone.
     #[error("{}: the run's file is not there any more; it was removed or moved, or its disk is gone", .0.display())]
     Lost(PathBuf),
-    /// The sink refused bytes. They are kept, and go out first once it takes them.
+    /// The sink refused bytes. They are kept and written before all later ones.
     #[error("cannot write the recording: {0}; check free space and permissions")]
     Sink(#[from] io::Error),
     /// The MCAP layer refused a record.
@@ -62,17 +62,17 @@ pub enum WriteError {
     Metadata(#[from] serde_json::Error),
 }
 
-/// Given each message as it is written: topic, log time \[ns since 1970\], CDR bytes. The recording waits for it.
+/// Called with each message that is written: topic, log time \[ns since 1970\], CDR bytes. The recording waits until it returns.
 pub type Tap = Box<dyn FnMut(&'static Topic, u64, &[u8]) + Send>;
 
-/// A topic in this file.
+/// A topic and its channel in this file.
 #[derive(Clone, Copy)]
 struct Channel {
     id: u16,
     topic: &'static Topic,
 }
 
-/// What is built and not yet written out.
+/// Bytes that are built and not yet written out.
 #[derive(Clone, Default)]
 struct Spool(Arc<Mutex<Vec<u8>>>);
 
@@ -115,8 +115,8 @@ pub struct RecordingWriter<W: Write> {
     events: u32,
     /// Latest time of a message.
     time_last: UtcNs,
-    /// The run's metadata until they are in the file a second time.
-    run_again: Option<Metadata>,
+    /// The run's metadata, until their second copy is in the file.
+    run_copy: Option<Metadata>,
     tap: Option<Tap>,
 }
 
@@ -126,7 +126,7 @@ impl RecordingWriter<RunFile> {
         Self::create_on(Arc::new(SystemDisk), directory, run)
     }
 
-    /// [`create`](Self::create) on another disk. Leaves no file where it fails.
+    /// [`create`](Self::create) on another disk. Leaves no file if it fails.
     pub fn create_on(disk: Arc<dyn Disk>, directory: &Path, run: &RunMetadata) -> Result<Self, WriteError> {
         let file = RunFile::create(disk, directory, &run.name)?;
         let place = file.place().clone();
@@ -171,15 +171,15 @@ impl<W: Write> RecordingWriter<W> {
             cycles_lost: 0,
             events: 0,
             time_last: run.started,
-            run_again: Some(run_metadata),
+            run_copy: Some(run_metadata),
             tap: None,
         };
-        // Schemas and channels sit in the first chunk: without it nothing after it can be decoded.
+        // Without the first chunk, which has the schemas and channels, nothing after it can be decoded.
         recording.sync()?;
         Ok(recording)
     }
 
-    /// Appends one bus cycle, and what other programs show of it.
+    /// Appends one bus cycle, with the joint states and diagnostics that other programs show.
     pub fn write_cycle(&mut self, record: &CycleRecord) -> Result<(), WriteError> {
         let sequence = record.cycle as u32;
         let data = messages::encode_cycle(record)?;
@@ -192,21 +192,21 @@ impl<W: Write> RecordingWriter<W> {
         self.digest.take_cycle(record);
         self.cycles += 1;
         self.cycles_valid += u64::from(record.is_valid());
-        self.cycles_lost += u64::from(record.flags & super::schema::flags::LOST != 0);
+        self.cycles_lost += u64::from(record.flags & flags::LOST != 0);
         self.write_out()
     }
 
-    /// Passes each message to a tap as well, from now on.
+    /// Passes each later message to a tap as well.
     pub fn set_tap(&mut self, tap: Tap) {
         self.tap = Some(tap);
     }
 
-    /// Sets the counts of a port for the diagnostics from the next cycle on.
+    /// Sets the error counts of a port for the diagnostics of later cycles.
     pub fn set_port_counts(&mut self, counts: PortCounts) {
         self.shown.set_port_counts(counts);
     }
 
-    /// Appends an event, which is a line of the log, too.
+    /// Appends an event, also as a line of the log.
     pub fn write_event(&mut self, event: &Event) -> Result<(), WriteError> {
         let data = messages::encode_event(event)?;
         self.digest.take_event(event, self.started);
@@ -216,13 +216,13 @@ impl<W: Write> RecordingWriter<W> {
         self.write_out()
     }
 
-    /// Writes the timing of the loop so far, which replaces the one before. Cuts the chunk.
+    /// Writes the timing of the loop so far; readers use the last one in the file. Cuts the chunk.
     pub fn write_timing(&mut self, timing: &TimingSummary) -> Result<(), WriteError> {
         self.writer.write_metadata(&metadata_of(TIMING_METADATA, timing)?)?;
         self.write_out()
     }
 
-    /// Cuts the chunk and hands it to the sink: with a [`RunFile`] everything so far survives a kill of the process.
+    /// Cuts the chunk and passes it to the sink: with a [`RunFile`] everything so far survives a kill of the process.
     pub fn cut(&mut self) -> Result<(), WriteError> {
         if self.cycles > 0 {
             self.repeat_run()?;
@@ -261,9 +261,10 @@ impl<W: Write> RecordingWriter<W> {
         &mut self.sink
     }
 
-    /// Writes the run's metadata again behind the first cycles: damage in one place leaves one of the two, or nothing to keep.
+    /// Writes the second copy of the run's metadata, once, after the first cycles. Damage in one place of the file leaves a copy,
+    /// or it leaves no cycles.
     fn repeat_run(&mut self) -> Result<(), WriteError> {
-        Ok(self.run_again.take().map_or(Ok(()), |run| self.writer.write_metadata(&run))?)
+        Ok(self.run_copy.take().map_or(Ok(()), |run| self.writer.write_metadata(&run))?)
     }
 
     /// Cycles written so far.
@@ -281,19 +282,19 @@ impl<W: Write> RecordingWriter<W> {
         self.digest.flagged()
     }
 
-    /// Ends the run on any sink: how it ended, summary, footer.
+    /// Ends the run on any sink: writes the record of its end, the summary and the footer.
     pub fn end(mut self, cause: &str, ended: UtcNs) -> Result<W, WriteError> {
         self.close(cause, ended)?;
         Ok(self.sink)
     }
 
-    /// [`end`](Self::end) for a sink that may have to be repaired before it takes all; nothing can be added any more.
+    /// [`end`](Self::end) for a sink that may refuse bytes until it is repaired. Nothing can be added afterwards.
     pub fn close(&mut self, cause: &str, ended: UtcNs) -> Result<(), WriteError> {
         let end = self.end_record(cause, ended);
         self.close_with(&end)
     }
 
-    /// How the run ends if it ends now.
+    /// The record of the run's end, if it ends now.
     pub(super) fn end_record(&self, cause: &str, ended: UtcNs) -> RunEnd {
         RunEnd {
             cause: cause.to_owned(),
@@ -327,7 +328,7 @@ impl<W: Write> RecordingWriter<W> {
         time: UtcNs,
         data: &[u8],
     ) -> Result<(), WriteError> {
-        // Readers sort by log time: it never runs backwards, whatever an estimate does.
+        // Readers sort by log time, so it must not decrease, even if the estimated time does.
         self.time_last = self.time_last.max(time);
         let log_time = self.time_last.0.max(0) as u64;
         if let Some(tap) = &mut self.tap {
@@ -338,7 +339,7 @@ impl<W: Write> RecordingWriter<W> {
     }
 }
 
-/// The configuration that was in use as files, which any reader of MCAP can take out again.
+/// Attaches the configuration that was in use as files, which any reader of MCAP can extract.
 fn attach_configuration(writer: &mut Writer<NoSeek<Spool>>, run: &RunMetadata) -> Result<(), WriteError> {
     let time = run.started.0.max(0) as u64;
     for (name, text) in [("daemon.toml", &run.daemon_config), ("ball_bar.toml", &run.ball_bar_config)] {
