@@ -1,4 +1,4 @@
-//! Report of a smoke test, to be sent back.
+//! Report of a smoke test: the file that its user sends to the developers, and its figures as text.
 
 use std::fmt;
 
@@ -16,13 +16,13 @@ use super::host::Host;
 pub struct Report {
     /// Name and version of the program.
     pub software: String,
-    /// Begin of the test, UTC.
+    /// Start of the test, UTC.
     pub started: String,
     /// Network interface, or `simulated`.
     pub bus: String,
-    /// Machine on which it ran.
+    /// Machine on which the test ran.
     pub host: Host,
-    /// Checks to be done.
+    /// Configuration of the checks.
     pub smoke: SmokeConfig,
     /// Configuration of the cycles except for the rate.
     pub daemon: DaemonConfig,
@@ -41,16 +41,16 @@ pub struct Report {
 impl Report {
     /// Whether every enabled check passed.
     pub fn is_good(&self) -> bool {
-        self.bad() == 0
+        self.bad_checks() == 0
     }
 
     /// Number of checks that failed or could not be done.
-    pub fn bad(&self) -> usize {
+    pub fn bad_checks(&self) -> usize {
         self.checks.iter().filter(|check| !check.is_good()).count()
     }
 }
 
-/// The figures behind the checks, which are printed one by one.
+/// Machine, devices and figures. The checks are not included: each is printed when it ends.
 impl fmt::Display for Report {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Host { kernel, kernel_version, processor, interface, .. } = &self.host;
