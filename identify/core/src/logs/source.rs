@@ -1,4 +1,4 @@
-//! The bytes of a file, or bytes in memory, whose format is recognised by the first ones.
+//! The bytes of a log, in a file or in memory. Its first bytes are read separately, to recognise the format.
 
 use std::borrow::Cow;
 use std::fs::File;
@@ -14,7 +14,9 @@ const BEGINNING_BYTES: u64 = 1 << 16;
 pub(in crate::logs) struct Source<'a> {
     /// Named in errors; its ending may determine the format.
     pub path: &'a Path,
+    /// The first [`BEGINNING_BYTES`] of a file, or all bytes in memory.
     beginning: Cow<'a, [u8]>,
+    /// The file after `beginning`.
     rest: Option<File>,
 }
 
@@ -42,7 +44,7 @@ impl<'a> Source<'a> {
         &self.beginning[..count]
     }
 
-    /// All bytes at once.
+    /// Reads all bytes at once.
     pub fn whole(self) -> Result<Cow<'a, [u8]>, LogError> {
         let Self { path, mut beginning, rest } = self;
         if let Some(mut rest) = rest {
@@ -52,7 +54,7 @@ impl<'a> Source<'a> {
         Ok(beginning)
     }
 
-    /// All bytes, one after the other.
+    /// Reads all bytes as a stream.
     pub fn reader(self) -> Box<dyn Read + 'a> {
         let beginning = Cursor::new(self.beginning);
         match self.rest {

@@ -1,6 +1,6 @@
-//! `report.html`: one file without scripts or links to anything else, that a browser shows and a printer prints. [`Page`]
-//! puts its sections in order; each submodule renders some of them from the result and its evidence. The pages of a refusal,
-//! of plans and of a study are here, too.
+//! `report.html`: one file for browsers and printers, without scripts and links to other files. [`Page`] orders its sections;
+//! each submodule renders some of them from the result and its evidence. The pages of a refusal, of plans and of a study are
+//! here, too.
 
 mod certificate;
 pub(super) mod drawing;
@@ -37,7 +37,7 @@ pub use study::StudyPage;
 /// Content of the page.
 #[derive(Debug)]
 pub struct Page<'a> {
-    /// Results as they are written.
+    /// Content of `calibration.toml`.
     pub file: &'a CalibrationFile,
     /// The solve and the preparation.
     pub calibration: &'a Calibration,
@@ -61,7 +61,7 @@ pub enum PageError {
     /// A figure cannot be drawn.
     #[error(transparent)]
     Plot(#[from] PlotError),
-    /// It cannot be written.
+    /// The file cannot be written.
     #[error(transparent)]
     File(#[from] FileError),
 }
@@ -84,7 +84,7 @@ impl Page<'_> {
         let title = format!("Calibration of {}", self.file.robot);
         let has_bars = !self.evidence.runs.is_empty();
         let names_of_rows = self.rows.iter().cloned();
-        // Headings for the tables of parameters that belong to one data set: that of the first, and those of the others.
+        // Each data set has a table of its own parameters, with one of these headings.
         let (first_heading, other_headings): (_, Vec<String>) = match self.rows.first() {
             Some(first) if !has_bars => (first.as_str(), names_of_rows.skip(1).collect()),
             _ => {
@@ -126,12 +126,12 @@ pub(super) fn is_page(text: &str) -> bool {
     text.contains("<div class=\"verdict")
 }
 
-/// A page whose content security policy forbids to load or to run anything, whatever a name in a log may contain.
+/// A page whose content security policy forbids loading and running anything, in case a name in a log contains markup.
 pub(super) fn document(title: &str, body: &Markup) -> Markup {
     document_with(title, &[], body)
 }
 
-/// [`document`] with scripts at the end of its body, which the policy allows by their hashes.
+/// [`document`] with scripts at the end of its body. The policy allows them by their hashes.
 fn document_with(title: &str, scripts: &[&str], body: &Markup) -> Markup {
     let hash = |script: &&str| format!(" 'sha256-{}'", STANDARD.encode(Sha256::digest(script)));
     let hashes: String = scripts.iter().map(hash).collect();
