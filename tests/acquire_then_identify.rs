@@ -172,7 +172,7 @@ fn a_run_exported_as_a_table_of_counters_calibrates_as_the_recording_does() {
     write_csv(&SystemDisk, &files.recording, Layout::default(), sink).unwrap();
 
     let bar_log = BarLog::load(&table, &bar, None).unwrap();
-    let BarLog::Other(other) = &bar_log else { panic!("a table is no recording") };
+    let BarLog::Other(other) = &bar_log else { panic!("the table was read as a recording") };
     assert!(other.simulated);
     assert_eq!(other.unknown, ["how certain its times are", "the times of a second clock"]);
     let log = logs::load(&files.robot_log, &robot).unwrap();
