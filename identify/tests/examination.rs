@@ -46,7 +46,10 @@ fn offsets_along_parallel_axes_are_named_and_do_not_end_the_examination() {
     let text = examinations(&found);
     assert_eq!(text.matches("dependent: rd2|rd3|rd4 (fix 2)").count(), COSTS.len(), "{text}");
     for one in found {
-        assert!(one.surplus.iter().any(|id| ["rd2", "rd4"].contains(&id.to_string().as_str())), "{text}");
+        assert!(
+            one.further_fixed.iter().any(|id| ["rd2", "rd4"].contains(&id.to_string().as_str())),
+            "{text}"
+        );
         assert!(one.observability.o1 > 0.0, "{text}");
     }
 }

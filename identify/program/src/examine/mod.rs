@@ -10,7 +10,7 @@ pub use poses::{PoseError, Poses};
 
 use shared::config::{BallBarConfig, RobotConfig};
 
-use crate::calibrate::selection::structure::{is_geometry, surplus};
+use crate::calibrate::selection::structure::{is_geometry, redundant};
 use crate::cost::{
     AngleNoise, CostError, Length, LoopProblem, Position, PositionAngles, Residual, Transform, WhitenedPose,
 };
@@ -51,8 +51,8 @@ pub struct Examination {
     pub all: Identifiability,
     /// With these and the two rotations of the base free.
     pub tilted: Identifiability,
-    /// Parameters that must be fixed in addition to those of the thesis, because they depend on others on this robot.
-    pub surplus: Vec<ParameterId>,
+    /// Parameters that must be fixed in addition to those of the thesis: on this robot they depend on others or have no effect.
+    pub further_fixed: Vec<ParameterId>,
     /// Effect on the free parameters of an error in a fixed one, of the thesis or of those above.
     pub influence: Influence,
     /// Of the thesis' free parameters, in mm and mrad.
@@ -114,12 +114,12 @@ fn examine_with<R: Residual + Clone>(
     let independent = loop {
         let free: Vec<ParameterId> = model.columns().map(|parameter| parameter.id).collect();
         let identifiability = identify(&model)?;
-        let dependent = surplus(&identifiability, &free, model.axes());
-        if dependent.is_empty() {
+        let to_fix = redundant(&identifiability, &free, model.axes());
+        if to_fix.is_empty() {
             break identifiability;
         }
-        model.set_roles(dependent.iter().copied(), Role::Fixed)?;
-        further_fixed.extend(dependent);
+        model.set_roles(to_fix.iter().copied(), Role::Fixed)?;
+        further_fixed.extend(to_fix);
     };
     let units: Vec<f64> = model.columns().map(|p| p.id.unit().display_factor().recip()).collect();
     let observability = independent.observability(&units);
@@ -130,5 +130,5 @@ fn examine_with<R: Residual + Clone>(
     let columns: Vec<usize> = fixed.iter().filter_map(|id| model.column_of(*id)).collect();
     let problem = LoopProblem::new(&model, &poses.joints, &poses.observations, residual, 1.0)?;
     let influence = influence(&problem, &model.start(), &columns, &options)?;
-    Ok(Examination { cost, all, tilted, surplus: further_fixed, influence, observability })
+    Ok(Examination { cost, all, tilted, further_fixed, influence, observability })
 }

@@ -23,11 +23,11 @@ pub fn examinations(examinations: &[Examination]) -> String {
             one.tilted.names.len(),
             gap(&one.tilted),
         );
-        if !one.surplus.is_empty() {
-            let names: Vec<String> = one.surplus.iter().map(ToString::to_string).collect();
+        if !one.further_fixed.is_empty() {
+            let names: Vec<String> = one.further_fixed.iter().map(ToString::to_string).collect();
             let _ = writeln!(
                 text,
-                "  fixed beside the thesis' nine, since they depend on others: {}",
+                "  fixed besides those of the thesis (dependent or without effect): {}",
                 names.join(" ")
             );
         }

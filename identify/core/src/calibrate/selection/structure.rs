@@ -94,17 +94,17 @@ fn reduce<R: Residual + Copy>(
         let free: Vec<ParameterId> = model.columns().map(|parameter| parameter.id).collect();
         let problem = LoopProblem::new(&model, joints, poses, residual, 1.0)?;
         let rank = identifiability(&problem, &model.start(), &Options::default())?;
-        let redundant = surplus(&rank, &free, model.axes());
-        if redundant.is_empty() {
+        let to_fix = redundant(&rank, &free, model.axes());
+        if to_fix.is_empty() {
             return Ok(free);
         }
-        model.set_roles(redundant, Role::Fixed)?;
+        model.set_roles(to_fix, Role::Fixed)?;
     }
 }
 
 /// The parameters to fix: those without effect, and the most suitable one of each dependent group of the `free` ones of a robot
 /// with `axes` axes.
-pub fn surplus(found: &Identifiability, free: &[ParameterId], axes: usize) -> Vec<ParameterId> {
+pub fn redundant(found: &Identifiability, free: &[ParameterId], axes: usize) -> Vec<ParameterId> {
     let ids_of = |columns: &[usize]| -> Vec<ParameterId> {
         columns.iter().filter_map(|column| free.get(*column).copied()).collect()
     };
