@@ -163,7 +163,7 @@ fn lengths_in_another_unit_are_refused_with_the_unit_and_short_strokes_are_not()
     // Metres, centimetres and inches read as millimetres; millimetres read as centimetres.
     for (factor, why) in [(1e-3, "1000"), (0.1, "10"), (1.0 / 25.4, "25.4"), (10.0, "0.1")] {
         let refused = Alone::default().lengths(&read_as(factor), &irb120()).err().unwrap().to_string();
-        let why = format!("the lengths are {why} times as long as read");
+        let why = format!("the true lengths are {why} times the lengths as read");
         assert!(refused.contains(&why), "{factor}: {refused}");
     }
     // A telescoping bar whose travel is smaller than the error of the nominal robot.

@@ -133,8 +133,8 @@ pub fn table(
     }
     for validation in validations {
         let ValidationEntry { name, nominal, calibrated, .. } = &validation.entry;
-        let beside = validation.unsupported() + &validation.left_out();
-        let _ = writeln!(text, "{name}, {} fitted to other rows of it{beside}", instrument.parts());
+        let remarks = validation.unsupported() + &validation.left_out();
+        let _ = writeln!(text, "{name} ({} fitted to other rows of this file){remarks}", instrument.parts());
         append_errors(&mut text, "  nominal robot", nominal);
         append_errors(&mut text, "  calibrated robot", calibrated);
     }

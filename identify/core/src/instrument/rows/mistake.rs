@@ -49,7 +49,7 @@ impl fmt::Display for Mistake {
             Self::Moved(row) => write!(f, "tracker, target or robot were moved near row {}", row + 1),
             Self::LengthUnit(thousandths) => write!(
                 f,
-                "the lengths are {} times as long as read, in another unit than `unit` of the mapping",
+                "the true lengths are {} times the lengths as read, since `unit` in the mapping is wrong",
                 f64::from(*thousandths) / 1e3
             ),
             Self::ModifiedTable => write!(

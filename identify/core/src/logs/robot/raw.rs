@@ -250,7 +250,7 @@ impl RawLog {
         };
         if values.is_none() {
             self.remarks.push(format!(
-                "the force on the bar is not used: some {}s have none where the mapping says, or one of more than 1e7 Nm; \
+                "the force on the bar is not used: in some {}s its value is missing or above 1e7 Nm; \
                  correct the mapping, or give the force in a table of its own with --force-log",
                 self.what
             ));

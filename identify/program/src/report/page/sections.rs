@@ -159,8 +159,8 @@ pub(super) fn budget(file: &CalibrationFile) -> Markup {
             }
         }
         p.note {
-            "Of the position by the calibrated robot, root mean square over the workspace (GUM, JCGM 100). A: from the scatter "
-            "of samples; B: from what is stated."
+            "Standard uncertainty u of positions of the calibrated robot, root mean square over the workspace (GUM, JCGM 100). "
+            "Type A: from the scatter of samples; type B: from stated uncertainties."
             @if let Some(freedom) = budget.freedom {
                 " Effective degrees of freedom: " (format!("{freedom:.0}")) "."
             }

@@ -140,8 +140,8 @@ impl RefusedPage<'_> {
                 }
                 figcaption {
                     "Measured minus predicted angle of each encoder, for the geometry that fits best, with less weight near singular "
-                    "poses of the bar. Waves are errors of the geometry, a step of one encoder alone is a slip, steps of several in "
-                    "proportion to their speeds are a step of a clock"
+                    "poses of the bar. Waves show errors of the geometry. A step of one encoder alone shows a slip. Steps of several "
+                    "encoders, in proportion to their speeds, show a step of a clock"
                     @if !deviations.local_shifts.is_empty() {
                         "; the last figure is the time shift of the logs in each 5 s, relative to the whole run"
                     }
@@ -151,7 +151,7 @@ impl RefusedPage<'_> {
         })
     }
 
-    /// What the red line is, where there is one.
+    /// Meaning of the red line, if there is one.
     fn legend(&self) -> &'static str {
         if self.refusal.place.bar_s.is_some() { " Red: time of the problem." } else { "" }
     }
