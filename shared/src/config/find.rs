@@ -32,7 +32,8 @@ pub enum Kind {
     TouchMapping,
 }
 
-/// Each kind in the order of [`Kind`]: what messages call it, the option that takes it, and keys that no other kind has together.
+/// Each kind in the order of [`Kind`]: its name in messages, the option that takes it, and keys that together identify it: no other
+/// kind has all of them.
 const KINDS: [(Kind, &str, &str, &[&str]); 8] = [
     (Kind::Robot, "robot", "--robot", &["links", "log"]),
     (Kind::BallBar, "ball-bar", "--bar", &["links", "encoders"]),

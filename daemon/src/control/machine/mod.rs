@@ -92,7 +92,7 @@ pub enum Action {
         /// Cause of its end.
         cause: String,
     },
-    /// A run got no file.
+    /// A run could not begin.
     NotBegun {
         /// Name of the run.
         run: String,
@@ -103,7 +103,7 @@ pub enum Action {
     Recover,
     /// Reply to the client.
     Answer(Answer),
-    /// End the service: no run and no homing is active any more.
+    /// End the service, since no run and no homing is active any more.
     Exit,
 }
 

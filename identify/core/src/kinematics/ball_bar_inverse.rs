@@ -157,10 +157,10 @@ fn inverse_in_first(
     Ok((configuration, [b1, b2, b3, b4, b5]))
 }
 
-/// Joint angles \[rad\] that bring the end of `chain`, with whatever errors it has, closest to `target`; in the
-/// configuration and the turn nearest to `near`.
+/// Joint angles \[rad\] that bring the end of `chain` closest to `target`, in the configuration and the turns nearest to `near`.
+/// The chain may have geometric errors.
 ///
-/// Least squares over position \[m\] and rotation vector \[rad\]; the pose is met exactly only where the bar can.
+/// Least squares over position \[m\] and rotation vector \[rad\]: `target` is reached exactly only if the bar can reach it.
 ///
 /// # Errors
 /// [`InverseError::NotConverged`] at a singular pose; as [`ball_bar_inverse`] for another structure.

@@ -102,7 +102,7 @@ impl Solver<'_> {
         self.detect_line_spectrum(weights)?;
         spectrum.ids.clone_from(&self.waves.in_all);
         if !spectrum.ids.is_empty() {
-            // Waves detected in only a part of the samples are used for the prediction of single folds only.
+            // Waves that are detected in only a part of the samples are used only to predict single folds.
             self.set_roles(
                 &self.waves.only_without_a_fold(),
                 Role::Prior { value: 0.0, sigma: spectrum.sigma },
@@ -111,7 +111,7 @@ impl Solver<'_> {
         Ok(())
     }
 
-    /// Tries the terms of single axes of rejected groups. Returns the accepted ones.
+    /// Tries the terms of each rejected group axis by axis. Returns the accepted terms.
     fn choose_axes(
         &mut self,
         rejected: &[&CandidateGroup],
@@ -128,9 +128,9 @@ impl Solver<'_> {
 
     /// Includes rejected terms in the uncertainty of solves with other instruments than ball-bars.
     ///
-    /// Other terms than waves of high order resemble link errors. Their assumed size is the smallest usual one, since left-out
-    /// groups did not require more. Encoders of a bar separate terms from links: the stated uncertainty of ball-bar runs is
-    /// correct without them (95 % of 185 simulated runs).
+    /// Rejected terms except waves of high order resemble link errors. They are assumed to have the smallest usual size, since
+    /// left-out groups did not require more. Encoders of a bar separate terms from links: the stated uncertainty of ball-bar runs
+    /// is correct without rejected terms (for 95 % of 185 simulated runs).
     fn consider_rejected(
         &mut self,
         rejected: &[&CandidateGroup],

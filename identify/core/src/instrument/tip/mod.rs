@@ -126,7 +126,7 @@ impl<A: Artefact> Tip<A> {
         A::deviation(geometry, part, tip_m, row.reading_m)
     }
 
-    /// Residual of every row to its own part, in use or not \[m\].
+    /// Residuals of all rows, used or not, each to the part that the row touches \[m\].
     fn residuals_m(&self, model: &Model) -> Vec<f64> {
         self.deviations(&model.geometry(&[])).iter().map(Deviation::signed_m).collect()
     }

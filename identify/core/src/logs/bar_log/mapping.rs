@@ -16,7 +16,7 @@ const WRAPS_AT: u64 = 1 << 32;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum EncoderUnit {
-    /// Raw counts; the bar's configuration has their number in a turn and their direction.
+    /// Raw counts; the bar's configuration has the counts per turn and the direction.
     Counts,
     /// Angles in radians, any number of turns.
     Rad,

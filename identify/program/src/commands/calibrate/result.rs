@@ -13,9 +13,9 @@ use crate::report::result::file::{CalibrationFile, replace};
 use crate::report::summary::wrapped;
 use crate::report::verdict::Grade;
 
-/// Writes what the verdict allows and returns the paths: nothing where held-out data are predicted worse than by the nominal
-/// robot, and nothing that could be applied where they are predicted no better. An earlier calibration is set aside where one
-/// of its files would stay beside the new ones.
+/// Writes what the verdict allows and returns the paths: nothing if the calibrated robot predicts held-out data worse than the
+/// nominal one, and nothing that could be applied if it predicts them no better. An earlier calibration is set aside if one of
+/// its files would stay beside the new ones.
 pub(super) fn write_files(
     file: &CalibrationFile,
     residuals: &str,
