@@ -40,7 +40,7 @@ pub enum ReadErrorKind {
         "damaged: a chunk without a checksum; if a run was cut short, run `ballbard recover` on the file"
     )]
     NoChecksum,
-    /// A record is where it cannot be.
+    /// A record is at a place where it is not allowed.
     #[error("damaged: {0}; if a run was cut short, run `ballbard recover` on the file")]
     Misplaced(String),
     /// A message is broken though its chunk's checksum is right.
@@ -55,7 +55,7 @@ pub enum ReadErrorKind {
         /// What is wrong with it.
         source: MessageError,
     },
-    /// It is an MCAP file, but not one of ours, or the metadata record is broken.
+    /// An MCAP file of another program, or the metadata record is broken.
     #[error("no valid `{name}` record ({problem}); give a recording of `ballbard`")]
     Metadata {
         /// Name of the record.
@@ -66,26 +66,34 @@ pub enum ReadErrorKind {
     /// The run has no end record.
     #[error("the run was never finished (its end is missing); run `ballbard recover` on the file")]
     Unfinished,
-    /// Cycle numbers have a hole, or their count differs from that of the end record.
-    #[error("cycle {expected} is missing, the file continues at {found}; run `ballbard recover` on the file")]
+    /// The cycle numbers are not consecutive.
+    #[error("cycle {expected} is missing, cycle {found} follows instead; run `ballbard recover` on the file")]
     Hole {
-        /// Cycle number that should come.
+        /// Number of the next cycle.
         expected: u64,
-        /// Cycle number that comes, or the count that the end record gives.
+        /// Number that the file has instead.
         found: u64,
+    },
+    /// The end record counts another number of cycles.
+    #[error("{read} cycles, but the run's end counts {counted}; run `ballbard recover` on the file")]
+    CycleCount {
+        /// Number of cycles in the file.
+        read: u64,
+        /// Number in the end record.
+        counted: u64,
     },
 }
 
 /// A whole, finished recording.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Recording {
-    /// Who, what, with which settings.
+    /// Names and settings of the run.
     pub run: RunMetadata,
     /// Every bus cycle, numbered without a hole.
     pub cycles: Vec<CycleRecord>,
     /// Events of the run, in order.
     pub events: Vec<Event>,
-    /// Timing of the loop; `None` on virtual time. If the run was cut short it covers the number of `cycles` in it.
+    /// Timing of the loop; `None` on virtual time. If the run was cut short, it may cover fewer cycles: see [`TimingSummary::cycles`].
     pub timing: Option<TimingSummary>,
     /// How the run ended.
     pub end: RunEnd,
@@ -95,7 +103,7 @@ impl Recording {
     /// Whether the first bytes of a file are those of a recording, be it damaged, cut short or still growing. Other MCAP
     /// files, such as bags of ROS 2, are not.
     pub fn is_begun_by(beginning: &[u8]) -> bool {
-        // The name of the library, and the run's metadata right behind it: one of them survives what breaks the other.
+        // The library's name is followed by the run's metadata: one of them is found even if the other is damaged.
         let has = |name: &[u8]| beginning.windows(name.len()).any(|window| window == name);
         beginning.starts_with(mcap::MAGIC) && (has(LIBRARY_NAME.as_bytes()) || has(RUN_METADATA.as_bytes()))
     }
@@ -124,7 +132,7 @@ impl Recording {
     }
 }
 
-/// A whole, finished recording without its cycles, which a reader takes one by one: memory does not grow with the run.
+/// A whole, finished recording without its cycles. They were passed on one by one, so that memory does not grow with the run.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Outline {
     /// As in [`Recording`].
@@ -153,11 +161,17 @@ impl Outline {
     }
 }
 
+/// The end record must count as many cycles as were read.
+pub(super) fn check_count(end: &RunEnd, read: u64) -> Result<(), ReadErrorKind> {
+    let counted = end.cycles;
+    if counted == read { Ok(()) } else { Err(ReadErrorKind::CycleCount { read, counted }) }
+}
+
 /// The run's metadata are in a file twice, and must be equal.
 pub(super) fn take_run(known: &mut Option<RunMetadata>, run: RunMetadata) -> Result<(), ReadErrorKind> {
     match known {
         Some(known) if *known != run => {
-            Err(ReadErrorKind::Misplaced("metadata of a second run in it".into()))
+            Err(ReadErrorKind::Misplaced("it contains the metadata of a second run".into()))
         }
         Some(_) => Ok(()),
         None => {
@@ -178,7 +192,7 @@ struct Content {
 }
 
 impl Content {
-    /// Keeps all but a cycle, which is given back if it is the next one.
+    /// Stores an item; a cycle is only counted and returned, if it is the next one.
     fn take(&mut self, item: Item) -> Result<Option<CycleRecord>, ReadErrorKind> {
         match item {
             Item::Run(run) => take_run(&mut self.run, *run)?,
@@ -200,9 +214,23 @@ impl Content {
         let missing = |name| ReadErrorKind::Metadata { name, problem: "missing".into() };
         let run = self.run.ok_or_else(|| missing(RUN_METADATA))?;
         let end = self.end.ok_or(ReadErrorKind::Unfinished)?;
-        if end.cycles != self.cycles {
-            return Err(ReadErrorKind::Hole { expected: self.cycles, found: end.cycles });
-        }
+        check_count(&end, self.cycles)?;
         Ok(Outline { run, events: self.events, timing: self.timing, end })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_end_record_with_another_number_of_cycles_is_refused_with_both_numbers() {
+        let end = serde_json::json!({
+            "cause": "stopped", "ended": 0, "cycles": 50, "cycles_valid": 50, "cycles_lost": 0
+        });
+        let end: RunEnd = serde_json::from_value(end).unwrap();
+        assert!(check_count(&end, 50).is_ok());
+        let refused = check_count(&end, 100).unwrap_err().to_string();
+        assert!(refused.starts_with("100 cycles, but the run's end counts 50;"), "{refused}");
     }
 }

@@ -14,7 +14,7 @@ use mcap::records::Record;
 
 use super::content::{Decoder, Item, RUN_METADATA, run_of};
 use super::messages::{self, CycleLayout, MessageError};
-use super::reader::{ReadErrorKind, take_run};
+use super::reader::{ReadErrorKind, check_count, take_run};
 use super::records::for_each_record;
 use super::schema::{CycleRecord, Event, EventKind, RunEnd, RunMetadata, flags};
 use super::timing::TimingSummary;
@@ -175,12 +175,8 @@ pub(super) fn check(source: impl Read) -> Result<Salvaged, ReadErrorKind> {
     for_each_record(source, &mut |record| {
         decoder.decode(record)?.map_or(Ok(()), |item| seen.take(item).map(drop))
     })?;
-    let cycles = seen.cycles;
-    match &seen.end {
-        Some(end) if end.cycles == cycles => seen.finish(None),
-        Some(end) => Err(ReadErrorKind::Hole { expected: cycles, found: end.cycles }),
-        None => Err(ReadErrorKind::Unfinished),
-    }
+    check_count(seen.end.as_ref().ok_or(ReadErrorKind::Unfinished)?, seen.cycles)?;
+    seen.finish(None)
 }
 
 /// Writes undamaged items into the new file.
