@@ -1,9 +1,9 @@
 //! Reads logs of robots, bars and other instruments from files.
 //!
-//! A robot log ends up as one table, [`RobotLog`]: time stamps of the robot's own clock and joint variables of the model
-//! \[rad, m\]. Everything robot-specific (motors or joints, units, signs, coupled axes) is converted here by [`JointConversion`];
-//! later steps never see it. The clock is named but not relied on: logs of many controllers count from their own start, so the
-//! relation to the bar's clock is found from the motion (`prepare`).
+//! A robot log of any format becomes a [`RobotLog`]: time stamps of the robot's own clock, and joint variables of the model
+//! \[rad, m\]. [`JointConversion`] converts whatever is specific to the robot (motors or joints, units, signs, coupled axes);
+//! later steps never see it. The log names its clock, but nothing relies on that: many controllers count from their own start,
+//! so `prepare` finds the relation to the bar's clock from the motion.
 //!
 //! [`BarLog`] is the other side of a run: the bar's encoders in a recording or in the file of another program.
 //!
@@ -65,7 +65,7 @@ use crate::kinematics::Joints;
 /// Smallest number of rows of a log.
 const ROWS_MIN: usize = 50;
 
-/// With this word a simulated table begins after `#`, and the first event of an exported simulation.
+/// Marks simulated data: a table begins with `#` and this word, and the first event of an exported simulation begins with it.
 pub(crate) const SIMULATED: &str = "SIMULATED";
 
 /// Whether a table is marked as simulated.
@@ -83,7 +83,7 @@ pub fn is_simulated(path: &Path) -> Result<bool, LogError> {
 pub enum Origin {
     /// Read from the robot's encoders.
     Measured,
-    /// Interpolator output, without servo lag, so that results are worse. Reports state it.
+    /// Output of the interpolator. It lacks the servo lag, so that results are worse; reports state this origin.
     Commanded,
     /// The file states neither.
     #[default]
@@ -91,7 +91,7 @@ pub enum Origin {
 }
 
 impl Origin {
-    /// The word that files carry.
+    /// Its word in files.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Measured => "measured",
@@ -104,11 +104,11 @@ impl Origin {
 /// Quality of a log, for reports.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct LogQuality {
-    /// Rows that repeat the row before, stamp and values; they are dropped.
+    /// Rows with the stamp and the values of the row before; they are dropped.
     pub duplicates_dropped: usize,
-    /// Rows that repeat the joints before them under a new stamp in the middle of a motion; they are not used.
+    /// Rows with a new stamp, but the joints of the row before, in the middle of a motion; they are not used.
     pub repeated_dropped: usize,
-    /// Rows that jump away and back faster than anything moves, mostly zeros; they are not used.
+    /// Rows that jump away and back faster than any robot moves, mostly zeros; they are not used.
     pub excursions_dropped: usize,
     /// Rows in which a joint is missing or not a number; they are not used.
     pub incomplete_dropped: usize,
@@ -119,13 +119,13 @@ pub struct LogQuality {
 }
 
 impl LogQuality {
-    /// Adds remarks on repeated and incomplete rows: what rows are called, which values they repeat, what was `done` with them,
-    /// and what incomplete ones `lack`.
-    fn remark_counts(&mut self, row: &str, values: &str, done: &str, lack: &str) {
+    /// Adds remarks on repeated and incomplete rows. They read "7 `noun`s repeat `values` before them ..; `done`" and "7 `noun`s
+    /// `lack`; `done`".
+    fn remark_counts(&mut self, noun: &str, values: &str, done: &str, lack: &str) {
         let repeat = format!("repeat {values} before them in the middle of a motion");
         for (count, what) in [(self.repeated_dropped, repeat.as_str()), (self.incomplete_dropped, lack)] {
             if count > 0 {
-                self.remarks.push(format!("{count} {row}s {what}; {done}"));
+                self.remarks.push(format!("{count} {noun}s {what}; {done}"));
             }
         }
     }
@@ -134,17 +134,17 @@ impl LogQuality {
 /// A robot's joint log on its own clock.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct RobotLog {
-    /// Robot named in the file, where it is.
+    /// Name of the robot, if the file has it.
     pub robot: Option<String>,
     /// Name of the clock that made the stamps, as the file declares it (`unstated` otherwise).
     pub clock: String,
-    /// Measured or commanded values.
+    /// Whether the joints were measured or commanded.
     pub origin: Origin,
-    /// Joint variables of the model \[rad, m\], at the times of the file without the jitter of the stamps.
+    /// Joint variables of the model \[rad, m\]. Jitter has been removed from the stamps of the file.
     pub q_rad: Shared<Stream<Joints>>,
-    /// Rates of the joint variables, one row per stamp \[rad/s, m/s\]; `None` if the log has none.
+    /// Rates of the joint variables \[rad/s, m/s\], one row per stamp, if the log has them.
     pub speed_rad_s: Option<Vec<Joints>>,
-    /// Torques or motor currents where the log has them, in the unit and on the axes of the file.
+    /// Torques or motor currents in the unit and on the axes of the file, if the log has them.
     pub torque: Option<Vec<Joints>>,
     /// Force on the ball-bar, from this log or from a file of its own.
     pub force: Option<ForceLog>,
@@ -158,8 +158,8 @@ impl RobotLog {
         self.q_rad.first().map_or(0, |q| q.len())
     }
 
-    /// The joints and their rates at any time after the first row. Clones share their rows: a log of ten hours takes a
-    /// gigabyte.
+    /// The joints and their rates as functions of the time since the first row. The spline is shared, and its rows with this
+    /// log: those of ten hours take a gigabyte.
     ///
     /// # Errors
     /// [`LogError::NoContinuousPart`] if no part can be interpolated.

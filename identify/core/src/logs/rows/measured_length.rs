@@ -17,9 +17,9 @@ use crate::logs::tables::csv_text::{Column, Row, Table};
 use crate::logs::{CsvLayout, JointColumn, LengthUnit, LogError};
 use crate::model::SetUp;
 
-/// No wire or bar is longer \[m\]; more means a wrong unit.
+/// No wire or bar is longer \[m\]: a larger value has another unit.
 const LENGTH_M_MAX: f64 = 20.0;
-/// Largest excess of all lengths \[mm\].
+/// Limit of `offset_mm`.
 const OFFSET_MM_MAX: f64 = 1e3 * LENGTH_M_MAX;
 
 /// The column of the measured length.
@@ -30,16 +30,16 @@ pub struct LengthColumn {
     pub column: String,
     /// Unit of its values.
     pub unit: LengthUnit,
-    /// Known excess of every length \[mm\].
+    /// Known constant error \[mm\], which is subtracted from every length.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub offset_mm: f64,
 }
 
-/// Column of the stated standard uncertainties, by its unit.
+/// The column of the standard uncertainty of each row.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LengthUncertaintyColumn {
-    /// Column of the length's uncertainty \[mm\].
+    /// Name in the header; the values are in mm.
     pub length_mm: String,
 }
 
@@ -57,7 +57,7 @@ pub struct FlangeColumns {
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MeasuredLengthMapping {
-    /// Standard uncertainty of the wire's scale \[ppm\]; absent: that of a usual wire, zero: exact.
+    /// Standard uncertainty of the wire's scale \[ppm\]; absent: that of a usual wire; 0: exact.
     pub scale_u_ppm: Option<f64>,
     /// Layout of the table.
     #[serde(default)]
@@ -66,7 +66,7 @@ pub struct MeasuredLengthMapping {
     pub length: LengthColumn,
     /// All joints, base to flange.
     pub joints: Vec<JointColumn>,
-    /// Columns of the controller's own position, by which rows that contradict their joint angles are found.
+    /// Columns of the flange position from the controller. Rows whose joint angles contradict it are not used.
     pub flange: Option<FlangeColumns>,
     /// Column of the uncertainty of each row, if the file has one.
     pub uncertainty: Option<LengthUncertaintyColumn>,
@@ -82,7 +82,7 @@ impl Validate for MeasuredLengthMapping {
     fn validate(&self) -> Result<(), Violation> {
         self.csv.check()?;
         check_scale_u(self.scale_u_ppm)?;
-        let remedy = "write the excess of every length in mm, or leave it out";
+        let remedy = "write the constant error of the lengths in mm, or leave it out";
         Violation::outside(
             "length.offset_mm",
             self.length.offset_mm,
@@ -100,13 +100,13 @@ pub struct LengthRow {
     pub joints_rad: Joints,
     /// Measured length \[m\].
     pub length_m: f64,
-    /// Flange position reported by the controller \[m\]; used to find rows whose columns contradict each other.
+    /// Flange position from the controller \[m\].
     pub flange_m: Option<[f64; 3]>,
     /// Standard uncertainty of the length \[m\]; `None` if the file states none.
     pub uncertainty_m: Option<f64>,
-    /// Anchor (as station) and attachment (as target), by their places in [`MeasuredLengths`]; 0 if the file does not name them.
+    /// Indices of the anchor (as station) and the attachment (as target) in [`MeasuredLengths`]; 0 if the file does not name them.
     pub set_up: SetUp,
-    /// Line of the source file, so that a screened row can be found again.
+    /// Line of the file, by which reports name the row.
     pub line: u64,
 }
 
@@ -117,7 +117,7 @@ pub struct MeasuredLengths {
     pub rows: Vec<LengthRow>,
     /// Names of the anchors in the order of the file; empty if it does not name them.
     pub anchors: Vec<String>,
-    /// And of the attachments.
+    /// Names of the attachments, likewise.
     pub attachments: Vec<String>,
 }
 
@@ -149,7 +149,7 @@ impl MeasuredLengths {
 struct Columns<'a> {
     length: (Column, &'a LengthColumn),
     uncertainty: Option<Column>,
-    /// Names of anchor and attachment.
+    /// Columns with the names of anchor and attachment.
     set_up: [Option<Column>; 2],
     joints: JointColumns<'a>,
     flange: Option<([Column; 3], LengthUnit)>,
@@ -177,14 +177,14 @@ impl<'a> Columns<'a> {
 
     fn read(&self, table: &Table<'_>, row: &Row, names: &mut SetUpNames) -> Result<LengthRow, LogError> {
         let set_up = names.place(table, row, &self.set_up)?;
-        let (length, format) = &self.length;
-        let length_m = table.number(row, length)? * format.unit.to_m() - format.offset_mm * 1e-3;
+        let (column, LengthColumn { unit, offset_mm, .. }) = &self.length;
+        let length_m = table.number(row, column)? * unit.to_m() - offset_mm * 1e-3;
         if !(0.0..=LENGTH_M_MAX).contains(&length_m) {
             return Err(table.bad(
                 row,
-                length,
+                column,
                 format!("the length {length_m} m is outside 0 to {LENGTH_M_MAX} m"),
-                "check the length's unit in the mapping file",
+                "check `unit` and `offset_mm` under [length] in the mapping file",
             ));
         }
         let joints_rad = self.joints.read(table, row)?;
