@@ -108,7 +108,7 @@ impl PathPage<'_> {
                 .iter()
                 .copied()
                 .zip(rows.iter().copied())
-                .step_by(View::every(rows.len()))
+                .step_by(View::row_step(rows.len()))
                 .collect(),
             frames_per_pose: None,
             bodies: self.constraints.bodies.as_ref(),

@@ -1,6 +1,6 @@
-//! Animation of an arm with bar or target, along a path or from pose to pose, in three dimensions. Makes the
-//! [`Scene`] as JSON, points over time and capsules between them, which `view.js` draws with the library OGL. For
-//! `path.html` and `poses.html`.
+//! The three-dimensional animation of `path.html` and `poses.html`: an arm with bar or target, along a path or from pose to
+//! pose. [`Scene`] has points over time and capsules between them; it goes into the page as JSON, and `view.js` draws it with
+//! the library OGL.
 
 use maud::{Markup, PreEscaped, html};
 use nalgebra::{Point3, Vector3};
@@ -9,10 +9,10 @@ use serde::Serialize;
 use crate::kinematics::{Chain, Joints};
 use crate::plan::{Bodies, Skeleton};
 
-/// Scripts in their order: OGL, then the view.
+/// Scripts in the order in which they must be loaded.
 pub(super) const SCRIPTS: &[&str] = &[include_str!("ogl/ogl.iife.min.js"), include_str!("view.js")];
 
-/// Frames of the animation of a path, at most; between two of them points move along lines.
+/// Largest number of frames of a path; between two frames points move along lines.
 const FRAMES: usize = 1000;
 /// Shorter pieces of a link are not drawn \[m\].
 const PIECE_M_MIN: f64 = 1e-3;
@@ -23,22 +23,23 @@ pub(super) struct View<'a> {
     pub carried: Carried,
     /// Time \[s\] and joints of each frame, at least two.
     pub motion: Vec<(f64, Joints)>,
-    /// Frames from one pose to the next; with them poses are marked and counted instead of the time.
+    /// Frames from one pose to the next, `None` for a path. If given, the poses are marked, and numbers of poses replace times.
     pub frames_per_pose: Option<usize>,
+    /// Bodies that were checked for collisions; `None` draws usual ones.
     pub bodies: Option<&'a Bodies>,
 }
 
 /// What the arm carries.
 pub(super) enum Carried {
-    /// The bar, up to its gimbal in the robot's base frame \[m\].
+    /// The bar; position of its gimbal in the robot's base frame \[m\].
     Bar(Vector3<f64>),
-    /// What is measured, in the flange's frame \[m\].
+    /// A target; its position in the flange's frame \[m\].
     Target(Vector3<f64>),
 }
 
 impl View<'_> {
-    /// Step between the rows of a path that the animation shows.
-    pub fn every(rows: usize) -> usize {
+    /// Every how many rows of a path the animation has a frame.
+    pub fn row_step(rows: usize) -> usize {
         rows.div_ceil(FRAMES).max(1)
     }
 }
@@ -47,11 +48,11 @@ impl View<'_> {
 #[derive(Serialize)]
 struct Scene<'a> {
     times_s: Vec<f64>,
-    /// Of each frame: x, y, z of each point \[m\].
+    /// For each frame x, y and z of all points, one after the other \[m\].
     frames: Vec<Vec<f64>>,
     /// Indices of the two end points, colour, and radius \[m\].
     capsules: Vec<(usize, usize, &'static str, f64)>,
-    /// Index of the point whose way is drawn: the end of the plate, or the target.
+    /// Index of the point whose path is drawn: the end of the plate, or the target.
     ends: usize,
     frames_per_pose: Option<usize>,
     boxes_m: &'a [[[f64; 3]; 2]],
@@ -64,12 +65,12 @@ impl<'a> Scene<'a> {
         let arm = view.arm;
         let (times_s, skeletons): (Vec<f64>, Vec<Skeleton>) =
             view.motion.iter().map(|(t_s, q)| (*t_s, Skeleton::of(arm, q))).unzip();
-        // Of each point its positions in all frames; each capsule connects a point with the one before.
+        // For each point its positions in all frames. Each capsule connects a point with the one before.
         let mut points: Vec<Vec<Vector3<f64>>> = Vec::new();
         let mut capsules = Vec::new();
         let in_frames =
-            |place: &dyn Fn(&Skeleton) -> Vector3<f64>| skeletons.iter().map(place).collect::<Vec<_>>();
-        points.push(in_frames(&|one| one.links.first().map_or_else(Vector3::zeros, |[start, ..]| *start)));
+            |position: &dyn Fn(&Skeleton) -> Vector3<f64>| skeletons.iter().map(position).collect::<Vec<_>>();
+        points.push(in_frames(&|arm| arm.links.first().map_or_else(Vector3::zeros, |[start, ..]| *start)));
         let links = arm.links.len();
         let mut add = |to: Vec<Vector3<f64>>, colour: &'static str, radius_m: f64| {
             let from = points.len() - 1;
@@ -79,17 +80,19 @@ impl<'a> Scene<'a> {
             }
         };
         for link in 0..links {
-            let place =
-                |part: usize| in_frames(&move |one| one.links.get(link).map_or(one.end, |link| link[part]));
-            // Each link goes along its joint's axis to its corner (1), then to its end (2).
-            add(place(1), "link", bodies.link_radius_m);
+            let link_point = |number: usize| {
+                in_frames(&move |arm| arm.links.get(link).map_or(arm.end, |link| link[number]))
+            };
+            // Each link goes along its joint's axis to its corner (1), then to its end (2). The plate replaces the last of these
+            // pieces.
+            add(link_point(1), "link", bodies.link_radius_m);
             if link + 1 < links {
-                add(place(2), "link", bodies.link_radius_m);
+                add(link_point(2), "link", bodies.link_radius_m);
             }
         }
-        add(in_frames(&|one| one.end), "plate", bodies.rod_radius_m);
-        add(far_end(view), "rod", bodies.rod_radius_m);
-        // The end of the plate is before the gimbal; the target is last.
+        add(in_frames(&|arm| arm.end), "plate", bodies.rod_radius_m);
+        add(gimbal_or_target(view), "rod", bodies.rod_radius_m);
+        // The gimbal is the last point, after the end of the plate; a target is the last point itself.
         let ends = points.len().saturating_sub(if matches!(view.carried, Carried::Bar(_)) { 2 } else { 1 });
         let rounded_to_mm = |x_m: f64| (x_m * 1e3).round() / 1e3;
         let frame = |row: usize| {
@@ -114,15 +117,15 @@ fn is_long(from: &[Vector3<f64>], to: &[Vector3<f64>]) -> bool {
 }
 
 /// Gimbal of the bar, or target, in the robot's base frame in each frame of the animation \[m\].
-fn far_end(view: &View<'_>) -> Vec<Vector3<f64>> {
-    let place = |(_, q): &(f64, Joints)| match view.carried {
+fn gimbal_or_target(view: &View<'_>) -> Vec<Vector3<f64>> {
+    let position = |(_, q): &(f64, Joints)| match view.carried {
         Carried::Bar(gimbal) => gimbal,
         Carried::Target(target) => (view.arm.forward(q) * Point3::from(target)).coords,
     };
-    view.motion.iter().map(place).collect()
+    view.motion.iter().map(position).collect()
 }
 
-/// The view with its controls.
+/// The animation with its controls.
 pub(super) fn view(view: &View<'_>) -> Markup {
     let default_bodies = Bodies::for_reach(view.arm.reach_m());
     let scene = Scene::of(view, view.bodies.unwrap_or(&default_bodies));
@@ -132,7 +135,7 @@ pub(super) fn view(view: &View<'_>) -> Markup {
         }
         Carried::Target(_) => ("The robot in each pose", "Pose", "Links"),
     };
-    // A `<` would end the surrounding element; numbers are finite.
+    // A `<` could end the surrounding element. Serialisation cannot fail: all keys are text.
     let scene = serde_json::to_string(&scene).unwrap_or_default().replace('<', "\\u003c");
     html! {
         figure #path-view {
@@ -145,10 +148,10 @@ pub(super) fn view(view: &View<'_>) -> Markup {
                 button #path-farther type="button" aria-label="Farther" { "\u{2212}" }
             }
             figcaption {
-                "Turn it with the mouse or a finger, shift it with the right button or two fingers. " (as_thick) " are as thick as they "
-                "were for collisions; a square of the grid is 0.5 m, x of the robot's base is red, y green."
+                "Turn it with the mouse or a finger, shift it with the right button or two fingers. " (as_thick) " are as thick as in "
+                "a check for collisions. A square of the grid is 0.5 m. The x axis of the robot's base is red, its y axis green."
             }
-            p.note.unable { "This browser draws nothing in three dimensions (WebGL is off); the figures below show the same." }
+            p.note.unable { "This browser cannot draw in three dimensions (WebGL is off); the figures below show the same." }
             script #path-scene type="application/json" { (PreEscaped(scene)) }
         }
     }

@@ -1,4 +1,4 @@
-// The arm along the path or from pose to pose, to be turned with mouse or finger. What is drawn is what collisions were checked with.
+// Animates the arm along a path or from pose to pose; mouse or finger turn the view. The bodies are those of the check for collisions.
 (() => {
   const { Renderer, Camera, Transform, Program, Mesh, Geometry, Cylinder, Sphere, Box, Orbit, Vec3 } = OGL;
   const scene = JSON.parse(document.getElementById("path-scene").textContent);
@@ -56,7 +56,7 @@
     });
   const programs = Object.fromEntries(Object.keys(colours).map((name) => [name, program(name, ["grid", "path"].includes(name))]));
 
-  // The robot's z points up; OGL's y does.
+  // The robot's z axis points up; in OGL it is the y axis.
   const world = new Transform();
   world.rotation.x = -Math.PI / 2;
   const [cylinder, sphere] = [new Cylinder(gl, { radialSegments: 24, openEnded: true }), new Sphere(gl, { widthSegments: 24 })];
@@ -66,7 +66,7 @@
     return mesh;
   };
   const up = new Vec3(0, 1, 0);
-  // A capsule between two points, which move.
+  // A capsule between two moving points.
   const capsule = (colour, radius) => {
     const side = add(cylinder, colour);
     const ends = [add(sphere, colour), add(sphere, colour)];
