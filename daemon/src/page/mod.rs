@@ -14,7 +14,7 @@ use sha2::{Digest, Sha256};
 use shared::config::BallBarConfig;
 use shared::drawing;
 
-/// Length of the digest that identifies a file in a browser's cache.
+/// Length of the digest by which a browser identifies its cached version of a file.
 const TAG_BYTES: usize = 16;
 
 /// Path, media type and content of every file.
@@ -33,8 +33,8 @@ const HTML: &str = "text/html; charset=utf-8";
 const CSS: &str = "text/css; charset=utf-8";
 const SCRIPT: &str = "text/javascript; charset=utf-8";
 
-/// Place of the drawing of the bar in the page.
-const BAR: &str = "<!-- drawing of the bar -->";
+/// Replaced by the drawing of the bar.
+const DRAWING_PLACEHOLDER: &str = "<!-- drawing of the bar -->";
 
 /// No content from elsewhere, no inline script, and no frame around the page.
 const POLICY: HeaderValue = HeaderValue::from_static(
@@ -42,12 +42,12 @@ const POLICY: HeaderValue = HeaderValue::from_static(
      base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
 );
 
-/// A route for each file; the page has the drawing of `bar`. Browsers check each time whether a file has changed, so that a new
-/// version is used at once.
+/// A route for each file; the page contains a drawing of `bar`. A browser checks at each use whether its cached file is still
+/// current (`no-cache`), so that a new version of the program takes effect at once.
 pub fn routes<S: Clone + Send + Sync + 'static>(bar: &BallBarConfig) -> Router<S> {
     let drawing = drawing::ball_bar(bar);
     FILES.iter().fold(Router::new(), |router, (path, media_type, text)| {
-        let file = Arc::new(File::new(media_type, text.replace(BAR, &drawing)));
+        let file = Arc::new(File::new(media_type, text.replace(DRAWING_PLACEHOLDER, &drawing)));
         router.route(path, get(move |headers: HeaderMap| async move { file.answer(&headers) }))
     })
 }
@@ -75,14 +75,15 @@ impl File {
         }
     }
 
-    fn answer(&self, asked: &HeaderMap) -> Response {
-        let has = |name: HeaderName, wanted: &[u8]| {
-            let values = asked.get_all(name).iter();
-            let mut parts = values.flat_map(|value| value.as_bytes().split(|byte| *byte == b','));
-            parts.any(|part| part.trim_ascii().strip_prefix(b"W/").unwrap_or(part.trim_ascii()) == wanted)
+    fn answer(&self, request: &HeaderMap) -> Response {
+        // Whether the list in a header of the request contains an item; `W/` marks a weak tag.
+        let lists = |name: HeaderName, wanted: &[u8]| {
+            let values = request.get_all(name).iter();
+            let mut items = values.flat_map(|value| value.as_bytes().split(|byte| *byte == b','));
+            items.any(|item| item.trim_ascii().strip_prefix(b"W/").unwrap_or(item.trim_ascii()) == wanted)
         };
-        let is_known = self.tag.as_ref().is_some_and(|tag| has(header::IF_NONE_MATCH, tag.as_bytes()));
-        let is_compressed = !self.compressed.is_empty() && has(header::ACCEPT_ENCODING, b"gzip");
+        let is_cached = self.tag.as_ref().is_some_and(|tag| lists(header::IF_NONE_MATCH, tag.as_bytes()));
+        let is_compressed = !self.compressed.is_empty() && lists(header::ACCEPT_ENCODING, b"gzip");
         let headers = [
             (header::CONTENT_TYPE, HeaderValue::from_static(self.media_type)),
             (header::CONTENT_SECURITY_POLICY, POLICY),
@@ -91,7 +92,7 @@ impl File {
             (header::CACHE_CONTROL, HeaderValue::from_static("no-cache")),
             (header::VARY, HeaderValue::from_static("accept-encoding")),
         ];
-        let mut response = match (is_known, is_compressed) {
+        let mut response = match (is_cached, is_compressed) {
             (true, _) => (StatusCode::NOT_MODIFIED, headers).into_response(),
             (_, true) => {
                 let encoding = [(header::CONTENT_ENCODING, HeaderValue::from_static("gzip"))];
