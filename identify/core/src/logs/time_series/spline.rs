@@ -1,8 +1,9 @@
 //! Cubic splines with two continuous derivatives through unevenly spaced samples.
 //!
-//! The alignment of two logs needs the speed as much as the value, and a least-squares solve needs both without
-//! kinks; linear interpolation has neither. Ends are "not-a-knot" (de Boor, A Practical Guide to Splines, ch. IV):
-//! the third derivative is continuous at the last inner knot, so that the ends are as accurate as the middle.
+//! The alignment of two logs needs values and speeds, and a least-squares solve needs both to be smooth. With linear
+//! interpolation the values have kinks and the speeds have steps. Ends are "not-a-knot" (de Boor, A Practical Guide to
+//! Splines, ch. IV): the third derivative is continuous at the first and the last inner knot, so that the ends are as accurate
+//! as the middle.
 //!
 //! With values `y`, second derivatives `m`, `h = t_(i+1) - t_i`, `u = (t - t_i) / h`, `w = 1 - u` the spline between two knots is
 //! `w y_i + u y_(i+1) + h^2 / 6 ((w^3 - w) m_i + (u^3 - u) m_(i+1))`.
@@ -13,7 +14,7 @@ use super::stream::{Row, Stream};
 /// Smallest number of samples of one continuous part: two inner knots for the not-a-knot ends.
 pub const KNOTS_MIN: usize = 4;
 
-/// A cubic spline through the rows of a stream. It has no values in gaps, which separate its parts.
+/// A cubic spline through the rows of a stream. Gaps of the stream separate its parts; it has no values there.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CubicSpline<R> {
     knots: Shared<Stream<R>>,
@@ -64,7 +65,7 @@ impl<R: Row> CubicSpline<R> {
         bridged.contains(&true).then_some(Self { knots, curvatures, bridged })
     }
 
-    /// Value and derivatives at `t_s` after the first row; `None` outside the rows and in gaps.
+    /// Value and derivatives `t_s` seconds after the first row; `None` outside the rows and in gaps.
     pub fn at(&self, t_s: f64) -> Option<SplinePoint<R>> {
         let interval = self.knots.interval(t_s)?;
         let Interval { width_s, ends: [left, right], curvatures: [m_left, m_right] } =
@@ -87,7 +88,7 @@ impl<R: Row> CubicSpline<R> {
         })
     }
 
-    /// Whether there is a value at `t_s`.
+    /// Whether [`at`](Self::at) has a value.
     pub fn covers(&self, t_s: f64) -> bool {
         self.knots.interval(t_s).is_some_and(|interval| self.bridged[interval])
     }
@@ -108,7 +109,7 @@ impl<R: Row> CubicSpline<R> {
         }))
     }
 
-    /// From first to last row \[s\].
+    /// Time from the first to the last row \[s\].
     pub fn duration_s(&self) -> f64 {
         self.knots.duration_s()
     }
@@ -141,7 +142,7 @@ fn solve_curvatures<R: Row>(t_s: &[f64], values: &[R], out: &mut [f64]) {
     for i in 1..last {
         let (mut lower, mut diagonal, mut upper) = (h(i - 1), 2.0 * (h(i - 1) + h(i)), h(i));
         if i == 1 {
-            // Not-a-knot: m_0 is the linear continuation of the next two, m_0 = m_1 + h_0 / h_1 (m_1 - m_2).
+            // Not-a-knot: m_0 continues m_1 and m_2 linearly, m_0 = m_1 + h_0 / h_1 (m_1 - m_2), and is eliminated.
             diagonal += h(0) * (1.0 + h(0) / h(1));
             upper -= h(0) * h(0) / h(1);
             lower = 0.0;
