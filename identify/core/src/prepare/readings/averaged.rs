@@ -11,9 +11,9 @@ use crate::kinematics::BAR_JOINTS;
 use crate::logs::{RobotLog, Row, Stream};
 use crate::prepare::encoders::encoder_map::EncoderMap;
 
-/// Time shown before and after the fastest moment, in widths of the average.
+/// Time shown before and after the moment of the largest speed, in widths of the average.
 const SHOWN_WIDTHS: f64 = 5.0;
-/// Its minimum \[s\].
+/// Smallest such time \[s\].
 const SHOWN_S_MIN: f64 = 1.0;
 
 /// A reading and its average.
@@ -32,14 +32,14 @@ pub struct AveragedPoint {
 /// Effect of the average on the joints of one log.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct AveragedJoints {
-    /// Root mean square of reading minus average of each joint at standstills of robot and bar: noise \[rad\]. `None` without
+    /// Root mean square of reading minus average, by joint, where robot and bar stand still \[rad\]: noise. `None` without
     /// encoder or standstill.
     pub still_rad: Vec<Option<f64>>,
-    /// The same for all other readings \[rad\]: noise, and curvature of the motion that the average does not follow.
+    /// The same in motion \[rad\]: noise, and fast changes of the motion that the average does not follow.
     pub moving_rad: Vec<Option<f64>>,
-    /// The joint with the largest speed, from 1.
+    /// The joint with the largest averaged speed, from 1; 0 if none moves.
     pub fastest_joint: usize,
-    /// Readings of that joint around its fastest moment.
+    /// Readings of that joint around the moment of this speed.
     pub fastest: Vec<AveragedPoint>,
 }
 
@@ -62,9 +62,9 @@ pub(in crate::prepare) struct BeforeAverage<'a> {
 }
 
 impl BeforeAverage<'_> {
-    /// Averages both logs once more and compares. `standstills` are in seconds since `t_ref`; `bar_time_s` converts a time of
-    /// the robot's log to the same scale.
-    pub fn compared(
+    /// Compares the readings of both logs with their averages, which are formed again. `standstills` are in seconds since `t_ref`;
+    /// `bar_time_s` converts a time of the robot's log to this scale.
+    pub fn compare(
         &self,
         t_ref: UtcNs,
         bar_time_s: impl Fn(f64) -> f64,
@@ -72,7 +72,7 @@ impl BeforeAverage<'_> {
         standstills: &[Standstill],
     ) -> Averaged {
         let mut bar = Comparison::new(BAR_JOINTS);
-        // Counters have another offset after a restart: each part is compared separately.
+        // Counters have another offset after a restart, so each part between restarts is averaged separately.
         for part in self.readings.parts_within(f64::INFINITY) {
             let part = self.readings.slice(part);
             let begins_s = UtcNs(part.first_stamp_ns).seconds_since(t_ref);
@@ -109,7 +109,7 @@ impl Squares {
     }
 }
 
-/// Collects the differences of readings and averages of one log, part by part.
+/// Collects the differences between readings and averages of one log, part by part.
 #[derive(Debug, Clone)]
 struct Comparison {
     still: Vec<Squares>,
@@ -125,7 +125,7 @@ impl Comparison {
         Self { still: none.clone(), moving: none, fastest_rad_s: 0.0, fastest_joint: 0, fastest: Vec::new() }
     }
 
-    /// Adds a part of the log; `time_s` converts its times to those of `standstills`, which are in the order of time.
+    /// Adds a part of the log; `time_s` converts its times to the scale of `standstills`, which are in order of time.
     fn add<R: Row>(
         &mut self,
         rows: &Stream<R>,
@@ -151,8 +151,8 @@ impl Comparison {
         let fastest = rows_and_joints
             .filter_map(|(row, joint)| Some((point_at(row, joint)?.averaged_rad_s.abs(), row, joint)))
             .max_by(|(a_rad_s, ..), (b_rad_s, ..)| a_rad_s.total_cmp(b_rad_s));
-        // Only if it is faster than in the parts so far.
-        let Some((rad_s, row, joint)) = fastest.filter(|(rad_s, ..)| *rad_s > self.fastest_rad_s) else {
+        let is_new_maximum = |(rad_s, ..): &(f64, usize, usize)| *rad_s > self.fastest_rad_s;
+        let Some((rad_s, row, joint)) = fastest.filter(is_new_maximum) else {
             return;
         };
         let shown_s = SHOWN_S_MIN.max(SHOWN_WIDTHS * width_s);
@@ -173,8 +173,8 @@ impl Comparison {
     }
 }
 
-/// The reading of a joint with speeds from the rows before and after; `None` if one of the three has no average. The row is
-/// neither the first nor the last.
+/// The reading of a joint in a row that is neither the first nor the last, with speeds from the rows before and after; `None` if
+/// one of the three has no average.
 fn point<R: Row>(
     t_s: &[f64],
     rows: &[R],

@@ -66,6 +66,6 @@ impl<'a> BothLogs<'a> {
         let first_ns = before.log.q_rad.first_stamp_ns;
         let begins_s = self.log.q_rad.first_stamp_ns.saturating_sub(first_ns) as f64 * 1e-9;
         let bar_time_s = |tau_s| (tau_s - begins_s - clock.shift_s) / (1.0 + clock.skew);
-        Some(before.compared(t_ref, bar_time_s, encoder_map, standstills))
+        Some(before.compare(t_ref, bar_time_s, encoder_map, standstills))
     }
 }
