@@ -116,7 +116,12 @@ impl BallBarConfig {
             ));
         }
         let remedy = "give the joint's angle at the reference mark in degrees, or leave it out";
-        Violation::outside(key("mark_deg"), encoder.mark_deg.unwrap_or_default(), [-360.0, 360.0], remedy)?;
+        Violation::unless_within(
+            key("mark_deg"),
+            encoder.mark_deg.unwrap_or_default(),
+            [-360.0, 360.0],
+            remedy,
+        )?;
         if !INTERPOLATION_BITS.contains(&encoder.interpolation_bits) {
             return Err(Violation::new(
                 key("interpolation_bits"),
@@ -132,11 +137,11 @@ impl Validate for BallBarConfig {
     const KIND: Option<Kind> = Some(Kind::BallBar);
 
     fn validate(&self) -> Result<(), Violation> {
-        Violation::outside("length_m", self.length_m, [0.05, 5.0], "lengths are in metres")?;
-        Violation::outside("plate_m", self.plate_m, [0.0, 2.0], "lengths are in metres")?;
-        Violation::outside("tool_m", self.tool_m, [0.0, 2.0], "lengths are in metres")?;
+        Violation::unless_within("length_m", self.length_m, [0.05, 5.0], "lengths are in metres")?;
+        Violation::unless_within("plate_m", self.plate_m, [0.0, 2.0], "lengths are in metres")?;
+        Violation::unless_within("tool_m", self.tool_m, [0.0, 2.0], "lengths are in metres")?;
         let remedy = "give the standard uncertainty of plate_m in micrometres; 0 takes the plate as exact";
-        Violation::outside("plate_u_um", self.plate_u_um, [0.0, 10_000.0], remedy)?;
+        Violation::unless_within("plate_u_um", self.plate_u_um, [0.0, 10_000.0], remedy)?;
         if let Some(length_u_um) =
             self.length_u_um.filter(|length_u_um| !(*length_u_um > 0.0 && *length_u_um <= 10_000.0))
         {

@@ -138,7 +138,7 @@ impl Validate for DaemonConfig {
             ("realtime.fifo_priority", i64::from(self.realtime.fifo_priority), [1, 99], "80 is usual"),
         ];
         for (key, value, range, remedy) in ranges {
-            Violation::outside(key, value, range, remedy)?;
+            Violation::unless_within(key, value, range, remedy)?;
         }
         Ok(())
     }

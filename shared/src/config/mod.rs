@@ -42,19 +42,19 @@ pub enum ConfigError {
         path: PathBuf,
         /// Kind of configuration that is needed.
         kind: Kind,
-        /// The name that was probably meant, as the end of a sentence.
+        /// End of a sentence: the name that was probably meant, or a full stop.
         nearest: String,
         /// Names of all configurations of this kind.
         known: String,
     },
-    /// The text is not TOML, or a key has the wrong name or type.
+    /// The text is not TOML, a key has the wrong name or type, or the file is one of another kind.
     #[error("{}: {message}", place(path, *line))]
     Malformed {
         /// Path of the file concerned.
         path: PathBuf,
-        /// From 1; `None` if something is absent.
+        /// From 1; `None` if the error has no line, such as an absent key.
         line: Option<usize>,
-        /// Which key, what is wrong with it, and what was expected.
+        /// What is wrong and what was expected; of a key, its name.
         message: String,
     },
     /// The value of a key is invalid.
@@ -90,7 +90,7 @@ pub struct Violation {
 }
 
 impl Violation {
-    /// A violation of `key`: what is wrong and what to do.
+    /// The problem with the value of a key, and what to do about it.
     pub fn new(key: impl Into<String>, problem: impl Into<String>, remedy: impl Into<String>) -> Self {
         Self { key: key.into(), problem: problem.into(), remedy: remedy.into() }
     }
@@ -105,8 +105,8 @@ impl Violation {
         if holds { Ok(()) } else { Err(Self::new(key, problem, remedy)) }
     }
 
-    /// Refuses a value of `key` outside `[low, high]`, and one that is not a number.
-    pub fn outside<N: PartialOrd + fmt::Display>(
+    /// A violation of `key` unless its value is a number from `low` to `high`.
+    pub fn unless_within<N: PartialOrd + fmt::Display>(
         key: impl Into<String>,
         value: N,
         [low, high]: [N; 2],
@@ -117,16 +117,16 @@ impl Violation {
     }
 }
 
-/// Rules that types alone cannot state, checked once after reading.
+/// Rules of a configuration that its types cannot express; they are checked after reading.
 pub trait Validate {
-    /// Kind of a configuration that may be given by its name.
+    /// The kind, if a configuration may be given by its name instead of its path.
     const KIND: Option<Kind> = None;
 
-    /// The first rule that is broken.
+    /// The first broken rule, if any.
     fn validate(&self) -> Result<(), Violation>;
 }
 
-/// Reads, types and validates one configuration file; where `T` has a [`Kind`], `path` may be a name as [`Source::find`] takes it.
+/// Reads and validates a configuration file. If `T` has a [`Kind`], `path` may be a name, see [`Source::find`].
 pub fn load<T: DeserializeOwned + Validate>(path: &Path) -> Result<T, ConfigError> {
     let Some(kind) = T::KIND else {
         return parse(&Source::File(path.to_owned()).text()?, path);
@@ -159,7 +159,7 @@ fn unknown(path: &Path, kind: Kind) -> ConfigError {
     }
 }
 
-/// The end of a sentence on a wrong name, with the known one that was probably meant, if any.
+/// The end of a sentence on a wrong name: the known name that is most like it, or a full stop.
 fn did_you_mean<'a>(wrong: &str, known: impl Iterator<Item = &'a str>) -> String {
     nearest(wrong, known).map_or_else(|| ".".to_owned(), |name| format!("; did you mean `{name}`?"))
 }
@@ -167,8 +167,8 @@ fn did_you_mean<'a>(wrong: &str, known: impl Iterator<Item = &'a str>) -> String
 /// [`load`] on text already in memory; `path` is only named in errors.
 pub fn parse<T: DeserializeOwned + Validate>(text: &str, path: &Path) -> Result<T, ConfigError> {
     let mut keys = Track::new();
-    let read: Result<T, _> = erased_serde::deserialize(&mut *reader(text, path, &mut keys)?);
-    let value = read.map_err(|error| malformed(text, path, T::KIND, &keys.path().to_string(), &error))?;
+    let value: Result<T, _> = erased_serde::deserialize(&mut *reader(text, path, &mut keys)?);
+    let value = value.map_err(|error| malformed(text, path, T::KIND, &keys.path().to_string(), &error))?;
     value.validate().map_err(|Violation { key, problem, remedy }| ConfigError::Invalid {
         path: path.to_owned(),
         line: malformed::line_of(text, &key),
@@ -179,7 +179,8 @@ pub fn parse<T: DeserializeOwned + Validate>(text: &str, path: &Path) -> Result<
     Ok(value)
 }
 
-/// Reader of TOML that is compiled once for all types. It notes in `keys` the path of the key that is being read.
+/// A deserializer of TOML with one type for all configurations, so that it is compiled once. It stores the path of the current
+/// key in `keys`.
 fn reader<'a>(
     text: &'a str,
     path: &Path,
@@ -190,13 +191,13 @@ fn reader<'a>(
         let message = malformed::syntax_message(text, line, &error);
         ConfigError::Malformed { path: path.to_owned(), line, message }
     })?;
-    // Without the text, which its errors would quote.
+    // Given the table alone: with the text, its errors would quote the text.
     let toml = toml::Deserializer::from(table);
-    let following = serde_path_to_error::Deserializer::new(toml, keys);
-    Ok(Box::new(<dyn erased_serde::Deserializer>::erase(following)))
+    let tracked = serde_path_to_error::Deserializer::new(toml, keys);
+    Ok(Box::new(<dyn erased_serde::Deserializer>::erase(tracked)))
 }
 
-/// The error that `key` cannot be read, or that the text is a configuration of another kind.
+/// The error for a text that cannot be read at `key`, or that is a configuration of another kind than `kind`.
 fn malformed(
     text: &str,
     path: &Path,
@@ -204,7 +205,7 @@ fn malformed(
     key: &str,
     error: &erased_serde::Error,
 ) -> ConfigError {
-    // Further lines repeat the keys.
+    // The first line has the reason; the others repeat the keys.
     let error = error.to_string();
     let original = error.lines().next().unwrap_or_default();
     let (line, message) = match Kind::recognise(text).filter(|other| kind != Some(*other)) {
@@ -217,10 +218,10 @@ fn malformed(
     ConfigError::Malformed { path: path.to_owned(), line, message }
 }
 
-/// The text of a file, from a writer of TOML that is the same for every type.
+/// A value as the text of a TOML file. Not generic, so that the writer is compiled once.
 ///
 /// # Errors
-/// A value has a form that TOML does not have, such as a list of different types.
+/// The value has a form that TOML lacks.
 pub fn to_toml(value: &dyn erased_serde::Serialize) -> Result<String, toml::ser::Error> {
     toml::to_string(value)
 }

@@ -216,7 +216,7 @@ impl DrivesConfig {
             }
             for (axis, number) in numbers.iter().enumerate() {
                 let key = format!("drives.{key}[{axis}]");
-                Violation::outside(
+                Violation::unless_within(
                     key,
                     *number,
                     [0.0, 1e4],
@@ -403,7 +403,7 @@ pub(super) fn validate_links(key: &str, links: &[LinkConfig]) -> Result<(), Viol
             .into_iter()
             .chain(angles.map(|(name, value)| (name, value, ANGLE_DEG_MAX, "angles are in degrees")));
         for (name, value, limit, remedy) in checks {
-            Violation::outside(format!("{key}[{index}].{name}"), value, [-limit, limit], remedy)?;
+            Violation::unless_within(format!("{key}[{index}].{name}"), value, [-limit, limit], remedy)?;
         }
     }
     Ok(())

@@ -83,7 +83,7 @@ impl Validate for MeasuredLengthMapping {
         self.csv.check()?;
         check_scale_u(self.scale_u_ppm)?;
         let remedy = "write the constant error of the lengths in mm, or leave it out";
-        Violation::outside(
+        Violation::unless_within(
             "length.offset_mm",
             self.length.offset_mm,
             [-OFFSET_MM_MAX, OFFSET_MM_MAX],

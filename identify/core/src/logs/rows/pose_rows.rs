@@ -203,7 +203,7 @@ pub fn joints_of_robot(joints: &[JointColumn], robot: &RobotConfig, path: &Path)
 /// Checks the standard uncertainty of an instrument's scale \[ppm\]. More than a tenth means another unit.
 pub(in crate::logs) fn check_scale_u(scale_u_ppm: Option<f64>) -> Result<(), Violation> {
     let remedy = "write the standard uncertainty in ppm: 1000 for 0.1 %, 0 if the scale is exact";
-    scale_u_ppm.map_or(Ok(()), |u_ppm| Violation::outside("scale_u_ppm", u_ppm, [0.0, 1e5], remedy))
+    scale_u_ppm.map_or(Ok(()), |u_ppm| Violation::unless_within("scale_u_ppm", u_ppm, [0.0, 1e5], remedy))
 }
 
 /// Checks the number of joints, their signs and offsets.
@@ -226,7 +226,7 @@ pub(in crate::logs) fn check_joints(joints: &[JointColumn]) -> Result<(), Violat
             "write offset_deg for angles, offset_m for lengths",
         )?;
         let key = format!("joints[{index}].offset_deg");
-        Violation::outside(key, joint.offset_deg, [-360.0, 360.0], "offsets are in degrees")?;
+        Violation::unless_within(key, joint.offset_deg, [-360.0, 360.0], "offsets are in degrees")?;
     }
     Ok(())
 }

@@ -81,7 +81,7 @@ impl TimeColumn {
             }
             (TimeUnit::Cycles, Some(period_ms)) => {
                 let remedy = "give the duration of a controller's cycle in milliseconds";
-                Violation::outside("time.period_ms", period_ms, [1e-3, 1e6], remedy)?;
+                Violation::unless_within("time.period_ms", period_ms, [1e-3, 1e6], remedy)?;
             }
             (_, None) => {}
             (_, Some(_)) => {
