@@ -1,5 +1,5 @@
-//! Forces on the bar in robot logs of other programs: they are read with their unit and sign, and the calibration
-//! identifies the compliance of the bar.
+//! Forces on the bar in robot logs that other programs wrote: unit and sign are read correctly, and the calibration identifies
+//! the compliance of the bar.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::fmt::Write;
@@ -15,7 +15,7 @@ use identify::simulate::{self, BarLoad, Design, Effects, Experiment, Simulated};
 use shared::config::{self, AngleUnit, LogConversion, RobotConfig};
 use system_tests::{ball_bar as shipped_bar, config_directory, python_with};
 
-/// Force of the thesis' runs and elongation of its bar: +-25 um (TFRT-6017 section 5.3).
+/// Force in the runs of the thesis, which changes the length of its bar by +-25 um (TFRT-6017 section 5.3).
 const LOAD: BarLoad = BarLoad { force_n: 150.0, compliance_um_per_n: 0.17, play_um: 0.0, noise_n: 1.0 };
 const COMPLIANCE_M_PER_N: f64 = 0.17e-6;
 const GRAVITY_M_PER_S2: f64 = 9.80665;
@@ -35,25 +35,26 @@ fn simulated() -> Simulated {
         .unwrap()
 }
 
-/// One row of a table for `write_robot_log.py`: stamp \[ns\], joints \[rad\], and the output of a force sensor for the force of
-/// the robot on the bar.
+/// One row of a table for `write_robot_log.py`: stamp \[ns\], joints \[rad\], and the output of the robot's force sensor.
 type Row = (i64, Joints, Vec<f64>);
 
-fn rows(run: &Simulated, sensor: impl Fn(&Chain, &Joints, [f64; 3]) -> Vec<f64>) -> Vec<Row> {
+/// The rows of a run; `sensor` computes its output from robot, joints, and the force of the robot on the bar \[N\].
+fn table_rows(run: &Simulated, sensor: impl Fn(&Chain, &Joints, [f64; 3]) -> Vec<f64>) -> Vec<Row> {
     let (robot, log) = (&run.motion.robot, &run.robot_log);
     let centre_m = run.motion.bar.root_from_base.translation.vector;
     let force = log.force.as_ref().unwrap();
     (0..log.q_rad.t_s.len())
         .map(|index| {
             let q = &log.q_rad[index];
-            let out = (robot.forward(q).translation.vector - centre_m).normalize() * force.values[index][0];
-            (log.q_rad.stamp_ns(index).unwrap(), *q, sensor(robot, q, [out.x, out.y, out.z]))
+            let outward = (robot.forward(q).translation.vector - centre_m).normalize();
+            let on_bar_n = outward * force.values[index][0];
+            (log.q_rad.stamp_ns(index).unwrap(), *q, sensor(robot, q, on_bar_n.into()))
         })
         .collect()
 }
 
-/// Writes these rows to a file with another program.
-fn written(directory: &Path, modules: &[&str], kind: &str, rows: &[Row]) -> PathBuf {
+/// Writes the rows to a log with `write_robot_log.py` and returns its path.
+fn write_log(directory: &Path, modules: &[&str], kind: &str, rows: &[Row]) -> PathBuf {
     let python = python_with(modules);
     let mut text = String::new();
     for (stamp_ns, joints, measured) in rows {
@@ -79,15 +80,15 @@ fn calibrated(run: &Simulated, log: &RobotLog) -> Calibration {
     calibrate_run(&run.cycles, &run.encoders, log, &robot(), &shipped_bar(), &config).unwrap()
 }
 
-/// Root mean square error of the force along the bar in the samples of a calibration \[N\]; `sign` is the sign of tension in
-/// the log.
+/// Root mean square error of the force along the bar in the samples of a calibration \[N\]; the log has tension with `sign`.
 fn force_error_n(found: &Calibration, run: &Simulated, sign: f64) -> f64 {
-    let (start, truth) = (run.truth.clock, run.robot_log.force.as_ref().unwrap());
-    let lead_s = (start.robot_at_bar_start_ns - truth.values.first_stamp_ns) as f64 * 1e-9;
-    let samples = &found.prepared().unwrap().observations;
+    let (clock, force) = (run.truth.clock, run.robot_log.force.as_ref().unwrap());
+    let bar_start_s = (clock.robot_at_bar_start_ns - force.values.first_stamp_ns) as f64 * 1e-9;
+    let prepared = found.prepared().unwrap();
+    let samples = &prepared.observations;
     let squares = samples.iter().map(|sample| {
-        let passed_s = found.prepared().unwrap().t_ref.seconds_since(start.bar_start) + sample.t_s;
-        let true_n = truth.values.at(lead_s + passed_s * (1.0 + start.skew)).unwrap()[0];
+        let since_start_s = prepared.t_ref.seconds_since(clock.bar_start) + sample.t_s;
+        let true_n = force.values.at(bar_start_s + since_start_s * (1.0 + clock.skew)).unwrap()[0];
         (sample.force.along_n - sign * true_n).powi(2)
     });
     (squares.sum::<f64>() / samples.len() as f64).sqrt()
@@ -95,19 +96,19 @@ fn force_error_n(found: &Calibration, run: &Simulated, sign: f64) -> f64 {
 
 #[test]
 #[ignore = "needs Python with tests/requirements.txt"]
-fn the_tcp_force_of_a_rtde_client_is_the_one_on_the_bar_with_its_sign() {
+fn the_tcp_force_of_an_rtde_log_is_the_force_of_the_bar_on_the_tool() {
     let (directory, run) = (tempfile::tempdir().unwrap(), simulated());
-    // Force of the bar on the tool; stamps count from the controller's start.
-    let mut rows = rows(&run, |_, _, [x, y, z]| vec![-x, -y, -z]);
+    // The controller reports the force of the bar on the tool, and its stamps count from its own start.
+    let mut rows = table_rows(&run, |_, _, [x, y, z]| vec![-x, -y, -z]);
     let first_ns = rows[0].0;
     rows.iter_mut().for_each(|(stamp_ns, ..)| *stamp_ns -= first_ns - 250_000_000_000);
-    let path = written(directory.path(), &["csv"], "force-rtde", &rows);
+    let path = write_log(directory.path(), &["csv"], "force-rtde", &rows);
     let log = load(&path, &robot()).unwrap();
     let force = log.force.clone().unwrap();
     assert_eq!((force.kind, force.clock), (ForceKind::InBase, ForceClock::Robot));
     assert_eq!((force.values.first_stamp_ns, force.values.len()), (250_000_000_000, rows.len()));
-    for ((_, _, written), read) in rows.iter().zip(force.values.iter()) {
-        assert!(written.iter().zip(read).all(|(a, b)| (a - b).abs() < 1e-9), "{written:?} {read:?}");
+    for ((_, _, force_n), read) in rows.iter().zip(force.values.iter()) {
+        assert!(force_n.iter().zip(read).all(|(a, b)| (a - b).abs() < 1e-9), "{force_n:?} {read:?}");
     }
     let found = calibrated(&run, &log);
     // A bar under tension pulls the tool back, hence the negative sign.
@@ -121,18 +122,20 @@ fn the_tcp_force_of_a_rtde_client_is_the_one_on_the_bar_with_its_sign() {
     );
 }
 
-/// Static joint torques of arm and bar \[N m\]: derivatives, by each joint, of the potential energy of two masses on the arm
-/// and of the work at the flange.
+/// Static joint torques \[N m\] from gravity and from the force of the flange on the bar: derivatives of the potential energy of
+/// two masses on the arm, and of the work of that force, with respect to each joint.
 fn holding_torques_nm(robot: &Chain, q: &Joints, force_n: [f64; 3]) -> Vec<f64> {
-    let masses = [(2, 80.0, [-0.3, 0.02, 0.1]), (4, 60.0, [0.03, 0.05, -0.2])]
-        .map(|(links, kg, at)| (Chain::new(robot.root_from_base, robot.links[..links].to_vec()), kg, at));
+    // For each mass: number of links that carry it, kg, and place in the frame of the last one.
+    let masses = [(2, 80.0, [-0.3, 0.02, 0.1]), (4, 60.0, [0.03, 0.05, -0.2])].map(|(links, kg, place_m)| {
+        (Chain::new(robot.root_from_base, robot.links[..links].to_vec()), kg, place_m)
+    });
     let energy_j = |q: &Joints| {
         let flange = robot.forward(q).translation.vector;
         let work: f64 = (0..3).map(|axis| force_n[axis] * flange[axis]).sum();
-        let heights = masses
-            .iter()
-            .map(|(part, kg, at)| kg * GRAVITY_M_PER_S2 * part.forward(q).transform_point(&(*at).into()).z);
-        work + heights.sum::<f64>()
+        let potential = masses.iter().map(|(part, kg, place_m)| {
+            kg * GRAVITY_M_PER_S2 * part.forward(q).transform_point(&(*place_m).into()).z
+        });
+        work + potential.sum::<f64>()
     };
     let moved = |joint: usize, by: f64| {
         let mut q = *q;
@@ -142,7 +145,7 @@ fn holding_torques_nm(robot: &Chain, q: &Joints, force_n: [f64; 3]) -> Vec<f64> 
     (0..6).map(|joint| (moved(joint, 1e-4) - moved(joint, -1e-4)) / 2e-4).collect()
 }
 
-/// Mapping with the joint names of the driver; its joint 4 has the opposite sign.
+/// Mapping for a driver with its own joint names and the opposite sign of joint 4; `more` is put before the joints.
 fn mapping(more: &str) -> LogOptions {
     let joint = |n: usize| {
         let sign = if n == 4 { -1 } else { 1 };
@@ -155,23 +158,23 @@ fn mapping(more: &str) -> LogOptions {
 
 #[test]
 #[ignore = "needs Python with tests/requirements.txt"]
-fn efforts_of_joint_states_in_bags_by_rosbags_are_the_torques_behind_which_the_force_is() {
+fn joint_efforts_of_bags_are_torques_from_which_the_force_on_the_bar_follows() {
     let (directory, run) = (tempfile::tempdir().unwrap(), simulated());
-    let of_joints = rows(&run, holding_torques_nm);
-    let mut of_driver = of_joints.clone();
+    let of_model = table_rows(&run, holding_torques_nm);
+    let mut of_driver = of_model.clone();
     for (_, joints, torques) in &mut of_driver {
         joints[3] = -joints[3];
         torques[3] = -torques[3];
     }
-    let bag = |kind: &str| written(directory.path(), &["rosbags"], kind, &of_driver);
+    let bag = |kind: &str| write_log(directory.path(), &["rosbags"], kind, &of_driver);
     let (mcap, db3) = (bag("force-mcap"), bag("force-db3"));
     let options = mapping("force = { unit = \"Nm\" }");
     let log = load_with(&mcap, &robot(), &options).unwrap();
     assert_eq!(load_with(&db3, &robot(), &options).unwrap(), log);
     let force = log.force.clone().unwrap();
     assert_eq!((force.kind, force.clock), (ForceKind::JointTorques, ForceClock::Robot));
-    assert_eq!((force.values.first_stamp_ns, force.values.len()), (of_joints[0].0, of_joints.len()));
-    for ((_, _, torques_nm), read) in of_joints.iter().zip(force.values.iter()) {
+    assert_eq!((force.values.first_stamp_ns, force.values.len()), (of_model[0].0, of_model.len()));
+    for ((_, _, torques_nm), read) in of_model.iter().zip(force.values.iter()) {
         assert!(torques_nm.iter().zip(read).all(|(a, b)| (a - b).abs() < 1e-9), "{torques_nm:?} {read:?}");
     }
     let found = calibrated(&run, &log);
@@ -184,10 +187,10 @@ fn efforts_of_joint_states_in_bags_by_rosbags_are_the_torques_behind_which_the_f
         "{elongation:?}"
     );
 
-    // No force is configured: efforts are only the torques of the log.
+    // If the mapping has no force, the efforts are only the torques of the log.
     let plain = load_with(&mcap, &robot(), &mapping("")).unwrap();
     assert!(plain.force.is_none() && plain.torque.is_some());
     let columns = mapping("force = { columns = [\"Fx\", \"Fy\", \"Fz\"], unit = \"N\" }");
-    let told = load_with(&mcap, &robot(), &columns).unwrap_err().to_string();
-    assert!(told.contains("Fx, Fy, Fz") && told.contains("--force-log"), "{told}");
+    let error = load_with(&mcap, &robot(), &columns).unwrap_err().to_string();
+    assert!(error.contains("Fx, Fy, Fz") && error.contains("--force-log"), "{error}");
 }
