@@ -133,13 +133,13 @@ fn budget(file: &CalibrationFile) -> String {
     text
 }
 
-/// Terms that were tried and what they did to the prediction of held-out segments.
+/// Terms that were tried, and how well held-out segments are predicted without and with them.
 fn candidates(file: &CalibrationFile) -> String {
     if file.candidates.is_empty() {
         return String::new();
     }
     let mut text = String::from(
-        "terms, tried on left-out samples (residual RMS without -> with them, in standard deviations of the cost):\n",
+        "terms, tried on held-out samples (RMS of the weighted residuals without -> with them):\n",
     );
     for candidate in &file.candidates {
         let verdict = candidate.sigma.map_or_else(

@@ -51,9 +51,9 @@ pub struct Candidate {
     pub sigma: Option<f64>,
     /// Number of parameters in the group.
     pub parameters: usize,
-    /// Root mean square residual of held-out segments without the group, in standard deviations of the cost.
+    /// Root mean square of the weighted residuals of held-out segments, without the group.
     pub held_out_before: f64,
-    /// Root mean square residual of held-out segments with the group, in standard deviations of the cost.
+    /// The same with the group.
     pub held_out_after: f64,
     /// Whether the group improves the prediction of held-out segments significantly.
     pub accepted: bool,

@@ -185,7 +185,7 @@ pub(super) fn candidates(file: &CalibrationFile) -> Markup {
                 td.unit { @if one.accepted { "used" } @else { "left out" } }
             } } }
         }
-        p.note { "Each of eight groups of samples was predicted from a fit to the others. Residuals in standard deviations of the cost." }
+        p.note { "Each of eight groups of samples was predicted from a fit to the others. Residuals are weighted." }
     } }
 }
 
