@@ -68,7 +68,8 @@ impl DataSets<'_> {
     /// Checks that there are data and that every option which differs from its default affects them.
     ///
     /// # Errors
-    /// [`CalibrateError::NoRun`], [`CalibrateError::Selection`], or [`CalibrateError::NoEffect`] with the option.
+    /// [`CalibrateError::NoRun`] without data, [`CalibrateError::Selection`] if the selection is one of studies, and
+    /// [`CalibrateError::NoEffect`] with the name of an option without effect.
     pub(super) fn check(&self, config: &IdentifyConfig) -> Result<(), CalibrateError> {
         if self.rows.is_empty() {
             return if self.bars.is_empty() { Err(CalibrateError::NoRun) } else { Ok(()) };

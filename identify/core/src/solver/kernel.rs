@@ -10,7 +10,7 @@ use pulp::{Arch, Simd, WithSimd};
 /// The number of rows of a panel is a multiple of this, the size of the widest SIMD register.
 pub(super) const ROW_STEP: usize = 8;
 
-/// The number of columns of a panel is a multiple of this for [`add_products`].
+/// [`add_products`] needs a number of columns that is a multiple of this.
 pub(super) const COLUMN_STEP: usize = TILE;
 
 /// Products are formed in square tiles of this many columns: nine sums stay in registers, and each loaded number is used three
@@ -32,7 +32,7 @@ pub(super) struct Shape {
 }
 
 /// Adds `panel^T panel` to `sums`, a column-major square matrix: the lower triangle, and the tiles on the diagonal whole.
-/// The columns are a multiple of [`COLUMN_STEP`].
+/// The number of columns is a multiple of [`COLUMN_STEP`].
 pub(super) fn add_products(panel: &[f64], shape: Shape, sums: &mut [f64]) {
     Arch::new().dispatch(AddProducts { panel, shape, sums });
 }

@@ -151,8 +151,8 @@ impl<'a> Constraints<'a> {
     }
 
     /// Configuration of wrist, elbow and shoulder of an arm with six axes: the sign of joint 5, the side of the upper arm on
-    /// which the wrist is, and the sign of the Jacobian's determinant, which changes with each of the three. No path away from
-    /// singular postures changes it.
+    /// which the wrist is, and the sign of the Jacobian's determinant, which changes with each of the three. It
+    /// stays the same along any path that avoids singular postures.
     pub(super) fn bent(&self, robot_rad: &[f64]) -> [bool; 3] {
         let &[_, _, _, _, wrist, _] = robot_rad else { return [true; 3] };
         let mut trace = Trace::default();

@@ -70,8 +70,8 @@ pub struct Placements {
     pub probes: BTreeMap<usize, Placement>,
 }
 
-/// [`placements`] of all stations and targets. The pair of station and target with the most rows begins; other targets then
-/// follow from known stations, other stations from known targets. `None` if the rows of a station lie on a line.
+/// [`placements`] of all stations and targets, from the pair of station and target with the most rows on: a known station gives
+/// the targets that it measured, a known target the stations that measured it. `None` if the rows of a station lie on a line.
 pub fn all_placements(rows: &[Sighted]) -> Option<Placements> {
     let mut by_set_up: BTreeMap<SetUp, Vec<Sighted>> = BTreeMap::new();
     rows.iter().for_each(|row| by_set_up.entry(row.seen.set_up).or_default().push(*row));
@@ -101,7 +101,7 @@ pub fn all_placements(rows: &[Sighted]) -> Option<Placements> {
             places.insert(station, place(&of_station.collect::<Vec<_>>())?);
             continue;
         }
-        // Neither: the first set-up, or one that shares no station and target with those that are known.
+        // No known station or target leads further: this is the first pair, or one without connection to those before.
         let is_new = |rows: &&Vec<Sighted>| !places.contains_key(&rows[0].seen.set_up.station);
         let Some(largest) = set_ups.iter().find(is_new) else { break };
         let flanges: Vec<Pose> = largest.iter().map(|row| row.flange).collect();

@@ -9,9 +9,9 @@ use crate::prepare::Alignment;
 
 /// The middle of what both logs cover, to which all times of the result refer. The other log is the bar's or the tracker's.
 pub(in crate::prepare) struct Reference {
-    /// Times since the other log's first sample between which both logs have values \[s\].
+    /// Start and end of what both logs cover, counted from the other log's first sample \[s\].
     overlap_s: [f64; 2],
-    /// Reference time since the other log's first sample \[s\].
+    /// Reference time, counted from the other log's first sample \[s\].
     pub t_ref_s: f64,
     /// Reference time on the other log's clock.
     pub t_ref: UtcNs,
@@ -20,7 +20,7 @@ pub(in crate::prepare) struct Reference {
 }
 
 impl Reference {
-    /// Of another log whose samples are from `first` to `end_s` later, and a robot log of a duration; `clock` counts from `first`.
+    /// The samples of the other log begin at `first` and end `end_s` later; `clock` counts from `first`.
     pub fn new(first: UtcNs, end_s: f64, clock: Clock, log_duration_s: f64) -> Self {
         let other_time_s = |tau_s: f64| (tau_s - clock.shift_s) / (1.0 + clock.skew);
         let from_s = other_time_s(0.0).clamp(0.0, end_s);

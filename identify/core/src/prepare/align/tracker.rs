@@ -152,8 +152,8 @@ fn thinned(rows: &[CoveredRow], options: &PrepareOptions) -> Vec<CoveredRow> {
     selected.into_iter().map(|place| rows[place]).collect()
 }
 
-/// Positions of the pair of station and target with the most rows, in the tracker's frame \[m\]: their motion determines the clocks
-/// of all rows.
+/// Positions of one target from one station, the pair with the most rows, in the tracker's frame \[m\]. The clock is found from
+/// them, for the rows of all pairs.
 fn longest_view_m(rows: &Stream<PoseRow>) -> Stream<Vector3<f64>> {
     let mut counts: BTreeMap<SetUp, usize> = BTreeMap::new();
     for row in rows.iter() {

@@ -14,7 +14,7 @@ use crate::statistics::median;
 pub(in crate::prepare) struct Offsets {
     /// Added to the encoders' angles \[rad\]; 0 for joints without encoder.
     pub offsets_rad: [f64; BAR_JOINTS],
-    /// Number of pairs from which they follow.
+    /// Number of pairs of measured and predicted angles from which the offsets were estimated.
     pub pairs: usize,
 }
 

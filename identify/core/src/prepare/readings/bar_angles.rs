@@ -1,4 +1,4 @@
-//! Counts of a recording to joint angles with unknown offsets.
+//! Converts the counts of a recording to joint angles with unknown offsets.
 
 use std::f64::consts::TAU;
 

@@ -87,7 +87,7 @@ fn next_pivot(basis: &DMatrix<f64>) -> Option<usize> {
         };
         nonzero.iter().filter(is_parallel).count()
     };
-    // If several have the same number, the longest row is the best conditioned pivot.
+    // Of rows with the same number the longest is the best conditioned pivot.
     nonzero
         .iter()
         .copied()

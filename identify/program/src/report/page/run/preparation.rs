@@ -19,7 +19,7 @@ pub(in crate::report::page) fn section(prepared: &Prepared) -> Result<Markup, Pl
         figure {
             (speeds(timeline)?)
             figcaption {
-                "Fastest joint of robot and bar, on the bar's clock after the alignment. Both stand still together "
+                "Speed of the fastest joint of robot and bar, on the bar's clock after the alignment. Both stand still together "
                 (timeline.standstills.len()) " times, "
                 (format!("{:.1}", timeline.standstills.iter().map(|one| one.duration_s()).sum::<f64>())) " s in all."
             }
@@ -45,9 +45,9 @@ fn time_axis(timeline: &Timeline) -> TimeAxis {
     TimeAxis::of(timeline.points.iter().map(|point| point.t_s))
 }
 
-/// Fastest joint of either log over time.
+/// Speed of the robot's and of the bar's fastest joint over time.
 fn speeds(timeline: &Timeline) -> Result<Markup, PlotError> {
-    /// If points are further apart than this in the mean, lines between them mean nothing, and dots are drawn \[s\].
+    /// If points are further apart than this on average, dots are drawn: lines between them would mislead \[s\].
     const APART_S: f64 = 1.0;
     let time = time_axis(timeline);
     let span_s = match timeline.points.as_slice() {
