@@ -60,7 +60,7 @@ pub struct Acquisition {
     distributed_clocks: bool,
     utc_minus_monotonic_ns: i64,
     fit: ClockFit,
-    /// Lead of the bus' clock, as it was last set, over its time without outages: the error of that setting \[ns\].
+    /// How far the bus' clock is ahead of one that was never interrupted: the error of setting it after outages \[ns\].
     bus_lead_ns: i64,
     sampler: Sampler,
     continuity: Continuity,

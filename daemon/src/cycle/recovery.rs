@@ -301,7 +301,7 @@ impl Acquisition {
         let restarted = self.fit.restarted();
         let fit_before = std::mem::replace(&mut self.fit, restarted);
         self.observe_clocks(&exchange);
-        // Setting the bus' clock takes some frames, so it is a little off. Remember this, so that it does not add up.
+        // Setting the bus' clock takes some frames, so it is a little off. The next setting corrects this: errors do not add up.
         let change_ns = self.bus_minus_monotonic_ns().wrapping_sub(before_ns);
         self.bus_lead_ns = self.bus_lead_ns.wrapping_add(change_ns);
         let sampled = self.cycle_sampled(&exchange);

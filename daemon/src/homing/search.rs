@@ -125,7 +125,7 @@ impl Search {
         }
     }
 
-    /// The first encoder that turns far enough belongs to the joint, if no other does.
+    /// The first encoder that turns far enough belongs to the joint. It is an error if another one has turned as well.
     fn find_mover(&mut self) -> Result<(), HomingError> {
         if self.mover.is_some() {
             return Ok(());
