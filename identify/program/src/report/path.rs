@@ -167,7 +167,7 @@ fn ends(checked: &Checked, arm: &Chain) -> String {
     }
 }
 
-/// The best places of the bar, a line for each, and what a second run of this length adds to the first of them.
+/// The best places of the bar, a line for each, and the errors with a second run at the first of them or at another place.
 pub fn places(places: &Places, duration_s: f64) -> String {
     let cells = |expected: &ExpectedPosition| {
         format!("{:>12.4}{:>12.4}", expected.axes_exact_m * 1e3, expected.with_terms_m * 1e3)
@@ -177,14 +177,15 @@ pub fn places(places: &Places, duration_s: f64) -> String {
         numbers.join(",")
     };
     let mut text = format!(
-        "{} places with a path, {} without; expected RMS position error where the axes have no errors, and with all their terms\n\
+        "{} places of the bar with a path, {} without; expected RMS position error [mm] if the axes have no errors, and with the \
+         errors of all their terms\n\
          {:>26}{:>9}{:>12}{:>12}   {}\n",
         places.found.len(),
         places.without_path,
         "--base [m]",
         "rod [m]",
-        "[mm]",
-        "[mm]",
+        "no errors",
+        "all terms",
         "--posture [deg, mm]"
     );
     for place in places.found.iter().take(PLACES_SHOWN) {
@@ -205,13 +206,13 @@ pub fn places(places: &Places, duration_s: f64) -> String {
         };
         let _ = writeln!(
             text,
-            "what a second run there adds to one at the best place, in position error with all terms per minute of its recording\n\
+            "a second run of this length: errors as above [mm], and the decrease with all terms per minute of its recording\n\
              {:>35}{:>12}{:>12}{:>14}\n\
              {:>35}{}\n{:>35}{}{}\n{:>35}{}{}\n\
              the station: --base {} --posture {}",
             "",
-            "[mm]",
-            "[mm]",
+            "no errors",
+            "all terms",
             "[um/min]",
             "best place alone",
             cells(&first.expected),
