@@ -83,7 +83,7 @@ fn gap(found: &Identifiability) -> String {
 /// For each fixed parameter the estimates that its error changes, as in table 3.4 of the thesis.
 fn influences(text: &mut String, influence: &Influence) {
     let _ =
-        writeln!(text, "  an error of 1 mm|mrad in what is held fixed affects (by more than {AFFECTED}):");
+        writeln!(text, "  an error of 1 mm|mrad in a fixed parameter changes (if by more than {AFFECTED}):");
     for (column, held) in influence.held.iter().enumerate() {
         let changes = influence.change.column(column);
         // Rounded as displayed, so that rounding errors change neither selection nor order.
