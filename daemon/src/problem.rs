@@ -94,7 +94,8 @@ macro_rules! facts {
     };
 }
 
-const REPLACE_TERMINAL: &str = "power the terminals off and on; if this persists, replace the named one";
+const REPLACE_TERMINAL: &str =
+    "power the terminals off and on; if the problem persists, replace the named terminal";
 const CHECK_DISK: &str = "check its cable, its power, or its network connection";
 const REDUCE_LOAD: &str = "run `ballbard tune`; end programs that load the processor";
 

@@ -289,7 +289,7 @@ fn siblings(machine: &Machine) -> Finding {
     let shared = machine.core.and_then(|core| Some((core, *siblings.iter().find(|other| **other != core)?)));
     match shared {
         Some((core, sibling)) => problem(
-            format!("core {sibling} shares its execution units with core {core}"),
+            format!("core {sibling} shares the execution units of core {core} and slows it down"),
             format!("echo 0 | sudo tee /sys/devices/system/cpu/cpu{sibling}/online"),
         ),
         None if machine.core.is_none() && siblings.len() > 1 => problem(
