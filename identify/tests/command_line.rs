@@ -351,7 +351,7 @@ fn the_encoder_map_that_is_typed_is_the_one_that_is_used() {
     let out = tempfile::tempdir().unwrap();
     let (recording, log) = (experiment().join("recording.mcap"), experiment().join("robot_log.csv"));
     let told = calibrate(&recording, &log, &["--encoders", "-1,2"], out.path());
-    refused(&told, &["--encoders", "5 encoders"], out.path());
+    refused(&told, &["--encoders", "give 5 different bar joints"], out.path());
     let told = calibrate(&recording, &log, &["--encoders", "left"], out.path());
     refused(&told, &["find, recorded"], out.path());
     // A wrong encoder map: no geometry near the nominal one explains the data.

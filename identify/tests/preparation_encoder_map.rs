@@ -126,7 +126,7 @@ fn a_stated_order_is_taken_and_a_senseless_one_refused() {
     assert_eq!(joints_and_directions(&found.encoder_map.used), wanted);
     for senseless in [vec![1, 2, 3, 4], vec![1, 1, 2, 3, 4], vec![0, 1, 2, 3, 4], vec![1, 2, 3, 4, 6]] {
         let message = prepared(&run, EncoderMapChoice::Stated(senseless)).unwrap_err().to_string();
-        assert!(message.contains("for each of the 5 encoders"), "{message}");
+        assert!(message.contains("give 5 different bar joints"), "{message}");
     }
 }
 

@@ -157,7 +157,7 @@ pub struct LogConversion {
     pub unit: AngleUnit,
     /// Value of each column where the robot is at its mechanical zero \[rad, m\].
     pub raw_offset_rad: Vec<f64>,
-    /// As many rows and columns as axes; row i is what column i of the log contributes to each joint.
+    /// Square, with a row for each axis: row i has the contributions of column i of the log to all joints.
     pub raw_to_joint: Vec<Vec<f64>>,
 }
 
@@ -174,8 +174,8 @@ impl LogConversion {
         if !square || self.raw_offset_rad.len() != axes {
             return Err(Violation::new(
                 "log",
-                format!("raw_offset_rad or raw_to_joint has not {axes} rows and columns"),
-                "give one number for each axis, and for each pair of axes",
+                format!("raw_offset_rad needs {axes} numbers, raw_to_joint {axes} rows of {axes} numbers"),
+                "write one offset for each log column, and one row for each log column with a number for each joint",
             ));
         }
         if !self.raw_offset_rad.iter().chain(self.raw_to_joint.iter().flatten()).all(|x| x.is_finite()) {

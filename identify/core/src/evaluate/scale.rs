@@ -10,11 +10,11 @@ use super::Budget;
 use crate::instrument::{Run, ScaleFrom};
 use crate::model::{ParameterId, Role};
 
-/// Length error of a plate that the sentence uses as an example \[m\].
+/// Length error of a plate in the example of the sentence \[m\].
 const LONGER_M: f64 = 1e-4;
 
-/// A sentence on what fixes the scale: the plates of `bars`, each with what states it, and the `others`
-/// instruments, each with its mapping. The budget has the effect of a plate error on positions.
+/// A sentence on what determines the scale: the plates of `bars`, each with its configuration, and the `others` instruments,
+/// each with its mapping. The budget has the effect of a plate error on positions.
 pub fn scale_sentence<'a>(
     bars: impl IntoIterator<Item = (&'a BallBarConfig, Source)>,
     others: impl IntoIterator<Item = (&'a Run, &'a Path)>,
@@ -55,7 +55,9 @@ fn plate(bar: &BallBarConfig, source: &Source) -> String {
     let source = if matches!(source, Source::BuiltIn(..)) {
         "an example that is built in: write the lengths of your bar into ball_bar.toml".to_owned()
     } else if is_default {
-        format!("the default, for a calliper: state plate_u_um in {file} if it was measured otherwise")
+        format!(
+            "the default for a calliper: write plate_u_um into {file} if the plate was measured by other means"
+        )
     } else {
         format!("as {file} states")
     };

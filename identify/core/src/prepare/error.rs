@@ -270,8 +270,8 @@ pub enum PrepareError {
     },
     /// The stated order is invalid.
     #[error(
-        "invalid encoders {stated} (--encoders, or `encoders` under [prepare]); give for each of the {encoders} encoders of the \
-         recording its bar joint, 1 to 5, each once, negative if the encoder counts the other way than recorded"
+        "invalid encoders {stated} (--encoders, or `encoders` under [prepare]); give {encoders} different bar joints, 1 to 5, one \
+         for each encoder of the recording; a minus sign reverses the recorded direction of the encoder"
     )]
     StatedEncoderMap {
         /// The list as the user gave it.

@@ -89,7 +89,7 @@ impl RowTruth {
 pub enum RowSimulationError {
     /// The table contains no positions.
     #[error(
-        "the table of sockets has distances, but no positions; give one with a [[socket]] block for each of at least two sockets"
+        "the table of sockets has distances but no positions; give a table with a [[socket]] block for each socket, at least two"
     )]
     NoPlaces,
     /// A size that is negative or not finite.

@@ -80,16 +80,16 @@ pub(in crate::logs) fn read(
     raw.finish(&meaning)
 }
 
-/// Kind of the force that a mapping states. A bag has it as efforts of the joints only: an error if the mapping names columns.
+/// Kind of the force in the mapping. A bag has only the efforts of the joints, so columns in the mapping are an error.
 fn kind_of_efforts(force: &ForceColumns, path: &Path) -> Result<ForceKind, LogError> {
     if force.columns.is_empty() {
         return Ok(force.kind());
     }
     Err(LogError::Content {
         path: path.to_owned(),
-        problem: format!("the mapping looks for a force in columns ({}), a bag has none", force.columns.join(", ")),
-        remedy: "leave out `columns` under [force], then it is taken from the joints' efforts (unit = \"Nm\"); or give \
-                 the force in a table of its own with --force-log"
+        problem: format!("the mapping names columns of a force ({}), but a bag has no columns", force.columns.join(", ")),
+        remedy: "remove `columns` under [force] and write unit = \"Nm\" to use the efforts of the joints, or give the force in a table \
+                 of its own with --force-log"
             .into(),
     })
 }
