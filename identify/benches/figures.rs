@@ -19,7 +19,7 @@ use identify::calibrate::{IdentifyConfig, calibrate_run};
 use identify::cost::{AngleNoise, LoopProblem, Residual, Transform, WhitenedPose};
 use identify::model::{Model, Observation, PerObservation, Selection};
 use identify::simulate::{Experiment, run};
-use identify::solver::{Options, Problem, minimise, solve};
+use identify::solver::{LeastSquares, Options, minimise, solve};
 use levenberg_marquardt::LevenbergMarquardt;
 use support::other_solver::Other;
 use support::{Cell, noisy_poses};
@@ -54,7 +54,7 @@ fn model() -> Model {
 }
 
 /// Milliseconds of one pass with its step: a descent of three iterations over the passes that it made.
-fn iteration(problem: &dyn Problem, start: &[f64]) -> f64 {
+fn iteration(problem: &dyn LeastSquares, start: &[f64]) -> f64 {
     let options = Options { iterations_max: 3, ..alone() };
     let passes = minimise(problem, start, &options).unwrap().1.evaluations as f64;
     let runs = (0..RUNS).map(|_| timed(|| minimise(problem, start, &options).unwrap()));

@@ -1,7 +1,7 @@
 //! The detector of changes on generated residuals: rate of false alarms, and detected changes.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
-use identify::solver::{Change, Course, Linearisation, Loss, Prior, Problem, change_point, minimise};
+use identify::solver::{Change, Course, LeastSquares, Linearisation, Loss, Prior, change_point, minimise};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal, StudentT};
@@ -16,7 +16,7 @@ struct Channels {
     y: Vec<[f64; 2]>,
 }
 
-impl Problem for Channels {
+impl LeastSquares for Channels {
     fn columns(&self) -> usize {
         COLUMNS
     }

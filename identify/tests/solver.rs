@@ -7,7 +7,8 @@ use crate::support::{Cell, noisy_poses};
 use identify::cost::{LoopProblem, Residual, Transform};
 use identify::model::Selection;
 use identify::solver::{
-    Linearisation, LossName, Noise, Options, Prior, Problem, SolveError, Termination, minimise_robust, solve,
+    LeastSquares, Linearisation, LossName, Noise, Options, Prior, SolveError, Termination, minimise_robust,
+    solve,
 };
 use levenberg_marquardt::LevenbergMarquardt;
 use nalgebra::{DMatrix, DVector};
@@ -32,7 +33,7 @@ impl<'a> Rows<'a> {
     }
 }
 
-impl Problem for Rows<'_> {
+impl LeastSquares for Rows<'_> {
     fn columns(&self) -> usize {
         self.columns
     }
@@ -63,7 +64,7 @@ impl Problem for Rows<'_> {
     }
 }
 
-fn other_solver(problem: &dyn Problem, start: &[f64]) -> DVector<f64> {
+fn other_solver(problem: &dyn LeastSquares, start: &[f64]) -> DVector<f64> {
     let (end, report) = LevenbergMarquardt::new().minimize(Other::new(problem, start));
     assert!(report.termination.was_successful(), "{report:?}");
     end.x
@@ -389,7 +390,7 @@ fn a_minimum_that_costs_a_sample_is_not_called_convergence() {
 /// A line with samples of one, two and three rows in turn.
 struct Ragged<'a>(&'a [f64]);
 
-impl Problem for Ragged<'_> {
+impl LeastSquares for Ragged<'_> {
     fn columns(&self) -> usize {
         2
     }
@@ -426,7 +427,7 @@ struct BesideKnown {
     measured: usize,
 }
 
-impl Problem for BesideKnown {
+impl LeastSquares for BesideKnown {
     fn columns(&self) -> usize {
         2
     }

@@ -1,19 +1,19 @@
 //! Adapts a problem of this project to the crate `levenberg-marquardt`, a port of MINPACK's lmder.
 
-use identify::solver::{Problem, stacked};
+use identify::solver::{LeastSquares, stacked};
 use levenberg_marquardt::LeastSquaresProblem;
 use nalgebra::storage::Owned;
 use nalgebra::{DMatrix, DVector, Dyn};
 
 pub struct Other<'a> {
-    problem: &'a dyn Problem,
+    problem: &'a dyn LeastSquares,
     pub x: DVector<f64>,
     /// That crate requests residuals and Jacobian of a point separately.
     at_x: Option<(DVector<f64>, DMatrix<f64>)>,
 }
 
 impl<'a> Other<'a> {
-    pub fn new(problem: &'a dyn Problem, start: &[f64]) -> Self {
+    pub fn new(problem: &'a dyn LeastSquares, start: &[f64]) -> Self {
         Self { problem, x: DVector::from_column_slice(start), at_x: stacked(problem, start) }
     }
 }

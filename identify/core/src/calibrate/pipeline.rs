@@ -14,7 +14,7 @@ use crate::cost::{CostError, DataSets, SharedColumns};
 use crate::instrument::{CostName, Run, ScaleFrom};
 use crate::model::{Column, Group, Model, ModelError, ParameterId, Role};
 use crate::solver::{
-    GoodShare, Loss, LossName, Normals, Options, Problem, Solution, Summary, Watch, minimise,
+    GoodShare, LeastSquares, Loss, LossName, Normals, Options, Solution, Summary, Watch, minimise,
     minimise_robust, solve,
 };
 
@@ -110,7 +110,7 @@ pub(super) fn problem_with_models<'p>(
 /// Factor, at least 1, that increases the `sigma` of one data set for the correlation of its errors: correlated errors carry less
 /// information than independent ones. It is the root of their [`Normals::overdispersion`]. `alone` has residuals in their own
 /// unit, so its dispersion has to be divided by `sigma^2`. `groups` are independent groups of its samples.
-fn correlation_factor(alone: &dyn Problem, model: &Model, groups: &[Vec<usize>], sigma: f64) -> f64 {
+fn correlation_factor(alone: &dyn LeastSquares, model: &Model, groups: &[Vec<usize>], sigma: f64) -> f64 {
     let loss = LossName::Cauchy.for_spread(sigma, alone.rows());
     let options = Options { loss, ..Options::default() };
     let normals = Normals::new(alone, &model.start(), &options, groups).ok();

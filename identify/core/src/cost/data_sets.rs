@@ -5,11 +5,11 @@
 //! per run.
 
 use crate::model::{Column, Model, ParameterId};
-use crate::solver::{Linearisation, Prior, Problem};
+use crate::solver::{LeastSquares, Linearisation, Prior};
 
 /// Whitened samples of one instrument, independent of the type of residual.
-pub trait DataSet: Problem {
-    /// As [`Problem::at`], but in the columns of the caller's problem: parameter `i` is its column `columns[i]`.
+pub trait DataSet: LeastSquares {
+    /// As [`LeastSquares::at`], but in the columns of the caller's problem: parameter `i` is its column `columns[i]`.
     fn at_into<'a>(&'a self, x: &[f64], columns: &'a [usize]) -> Linearisation<'a>;
 }
 
@@ -126,7 +126,7 @@ impl<'a> DataSets<'a> {
     }
 }
 
-impl Problem for DataSets<'_> {
+impl LeastSquares for DataSets<'_> {
     fn columns(&self) -> usize {
         self.columns.all().len()
     }

@@ -11,7 +11,7 @@ use super::{DataSet, Residual, Scene};
 use crate::instrument::Knowns;
 use crate::kinematics::{BAR_JOINTS, Chain, ROD_LINK, Trace, Tracer, Turn};
 use crate::model::{Geometry, Model, MovingJoints, Observation, ParameterId, RobotMotion};
-use crate::solver::{Linearisation, Prior, Problem};
+use crate::solver::{LeastSquares, Linearisation, Prior};
 
 /// Reason why a cost cannot use the observations.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -259,7 +259,7 @@ impl<R: Residual, M: RobotMotion> DataSet for LoopProblem<'_, R, M> {
     }
 }
 
-impl<R: Residual, M: RobotMotion> Problem for LoopProblem<'_, R, M> {
+impl<R: Residual, M: RobotMotion> LeastSquares for LoopProblem<'_, R, M> {
     fn columns(&self) -> usize {
         self.ids.len()
     }

@@ -1,5 +1,6 @@
-//! The minimum of a [`Problem`] by Levenberg-Marquardt: steps `(H + lambda D) step = -g` with `H = J^T W J` and `g = J^T W r`
-//! (robust weights `W`, priors added), `D` the largest diagonal of `H` so far, and Nielsen's rule for the damping `lambda`.
+//! The minimum of a [`LeastSquares`] problem by Levenberg-Marquardt: steps `(H + lambda D) step = -g` with `H = J^T W J` and
+//! `g = J^T W r` (robust weights `W`, priors added), `D` the largest diagonal of `H` so far, and Nielsen's rule for the damping
+//! `lambda`.
 //!
 //! References: Marquardt 1963; More 1978 (monotone scaling); Nielsen, IMM-REP-1999-05 (damping by the gain
 //! ratio); Madsen, Nielsen, Tingleff 2004.
@@ -8,7 +9,7 @@ use nalgebra::DVector;
 
 use super::information::identifiability::{at_solution, require_start};
 use super::pass::{Pass, PassError, Products, SampleFit, Taking};
-use super::{Normal, Options, Problem, ScaledCholesky, Solution, SolveError, Summary, Termination};
+use super::{LeastSquares, Normal, Options, ScaledCholesky, Solution, SolveError, Summary, Termination};
 
 /// Cost and normal equations at a point, with the priors.
 struct QuadraticModel {
@@ -135,7 +136,7 @@ fn at_minimum(
 
 /// The iteration. It can end at a minimum only at the start or after an accepted step.
 fn descend(
-    problem: &dyn Problem,
+    problem: &dyn LeastSquares,
     start: QuadraticModel,
     x: DVector<f64>,
     options: &Options<'_>,
@@ -164,7 +165,7 @@ fn descend(
 
 /// Increases the damping until a step lowers the cost; false if none does.
 fn accept_step(
-    problem: &dyn Problem,
+    problem: &dyn LeastSquares,
     now: &mut Descent,
     damping: &mut Damping,
     options: &Options<'_>,
@@ -204,7 +205,7 @@ fn accept_step(
 /// # Errors
 /// As [`solve`].
 pub fn minimise(
-    problem: &dyn Problem,
+    problem: &dyn LeastSquares,
     start: &[f64],
     options: &Options<'_>,
 ) -> Result<(Vec<f64>, Summary), SolveError> {
@@ -213,7 +214,7 @@ pub fn minimise(
 
 /// The minimum, its summary, and each sample's fit there.
 fn find_minimum(
-    problem: &dyn Problem,
+    problem: &dyn LeastSquares,
     start: &[f64],
     options: &Options<'_>,
 ) -> Result<(DVector<f64>, Summary, Vec<SampleFit>), SolveError> {
@@ -252,7 +253,11 @@ fn find_minimum(
 ///
 /// # Errors
 /// [`SolveError`] if the solve cannot start or was cancelled.
-pub fn solve(problem: &dyn Problem, start: &[f64], options: &Options<'_>) -> Result<Solution, SolveError> {
+pub fn solve(
+    problem: &dyn LeastSquares,
+    start: &[f64],
+    options: &Options<'_>,
+) -> Result<Solution, SolveError> {
     let (x, summary, fits) = find_minimum(problem, start, options)?;
     let (identifiability, covariance) =
         at_solution(problem, x.as_slice(), options, &fits, summary.iterations)?;

@@ -46,7 +46,7 @@ pub struct Prior {
 }
 
 /// A least-squares problem `min 1/2 sum_k rho(|r_k(x)|^2) + 1/2 sum ((x_j - value_j) / sigma_j)^2`.
-pub trait Problem: Sync {
+pub trait LeastSquares: Sync {
     /// Number of free parameters.
     fn columns(&self) -> usize;
 

@@ -11,7 +11,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use nalgebra::{DMatrix, DVector};
 
 use super::panel::{Panel, fold_triangles, width};
-use super::{Linearisation, Loss, Normal, Options, Problem, Progress, SolveError, Watch};
+use super::{LeastSquares, Linearisation, Loss, Normal, Options, Progress, SolveError, Watch};
 use crate::threads::{on_threads, threads_there};
 
 /// Least number of samples of a part: about a millisecond of work.
@@ -178,7 +178,7 @@ impl Fold for Rows {
 
 /// One pass: point, samples, loss and threads.
 pub(super) struct Pass<'a> {
-    pub(super) problem: &'a dyn Problem,
+    pub(super) problem: &'a dyn LeastSquares,
     pub(super) x: &'a [f64],
     pub(super) loss: Loss,
     pub(super) taking: Taking<'a>,
@@ -192,7 +192,7 @@ pub(super) struct Pass<'a> {
 impl<'a> Pass<'a> {
     /// A pass with these options, outside an iteration.
     pub(super) fn new(
-        problem: &'a dyn Problem,
+        problem: &'a dyn LeastSquares,
         x: &'a [f64],
         options: &Options<'a>,
         taking: Taking<'a>,
@@ -314,24 +314,24 @@ fn require_finite(panel: &Panel) -> Result<(), PassError> {
 }
 
 /// Efficient number of threads for a pass over all samples of a problem.
-pub(super) fn threads_that_pay(problem: &dyn Problem) -> usize {
+pub(super) fn threads_that_pay(problem: &dyn LeastSquares) -> usize {
     let threads = problem.samples() * problem.rows() * problem.columns() / ENTRIES_PER_THREAD;
     if threads > 1 { threads_there().min(threads) } else { 1 }
 }
 
 /// A pass without loss and observer.
-fn unweighted<'a>(problem: &'a dyn Problem, x: &'a [f64]) -> Pass<'a> {
+fn unweighted<'a>(problem: &'a dyn LeastSquares, x: &'a [f64]) -> Pass<'a> {
     Pass::new(problem, x, &Options::default(), Taking::WhatIsThere)
 }
 
 /// Fit of each sample at `x`, without loss. Empty if one is not finite.
-pub(super) fn fits(problem: &dyn Problem, x: &[f64]) -> Vec<SampleFit> {
+pub(super) fn fits(problem: &dyn LeastSquares, x: &[f64]) -> Vec<SampleFit> {
     unweighted(problem, x).run(|| ()).map(|((), fits)| fits).unwrap_or_default()
 }
 
 /// Residuals and Jacobian of all samples that have a value at `x`, stacked, without loss and priors: for inspection and for
 /// other solvers. `None` if one of them is not finite.
-pub fn stacked(problem: &dyn Problem, x: &[f64]) -> Option<(DVector<f64>, DMatrix<f64>)> {
+pub fn stacked(problem: &dyn LeastSquares, x: &[f64]) -> Option<(DVector<f64>, DMatrix<f64>)> {
     let (rows, _) = unweighted(problem, x).run(Rows::default).ok()?;
     let count = rows.residual.len();
     Some((

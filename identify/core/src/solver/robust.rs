@@ -7,7 +7,7 @@
 
 use super::loss::squared_norm_quantile;
 use super::pass::fits;
-use super::{Loss, LossName, Options, Problem, SolveError, Summary, minimise};
+use super::{LeastSquares, Loss, LossName, Options, SolveError, Summary, minimise};
 
 /// Standard normal quantiles of 0.95 and 0.99, which define the scale of intermediate losses and of the last one.
 const INTERMEDIATE_QUANTILE: f64 = 1.645;
@@ -45,7 +45,7 @@ impl GoodShare {
     }
 
     /// [`Self::spread`] of the samples that have a value at `x`.
-    pub fn spread_at(self, problem: &dyn Problem, x: &[f64]) -> f64 {
+    pub fn spread_at(self, problem: &dyn LeastSquares, x: &[f64]) -> f64 {
         self.spread(fits(problem, x).iter().filter(|fit| fit.present).map(|fit| (fit.squared, fit.rows)))
     }
 }
@@ -124,7 +124,7 @@ impl LossName {
     }
 
     /// The loss for the spread at `x`, where it has converged.
-    pub fn for_spread_at(self, problem: &dyn Problem, x: &[f64]) -> Loss {
+    pub fn for_spread_at(self, problem: &dyn LeastSquares, x: &[f64]) -> Loss {
         if self == Self::None {
             return Loss::Squared;
         }
@@ -137,7 +137,7 @@ impl LossName {
 /// # Errors
 /// As [`minimise`].
 pub fn minimise_robust(
-    problem: &dyn Problem,
+    problem: &dyn LeastSquares,
     start: &[f64],
     loss: LossName,
     options: &Options<'_>,

@@ -1,16 +1,16 @@
 //! A part of a problem's samples as a separate problem.
 
-use super::{Linearisation, Prior, Problem};
+use super::{LeastSquares, Linearisation, Prior};
 
 /// Some samples of a problem, with all of its columns and priors.
 pub struct Subset<'p> {
     /// The problem that contains the samples.
-    pub of: &'p dyn Problem,
+    pub of: &'p dyn LeastSquares,
     /// Numbers of the selected samples, in the order of the subset.
     pub samples: Vec<usize>,
 }
 
-impl Problem for Subset<'_> {
+impl LeastSquares for Subset<'_> {
     fn columns(&self) -> usize {
         self.of.columns()
     }

@@ -275,7 +275,7 @@ mod tests {
     use rand_distr::StandardNormal;
 
     use super::*;
-    use crate::solver::{Linearisation, Options, Problem};
+    use crate::solver::{LeastSquares, Linearisation, Options};
 
     /// Rows on a straight line plus a wave, which may be zero; a second wave is never present.
     struct Waves {
@@ -314,7 +314,7 @@ mod tests {
         }
     }
 
-    impl Problem for Waves {
+    impl LeastSquares for Waves {
         fn columns(&self) -> usize {
             4
         }

@@ -7,7 +7,7 @@ use crate::calibrate::pipeline::{Solved, problem};
 use crate::calibrate::rows::PoseFigures;
 use crate::instrument::{Run, Section, without};
 use crate::model::Model;
-use crate::solver::{Normals, Options, Problem};
+use crate::solver::{LeastSquares, Normals, Options};
 
 /// Rows at one part of an instrument, predicted by the fit to all other data.
 #[derive(Debug, Clone, PartialEq)]

@@ -19,7 +19,9 @@ use crate::logs::CubicSpline;
 use crate::model::{Clock, Geometry, Group, Model, ModelError, Observation, ParameterId, RobotMotion, Role};
 use crate::prepare::AlignedLog;
 use crate::prepare::samples::angle_errors::AngleErrors;
-use crate::solver::{GoodShare, Linearisation, Loss, Options, Prior, Problem, Schedule, Summary, minimise};
+use crate::solver::{
+    GoodShare, LeastSquares, Linearisation, Loss, Options, Prior, Schedule, Summary, minimise,
+};
 use crate::statistics::mean;
 use crate::threads::rows;
 
@@ -167,7 +169,7 @@ struct WithOffsets<'a> {
     priors: Vec<Prior>,
 }
 
-impl Problem for WithOffsets<'_> {
+impl LeastSquares for WithOffsets<'_> {
     fn columns(&self) -> usize {
         self.chain_columns + self.origin_count * BAR_JOINTS
     }

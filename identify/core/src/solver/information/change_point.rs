@@ -23,7 +23,7 @@ use std::ops::Range;
 use nalgebra::{DMatrix, DVector};
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 
-use crate::solver::{Loss, Problem, ScaledCholesky, Subset, stacked};
+use crate::solver::{LeastSquares, Loss, ScaledCholesky, Subset, stacked};
 use crate::threads::each;
 
 /// Highest number of blocks of a run.
@@ -70,7 +70,7 @@ pub struct Change {
 /// few samples. A change is significant if at most the part `false_alarms` of runs without changes show as much. An alternative
 /// is one column, or several that change together.
 pub fn change_point(
-    problem: &dyn Problem,
+    problem: &dyn LeastSquares,
     x: &[f64],
     loss: Loss,
     samples: &[usize],
@@ -124,7 +124,7 @@ struct Run {
 
 impl Run {
     fn new(
-        problem: &dyn Problem,
+        problem: &dyn LeastSquares,
         x: &[f64],
         loss: Loss,
         samples: &[usize],

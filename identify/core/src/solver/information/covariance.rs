@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
 
 use super::identifiability::ScaledSpectrum;
-use crate::solver::Problem;
+use crate::solver::LeastSquares;
 use crate::solver::pass::{SampleFit, weighed_rows};
 
 /// Standard deviation of a residual row.
@@ -32,7 +32,7 @@ impl Noise {
     /// The factor `s^2`; `None` without a degree of freedom to estimate it from.
     pub(in crate::solver) fn variance_factor(
         self,
-        problem: &dyn Problem,
+        problem: &dyn LeastSquares,
         x: &[f64],
         fits: &[SampleFit],
     ) -> Option<f64> {

@@ -14,7 +14,7 @@ use nalgebra::{DMatrix, DVector};
 use super::covariance::Covariance;
 use super::null_space::dependent_groups;
 use crate::solver::pass::{Pass, PassError, SampleFit, Taking, Triangle};
-use crate::solver::{Observability, Options, Prior, Problem, SolveError};
+use crate::solver::{LeastSquares, Observability, Options, Prior, SolveError};
 
 /// Parameters that are only determined in combinations.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -193,7 +193,7 @@ pub fn combined(projection: &DMatrix<f64>) -> Vec<Vec<usize>> {
 /// # Errors
 /// [`SolveError`] if no sample is usable or the pass was cancelled.
 pub fn identifiability(
-    problem: &dyn Problem,
+    problem: &dyn LeastSquares,
     x: &[f64],
     options: &Options<'_>,
 ) -> Result<Identifiability, SolveError> {
@@ -208,7 +208,7 @@ pub fn identifiability(
 
 /// Identifiability and covariance at the end of a solve of this number of iterations.
 pub(in crate::solver) fn at_solution(
-    problem: &dyn Problem,
+    problem: &dyn LeastSquares,
     x: &[f64],
     options: &Options<'_>,
     fits: &[SampleFit],
@@ -228,7 +228,7 @@ pub(in crate::solver) fn at_solution(
 
 /// Identifiability from the triangle of the samples' Jacobian, and the spectrum of samples and priors for the covariance.
 fn examine(
-    problem: &dyn Problem,
+    problem: &dyn LeastSquares,
     triangle: &DMatrix<f64>,
     fits: &[SampleFit],
     options: &Options<'_>,
@@ -321,7 +321,7 @@ fn rank(singular_values: &DVector<f64>, tolerance: f64) -> usize {
 
 /// Triangle of the samples' weighted Jacobian.
 pub(in crate::solver) fn sample_triangle(
-    problem: &dyn Problem,
+    problem: &dyn LeastSquares,
     x: &[f64],
     options: &Options<'_>,
     taking: Taking<'_>,
@@ -347,7 +347,7 @@ pub(in crate::solver) fn with_priors<'a>(
 }
 
 /// Checks that the point has a value for each column.
-pub(in crate::solver) fn require_start(problem: &dyn Problem, x: &[f64]) -> Result<(), SolveError> {
+pub(in crate::solver) fn require_start(problem: &dyn LeastSquares, x: &[f64]) -> Result<(), SolveError> {
     if x.len() == problem.columns() {
         return Ok(());
     }

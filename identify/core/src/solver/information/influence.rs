@@ -5,7 +5,7 @@ use nalgebra::{DMatrix, DVector};
 
 use super::identifiability::{Open, require_start, sample_triangle, with_priors};
 use crate::solver::pass::Taking;
-use crate::solver::{Options, Problem, SolveError};
+use crate::solver::{LeastSquares, Options, SolveError};
 
 /// Sensitivity of estimates to fixed values, to first order.
 #[derive(Debug, Clone, PartialEq)]
@@ -28,7 +28,7 @@ pub struct Influence {
 /// # Errors
 /// [`SolveError`] if no sample is usable, or [`SolveError::Dependent`] if the estimated columns are linearly dependent.
 pub fn influence(
-    problem: &dyn Problem,
+    problem: &dyn LeastSquares,
     x: &[f64],
     held: &[usize],
     options: &Options<'_>,

@@ -13,7 +13,7 @@ use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 
 use super::covariance::{Source, Spread};
 use crate::solver::pass::{Pass, PassError, Products, Taking, threads_that_pay, weighed_rows};
-use crate::solver::{Options, Prior, Problem, ScaledCholesky, SolveError, Subset};
+use crate::solver::{LeastSquares, Options, Prior, ScaledCholesky, SolveError, Subset};
 use crate::threads::on_threads;
 
 /// Normal equations of some samples, linearised at a point.
@@ -113,7 +113,7 @@ pub struct Normals {
     folds: Vec<Normal>,
     /// Sum of all folds.
     total: Normal,
-    /// Samples of prior knowledge ([`Problem::is_known`]), which are in no fold.
+    /// Samples of prior knowledge ([`LeastSquares::is_known`]), which are in no fold.
     known: Normal,
     priors: Vec<Prior>,
     /// Point of the linearisation.
@@ -127,7 +127,7 @@ impl Normals {
     /// # Errors
     /// [`SolveError`] if a residual or derivative is not finite, or the pass was cancelled.
     pub fn new(
-        problem: &dyn Problem,
+        problem: &dyn LeastSquares,
         x: &[f64],
         options: &Options<'_>,
         folds: &[Vec<usize>],
@@ -406,7 +406,7 @@ mod tests {
         slope: Option<[f64; 2]>,
     }
 
-    impl Problem for Line {
+    impl LeastSquares for Line {
         fn columns(&self) -> usize {
             2
         }
@@ -450,7 +450,7 @@ mod tests {
         (Line { y, priors, slope: None }, (0..5).map(|fold| (8 * fold..8 * (fold + 1)).collect()).collect())
     }
 
-    fn solved(problem: &dyn Problem) -> Vec<f64> {
+    fn solved(problem: &dyn LeastSquares) -> Vec<f64> {
         minimise(problem, &[0.0, 0.0], &Options::default()).map(|(x, _)| x).unwrap_or_default()
     }
 
