@@ -8,7 +8,7 @@ use crate::support::{Cell, spread_poses};
 use identify::cost::{AngleNoise, LoopProblem, Residual, Transform, WhitenedPose};
 use identify::model::{Model, Observation, ParameterId, PerObservation, Selection};
 use identify::simulate::THESIS_ERRORS;
-use identify::solver::{LossName, Noise, Options, Solution, minimise, minimise_robust, solve};
+use identify::solver::{LossName, Options, ResidualNoise, Solution, minimise, minimise_robust, solve};
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
 use rand_distr::StandardNormal;
@@ -76,7 +76,7 @@ impl Setup {
         let geometry = self.model.geometry(&self.truth);
         let whitened = WhitenedPose::new(&geometry, &self.joints, &self.observations, NOISE);
         let problem = LoopProblem::new(&self.model, &self.joints, &self.observations, whitened, 1.0).unwrap();
-        let options = Options { noise: Noise::Known, ..Options::default() };
+        let options = Options { noise: ResidualNoise::Known, ..Options::default() };
         let solution = solve(&problem, &self.truth, &options).unwrap();
         (0..self.truth.len()).map(|column| solution.covariance.sigma(column).unwrap()).collect()
     }

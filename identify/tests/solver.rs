@@ -7,8 +7,8 @@ use crate::support::{Cell, noisy_poses};
 use identify::cost::{LoopProblem, Residual, Transform};
 use identify::model::Selection;
 use identify::solver::{
-    LeastSquares, Linearisation, LossName, Noise, Options, Prior, SolveError, Termination, minimise_robust,
-    solve,
+    LeastSquares, Linearisation, LossName, Options, Prior, ResidualNoise, SolveError, Termination,
+    minimise_robust, solve,
 };
 use levenberg_marquardt::LevenbergMarquardt;
 use nalgebra::{DMatrix, DVector};
@@ -86,7 +86,7 @@ fn a_prior_determines_its_parameter_whatever_the_samples_are_worth() {
             ((x[0] + x[1] + t * x[2] - 3.0) / noise, vec![noise.recip(), noise.recip(), t / noise])
         };
         let mut rows = Rows::new(3, 40, &row);
-        let options = Options { noise: Noise::Known, ..Options::default() };
+        let options = Options { noise: ResidualNoise::Known, ..Options::default() };
         let solved = |rows: &Rows<'_>| solve(rows, &[2.0, 0.5, 0.3], &options).unwrap().identified();
         let error = solved(&rows).unwrap_err().to_string();
         assert!(error.contains("2 of 3") && error.contains("x0|x1 (fix 1)"), "{error}");
@@ -242,7 +242,7 @@ fn known_noise_scales_the_covariance_and_estimated_noise_finds_it() {
     let row = decay(&data);
     let problem = Rows::new(3, 40, &row);
     let with = |noise| solve(&problem, &[1.5, 0.1, 0.0], &Options { noise, ..Options::default() }).unwrap();
-    let (known, estimated) = (with(Noise::Known), with(Noise::Estimated));
+    let (known, estimated) = (with(ResidualNoise::Known), with(ResidualNoise::Estimated));
     let factor = estimated.covariance.variance_factor.unwrap();
     assert!((factor.sqrt() - 0.02).abs() < 0.005);
     close(
@@ -263,11 +263,11 @@ fn without_a_degree_of_freedom_there_is_no_sigma_unless_the_noise_is_known() {
         let options = Options { noise, ..Options::default() };
         solve(&Rows::new(2, 2, &rosenbrock), &[-1.2, 1.0], &options).unwrap().identified().unwrap()
     };
-    let estimated = solved(Noise::Estimated);
+    let estimated = solved(ResidualNoise::Estimated);
     assert_eq!([0, 1].map(|column| estimated.covariance.sigma(column)), [None, None]);
     let error = estimated.require_sigmas().unwrap_err().to_string();
     assert!(error.contains("2 parameters are free"), "{error}");
-    let known = solved(Noise::Known);
+    let known = solved(ResidualNoise::Known);
     assert!(known.covariance.sigma(0).is_some() && known.require_sigmas().is_ok());
 }
 
@@ -296,7 +296,7 @@ fn a_prior_makes_a_weak_direction_known_and_the_samples_rank_still_shows_it() {
     let mut problem = Rows::new(4, 10, &sums);
     problem.priors =
         vec![Prior { column: 0, value: 1.0, sigma: 0.1 }, Prior { column: 3, value: 2.0, sigma: 0.5 }];
-    let options = Options { noise: Noise::Known, ..Options::default() };
+    let options = Options { noise: ResidualNoise::Known, ..Options::default() };
     let solution = solve(&problem, &[0.2, 0.1, 0.0, 7.0], &options).unwrap().identified().unwrap();
     assert_eq!((solution.identifiability.rank, solution.identifiability.rank_of_samples), (4, 2));
     for (found, expected) in solution.x.iter().zip([1.0, 2.0, 0.5, 2.0]) {

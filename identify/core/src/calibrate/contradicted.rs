@@ -11,7 +11,7 @@ use super::pipeline::Solved;
 use crate::instrument::Run;
 use crate::kinematics::LinkParameter;
 use crate::model::{Column, Model, Parameter, ParameterId, Role};
-use crate::solver::{Covariance, Solution, Source};
+use crate::solver::{Covariance, Solution, UncertaintySource};
 
 /// Standard deviation of a robot's length errors \[m\]: the default of `tolerance_mm_mrad`.
 pub(crate) const LENGTH_SIGMA_M: f64 = 1e-3;
@@ -52,12 +52,12 @@ impl Contradicted {
             let Some(column) = columns.all().iter().position(|own| *own == prior.column) else { continue };
             // Shift of all estimates if the prior is wrong by the deviation of the estimate without it.
             let shift = solution.covariance.by_prior_on_all(column, prior.s0) * prior.times_without();
-            covariance = covariance.with_source(Source::Contradicted { column }, &shift);
+            covariance = covariance.with_source(UncertaintySource::Contradicted { column }, &shift);
         }
         if let Some(OtherScale { relative, .. }) = self.scale {
             let mut shift = DVector::zeros(covariance.spread().by_source.nrows());
             lengths(model, solution).for_each(|length| shift[length.column] = relative * length.nominal_m);
-            covariance = covariance.with_source(Source::OtherScale, &shift);
+            covariance = covariance.with_source(UncertaintySource::OtherScale, &shift);
         }
         covariance
     }

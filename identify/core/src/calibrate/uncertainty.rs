@@ -8,7 +8,7 @@ use super::pipeline::{LEFT_OUT, Solver, is_own, problem_with_models};
 use crate::cost::{CostError, SharedColumns};
 use crate::instrument::Run;
 use crate::model::{Column, Model, Parameter, ParameterId, Role};
-use crate::solver::{Considered, Loss, Normals, Options, Solution, Source, influence};
+use crate::solver::{Considered, Loss, Normals, Options, Solution, UncertaintySource, influence};
 
 /// Models of all runs, which may estimate more parameters than those of the solve, and the map of their columns.
 struct Models {
@@ -101,7 +101,7 @@ impl Solver<'_> {
             if !left_out.is_empty()
                 && let Some(step) = normals.step()
             {
-                spread.add(Source::LeftOut, &step);
+                spread.add(UncertaintySource::LeftOut, &step);
             }
             of_covariance.extend(left_out.iter().map(|column| all[*column]));
             let spread = spread.of(&estimated, &left_out);

@@ -17,7 +17,9 @@ mod subset;
 mod watch;
 
 pub use information::change_point::{Change, Course, change_point};
-pub use information::covariance::{Considered, Covariance, Noise, SigmasFrom, Source, Spread};
+pub use information::covariance::{
+    Considered, Covariance, ResidualNoise, SigmasFrom, Spread, UncertaintySource,
+};
 pub use information::identifiability::{
     DependentGroup, Identifiability, Unidentifiable, combined, identifiability,
 };

@@ -3,7 +3,7 @@
 use std::fmt;
 use std::num::NonZeroUsize;
 
-use super::information::covariance::{Covariance, Noise};
+use super::information::covariance::{Covariance, ResidualNoise};
 use super::information::identifiability::{Identifiability, Unidentifiable};
 use super::{Loss, Watch};
 
@@ -26,7 +26,7 @@ pub struct Options<'a> {
     /// Singular values of the column-scaled Jacobian below this part of the largest count as zero.
     pub rank_tolerance: f64,
     /// Assumed noise of the residuals.
-    pub noise: Noise,
+    pub noise: ResidualNoise,
     /// Highest number of threads; `None`: as many as are efficient for the size of the problem. The result does not depend on
     /// it.
     pub threads: Option<NonZeroUsize>,
@@ -44,7 +44,7 @@ impl Default for Options<'_> {
             gradient_tolerance: 1e-14,
             damping_start: 1e-6,
             rank_tolerance: 1e-6,
-            noise: Noise::Estimated,
+            noise: ResidualNoise::Estimated,
             threads: None,
             watch: None,
         }

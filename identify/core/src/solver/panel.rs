@@ -47,7 +47,7 @@ impl Block<'_> {
 
 /// Weighted rows of several samples, column-major: the columns of the Jacobian, the residual, and zero columns up to a multiple
 /// of the kernel's step.
-pub(super) struct Panel {
+pub(super) struct RowPanel {
     data: Vec<f64>,
     stride: usize,
     /// Number of columns of the Jacobian.
@@ -61,7 +61,7 @@ pub(super) struct Panel {
     samples: Vec<(usize, usize)>,
 }
 
-impl Panel {
+impl RowPanel {
     /// For samples of `rows` rows; those of prior knowledge may have more, up to [`PANEL_ROWS`].
     pub(super) fn new(columns: usize, rows: usize) -> Self {
         let capacity = PANEL_ROWS.max(rows);
@@ -84,7 +84,8 @@ impl Panel {
         self.used = 0;
     }
 
-    /// Residual and Jacobian of the next sample: the next `rows` unused rows, all zero. They stay unused until [`Panel::keep`].
+    /// Residual and Jacobian of the next sample: the next `rows` unused rows, all zero. They stay unused until
+    /// [`RowPanel::keep`].
     pub(super) fn next(&mut self, rows: usize) -> (&mut [f64], Block<'_>) {
         let offset = self.used;
         let (jacobian, rest) = self.data.split_at_mut(self.columns * self.stride);
@@ -92,7 +93,7 @@ impl Panel {
         (residual, Block { data: jacobian, stride: self.stride, offset, rows })
     }
 
-    /// Adds the rows of [`Panel::next`] to those in use.
+    /// Adds the rows of [`RowPanel::next`] to those in use.
     pub(super) fn keep(&mut self, sample: usize, rows: usize) {
         self.used += rows;
         self.samples.push((sample, self.used));

@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use nalgebra::{DMatrix, DVector};
 
-use super::panel::{Panel, fold_triangles, width};
+use super::panel::{RowPanel, fold_triangles, width};
 use super::{LeastSquares, Linearisation, Loss, Normal, Options, Progress, SolveError, Watch};
 use crate::threads::{on_threads, threads_there};
 
@@ -75,7 +75,7 @@ pub(super) enum Taking<'a> {
 /// Reduction of the rows of a part.
 pub(super) trait Fold: Send {
     /// Adds a panel of rows, which it may overwrite; an error names a sample that is not finite.
-    fn fold(&mut self, panel: &mut Panel) -> Result<(), PassError>;
+    fn fold(&mut self, panel: &mut RowPanel) -> Result<(), PassError>;
 
     /// Adds the reduction of the samples that follow.
     fn merge(&mut self, later: Self);
@@ -83,7 +83,7 @@ pub(super) trait Fold: Send {
 
 /// No reduction: only the fits of the samples are needed.
 impl Fold for () {
-    fn fold(&mut self, panel: &mut Panel) -> Result<(), PassError> {
+    fn fold(&mut self, panel: &mut RowPanel) -> Result<(), PassError> {
         require_finite(panel)
     }
 
@@ -116,7 +116,7 @@ impl Products {
 }
 
 impl Fold for Products {
-    fn fold(&mut self, panel: &mut Panel) -> Result<(), PassError> {
+    fn fold(&mut self, panel: &mut RowPanel) -> Result<(), PassError> {
         panel.add_products(&mut self.sums);
         // The squared norm of a column is finite only if all its entries are.
         let side = width(self.columns);
@@ -145,7 +145,7 @@ impl Triangle {
 }
 
 impl Fold for Triangle {
-    fn fold(&mut self, panel: &mut Panel) -> Result<(), PassError> {
+    fn fold(&mut self, panel: &mut RowPanel) -> Result<(), PassError> {
         require_finite(panel)?;
         panel.fold_into_triangle(self.0.as_mut_slice());
         Ok(())
@@ -158,13 +158,13 @@ impl Fold for Triangle {
 
 /// All rows without reduction.
 #[derive(Default)]
-pub(super) struct Rows {
+pub(super) struct StackedRows {
     residual: Vec<f64>,
     gradients: Vec<f64>,
 }
 
-impl Fold for Rows {
-    fn fold(&mut self, panel: &mut Panel) -> Result<(), PassError> {
+impl Fold for StackedRows {
+    fn fold(&mut self, panel: &mut RowPanel) -> Result<(), PassError> {
         require_finite(panel)?;
         panel.append_to(&mut self.residual, &mut self.gradients);
         Ok(())
@@ -252,7 +252,7 @@ impl<'a> Pass<'a> {
         mut fold: F,
     ) -> Result<(F, Vec<SampleFit>), PassError> {
         let mut linearisation = self.problem.at(self.x);
-        let mut panel = Panel::new(self.problem.columns(), self.problem.rows());
+        let mut panel = RowPanel::new(self.problem.columns(), self.problem.rows());
         let mut fits = Vec::with_capacity(samples.len());
         for sample in samples {
             if !panel.has_room(self.problem.rows_of(sample)) {
@@ -272,7 +272,7 @@ impl<'a> Pass<'a> {
         &self,
         linearisation: &mut Linearisation<'_>,
         sample: usize,
-        panel: &mut Panel,
+        panel: &mut RowPanel,
     ) -> Result<SampleFit, PassError> {
         if let Taking::These(fits) = self.taking
             && !fits.get(sample).is_some_and(|fit| fit.present)
@@ -309,7 +309,7 @@ impl<'a> Pass<'a> {
     }
 }
 
-fn require_finite(panel: &Panel) -> Result<(), PassError> {
+fn require_finite(panel: &RowPanel) -> Result<(), PassError> {
     panel.not_finite().map_or(Ok(()), |sample| Err(PassError::NotFinite(sample)))
 }
 
@@ -332,7 +332,7 @@ pub(super) fn fits(problem: &dyn LeastSquares, x: &[f64]) -> Vec<SampleFit> {
 /// Residuals and Jacobian of all samples that have a value at `x`, stacked, without loss and priors: for inspection and for
 /// other solvers. `None` if one of them is not finite.
 pub fn stacked(problem: &dyn LeastSquares, x: &[f64]) -> Option<(DVector<f64>, DMatrix<f64>)> {
-    let (rows, _) = unweighted(problem, x).run(Rows::default).ok()?;
+    let (rows, _) = unweighted(problem, x).run(StackedRows::default).ok()?;
     let count = rows.residual.len();
     Some((
         DVector::from_vec(rows.residual),

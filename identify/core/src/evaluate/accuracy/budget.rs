@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use crate::calibrate::Calibration;
 use crate::instrument::Run;
 use crate::model::{Column, Group, Model, ParameterId, Role};
-use crate::solver::Source;
+use crate::solver::UncertaintySource;
 
 /// Type of evaluation of a contribution (GUM 3.3.4).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -63,7 +63,7 @@ impl Budget {
         let (mut moved_by_plate, plate) = (None, ParameterId::plate(model.axes()));
         for (source, moved_m) in covariance.spread().sources.iter().zip(moved_m.column_iter()) {
             let (name, u_m) = (source_name(*source, calibration), moved_m.norm() / postures.sqrt());
-            if let Source::Prior { column } | Source::Considered { column } = *source
+            if let UncertaintySource::Prior { column } | UncertaintySource::Considered { column } = *source
                 && calibration.solved.covariance_columns[column] == (Column { id: plate, data_set: 0 })
             {
                 moved_by_plate = stated_sigma(model, plate).map(|sigma| u_m / sigma);
@@ -109,25 +109,29 @@ fn stated_sigma(model: &Model, id: ParameterId) -> Option<f64> {
 }
 
 /// Name of a source for the report. Stated lengths and fixed parameters are named one by one; other sources by type.
-fn source_name(source: Source, calibration: &Calibration) -> String {
+fn source_name(source: UncertaintySource, calibration: &Calibration) -> String {
     let (column, how) = match source {
-        Source::Together => return "errors of the samples, with all priors".into(),
-        Source::Samples { data_set } => return format!("errors of the samples of data set {}", data_set + 1),
-        Source::Known => return "stated geometry of sockets or faces".into(),
-        Source::LeftOut => return "error terms that the samples neither confirm nor exclude".into(),
-        Source::OtherScale => return "common scale error of the robot's lengths".into(),
-        Source::Contradicted { column } => {
+        UncertaintySource::Together => return "errors of the samples, with all priors".into(),
+        UncertaintySource::Samples { data_set } => {
+            return format!("errors of the samples of data set {}", data_set + 1);
+        }
+        UncertaintySource::Known => return "stated geometry of sockets or faces".into(),
+        UncertaintySource::LeftOut => {
+            return "error terms that the samples neither confirm nor exclude".into();
+        }
+        UncertaintySource::OtherScale => return "common scale error of the robot's lengths".into(),
+        UncertaintySource::Contradicted { column } => {
             let name = calibration.solved.covariance_columns[column];
             return format!("{name}, whose prior the data contradict");
         }
-        Source::Prior { column } => (column, "estimated with a prior"),
-        Source::Considered { column } => (column, "fixed"),
+        UncertaintySource::Prior { column } => (column, "estimated with a prior"),
+        UncertaintySource::Considered { column } => (column, "fixed"),
     };
     let name = calibration.solved.covariance_columns[column];
     let (id, Run { instrument, model }) = (name.id, &calibration.runs[name.data_set]);
     let sigma = stated_sigma(model, id);
     let is_known_length = ParameterId::known_lengths(model.axes()).contains(&id);
-    let is_fixed = matches!(source, Source::Considered { .. });
+    let is_fixed = matches!(source, UncertaintySource::Considered { .. });
     match (id.group(), sigma) {
         (_, Some(sigma)) if is_known_length => {
             let what =

@@ -21,7 +21,7 @@ use crate::calibrate::validation::deployment::{Deployed, Deployment};
 use crate::instrument::standing;
 use crate::kinematics::{Joints, Trace, Tracer};
 use crate::model::{JointState, Model, Owner, ParameterId, TermGroup};
-use crate::solver::{Covariance, Source};
+use crate::solver::{Covariance, UncertaintySource};
 use crate::statistics::{mean, quantile, rms};
 
 /// Number of random postures, uniformly distributed over the joint limits.
@@ -86,7 +86,7 @@ struct Postures {
 }
 
 /// Effects of uncertain parameters on the robot over its workspace. A source is an independent cause of uncertainty
-/// ([`Source`]), such as the errors of the samples or a prior.
+/// ([`UncertaintySource`]), such as the errors of the samples or a prior.
 #[derive(Debug, Clone)]
 pub(in crate::evaluate) struct Workspace {
     /// Of the covariance, see [`robot_columns`].
@@ -232,8 +232,10 @@ fn drawn_sources(covariance: &Covariance) -> DMatrix<f64> {
 }
 
 /// Whether a source is the tolerance of a number of a link, estimated or fixed.
-fn is_tolerance_of_link(source: Source, calibration: &Calibration) -> bool {
-    let (Source::Prior { column } | Source::Contradicted { column } | Source::Considered { column }) = source
+fn is_tolerance_of_link(source: UncertaintySource, calibration: &Calibration) -> bool {
+    let (UncertaintySource::Prior { column }
+    | UncertaintySource::Contradicted { column }
+    | UncertaintySource::Considered { column }) = source
     else {
         return false;
     };

@@ -78,7 +78,7 @@ pub fn change_point(
     alternatives: &[Vec<usize>],
     false_alarms: f64,
 ) -> Option<Change> {
-    let run = Run::new(problem, x, loss, samples, estimated)?;
+    let run = WeightedRun::new(problem, x, loss, samples, estimated)?;
     // The evenly spaced instants of a step, and the drift.
     let tests = (alternatives.len() * INSTANTS) as f64;
     let best_change = |alternative: usize| {
@@ -103,7 +103,7 @@ pub fn change_point(
 }
 
 /// Weighted residuals and Jacobian of a run.
-struct Run {
+struct WeightedRun {
     /// `r`, weighted by the robust loss like the Jacobian.
     r: DVector<f64>,
     /// Jacobian of all columns, of which some change.
@@ -122,7 +122,7 @@ struct Run {
     squared: f64,
 }
 
-impl Run {
+impl WeightedRun {
     fn new(
         problem: &dyn LeastSquares,
         x: &[f64],
@@ -244,7 +244,7 @@ impl ChangeSums {
         }
     }
 
-    fn add(&mut self, run: &Run, c: &DMatrix<f64>, rows: Range<usize>) {
+    fn add(&mut self, run: &WeightedRun, c: &DMatrix<f64>, rows: Range<usize>) {
         let (from, count) = (rows.start, rows.len());
         let c = c.rows(from, count);
         self.jc += run.j.rows(from, count).tr_mul(&c);
@@ -253,7 +253,7 @@ impl ChangeSums {
     }
 
     /// The solution `b` of the extended problem; `None` if other columns explain the change.
-    fn solve(&self, run: &Run) -> Option<ChangeSolution> {
+    fn solve(&self, run: &WeightedRun) -> Option<ChangeSolution> {
         let mut n_inverse_jc = self.jc.clone();
         for mut column in n_inverse_jc.column_iter_mut() {
             let solved = run.n_factor.solve(&column.clone_owned());
@@ -303,7 +303,7 @@ struct ChangeTest {
 }
 
 impl ChangeTest {
-    fn new(run: &Run, columns: &[usize], course: Course) -> Option<Self> {
+    fn new(run: &WeightedRun, columns: &[usize], course: Course) -> Option<Self> {
         let c = run.changing_columns(columns, course);
         let mut sums = ChangeSums::zeros(run.j.ncols(), columns.len());
         sums.add(run, &c, 0..run.r.len());

@@ -21,14 +21,14 @@ use crate::solver::pass::{SampleFit, weighed_rows};
 
 /// Standard deviation of a residual row.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Noise {
+pub enum ResidualNoise {
     /// One: the residuals are whitened.
     Known,
     /// Unknown, equal for all rows, and estimated from the residuals at the solution.
     Estimated,
 }
 
-impl Noise {
+impl ResidualNoise {
     /// The factor `s^2`; `None` without a degree of freedom to estimate it from.
     pub(in crate::solver) fn variance_factor(
         self,
@@ -102,7 +102,7 @@ impl fmt::Display for SigmasFrom {
 
 /// A source of uncertainty of a solution.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Source {
+pub enum UncertaintySource {
     /// Errors of all samples and the priors, not separated.
     Together,
     /// Errors of the samples of a data set, from 0.
@@ -133,7 +133,7 @@ pub enum Source {
     },
 }
 
-impl Source {
+impl UncertaintySource {
     /// Whether it is estimated from the scatter of samples (type A of the GUM) rather than stated (type B).
     pub const fn is_statistical(self) -> bool {
         matches!(self, Self::Together | Self::Samples { .. })
@@ -146,12 +146,12 @@ pub struct Spread {
     /// Each column is one standard deviation of a source, in the parameters' units.
     pub by_source: DMatrix<f64>,
     /// Source of each column.
-    pub sources: Vec<Source>,
+    pub sources: Vec<UncertaintySource>,
 }
 
 impl Spread {
     /// From the contributions of the sources, which have one row for each parameter.
-    pub fn new(parameters: usize, columns: &[(Source, DVector<f64>)]) -> Self {
+    pub fn new(parameters: usize, columns: &[(UncertaintySource, DVector<f64>)]) -> Self {
         let mut by_source = DMatrix::zeros(parameters, columns.len());
         for (mut column, (_, contribution)) in by_source.column_iter_mut().zip(columns) {
             column.copy_from(contribution);
@@ -160,7 +160,7 @@ impl Spread {
     }
 
     /// Adds a source with the contribution of one standard deviation.
-    pub fn add(&mut self, source: Source, contribution: &DVector<f64>) {
+    pub fn add(&mut self, source: UncertaintySource, contribution: &DVector<f64>) {
         let count = self.sources.len();
         self.by_source.resize_horizontally_mut(count + 1, 0.0);
         self.by_source.column_mut(count).copy_from(contribution);
@@ -168,13 +168,13 @@ impl Spread {
     }
 
     /// The rows `places`, followed by the rows `left_out` of terms that were left out of the solution. Priors of other columns
-    /// than `places` become [`Source::LeftOut`].
+    /// than `places` become [`UncertaintySource::LeftOut`].
     #[must_use]
     pub fn of(&self, places: &[usize], left_out: &[usize]) -> Self {
-        let source = |source: &Source| match *source {
-            Source::Prior { column } => match places.iter().position(|place| *place == column) {
-                Some(column) => Source::Prior { column },
-                None => Source::LeftOut,
+        let source = |source: &UncertaintySource| match *source {
+            UncertaintySource::Prior { column } => match places.iter().position(|place| *place == column) {
+                Some(column) => UncertaintySource::Prior { column },
+                None => UncertaintySource::LeftOut,
             },
             other => other,
         };
@@ -236,7 +236,7 @@ impl Covariance {
         let variance = variance_factor.unwrap_or_default();
         let matrix = &factor * factor.transpose() * variance;
         let by_source = factor * variance.sqrt();
-        let spread = Spread { sources: vec![Source::Together; by_source.ncols()], by_source };
+        let spread = Spread { sources: vec![UncertaintySource::Together; by_source.ncols()], by_source };
         let determined = (0..columns).map(|column| !undetermined.contains(&column)).collect();
         let (sigmas_from, estimated) = (SigmasFrom::IndependentNoise, columns);
         Self { matrix, spread, determined, estimated, left_out: 0, sigmas_from, variance_factor }
@@ -263,18 +263,20 @@ impl Covariance {
         for (index, sigma) in sigmas.into_iter().enumerate() {
             by_source[(rows + index, columns + index)] = 1.0;
             by_source.column_mut(columns + index).scale_mut(sigma);
-            sources.push(Source::Considered { column: rows + index });
+            sources.push(UncertaintySource::Considered { column: rows + index });
         }
         self.matrix = self.spread.covariance();
         self.determined.extend(std::iter::repeat_n(true, count));
     }
 
-    /// Multiplies the contribution of the samples of a data set by `times`, and that of [`Source::Together`].
+    /// Multiplies the contribution of the samples of a data set by `times`, and that of [`UncertaintySource::Together`].
     #[must_use]
     pub fn widened(mut self, data_set: usize, times: f64) -> Self {
         let Spread { by_source, sources } = &mut self.spread;
         for (mut column, source) in by_source.column_iter_mut().zip(sources) {
-            if matches!(source, Source::Together) || *source == (Source::Samples { data_set }) {
+            if matches!(source, UncertaintySource::Together)
+                || *source == (UncertaintySource::Samples { data_set })
+            {
                 column *= times;
             }
         }
@@ -284,7 +286,7 @@ impl Covariance {
 
     /// Adds a source with the contribution of one standard deviation to each column.
     #[must_use]
-    pub(crate) fn with_source(mut self, source: Source, contribution: &DVector<f64>) -> Self {
+    pub(crate) fn with_source(mut self, source: UncertaintySource, contribution: &DVector<f64>) -> Self {
         self.spread.add(source, contribution);
         self.matrix = self.spread.covariance();
         self
@@ -294,7 +296,7 @@ impl Covariance {
     /// or `P e / sigma` with the unit covariance `P` and the unit vector `e` of the column.
     pub(crate) fn by_prior_on_all(&self, column: usize, sigma: f64) -> DVector<f64> {
         let Spread { by_source, sources } = &self.spread;
-        let of_prior = sources.iter().position(|source| *source == Source::Prior { column });
+        let of_prior = sources.iter().position(|source| *source == UncertaintySource::Prior { column });
         // Without separate sources the covariance is that of least squares; the factor of the noise is divided out.
         let unit = self.variance_factor.filter(|factor| *factor > 0.0).unwrap_or(1.0);
         of_prior.map_or_else(
@@ -307,7 +309,7 @@ impl Covariance {
     /// separated.
     pub fn by_prior(&self, column: usize) -> Option<f64> {
         let Spread { by_source, sources } = &self.spread;
-        let of_prior = sources.iter().position(|source| *source == Source::Prior { column })?;
+        let of_prior = sources.iter().position(|source| *source == UncertaintySource::Prior { column })?;
         Some(by_source[(column, of_prior)].abs())
     }
 
@@ -348,7 +350,9 @@ impl Covariance {
     /// As [`Self::sigma`], without the sources of contradictions.
     pub fn sigma_before_contradictions(&self, column: usize) -> Option<f64> {
         let Spread { by_source, sources } = &self.spread;
-        let is_added = |source: &Source| matches!(source, Source::Contradicted { .. } | Source::OtherScale);
+        let is_added = |source: &UncertaintySource| {
+            matches!(source, UncertaintySource::Contradicted { .. } | UncertaintySource::OtherScale)
+        };
         let added = sources.iter().enumerate().filter(|(_, source)| is_added(source));
         let added: f64 = added.map(|(index, _)| by_source[(column, index)].powi(2)).sum();
         Some((self.between(column, column)? - added).max(0.0).sqrt())
@@ -399,12 +403,20 @@ mod tests {
 
     #[test]
     fn of_some_parameters_the_priors_of_the_others_are_those_of_what_was_left_out() {
-        let sources =
-            [Source::Samples { data_set: 0 }, Source::Prior { column: 1 }, Source::Prior { column: 2 }];
+        let sources = [
+            UncertaintySource::Samples { data_set: 0 },
+            UncertaintySource::Prior { column: 1 },
+            UncertaintySource::Prior { column: 2 },
+        ];
         let columns = sources.map(|source| (source, DVector::from_vec(vec![1.0, 2.0, 3.0])));
         let mut spread = Spread::new(3, &columns);
-        spread.add(Source::LeftOut, &DVector::from_vec(vec![4.0, 5.0, 6.0]));
-        let expected = [sources[0], Source::LeftOut, Source::Prior { column: 0 }, Source::LeftOut];
+        spread.add(UncertaintySource::LeftOut, &DVector::from_vec(vec![4.0, 5.0, 6.0]));
+        let expected = [
+            sources[0],
+            UncertaintySource::LeftOut,
+            UncertaintySource::Prior { column: 0 },
+            UncertaintySource::LeftOut,
+        ];
         assert_eq!(spread.of(&[2, 0], &[1]).sources, expected);
         let of = spread.of(&[2, 0], &[]);
         assert_eq!(of.sources, expected);

@@ -11,7 +11,7 @@ use std::ops::{Add, AddAssign, Sub};
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 
-use super::covariance::{Source, Spread};
+use super::covariance::{Spread, UncertaintySource};
 use crate::solver::pass::{Pass, PassError, Products, Taking, threads_that_pay, weighed_rows};
 use crate::solver::{LeastSquares, Options, Prior, ScaledCholesky, SolveError, Subset};
 use crate::threads::on_threads;
@@ -323,17 +323,17 @@ impl Normals {
             let others = ScaledCholesky::new(&whole - &fold.matrix).filter(ScaledCholesky::is_complete)?;
             // At the solution all gradients add up to zero, so that of the others is minus that of the fold.
             let change = others.solve(&fold.gradient) * ((count - 1.0) / count).sqrt();
-            contributions.push((Source::Samples { data_set: data_set(number) }, change));
+            contributions.push((UncertaintySource::Samples { data_set: data_set(number) }, change));
         }
         // `H^-1 P H^-1`, where the weights `P` of priors are diagonal; those of prior knowledge are not.
         let inverse = factor.inverse();
         for &Prior { column, sigma, .. } in &self.priors {
-            contributions.push((Source::Prior { column }, inverse.column(column) / sigma));
+            contributions.push((UncertaintySource::Prior { column }, inverse.column(column) / sigma));
         }
         let known = SymmetricEigen::new(self.known.matrix.clone());
         let weighted = known.eigenvectors.column_iter().zip(&known.eigenvalues);
         for (direction, weight) in weighted.filter(|(_, weight)| **weight > 0.0) {
-            contributions.push((Source::Known, &inverse * direction * weight.sqrt()));
+            contributions.push((UncertaintySource::Known, &inverse * direction * weight.sqrt()));
         }
         Some(Spread::new(self.x.len(), &contributions))
     }
