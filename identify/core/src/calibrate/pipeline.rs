@@ -10,7 +10,7 @@ use super::error::CalibrateError;
 use super::selection::choose::CommonPrior;
 use super::selection::line_spectrum::DetectedWaves;
 use super::selection::terms::{Candidate, CandidateGroup};
-use crate::cost::{CostError, DataSets, SharedColumns};
+use crate::cost::{CombinedDataSets, CostError, SharedColumns};
 use crate::instrument::{CostName, Run, ScaleFrom};
 use crate::model::{Column, Group, Model, ModelError, ParameterId, Role};
 use crate::solver::{
@@ -91,7 +91,7 @@ pub(super) fn problem<'p>(
     runs: &'p [Run],
     columns: &'p SharedColumns,
     sigmas: &[f64],
-) -> Result<DataSets<'p>, CostError> {
+) -> Result<CombinedDataSets<'p>, CostError> {
     problem_with_models(runs, runs.iter().map(|run| &run.model), columns, sigmas)
 }
 
@@ -101,10 +101,10 @@ pub(super) fn problem_with_models<'p>(
     models: impl IntoIterator<Item = &'p Model>,
     columns: &'p SharedColumns,
     sigmas: &[f64],
-) -> Result<DataSets<'p>, CostError> {
+) -> Result<CombinedDataSets<'p>, CostError> {
     let sets = runs.iter().zip(models).zip(sigmas);
     let sets = sets.map(|((run, model), sigma)| run.instrument.data_set(model, *sigma));
-    Ok(DataSets::new(sets.collect::<Result<_, _>>()?, columns))
+    Ok(CombinedDataSets::new(sets.collect::<Result<_, _>>()?, columns))
 }
 
 /// Factor, at least 1, that increases the `sigma` of one data set for the correlation of its errors: correlated errors carry less

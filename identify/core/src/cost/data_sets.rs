@@ -78,7 +78,7 @@ impl SharedColumns {
 }
 
 /// The samples of all data sets, one set after the other.
-pub struct DataSets<'a> {
+pub struct CombinedDataSets<'a> {
     sets: Vec<Box<dyn DataSet + 'a>>,
     columns: &'a SharedColumns,
     /// Largest number of residuals of a sample.
@@ -88,7 +88,7 @@ pub struct DataSets<'a> {
     starts: Vec<usize>,
 }
 
-impl<'a> DataSets<'a> {
+impl<'a> CombinedDataSets<'a> {
     /// Combines data sets; `columns` are those of the models of the sets.
     pub fn new(sets: Vec<Box<dyn DataSet + 'a>>, columns: &'a SharedColumns) -> Self {
         let mut starts = vec![0];
@@ -126,7 +126,7 @@ impl<'a> DataSets<'a> {
     }
 }
 
-impl LeastSquares for DataSets<'_> {
+impl LeastSquares for CombinedDataSets<'_> {
     fn columns(&self) -> usize {
         self.columns.all().len()
     }

@@ -2,8 +2,8 @@
 //!
 //! A parameter moves the end of the robot's chain or of the bar's chain by a twist, which [`Scene`] computes for all costs. A
 //! cost is a [`Residual`]: the residual of a sample, and its derivative from this twist. [`LoopProblem`] applies a cost to the
-//! samples of a data set, [`DataSets`] combines data sets. Letters as in the thesis: `R` and `B` are the poses of the end by
-//! robot and bar, `R_p` and `B_p` their positions, `o` the base of the bar, `L` its length, `b` its joints.
+//! samples of a data set, [`CombinedDataSets`] combines data sets. Letters as in the thesis: `R` and `B` are the poses of the
+//! end by robot and bar, `R_p` and `B_p` their positions, `o` the base of the bar, `L` its length, `b` its joints.
 
 mod bar;
 mod contact;
@@ -25,7 +25,7 @@ pub use bar::position::Position;
 pub use bar::position_angles::PositionAngles;
 pub use bar::transform::Transform;
 pub use contact::SeatedBall;
-pub use data_sets::{DataSet, DataSets, SharedColumns};
+pub use data_sets::{CombinedDataSets, DataSet, SharedColumns};
 pub use measured_length::MeasuredLength;
 pub use measured_pose::{MeasuredPose, PoseNoise};
 pub use measured_position::MeasuredPosition;

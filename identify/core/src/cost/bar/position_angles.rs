@@ -18,7 +18,7 @@ const COMPARED: [usize; 2] = [3, 4];
 
 /// Bar joints implied by the robot's pose, and their differences from the measured ones.
 #[derive(Debug, Clone)]
-pub struct Compared {
+pub struct ComparedAngles {
     implied: ImpliedBar,
     differences: [Turn; COMPARED.len()],
 }
@@ -29,7 +29,7 @@ pub(in crate::cost) fn measured(observation: &Observation) -> [Option<f64>; BAR_
 }
 
 impl Residual for PositionAngles {
-    type Local = Compared;
+    type Local = ComparedAngles;
 
     const NAME: &'static str = "position_angles";
     const ROWS: usize = 5;
@@ -42,14 +42,14 @@ impl Residual for PositionAngles {
             && encoders_suffice(id, Self::ENCODERS)
     }
 
-    fn local(&self, scene: &Scene<'_>) -> Option<Compared> {
+    fn local(&self, scene: &Scene<'_>) -> Option<ComparedAngles> {
         let (chain, tracer) = (scene.bar_chain, scene.bar_tracer);
         let implied = ImpliedBar::new(chain, tracer, scene.robot.end(), &measured(scene.observation)).ok()?;
         let differences = COMPARED.map(|joint| Turn::of(implied.joints_rad[joint] - scene.bar_rad[joint]));
-        Some(Compared { implied, differences })
+        Some(ComparedAngles { implied, differences })
     }
 
-    fn residual(&self, scene: &Scene<'_>, compared: &Compared, out: &mut [f64]) {
+    fn residual(&self, scene: &Scene<'_>, compared: &ComparedAngles, out: &mut [f64]) {
         let (position, angles) = out.split_at_mut(3);
         position.copy_from_slice(difference(scene).as_slice());
         for (out, difference) in angles.iter_mut().zip(compared.differences) {
@@ -57,8 +57,8 @@ impl Residual for PositionAngles {
         }
     }
 
-    fn derivative(&self, scene: &Scene<'_>, compared: &Compared, id: ParameterId, out: &mut [f64]) {
-        let Compared { implied, differences } = compared;
+    fn derivative(&self, scene: &Scene<'_>, compared: &ComparedAngles, id: ParameterId, out: &mut [f64]) {
+        let ComparedAngles { implied, differences } = compared;
         let (position, angles) = out.split_at_mut(3);
         position.copy_from_slice(derivative(scene, id).as_slice());
         // Derivative of implied minus measured joints. Most parameters change the implied joints only.
