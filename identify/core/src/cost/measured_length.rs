@@ -5,7 +5,7 @@ use nalgebra::Vector3;
 use super::scene::unit;
 use super::{Movement, Residual, Scene};
 use crate::kinematics::Chain;
-use crate::model::{Geometry, Owner, ParameterId, SetUp, Wire};
+use crate::model::{Geometry, Owner, ParameterId, SetUp, WireGeometry};
 
 /// `(1 + scale) |R attachment - anchor| + offset - measured` \[m\], divided by the sample's noise relative to that of the median
 /// sample. The problem divides it by the standard deviation of the median sample.
@@ -49,7 +49,7 @@ impl Residual for MeasuredLength<'_> {
 
     fn residual(&self, scene: &Scene<'_>, wire: &Stretched, out: &mut [f64]) {
         let measured_m = scene.observation.length_m.unwrap_or(f64::NAN);
-        let Geometry { wire: Wire { offset_m, .. }, scale, .. } = scene.geometry;
+        let Geometry { wire: WireGeometry { offset_m, .. }, scale, .. } = scene.geometry;
         let residual_m = (1.0 + scale) * wire.wire_m.norm() + offset_m - measured_m;
         out[0] = residual_m / wire.relative_noise;
     }

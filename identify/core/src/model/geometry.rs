@@ -8,7 +8,7 @@ use nalgebra::{Rotation3, Translation3, Vector3};
 
 use super::{
     BarForce, DriveState, DriveTrain, JointErrors, JointState, JointTerm, ParameterId, RobotMotion, SetUp,
-    Tracker, Waves,
+    TrackerGeometry, Waves,
 };
 use crate::kinematics::{AXES_MAX, BAR_JOINTS, Chain, DhLink, LinkParameter, Pose, Trace, Turn, Twist};
 
@@ -90,7 +90,7 @@ impl Clock {
 
 /// A draw-wire or telescoping bar.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct Wire {
+pub struct WireGeometry {
     /// Attachment points of the wire, in the flange frame \[m\].
     pub attachments_m: Vec<Vector3<f64>>,
     /// Anchor points of the wire, in the robot's base \[m\].
@@ -99,7 +99,7 @@ pub struct Wire {
     pub offset_m: f64,
 }
 
-impl Wire {
+impl WireGeometry {
     /// Anchor and attachment of a set-up \[m\]; `None` if the set-up does not exist.
     pub fn at(&self, set_up: SetUp) -> Option<(&Vector3<f64>, &Vector3<f64>)> {
         Some((self.anchors_m.get(set_up.station)?, self.attachments_m.get(set_up.target)?))
@@ -108,7 +108,7 @@ impl Wire {
 
 /// A ball on the flange and the sockets in which it is seated.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct Contact {
+pub struct ContactGeometry {
     /// Centre of the ball in the flange frame \[m\].
     pub ball_m: Vector3<f64>,
     /// Ball centre when seated in each socket, in the robot's base \[m\].
@@ -126,7 +126,7 @@ pub struct Face {
 
 /// A probe tip on the flange and the faces that it touches.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct Touch {
+pub struct TouchGeometry {
     /// Centre of the tip's ball in the flange frame \[m\].
     pub tip_m: Vector3<f64>,
     /// For each face, the plane on which the ball centre lies at contact.
@@ -157,15 +157,15 @@ pub struct Geometry {
     /// Relation between the clocks of bar and robot.
     pub clock: Clock,
     /// Draw-wire or telescoping bar, for measured lengths.
-    pub wire: Wire,
+    pub wire: WireGeometry,
     /// Tracker and its targets, for measured positions and poses.
-    pub tracker: Tracker,
+    pub tracker: TrackerGeometry,
     /// Relative error of measured lengths and positions: measured = (1 + scale) * true.
     pub scale: f64,
     /// Ball and sockets, for ball-in-socket measurements.
-    pub contact: Contact,
+    pub contact: ContactGeometry,
     /// Tip and faces, for touch measurements.
-    pub touch: Touch,
+    pub touch: TouchGeometry,
 }
 
 impl Geometry {
@@ -186,11 +186,11 @@ impl Geometry {
             encoder_waves: Default::default(),
             origin_offsets_rad: Vec::new(),
             clock: Clock::default(),
-            wire: Wire::default(),
-            tracker: Tracker::default(),
+            wire: WireGeometry::default(),
+            tracker: TrackerGeometry::default(),
             scale: 0.0,
-            contact: Contact::default(),
-            touch: Touch::default(),
+            contact: ContactGeometry::default(),
+            touch: TouchGeometry::default(),
         }
     }
 

@@ -13,7 +13,10 @@ mod term_group;
 mod tracker;
 mod waves;
 
-pub use geometry::{BarElongation, BasePlacement, Clock, Contact, Face, Geometry, MovingJoints, Touch, Wire};
+pub use geometry::{
+    BarElongation, BasePlacement, Clock, ContactGeometry, Face, Geometry, MovingJoints, TouchGeometry,
+    WireGeometry,
+};
 pub use joint_errors::{BACKLASH_SPEED_RAD_S, DriveState, DriveTrain, JointErrors};
 pub use joint_term::{JointTerm, Load, Period};
 pub use observation::{BarForce, JointState, Observation, PerObservation, RobotMotion};
@@ -21,5 +24,5 @@ pub use parameter::{Axis, Column, FaceNumber, Group, Owner, ParameterBlock, Para
 pub use roles::{Model, ModelError, Parameter, Role};
 pub use selection::{Selection, thesis_fixed};
 pub use term_group::TermGroup;
-pub use tracker::{Coordinate, Placement, SetUp, Tracker};
+pub use tracker::{Coordinate, Placement, SetUp, TrackerGeometry};
 pub use waves::{Phase, Waves};

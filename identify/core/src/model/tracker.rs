@@ -116,14 +116,14 @@ impl SetUp {
 
 /// A tracker that follows targets on the flange, from one station or several.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct Tracker {
+pub struct TrackerGeometry {
     /// `root_from_tracker` of each station: the tracker's pose.
     pub places: Vec<Placement>,
     /// `flange_from_probe` of each target: its mounting pose.
     pub probes: Vec<Placement>,
 }
 
-impl Tracker {
+impl TrackerGeometry {
     /// Tracker pose and probe pose of a set-up; `None` if the set-up does not exist.
     pub fn at(&self, set_up: SetUp) -> Option<(&Placement, &Placement)> {
         Some((self.places.get(set_up.station)?, self.probes.get(set_up.target)?))
