@@ -121,7 +121,7 @@ impl SocketTable {
 
 /// A socket with its position on the plate.
 #[derive(Debug, Clone, PartialEq)]
-struct Placed {
+struct KnownPosition {
     socket: usize,
     position_m: Vector3<f64>,
     /// Standard uncertainty of a coordinate.
@@ -142,7 +142,7 @@ pub struct Sockets {
     /// Names in the rows.
     pub(super) names: Vec<String>,
     /// Known quantities, numbered in this order: the positions on the plate, then the distances.
-    placed: Vec<Placed>,
+    placed: Vec<KnownPosition>,
     distances: Vec<Spaced>,
 }
 
@@ -153,9 +153,9 @@ impl Sockets {
         let sigma_m = |u_um: Option<f64>| u_um.unwrap_or(table.u_um) * 1e-6;
         let placed = table.sockets.iter().filter_map(|PlacedSocket { name, position_mm, u_um }| {
             let position_m = Vector3::from(*position_mm) * 1e-3;
-            Some(Placed { socket: number(name)?, position_m, sigma_m: sigma_m(*u_um) })
+            Some(KnownPosition { socket: number(name)?, position_m, sigma_m: sigma_m(*u_um) })
         });
-        let placed: Vec<Placed> = placed.collect();
+        let placed: Vec<KnownPosition> = placed.collect();
         let distances = table.distances.iter().filter_map(|KnownDistance { between, distance_mm, u_um }| {
             let [from, to] = between.each_ref().map(number);
             let distance_m = distance_mm * 1e-3;

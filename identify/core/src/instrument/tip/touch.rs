@@ -38,7 +38,7 @@ impl Touch {
 }
 
 /// Tip and planes that fit the rows.
-struct Placed {
+struct TipFit {
     tip_m: Vector3<f64>,
     planes: Vec<Face>,
     /// Root mean square residual \[m\].
@@ -48,7 +48,7 @@ struct Placed {
 /// Fits tip and planes of `faces` faces to poses of a robot, from a start value of the tip.
 ///
 /// Alternates two linear steps, often enough to converge: planes for a known tip by least squares, then the tip for known normals.
-fn fit_tip_and_planes(touches: &TouchedPoses, faces: usize, start_m: Vector3<f64>) -> Option<Placed> {
+fn fit_tip_and_planes(touches: &TouchedPoses, faces: usize, start_m: Vector3<f64>) -> Option<TipFit> {
     const ROUNDS: usize = 60;
     let mut tip_m = start_m;
     let mut planes = Vec::new();
@@ -78,7 +78,7 @@ fn fit_tip_and_planes(touches: &TouchedPoses, faces: usize, start_m: Vector3<f64
         let tip_m = flange.transform_point(&tip_m.into()).coords;
         planes[row.part].normal.dot(&tip_m) - planes[row.part].distance_m + row.reading_m
     }));
-    Some(Placed { tip_m, planes, rms_m })
+    Some(TipFit { tip_m, planes, rms_m })
 }
 
 /// Plane through the tips of a face, at least three. Readings determine only the sign of its normal, which points to decreasing
@@ -145,7 +145,7 @@ impl Artefact for Faces {
             self.tip_m.map_or_else(|| STARTS_M.map(|z| Vector3::new(0.0, 0.0, z)).to_vec(), |tip| vec![tip]);
         let faces = self.names.len();
         let fits = starts_m.into_iter().filter_map(|start_m| fit_tip_and_planes(touches, faces, start_m));
-        let Placed { tip_m, planes, .. } = fits.min_by(|a, b| a.rms_m.total_cmp(&b.rms_m))?;
+        let TipFit { tip_m, planes, .. } = fits.min_by(|a, b| a.rms_m.total_cmp(&b.rms_m))?;
         let expected_m = self.tip_m.unwrap_or_default();
         let coordinate = |axis: Axis| {
             let role = Role::Prior { value: expected_m[axis.index()], sigma: TIP_SIGMA_M };
