@@ -25,4 +25,4 @@ pub use nominal::uncalibrated;
 pub use scale::scale_sentence;
 pub use separation::not_separated;
 pub use shift::{ShiftCurve, shift_curve};
-pub use sphere_deviation::{Deviation, Elongation, OffSphere, PositiveForce, SphereDeviation};
+pub use sphere_deviation::{Elongation, ModelDeviation, OffSphere, PositiveForce, SphereDeviation};

@@ -30,7 +30,7 @@ pub struct OffSphere {
 
 /// Deviation from the sphere for one robot model.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct Deviation {
+pub struct ModelDeviation {
     /// Samples in order of time.
     pub samples: Vec<OffSphere>,
     /// Statistics of the absolute values of [`OffSphere::off_m`] \[m\].
@@ -39,7 +39,7 @@ pub struct Deviation {
     pub unexplained_rms_m: f64,
 }
 
-impl Deviation {
+impl ModelDeviation {
     fn of(closures: &[Closure], of_signs: bool, by_encoders: bool) -> Self {
         let radial_m = |closure: &Closure| {
             if by_encoders { closure.direction.dot(&closure.position_error_m) } else { closure.off_sphere_m }
@@ -152,9 +152,9 @@ impl Elongation {
 #[derive(Debug, Clone, PartialEq)]
 pub struct SphereDeviation {
     /// Deviation with the nominal robot and the bar fitted to it.
-    pub before: Deviation,
+    pub before: ModelDeviation,
     /// Deviation with the calibrated robot.
-    pub after: Deviation,
+    pub after: ModelDeviation,
     /// Elongation by the force; `None` without a force.
     pub elongation: Option<Elongation>,
 }
@@ -167,7 +167,7 @@ impl SphereDeviation {
             let elongation = Elongation::of_run(calibration, run, prepared, model);
             let of_signs = elongation.is_some_and(|elongation| elongation.parameter == ParameterId::BarPlay);
             let [before, after] = [&evidence.before, &evidence.after]
-                .map(|closures| Deviation::of(closures, of_signs, first && second));
+                .map(|closures| ModelDeviation::of(closures, of_signs, first && second));
             Self { before, after, elongation }
         };
         runs.iter().enumerate().zip(calibration.bar_runs()).map(of_run).collect()

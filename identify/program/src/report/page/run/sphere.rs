@@ -5,7 +5,7 @@ use maud::{Markup, html};
 use plotters::style::RGBColor;
 
 use super::runs;
-use crate::evaluate::{Deviation, Elongation, OffSphere, SphereDeviation};
+use crate::evaluate::{Elongation, ModelDeviation, OffSphere, SphereDeviation};
 use crate::model::ParameterId;
 use crate::report::page::Page;
 use crate::report::page::drawing::figures::{HALF, TimeAxis, WIDE, dots, from_above, sphere_from_above};
@@ -68,7 +68,7 @@ fn um(metres: f64) -> String {
 
 /// RMS and quantiles of the deviations as large numbers.
 fn error_numbers(sphere: &SphereDeviation) -> Markup {
-    let row = |name: &str, deviation: &Deviation| {
+    let row = |name: &str, deviation: &ModelDeviation| {
         let Sizes { rms, median, p95, max, .. } = deviation.size_m;
         let [median, p95, max] = [median, p95, max].map(um);
         let label = format!("{name}, RMS; median {median}, 95 % below {p95}, largest {max}");
@@ -105,7 +105,7 @@ fn force_text(elongation: &Elongation) -> Markup {
 /// Deviations of the nominal and the calibrated robot over time.
 fn deviation_over_time(sphere: &SphereDeviation) -> Result<Markup, PlotError> {
     let time = TimeAxis::of(sphere.after.samples.iter().map(|one| one.t_s));
-    let series = |name: &str, colour, deviation: &Deviation, off_m: fn(&OffSphere) -> f64| {
+    let series = |name: &str, colour, deviation: &ModelDeviation, off_m: fn(&OffSphere) -> f64| {
         let point = |sample: &OffSphere| (time.at(sample.t_s), off_m(sample) * 1e6);
         dots(name, colour, deviation.samples.iter().map(point).collect())
     };
@@ -121,7 +121,7 @@ fn deviation_over_time(sphere: &SphereDeviation) -> Result<Markup, PlotError> {
 
 /// The force over time, and the deviation against it. The line is the elongation: compliance \[m/N\] times force \[N\], or half of
 /// the play \[m\] times the sign of the force.
-fn forces(after: &Deviation, elongation: &Elongation) -> Result<Markup, PlotError> {
+fn forces(after: &ModelDeviation, elongation: &Elongation) -> Result<Markup, PlotError> {
     // Play is identified from the sign of the force alone.
     let has_only_signs = elongation.parameter == ParameterId::BarPlay;
     let axis = if has_only_signs { "sign of the force" } else { "force along the bar [N]" };
@@ -139,7 +139,7 @@ fn forces(after: &Deviation, elongation: &Elongation) -> Result<Markup, PlotErro
 }
 
 /// The deviation by direction of the bar, from above. Colours are strongest at the 95 % quantile of the deviations.
-fn sphere_map(title: &str, deviation: &Deviation) -> Result<Markup, PlotError> {
+fn sphere_map(title: &str, deviation: &ModelDeviation) -> Result<Markup, PlotError> {
     /// Number of colours for each sign.
     const STEPS: i32 = 10;
     let every = deviation.samples.len().div_ceil(DOTS_MAX).max(1);
