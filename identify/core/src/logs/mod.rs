@@ -57,7 +57,7 @@ pub use time_series::unwrapped::{Unwrapped, UnwrappedPoint};
 use std::path::Path;
 use std::sync::Arc;
 
-use self::source::Source;
+use self::source::LogSource;
 use serde::{Deserialize, Serialize};
 
 use crate::kinematics::Joints;
@@ -74,7 +74,7 @@ pub(crate) const SIMULATED: &str = "SIMULATED";
 /// [`LogError::Unreadable`].
 pub fn is_simulated(path: &Path) -> Result<bool, LogError> {
     let comment = format!("# {SIMULATED}");
-    Ok(Source::open(path)?.beginning().starts_with(comment.as_bytes()))
+    Ok(LogSource::open(path)?.beginning().starts_with(comment.as_bytes()))
 }
 
 /// Whether joint values are measured by the encoders or commanded by the controller.

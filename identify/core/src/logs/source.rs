@@ -11,7 +11,7 @@ use crate::logs::LogError;
 const BEGINNING_BYTES: u64 = 1 << 16;
 
 /// Bytes from which a log is read.
-pub(in crate::logs) struct Source<'a> {
+pub(in crate::logs) struct LogSource<'a> {
     /// Named in errors; its ending may determine the format.
     pub path: &'a Path,
     /// The first [`BEGINNING_BYTES`] of a file, or all bytes in memory.
@@ -20,7 +20,7 @@ pub(in crate::logs) struct Source<'a> {
     rest: Option<File>,
 }
 
-impl<'a> Source<'a> {
+impl<'a> LogSource<'a> {
     /// A source of bytes in memory.
     pub fn in_memory(bytes: &'a [u8], path: &'a Path) -> Self {
         Self { path, beginning: bytes.into(), rest: None }

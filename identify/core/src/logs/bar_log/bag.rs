@@ -6,7 +6,7 @@ use shared::config::BallBarConfig;
 use shared::recording::schema::MAX_ENCODERS;
 
 use super::mapping::{BarLogMapping, EncoderColumn, EncoderUnit};
-use super::samples::{Kind, RawBarLog, RawRow, Reading};
+use super::samples::{BarLogKind, EncoderReader, RawBarLog, RawBarRow};
 use super::{LogError, LogFormat, OtherBarLog};
 use crate::kinematics::BAR_JOINTS;
 use crate::logs::robot::ros::{Bag, UNSTAMPED, Wanted, clock_name};
@@ -35,11 +35,11 @@ pub(super) fn read(
     let (topic, encoders) = bag.choose(path, topic, &WANTED, |found| encoders_among(found, bar, mapping))?;
     let wraps_at = BarLogMapping::wraps_at_of(mapping);
     let reading = |EncoderColumn { joint, column, unit, .. }: &EncoderColumn| {
-        Reading::new(*joint, unit.unwrap_or(EncoderUnit::Rad), wraps_at, bar, (path, column))
+        EncoderReader::new(*joint, unit.unwrap_or(EncoderUnit::Rad), wraps_at, bar, (path, column))
     };
-    let readings = encoders.iter().map(reading).collect::<Result<Vec<Reading>, LogError>>()?;
+    let readings = encoders.iter().map(reading).collect::<Result<Vec<EncoderReader>, LogError>>()?;
     let stamped = topic.is_stamped();
-    let kind = Kind {
+    let kind = BarLogKind {
         name: "ROS 2 bag with JointState",
         row: "message",
         has_validity: false,
@@ -53,11 +53,11 @@ pub(super) fn read(
     }
     for message in &topic.messages {
         let state = &message.state;
-        let mut row = RawRow {
+        let mut row = RawBarRow {
             place: message.number,
             stamp_ns: message.stamp_ns(stamped),
             valid: [true; MAX_ENCODERS],
-            ..RawRow::default()
+            ..RawBarRow::default()
         };
         let mut is_of_bar = false;
         for (count, (encoder, reading)) in row.counts.iter_mut().zip(encoders.iter().zip(&readings)) {
@@ -76,7 +76,7 @@ pub(super) fn read(
 }
 
 /// A position of a joint as a count: as it is, or from an angle. `None` if it is neither: drivers publish NaN for missing values.
-fn count_of(value: f64, reading: &Reading) -> Option<i64> {
+fn count_of(value: f64, reading: &EncoderReader) -> Option<i64> {
     /// Whole numbers are exact up to here.
     const EXACT: f64 = 9_007_199_254_740_992.0;
     if reading.is_counts() {

@@ -19,7 +19,7 @@ use shared::config::BallBarConfig;
 use shared::recording::schema::{CycleRecord, EncoderInfo};
 use shared::recording::{ReadError, ReadErrorKind, Recording};
 
-use super::source::Source;
+use super::source::LogSource;
 use super::{LogError, LogFormat, LogQuality, Unwrapped};
 
 /// Facts that a file may lack, with the assumption for each.
@@ -93,7 +93,7 @@ impl BarLog {
         if is_recording(path)? {
             return Ok(Self::Recording(Box::new(Recording::open(path)?)));
         }
-        let other = OtherBarLog::read_from(Source::open(path)?, bar, mapping)?;
+        let other = OtherBarLog::read_from(LogSource::open(path)?, bar, mapping)?;
         Ok(Self::Other(Box::new(other)))
     }
 
@@ -145,11 +145,11 @@ impl OtherBarLog {
         bar: &BallBarConfig,
         mapping: Option<&BarLogMapping>,
     ) -> Result<Self, LogError> {
-        Self::read_from(Source::in_memory(bytes, path), bar, mapping)
+        Self::read_from(LogSource::in_memory(bytes, path), bar, mapping)
     }
 
     fn read_from(
-        source: Source<'_>,
+        source: LogSource<'_>,
         bar: &BallBarConfig,
         mapping: Option<&BarLogMapping>,
     ) -> Result<Self, LogError> {

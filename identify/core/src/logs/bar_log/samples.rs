@@ -39,7 +39,7 @@ const ANGLE_RAD_MAX: f64 = 1e4;
 
 /// How one encoder of a file is read.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Reading {
+pub(super) struct EncoderReader {
     pub info: EncoderInfo,
     unit: EncoderUnit,
     wraps_at: u64,
@@ -53,7 +53,7 @@ struct LastCount {
     unwrapped: i64,
 }
 
-impl Reading {
+impl EncoderReader {
     /// The encoder of `joint`; `place` is the name of its values in the file.
     ///
     /// # Errors
@@ -118,7 +118,7 @@ impl Reading {
 
 /// One row of a file.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub(super) struct RawRow {
+pub(super) struct RawBarRow {
     /// Line or number of the message in the file.
     pub place: u64,
     pub stamp_ns: i64,
@@ -130,7 +130,7 @@ pub(super) struct RawRow {
     pub flags: u32,
 }
 
-impl RawRow {
+impl RawBarRow {
     fn is_valid(&self, count: usize) -> bool {
         self.counts.iter().zip(&self.valid).take(count).all(|(count, valid)| count.is_some() && *valid)
     }
@@ -138,7 +138,7 @@ impl RawRow {
 
 /// Kind of a file and the facts that it has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Kind {
+pub(super) struct BarLogKind {
     /// Name of the kind in messages.
     pub name: &'static str,
     /// Name of its rows: `line` or `message`.
@@ -154,14 +154,14 @@ pub(super) struct Kind {
 /// Rows in the order of the file.
 pub(super) struct RawBarLog {
     path: PathBuf,
-    kind: Kind,
-    readings: Vec<Reading>,
-    rows: Vec<RawRow>,
+    kind: BarLogKind,
+    readings: Vec<EncoderReader>,
+    rows: Vec<RawBarRow>,
     quality: LogQuality,
 }
 
 impl RawBarLog {
-    pub fn new(path: &Path, kind: Kind, readings: Vec<Reading>) -> Self {
+    pub fn new(path: &Path, kind: BarLogKind, readings: Vec<EncoderReader>) -> Self {
         Self { path: path.to_owned(), kind, readings, rows: Vec::new(), quality: LogQuality::default() }
     }
 
@@ -174,7 +174,7 @@ impl RawBarLog {
     ///
     /// # Errors
     /// [`LogError::TimeNotIncreasing`], except beside cycles that the file marks as bad.
-    pub fn push(&mut self, row: RawRow) -> Result<(), LogError> {
+    pub fn push(&mut self, row: RawBarRow) -> Result<(), LogError> {
         if let Some(before) = self.rows.last() {
             if row.stamp_ns == before.stamp_ns && row.counts == before.counts {
                 self.quality.duplicates_dropped += 1;
@@ -408,7 +408,7 @@ impl RawBarLog {
 
     /// The facts, by their names in `MISSING_FACTS`, that the file does not have.
     fn unknown(&self) -> Vec<&'static str> {
-        let Kind { has_validity, has_origins, is_dated, .. } = self.kind;
+        let BarLogKind { has_validity, has_origins, is_dated, .. } = self.kind;
         let [certainty, other_clock, validity, origins, date] = MISSING_FACTS.map(|(what, _)| what);
         let mut unknown = vec![certainty, other_clock];
         for (known, what) in [(has_validity, validity), (has_origins, origins), (is_dated, date)] {

@@ -6,11 +6,11 @@ use shared::config::BallBarConfig;
 use shared::recording::schema::{MAX_ENCODERS, flags};
 
 use super::mapping::{BarLogMapping, EncoderColumn, EncoderUnit};
-use super::samples::{Kind, RawBarLog, RawRow, Reading};
+use super::samples::{BarLogKind, EncoderReader, RawBarLog, RawBarRow};
 use super::{LogError, OtherBarLog};
 use crate::kinematics::BAR_JOINTS;
 use crate::logs::SIMULATED;
-use crate::logs::source::Source;
+use crate::logs::source::LogSource;
 use crate::logs::tables::csv_text::{Column, Row, Table};
 use crate::logs::tables::stamp::{StampColumn, TimeColumn, TimeUnit};
 use crate::logs::tables::text::Text;
@@ -30,11 +30,11 @@ const REMEDY: &str = "Name the columns as `ballbard export --csv` does (`time_ut
 struct Encoder {
     value: Column,
     valid: Option<Column>,
-    reading: Reading,
+    reading: EncoderReader,
 }
 
 /// The columns that are read.
-struct Layout {
+struct BarTableLayout {
     time: StampColumn,
     encoders: Vec<Encoder>,
     flags: Option<Column>,
@@ -43,7 +43,7 @@ struct Layout {
 
 /// Reads the encoders of the bar from a table.
 pub(super) fn read(
-    source: Source<'_>,
+    source: LogSource<'_>,
     bar: &BallBarConfig,
     mapping: Option<&BarLogMapping>,
 ) -> Result<OtherBarLog, LogError> {
@@ -53,11 +53,11 @@ pub(super) fn read(
         Some(mapping) => {
             let time = TimeColumn::of_table(mapping.time.as_ref(), path)?;
             let remedy = "Correct the name in the mapping file.";
-            Layout::find(&table, path, bar, time, &mapping.encoders, mapping.wraps_at, remedy)?
+            BarTableLayout::find(&table, path, bar, time, &mapping.encoders, mapping.wraps_at, remedy)?
         }
         None => usual_layout(&table, path, bar)?,
     };
-    let kind = Kind {
+    let kind = BarLogKind {
         name: if layout.flags.is_some() { "table of `ballbard export`" } else { "table" },
         row: "line",
         has_validity: layout.encoders.iter().all(|encoder| encoder.valid.is_some()),
@@ -81,7 +81,7 @@ pub(super) fn read(
 
 /// Whether the header of a text names a counter or angle of the bar.
 pub(super) fn has_usual_columns(bytes: &[u8]) -> bool {
-    let text = Text::new(Source::in_memory(bytes, Path::new("")), None);
+    let text = Text::new(LogSource::in_memory(bytes, Path::new("")), None);
     let Ok(mut text) = text else { return false };
     let header = text.header_line().unwrap_or_default();
     let mut cells = header.split([',', ';', '\t']).map(|cell| cell.trim().trim_matches('"'));
@@ -96,7 +96,7 @@ fn unit_of(name: &str, joint: usize) -> Option<EncoderUnit> {
 }
 
 /// Layout of a table without a mapping, whose columns have the usual names; encoders in the order of the columns.
-fn usual_layout(table: &Table<'_>, path: &Path, bar: &BallBarConfig) -> Result<Layout, LogError> {
+fn usual_layout(table: &Table<'_>, path: &Path, bar: &BallBarConfig) -> Result<BarTableLayout, LogError> {
     let (time, unit) =
         TIMES.into_iter().find(|(name, _)| table.has(name)).unwrap_or(("time_utc", TimeUnit::DateTime));
     let mut columns = Vec::new();
@@ -120,14 +120,14 @@ fn usual_layout(table: &Table<'_>, path: &Path, bar: &BallBarConfig) -> Result<L
     }
     let wraps_at = BarLogMapping::wraps_at_of(None);
     let time = TimeColumn::new(time, unit);
-    let mut layout = Layout::find(table, path, bar, &time, &columns, wraps_at, REMEDY)?;
+    let mut layout = BarTableLayout::find(table, path, bar, &time, &columns, wraps_at, REMEDY)?;
     layout.encoders.sort_by_key(|encoder| encoder.value.index);
     let if_there = |name: &str| table.has(name).then(|| table.column(name, REMEDY)).transpose();
     (layout.flags, layout.events) = (if_there("flags")?, if_there("event")?);
     Ok(layout)
 }
 
-impl Layout {
+impl BarTableLayout {
     /// Finds the columns of the stamps and of the encoders.
     fn find(
         table: &Table<'_>,
@@ -143,7 +143,7 @@ impl Layout {
             Ok(Encoder {
                 value: table.column(column, remedy)?,
                 valid: valid.as_ref().map(|name| table.column(name, remedy)).transpose()?,
-                reading: Reading::new(*joint, unit, wraps_at, bar, (path, column))?,
+                reading: EncoderReader::new(*joint, unit, wraps_at, bar, (path, column))?,
             })
         };
         let time = StampColumn::new(table.column(&time.column, remedy)?, time);
@@ -151,12 +151,12 @@ impl Layout {
         Ok(Self { time, encoders, flags: None, events: None })
     }
 
-    fn read(&mut self, table: &Table<'_>, row: &Row) -> Result<RawRow, LogError> {
-        let mut read = RawRow {
+    fn read(&mut self, table: &Table<'_>, row: &Row) -> Result<RawBarRow, LogError> {
+        let mut read = RawBarRow {
             place: row.line,
             stamp_ns: self.time.next_ns(table, row)?,
             valid: [true; MAX_ENCODERS],
-            ..RawRow::default()
+            ..RawBarRow::default()
         };
         let slots = read.counts.iter_mut().zip(&mut read.valid);
         for (encoder, (count, valid)) in self.encoders.iter().zip(slots) {

@@ -13,7 +13,7 @@ use super::{ForceClock, ForceKind, ForceLog};
 use crate::kinematics::Joints;
 use crate::logs::robot::mapping::CsvLayout;
 use crate::logs::robot::table::TIME_COLUMN;
-use crate::logs::source::Source;
+use crate::logs::source::LogSource;
 use crate::logs::tables::csv_text::{Row, Table};
 use crate::logs::tables::stamp::{StampColumn, TimeColumn, TimeUnit};
 use crate::logs::{JointConversion, LogError, ROWS_MIN, Stream};
@@ -54,7 +54,7 @@ impl ForceLog {
         robot: &RobotConfig,
         mapping: Option<&ForceLogMapping>,
     ) -> Result<Self, LogError> {
-        Self::read_from(Source::open(path)?, robot, mapping)
+        Self::read_from(LogSource::open(path)?, robot, mapping)
     }
 
     /// [`Self::load`] on bytes in memory; `path` is only named in errors.
@@ -67,11 +67,11 @@ impl ForceLog {
         robot: &RobotConfig,
         mapping: Option<&ForceLogMapping>,
     ) -> Result<Self, LogError> {
-        Self::read_from(Source::in_memory(bytes, path), robot, mapping)
+        Self::read_from(LogSource::in_memory(bytes, path), robot, mapping)
     }
 
     fn read_from(
-        source: Source<'_>,
+        source: LogSource<'_>,
         robot: &RobotConfig,
         mapping: Option<&ForceLogMapping>,
     ) -> Result<Self, LogError> {

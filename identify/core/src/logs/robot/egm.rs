@@ -11,7 +11,7 @@ use prost::Message;
 use shared::config::RobotConfig;
 
 use super::mapping::RobotLogMapping;
-use super::raw::{Meaning, RawLog, RawRow};
+use super::raw::{Meaning, RawLog, RawRobotRow};
 use crate::kinematics::Joints;
 use crate::logs::{LogError, LogFormat, Origin, RobotLog};
 
@@ -98,7 +98,7 @@ pub(in crate::logs) fn read(
         let values = joints.map_or(&[][..], |joints| &joints.joints);
         let value = |joint: usize| values.get(joint).map_or(f64::NAN, |value| value * to_unit[joint]);
         let joints = Joints::from_fn(robot.axes(), value);
-        raw.push(RawRow { place: number, stamp_ns, joints, ..RawRow::default() })?;
+        raw.push(RawRobotRow { place: number, stamp_ns, joints, ..RawRobotRow::default() })?;
     }
     raw.finish(&meaning)
 }

@@ -30,7 +30,7 @@ const FASTEST: Fastest = Fastest { speed: 30.0, acceleration: 200.0 };
 
 /// One row of a log, in the units that its [`Meaning`] converts.
 #[derive(Debug, Clone, Default)]
-pub(in crate::logs) struct RawRow {
+pub(in crate::logs) struct RawRobotRow {
     /// Line or number in the file.
     pub place: u64,
     pub stamp_ns: i64,
@@ -158,7 +158,7 @@ impl RawLog {
     }
 
     /// Takes the next row; one that repeats the row before it, or lacks a joint, is only counted.
-    pub fn push(&mut self, row: RawRow) -> Result<(), LogError> {
+    pub fn push(&mut self, row: RawRobotRow) -> Result<(), LogError> {
         if row.joints.iter().any(|joint| !joint.is_finite()) {
             self.quality.incomplete_dropped += 1;
             return Ok(());

@@ -11,7 +11,7 @@ use shared::config::RobotConfig;
 
 use super::mapping::RobotLogMapping;
 use super::{egm, ros, rsi, table};
-use crate::logs::source::Source;
+use crate::logs::source::LogSource;
 use crate::logs::{LogError, LogFormat, RobotLog};
 
 /// How to read a log that does not state it.
@@ -44,7 +44,7 @@ pub fn read(bytes: &[u8], path: &Path, robot: &RobotConfig) -> Result<RobotLog, 
 /// # Errors
 /// As [`load`].
 pub fn load_with(path: &Path, robot: &RobotConfig, options: &LogOptions) -> Result<RobotLog, LogError> {
-    read_from(Source::open(path)?, robot, options)
+    read_from(LogSource::open(path)?, robot, options)
 }
 
 /// [`read`] with options that the file does not state.
@@ -57,10 +57,10 @@ pub fn read_with(
     robot: &RobotConfig,
     options: &LogOptions,
 ) -> Result<RobotLog, LogError> {
-    read_from(Source::in_memory(bytes, path), robot, options)
+    read_from(LogSource::in_memory(bytes, path), robot, options)
 }
 
-fn read_from(source: Source<'_>, robot: &RobotConfig, options: &LogOptions) -> Result<RobotLog, LogError> {
+fn read_from(source: LogSource<'_>, robot: &RobotConfig, options: &LogOptions) -> Result<RobotLog, LogError> {
     let path = source.path;
     let format = options.format.map_or_else(|| LogFormat::detect(source.beginning(), path), Ok)?;
     let mapping = options.mapping.as_ref();

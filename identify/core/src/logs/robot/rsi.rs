@@ -11,9 +11,9 @@ use quick_xml::events::{BytesStart, Event};
 use shared::config::RobotConfig;
 
 use super::mapping::RobotLogMapping;
-use super::raw::{Meaning, RawLog, RawRow};
+use super::raw::{Meaning, RawLog, RawRobotRow};
 use crate::kinematics::Joints;
-use crate::logs::source::Source;
+use crate::logs::source::LogSource;
 use crate::logs::tables::stamp::{StampReader, TimeColumn, TimeUnit};
 use crate::logs::tables::text::Text;
 use crate::logs::{LogError, LogFormat, Origin, RobotLog};
@@ -30,7 +30,7 @@ struct Telegram {
 
 /// Reads a log of telegrams.
 pub(in crate::logs) fn read(
-    source: Source<'_>,
+    source: LogSource<'_>,
     robot: &RobotConfig,
     mapping: Option<&RobotLogMapping>,
 ) -> Result<RobotLog, LogError> {
@@ -64,7 +64,7 @@ pub(in crate::logs) fn read(
         let joints_deg = telegram.joints_deg.unwrap_or([f64::NAN; AXES.len()]);
         let joint = |axis: usize| joints_deg.get(axis).map_or(f64::NAN, |value| value * to_unit[axis]);
         let joints = Joints::from_fn(robot.axes(), joint);
-        raw.push(RawRow { place: number, stamp_ns, joints, ..RawRow::default() })?;
+        raw.push(RawRobotRow { place: number, stamp_ns, joints, ..RawRobotRow::default() })?;
     }
     raw.finish(&meaning)
 }

@@ -5,10 +5,10 @@ use std::path::Path;
 use shared::config::{AngleUnit, JointKind, RobotConfig};
 
 use super::mapping::{Columns, RobotLogMapping};
-use super::raw::{Meaning, RawLog, RawRow};
+use super::raw::{Meaning, RawLog, RawRobotRow};
 use crate::kinematics::Joints;
 use crate::logs::force::ForceLayout;
-use crate::logs::source::Source;
+use crate::logs::source::LogSource;
 use crate::logs::tables::csv_text::{Column, Row, Table};
 use crate::logs::tables::stamp::{StampColumn, TimeColumn, TimeUnit};
 use crate::logs::tables::text::Text;
@@ -31,7 +31,7 @@ pub fn own_columns(robot: &RobotConfig) -> Columns {
 }
 
 /// The columns of a table that are read.
-struct Layout {
+struct RobotTableLayout {
     time: StampColumn,
     /// Columns and the factors of their values.
     joints: Vec<(Column, f64)>,
@@ -41,12 +41,12 @@ struct Layout {
 }
 
 /// The robot's own columns: `t_s` and those that its configuration names; other columns are ignored.
-pub(in crate::logs) fn read_own(source: Source<'_>, robot: &RobotConfig) -> Result<RobotLog, LogError> {
+pub(in crate::logs) fn read_own(source: LogSource<'_>, robot: &RobotConfig) -> Result<RobotLog, LogError> {
     let path = source.path;
     let meaning = Meaning::own(robot, own_columns(robot))?;
     let mut table = Table::open(Text::new(source, None)?)?;
     let remedy = "Name the column of time stamps, in seconds, `t_s`, or assign the columns in a mapping (--log-mapping).";
-    let mut layout = Layout {
+    let mut layout = RobotTableLayout {
         time: seconds_column(table.column(TIME_COLUMN, remedy)?),
         joints: own_joints(&table, path, robot)?,
         speeds: None,
@@ -120,7 +120,7 @@ fn own_joints(table: &Table<'_>, path: &Path, robot: &RobotConfig) -> Result<Vec
 }
 
 /// A table of `record.py` of the RTDE client, joints in radians.
-pub(in crate::logs) fn read_rtde(source: Source<'_>, robot: &RobotConfig) -> Result<RobotLog, LogError> {
+pub(in crate::logs) fn read_rtde(source: LogSource<'_>, robot: &RobotConfig) -> Result<RobotLog, LogError> {
     let path = source.path;
     let table = &mut Table::delimited(Text::new(source, None)?, b' ')?;
     let origin = if table.has("actual_q_0") { Origin::Measured } else { Origin::Commanded };
@@ -135,7 +135,7 @@ pub(in crate::logs) fn read_rtde(source: Source<'_>, robot: &RobotConfig) -> Res
         are_all_there.then(|| find_columns(table, names, &as_is, remedy)).transpose()
     };
     let meaning = Meaning::of_controller(robot, AngleUnit::Rad, columns("q"), LogFormat::UrRtde, path)?;
-    let mut layout = Layout {
+    let mut layout = RobotTableLayout {
         time: seconds_column(table.column("timestamp", remedy)?),
         joints: find_columns(table, &columns("q"), &as_is, remedy)?,
         speeds: optional(&columns("qd"))?,
@@ -151,7 +151,7 @@ pub(in crate::logs) fn read_rtde(source: Source<'_>, robot: &RobotConfig) -> Res
 
 /// The columns that a mapping names.
 pub(in crate::logs) fn read_mapped(
-    source: Source<'_>,
+    source: LogSource<'_>,
     robot: &RobotConfig,
     mapping: &RobotLogMapping,
 ) -> Result<RobotLog, LogError> {
@@ -177,7 +177,7 @@ fn mapped_layout<'a>(
     robot: &'a RobotConfig,
     path: &Path,
     mapping: &RobotLogMapping,
-) -> Result<(Layout, Meaning<'a>), LogError> {
+) -> Result<(RobotTableLayout, Meaning<'a>), LogError> {
     let remedy = "Correct the name in the mapping file.";
     let time = TimeColumn::of_table(mapping.time.as_ref(), path)?;
     let time = StampColumn::new(table.column(&time.column, remedy)?, time);
@@ -193,7 +193,7 @@ fn mapped_layout<'a>(
     let optional = |names: &Option<Columns>, factors: &[f64]| {
         names.as_ref().map(|names| find_columns(table, names, factors, remedy)).transpose()
     };
-    let layout = Layout {
+    let layout = RobotTableLayout {
         time,
         joints,
         speeds: optional(&mapping.speeds, &to_si)?,
@@ -233,13 +233,13 @@ fn take_comments(raw: &mut RawLog, table: &Table<'_>) {
     }
 }
 
-fn read_rows(table: &mut Table<'_>, layout: &mut Layout, raw: &mut RawLog) -> Result<(), LogError> {
+fn read_rows(table: &mut Table<'_>, layout: &mut RobotTableLayout, raw: &mut RawLog) -> Result<(), LogError> {
     let mut row = Row::default();
     while table.next_row(&mut row)? {
         let numbers = |columns: &[(Column, f64)]| -> Result<Joints, LogError> {
             columns.iter().map(|(column, factor)| Ok(table.number(&row, column)? * factor)).collect()
         };
-        raw.push(RawRow {
+        raw.push(RawRobotRow {
             place: row.line,
             stamp_ns: layout.time.next_ns(table, &row)?,
             joints: numbers(&layout.joints)?,

@@ -12,7 +12,7 @@ use super::pose_rows::{
     uncertainty,
 };
 use crate::kinematics::Joints;
-use crate::logs::source::Source;
+use crate::logs::source::LogSource;
 use crate::logs::tables::csv_text::{Column, Row, Table};
 use crate::logs::{CsvLayout, JointColumn, LengthUnit, LogError};
 use crate::model::SetUp;
@@ -127,7 +127,7 @@ impl MeasuredLengths {
     /// # Errors
     /// Every way in which the file cannot be used, see [`LogError`].
     pub fn load(path: &Path, mapping: &MeasuredLengthMapping) -> Result<Self, LogError> {
-        Self::read(&Source::open(path)?.whole()?, path, mapping)
+        Self::read(&LogSource::open(path)?.whole()?, path, mapping)
     }
 
     /// [`Self::load`] on bytes in memory; `path` is only named in errors.
@@ -135,18 +135,19 @@ impl MeasuredLengths {
     /// # Errors
     /// As [`Self::load`].
     pub fn read(bytes: &[u8], path: &Path, mapping: &MeasuredLengthMapping) -> Result<Self, LogError> {
-        let find = |table: &Table<'_>| Columns::find(table, mapping);
+        let find = |table: &Table<'_>| LengthTableColumns::find(table, mapping);
         let mut names = SetUpNames::default();
-        let read =
-            |columns: &mut Columns<'_>, table: &Table<'_>, row: &Row| columns.read(table, row, &mut names);
-        let rows = rows(Source::in_memory(bytes, path), &mapping.csv, find, read)?;
+        let read = |columns: &mut LengthTableColumns<'_>, table: &Table<'_>, row: &Row| {
+            columns.read(table, row, &mut names)
+        };
+        let rows = rows(LogSource::in_memory(bytes, path), &mapping.csv, find, read)?;
         let [anchors, attachments] = names.in_order();
         Ok(Self { rows, anchors, attachments })
     }
 }
 
 /// The mapping's columns, found in a file.
-struct Columns<'a> {
+struct LengthTableColumns<'a> {
     length: (Column, &'a LengthColumn),
     uncertainty: Option<Column>,
     /// Columns with the names of anchor and attachment.
@@ -155,7 +156,7 @@ struct Columns<'a> {
     flange: Option<([Column; 3], LengthUnit)>,
 }
 
-impl<'a> Columns<'a> {
+impl<'a> LengthTableColumns<'a> {
     fn find(table: &Table<'_>, mapping: &'a MeasuredLengthMapping) -> Result<Self, LogError> {
         let column = |name: &str| mapped(table, name);
         let flange = mapping.flange.as_ref().map(|flange| {

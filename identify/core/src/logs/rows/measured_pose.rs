@@ -15,7 +15,7 @@ use super::pose_rows::{
     uncertainty,
 };
 use crate::kinematics::Joints;
-use crate::logs::source::Source;
+use crate::logs::source::LogSource;
 use crate::logs::tables::csv_text::{Column, Row, Table};
 use crate::logs::tables::stamp::{StampColumn, TimeColumn};
 use crate::logs::time_series::excursions::{Excursions, Fastest, remark};
@@ -290,7 +290,7 @@ impl MeasuredPoses {
     /// # Errors
     /// Every way in which the file cannot be used, see [`LogError`].
     pub fn load(path: &Path, mapping: &MeasuredPoseMapping) -> Result<Self, LogError> {
-        Self::read(&Source::open(path)?.whole()?, path, mapping)
+        Self::read(&LogSource::open(path)?.whole()?, path, mapping)
     }
 
     /// [`Self::load`] on bytes in memory; `path` is only named in errors.
@@ -307,7 +307,7 @@ impl MeasuredPoses {
                 let measured = pose.read(table, row, &mut names)?;
                 Ok(PoseRow { joints_rad: joints.read(table, row)?, ..measured })
             };
-        let rows = rows(Source::in_memory(bytes, path), &mapping.csv, find, read)?;
+        let rows = rows(LogSource::in_memory(bytes, path), &mapping.csv, find, read)?;
         let [stations, targets] = names.in_order();
         Ok(Self { rows, stations, targets })
     }
@@ -334,7 +334,7 @@ impl TimedPoses {
     /// # Errors
     /// Every way in which the file cannot be used, see [`LogError`].
     pub fn load(path: &Path, mapping: &MeasuredPoseMapping) -> Result<Self, LogError> {
-        Self::read(&Source::open(path)?.whole()?, path, mapping)
+        Self::read(&LogSource::open(path)?.whole()?, path, mapping)
     }
 
     /// [`Self::load`] on bytes in memory; `path` is only named in errors.
@@ -352,7 +352,7 @@ impl TimedPoses {
             let pose = columns.read(table, row, &mut names)?;
             Ok((stamps.next_ns(table, row)?, pose))
         };
-        let mut rows = rows(Source::in_memory(bytes, path), &mapping.csv, find, read)?;
+        let mut rows = rows(LogSource::in_memory(bytes, path), &mapping.csv, find, read)?;
         let not_increasing = rows.windows(2).find(|pair| pair[1].0 < pair[0].0);
         if let Some([(before_ns, before), (after_ns, after)]) = not_increasing {
             let (before, after) = ((before.line, *before_ns), (after.line, *after_ns));

@@ -10,7 +10,7 @@ use shared::config::{AXES_MAX, AXES_MIN, JointKind, RobotConfig, Validate, Viola
 use shared::output::named;
 
 use crate::kinematics::Joints;
-use crate::logs::source::Source;
+use crate::logs::source::LogSource;
 use crate::logs::tables::csv_text::{Column, Row, Table};
 use crate::logs::{CsvLayout, LogError};
 use crate::model::SetUp;
@@ -156,7 +156,7 @@ impl JointTableMapping {
     /// Every way in which the file cannot be used, see [`LogError`].
     pub fn load(&self, path: &Path) -> Result<Vec<Joints>, LogError> {
         let find = |table: &Table<'_>| JointColumns::find(table, &self.joints);
-        rows(Source::open(path)?, &self.csv, find, |joints, table, row| joints.read(table, row))
+        rows(LogSource::open(path)?, &self.csv, find, |joints, table, row| joints.read(table, row))
     }
 }
 
@@ -233,7 +233,7 @@ pub(in crate::logs) fn check_joints(joints: &[JointColumn]) -> Result<(), Violat
 
 /// All rows of a table: `find` finds its columns, `read` reads a row of them.
 pub(in crate::logs) fn rows<C, R>(
-    source: Source<'_>,
+    source: LogSource<'_>,
     layout: &CsvLayout,
     find: impl FnOnce(&Table<'_>) -> Result<C, LogError>,
     mut read: impl FnMut(&mut C, &Table<'_>, &Row) -> Result<R, LogError>,

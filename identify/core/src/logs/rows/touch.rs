@@ -11,7 +11,7 @@ use shared::config::{Kind, Validate, Violation};
 
 use super::pose_rows::{JointColumns, Names, check_joints, mapped, rows};
 use crate::kinematics::Joints;
-use crate::logs::source::Source;
+use crate::logs::source::LogSource;
 use crate::logs::tables::csv_text::{Column, Row, Table};
 use crate::logs::{CsvLayout, JointColumn, LengthUnit, LogError};
 
@@ -60,7 +60,7 @@ impl ContactMapping {
     /// # Errors
     /// Every way in which the file cannot be used, see [`LogError`].
     pub fn load(&self, path: &Path, sockets: &[&str]) -> Result<Vec<TipRow>, LogError> {
-        self.read(&Source::open(path)?.whole()?, path, sockets)
+        self.read(&LogSource::open(path)?.whole()?, path, sockets)
     }
 
     /// [`Self::load`] on bytes in memory; `path` is only named in errors.
@@ -76,7 +76,7 @@ impl ContactMapping {
                 table.bad(row, column, problem, "correct the name here, or give the socket there")
             })
         };
-        tip_rows(Source::in_memory(bytes, path), &self.csv, (&*self.socket, None, &*self.joints), socket)
+        tip_rows(LogSource::in_memory(bytes, path), &self.csv, (&*self.socket, None, &*self.joints), socket)
     }
 }
 
@@ -129,7 +129,7 @@ impl Touches {
     /// # Errors
     /// Every way in which the file cannot be used, see [`LogError`].
     pub fn load(path: &Path, mapping: &TouchMapping) -> Result<Self, LogError> {
-        Self::read(&Source::open(path)?.whole()?, path, mapping)
+        Self::read(&LogSource::open(path)?.whole()?, path, mapping)
     }
 
     /// [`Self::load`] on bytes in memory; `path` is only named in errors.
@@ -140,14 +140,14 @@ impl Touches {
         let mut names = Names::default();
         let face = |table: &Table<'_>, row: &Row, column: &Column| names.place(table, row, Some(column));
         let columns = (&*mapping.face, mapping.reading.as_ref(), &*mapping.joints);
-        let rows = tip_rows(Source::in_memory(bytes, path), &mapping.csv, columns, face)?;
+        let rows = tip_rows(LogSource::in_memory(bytes, path), &mapping.csv, columns, face)?;
         Ok(Self { rows, faces: names.in_order() })
     }
 }
 
 /// All rows of a table with columns of the part's name, of a gauge and of the joints; `part` reads the part of a row.
 fn tip_rows(
-    source: Source<'_>,
+    source: LogSource<'_>,
     layout: &CsvLayout,
     (name, gauge, joints): (&str, Option<&ReadingColumn>, &[JointColumn]),
     mut part: impl FnMut(&Table<'_>, &Row, &Column) -> Result<usize, LogError>,

@@ -5,11 +5,11 @@ use std::path::Path;
 use shared::output::named;
 
 use super::text::{COMMENT, Text};
-use crate::logs::source::Source;
+use crate::logs::source::LogSource;
 use crate::logs::{Cell, CsvLayout, LogError};
 
 /// How the numbers of a file are written.
-struct Format {
+struct NumberFormat {
     delimiter: u8,
     decimal_comma: bool,
 }
@@ -57,11 +57,11 @@ impl<'a> Table<'a> {
 
     /// [`Self::open`] with a known delimiter.
     pub fn delimited(text: Text<'a>, delimiter: u8) -> Result<Self, LogError> {
-        Self::open_as(text, Format { delimiter, decimal_comma: false }, true)
+        Self::open_as(text, NumberFormat { delimiter, decimal_comma: false }, true)
     }
 
     /// The table of a file, in the layout that a mapping gives, if there is one.
-    pub fn of_mapping(source: Source<'a>, layout: Option<&CsvLayout>) -> Result<Self, LogError> {
+    pub fn of_mapping(source: LogSource<'a>, layout: Option<&CsvLayout>) -> Result<Self, LogError> {
         let text = Text::new(source, layout.and_then(|layout| layout.sheet.as_deref()))?;
         match layout {
             Some(layout) => Self::mapped(text, layout),
@@ -87,7 +87,7 @@ impl<'a> Table<'a> {
             }
             (None, found) => found,
         };
-        let format = Format { delimiter, decimal_comma: layout.decimal_comma };
+        let format = NumberFormat { delimiter, decimal_comma: layout.decimal_comma };
         let mut table = Self::open_as(text, format, layout.header)?;
         for _ in 0..layout.unit_lines {
             match table.read(&mut Row::default()) {
@@ -100,7 +100,7 @@ impl<'a> Table<'a> {
     }
 
     /// Without header the columns are called `1`, `2` and so on.
-    fn open_as(text: Text<'a>, format: Format, has_header: bool) -> Result<Self, LogError> {
+    fn open_as(text: Text<'a>, format: NumberFormat, has_header: bool) -> Result<Self, LogError> {
         let mut rows = csv::ReaderBuilder::new()
             .delimiter(format.delimiter)
             .has_headers(has_header)

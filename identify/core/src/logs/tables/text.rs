@@ -8,7 +8,7 @@ use encoding_rs::{Decoder, Encoding, WINDOWS_1252};
 
 use super::csv_text::{Row, Table};
 use super::workbook::{is_workbook, sheets, text_of_sheet};
-use crate::logs::source::Source;
+use crate::logs::source::LogSource;
 use crate::logs::{CsvLayout, LogError};
 
 /// The first character of a comment line.
@@ -52,7 +52,7 @@ impl<'a> Text<'a> {
     /// # Errors
     /// [`LogError::NotText`] for binary data, a workbook with several sheets of which none is named, or a sheet named for a file
     /// that is not a workbook. Binary data after the first block give this error when they are reached.
-    pub fn new(source: Source<'a>, sheet: Option<&str>) -> Result<Self, LogError> {
+    pub fn new(source: LogSource<'a>, sheet: Option<&str>) -> Result<Self, LogError> {
         let path = source.path;
         let mut text = Self {
             path,
@@ -301,7 +301,7 @@ impl<'a> RowsAsText<'a> {
     /// # Errors
     /// [`LogError::NotText`].
     pub fn new(bytes: &'a [u8], path: &'a Path, sheet: Option<&str>) -> Result<Self, LogError> {
-        let text = Text::new(Source::in_memory(bytes, path), sheet)?.whole()?;
+        let text = Text::new(LogSource::in_memory(bytes, path), sheet)?.whole()?;
         Ok(Self { text, path, is_workbook: is_workbook(bytes) })
     }
 
@@ -326,7 +326,7 @@ impl<'a> RowsAsText<'a> {
     /// # Errors
     /// [`LogError`] if the rows do not have this layout.
     pub fn rows(&self, layout: &CsvLayout, rows_max: usize) -> Result<Cells, LogError> {
-        let text = Text::new(Source::in_memory(self.text.as_bytes(), self.path), None)?;
+        let text = Text::new(LogSource::in_memory(self.text.as_bytes(), self.path), None)?;
         let mut table = Table::mapped(text, &CsvLayout { unit_lines: 0, ..layout.clone() })?;
         let header = table.header().to_vec();
         let mut rows = Vec::new();

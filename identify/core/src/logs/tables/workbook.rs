@@ -10,10 +10,10 @@ use zip::ZipArchive;
 const ZIP: &[u8] = b"PK\x03\x04";
 
 /// Cells by row and column, from 0.
-pub(super) type Rows = BTreeMap<u32, BTreeMap<u32, String>>;
+pub(super) type SheetRows = BTreeMap<u32, BTreeMap<u32, String>>;
 
 /// A sheet's name and cells.
-pub(super) type Sheet = (String, Rows);
+pub(super) type Sheet = (String, SheetRows);
 
 /// Whether the bytes are a workbook.
 pub(in crate::logs) fn is_workbook(bytes: &[u8]) -> bool {
@@ -64,8 +64,8 @@ fn check_archive(bytes: &[u8]) -> Result<(), zip::result::ZipError> {
     Ok(())
 }
 
-fn rows(workbook: &mut Xlsx<Cursor<&[u8]>>, sheet: &str) -> Result<Rows, calamine::XlsxError> {
-    let mut rows = Rows::new();
+fn rows(workbook: &mut Xlsx<Cursor<&[u8]>>, sheet: &str) -> Result<SheetRows, calamine::XlsxError> {
+    let mut rows = SheetRows::new();
     let mut cells = workbook.worksheet_cells_reader(sheet)?;
     while let Some(cell) = cells.next_cell()? {
         let (row, column) = cell.get_position();
@@ -77,7 +77,7 @@ fn rows(workbook: &mut Xlsx<Cursor<&[u8]>>, sheet: &str) -> Result<Rows, calamin
     Ok(rows)
 }
 
-fn lines(rows: &Rows) -> Result<String, String> {
+fn lines(rows: &SheetRows) -> Result<String, String> {
     /// No table of joints is wider.
     const COLUMNS_MAX: u32 = 1000;
     let width = rows.values().filter_map(|row| row.last_key_value()).map(|(column, _)| column + 1).max();

@@ -21,7 +21,7 @@ mod stamps;
 
 use breaks::{BESIDE, find_breaks};
 use even::{EVEN_S, EvenStamps, already_even};
-use fit::Fit;
+use fit::StampFit;
 use grid::{WRITTEN_S, find_grid};
 use motion::{NEIGHBOURS, compare_motion, periods_by_motion};
 pub(super) use numbers::STEPS_PART;
@@ -119,7 +119,7 @@ struct Numbered {
     rest_s: Vec<f64>,
     /// First rows after a step of the clock.
     breaks_at: Vec<usize>,
-    fit: Fit,
+    fit: StampFit,
 }
 
 impl Numbered {
@@ -136,11 +136,11 @@ impl Numbered {
         };
         let mut rest_s = rests_s(&numbers);
         let mut breaks_at = find_breaks(&rest_s, period_s, rounding_s)?;
-        let mut fit = Fit::new(&rest_s, &numbers, period_s, &breaks_at, grid_s)?;
+        let mut fit = StampFit::new(&rest_s, &numbers, period_s, &breaks_at, grid_s)?;
         if correct_numbers(&mut numbers, t_s, motion, &breaks_at, &fit.steps_s, period_s) {
             rest_s = rests_s(&numbers);
             breaks_at = find_breaks(&rest_s, period_s, rounding_s)?;
-            fit = Fit::new(&rest_s, &numbers, period_s, &breaks_at, grid_s)?;
+            fit = StampFit::new(&rest_s, &numbers, period_s, &breaks_at, grid_s)?;
         }
         Some(Self { grid_s, period_s, numbers, rest_s, breaks_at, fit })
     }

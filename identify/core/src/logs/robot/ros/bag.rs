@@ -3,28 +3,28 @@
 use std::path::Path;
 use std::rc::Rc;
 
-use super::joint_state::JointState;
+use super::joint_state::RosJointState;
 use super::{mcap_bag, sqlite_bag};
 use crate::logs::{LogError, LogFormat};
 
 /// Messages of one topic, in the order of the bag.
-pub(in crate::logs) struct Topic {
+pub(in crate::logs) struct BagTopic {
     pub name: String,
-    pub messages: Vec<Message>,
+    pub messages: Vec<RecordedJointState>,
 }
 
 /// A joint state and where and when it was recorded.
-pub(in crate::logs) struct Message {
+pub(in crate::logs) struct RecordedJointState {
     /// Number within its topic, from 1.
     pub number: u64,
     pub recorded_ns: i64,
-    pub state: JointState,
+    pub state: RosJointState,
 }
 
 /// Joint states of a bag, with remarks on the bag.
 #[derive(Default)]
 pub(in crate::logs) struct Bag {
-    pub topics: Vec<Topic>,
+    pub topics: Vec<BagTopic>,
     pub remarks: Vec<String>,
 }
 
@@ -49,9 +49,9 @@ impl Bag {
         }
     }
 
-    pub(super) fn topic(&mut self, name: &str) -> &mut Topic {
+    pub(super) fn topic(&mut self, name: &str) -> &mut BagTopic {
         let index = self.topics.iter().position(|topic| topic.name == name).unwrap_or_else(|| {
-            self.topics.push(Topic { name: name.to_owned(), messages: Vec::new() });
+            self.topics.push(BagTopic { name: name.to_owned(), messages: Vec::new() });
             self.topics.len() - 1
         });
         &mut self.topics[index]
@@ -64,15 +64,15 @@ impl Bag {
         topic: Option<&str>,
         wanted: &Wanted,
         names_of: impl Fn(&[&str]) -> Option<N>,
-    ) -> Result<(&Topic, N), LogError> {
+    ) -> Result<(&BagTopic, N), LogError> {
         let content = |problem: String, remedy: &str| LogError::Content {
             path: path.to_owned(),
             problem,
             remedy: remedy.into(),
         };
-        let topics: Vec<&Topic> =
+        let topics: Vec<&BagTopic> =
             self.topics.iter().filter(|found| topic.is_none_or(|topic| found.name == topic)).collect();
-        let mut with_joints: Vec<(&Topic, N)> =
+        let mut with_joints: Vec<(&BagTopic, N)> =
             topics.iter().filter_map(|topic| Some((*topic, names_of(&topic.joint_names())?))).collect();
         if with_joints.len() > 1 {
             let names: Vec<&str> = with_joints.iter().map(|(topic, _)| topic.name.as_str()).collect();
@@ -96,10 +96,10 @@ impl Bag {
     }
 }
 
-impl Topic {
+impl BagTopic {
     pub(super) fn push(&mut self, recorded_ns: i64, data: &[u8], path: &Path) -> Result<(), LogError> {
         let number = self.messages.len() as u64 + 1;
-        let state = JointState::decode(data, self.messages.last().map(|last| &last.state.names)).map_err(
+        let state = RosJointState::decode(data, self.messages.last().map(|last| &last.state.names)).map_err(
             |problem| LogError::BadRecord {
                 path: path.to_owned(),
                 place: format!("message {number} on {}", self.name),
@@ -107,7 +107,7 @@ impl Topic {
                 remedy: "the bag is damaged or its messages are not sensor_msgs/JointState; record it again",
             },
         )?;
-        self.messages.push(Message { number, recorded_ns, state });
+        self.messages.push(RecordedJointState { number, recorded_ns, state });
         Ok(())
     }
 
@@ -135,8 +135,8 @@ impl Topic {
     }
 }
 
-impl Message {
-    /// The publisher's stamp; without `stamped` ([`Topic::is_stamped`]), when the recorder received it \[ns\].
+impl RecordedJointState {
+    /// The publisher's stamp; without `stamped` ([`BagTopic::is_stamped`]), when the recorder received it \[ns\].
     pub fn stamp_ns(&self, stamped: bool) -> i64 {
         if stamped { self.state.stamp_ns } else { self.recorded_ns }
     }

@@ -6,22 +6,22 @@ use byteorder::{BigEndian, LittleEndian};
 use serde::Deserialize;
 
 #[derive(Deserialize)]
-struct Time {
+struct RosTime {
     sec: i32,
     nanosec: u32,
 }
 
 #[derive(Deserialize)]
-struct Header {
-    stamp: Time,
+struct RosHeader {
+    stamp: RosTime,
     #[allow(dead_code, reason = "lies between the fields that are used")]
     frame_id: String,
 }
 
 /// Fields in the order of the message definition.
 #[derive(Deserialize)]
-struct Wire {
-    header: Header,
+struct CdrJointState {
+    header: RosHeader,
     name: Vec<String>,
     position: Vec<f64>,
     velocity: Vec<f64>,
@@ -29,7 +29,7 @@ struct Wire {
 }
 
 /// What is used of a message.
-pub(in crate::logs) struct JointState {
+pub(in crate::logs) struct RosJointState {
     /// `header.stamp`, 0 where it was not set \[ns\].
     pub stamp_ns: i64,
     /// Shared with the message before where they are the same.
@@ -39,31 +39,31 @@ pub(in crate::logs) struct JointState {
     pub effort: Vec<f64>,
 }
 
-impl JointState {
+impl RosJointState {
     /// Decodes a message; the error is what is wrong, in words.
     pub fn decode(bytes: &[u8], names_before: Option<&Rc<[String]>>) -> Result<Self, String> {
         // The second of the four bytes before the message states how it is encoded.
         let Some((&[_, encoding, _, _], body)) = bytes.split_first_chunk::<4>() else {
             return Err(format!("{} bytes are too short for a message", bytes.len()));
         };
-        let wire: Wire = match encoding {
-            0 => cdr_encoding::from_bytes::<Wire, BigEndian>(body),
-            1 => cdr_encoding::from_bytes::<Wire, LittleEndian>(body),
+        let message: CdrJointState = match encoding {
+            0 => cdr_encoding::from_bytes::<CdrJointState, BigEndian>(body),
+            1 => cdr_encoding::from_bytes::<CdrJointState, LittleEndian>(body),
             other => return Err(format!("encoding {other} is not plain CDR")),
         }
         .map_err(|error| format!("not a whole JointState ({error})"))?
         .0;
-        let Time { sec, nanosec } = wire.header.stamp;
+        let RosTime { sec, nanosec } = message.header.stamp;
         let names = match names_before {
-            Some(before) if **before == *wire.name => Rc::clone(before),
-            _ => wire.name.into(),
+            Some(before) if **before == *message.name => Rc::clone(before),
+            _ => message.name.into(),
         };
         Ok(Self {
             stamp_ns: i64::from(sec) * 1_000_000_000 + i64::from(nanosec),
             names,
-            position: wire.position,
-            velocity: wire.velocity,
-            effort: wire.effort,
+            position: message.position,
+            velocity: message.velocity,
+            effort: message.effort,
         })
     }
 }

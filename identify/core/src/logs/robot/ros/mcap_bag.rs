@@ -17,7 +17,7 @@ const RECORD_BYTES_MAX: usize = 256 << 20;
 /// Joint states of a bag. One that breaks off is read up to there, with a remark.
 pub(super) fn read(bytes: &[u8], path: &Path) -> Result<Bag, LogError> {
     let mut bag = Bag::default();
-    let mut channels = Channels::default();
+    let mut channels = JointStateChannels::default();
     let options = LinearReaderOptions::default()
         .with_record_length_limit(RECORD_BYTES_MAX)
         .with_prevalidate_chunk_crcs(true);
@@ -66,12 +66,12 @@ fn broken_off(bag: &mut Bag, error: &McapError, path: &Path) -> Result<(), LogEr
 
 /// Schemas and the channels on which joint states come.
 #[derive(Default)]
-struct Channels {
+struct JointStateChannels {
     joint_state_schemas: Vec<u16>,
     topics: HashMap<u16, String>,
 }
 
-impl Channels {
+impl JointStateChannels {
     fn take(&mut self, record: Record<'_>, bag: &mut Bag, path: &Path) -> Result<(), LogError> {
         match record {
             Record::Schema { header: SchemaHeader { id, name, .. }, .. } if is_joint_state(&name) => {

@@ -14,10 +14,10 @@ use std::path::Path;
 use shared::config::{AngleUnit, RobotConfig};
 
 use super::mapping::RobotLogMapping;
-use super::raw::{Meaning, RawLog, RawRow};
+use super::raw::{Meaning, RawLog, RawRobotRow};
 use crate::kinematics::Joints;
 use crate::logs::{ForceColumns, ForceKind, LogError, LogFormat, RobotLog};
-use bag::Message;
+use bag::RecordedJointState;
 
 pub(in crate::logs) use bag::{Bag, UNSTAMPED, Wanted, clock_name};
 
@@ -99,7 +99,7 @@ fn si_units(mapping: Option<&RobotLogMapping>, axes: usize) -> Vec<f64> {
     mapping.map_or(vec![1.0; axes], |mapping| mapping.joints.iter().map(|joint| joint.unit.to_si()).collect())
 }
 
-fn row(message: &Message, names: &[String], to_si: &[f64], stamped: bool) -> RawRow {
+fn row(message: &RecordedJointState, names: &[String], to_si: &[f64], stamped: bool) -> RawRobotRow {
     let state = &message.state;
     let value = |name: &String, numbers: &[f64]| {
         let place = state.names.iter().position(|other| other == name);
@@ -110,7 +110,7 @@ fn row(message: &Message, names: &[String], to_si: &[f64], stamped: bool) -> Raw
         by_name(numbers).iter().zip(to_si).map(|(value, unit)| value * unit).collect()
     };
     let if_complete = |values: Joints| values.iter().all(|value| value.is_finite()).then_some(values);
-    RawRow {
+    RawRobotRow {
         place: message.number,
         stamp_ns: message.stamp_ns(stamped),
         joints: in_si(&state.position),

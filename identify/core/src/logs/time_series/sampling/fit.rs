@@ -17,7 +17,7 @@ const RATE_CHANGE: f64 = 2e-6;
 const HUBER: f64 = 1.345;
 
 /// A fit to the rests `t_k - n_k period`: a line with a bend at each knot, and a step at each break.
-pub(super) struct Fit {
+pub(super) struct StampFit {
     /// The fit without the steps, row by row \[s\].
     pub(super) without_steps_s: Vec<f64>,
     /// The fit with the steps, row by row \[s\].
@@ -28,7 +28,7 @@ pub(super) struct Fit {
     pub(super) slope_s: f64,
 }
 
-impl Fit {
+impl StampFit {
     /// Minimises the Huber loss of the residuals plus `bend_weight` times the squared second differences at the knots, by
     /// reweighted least squares. Rounded stamps need a smooth fit: those of one cell of the grid share their error.
     pub(super) fn new(
@@ -49,7 +49,7 @@ impl Fit {
             rest_s.iter().enumerate().map(|(row, rest)| rest - roughly_stepped_s(row)).collect();
         let last_number = numbers.last()?.max(1.0);
         let pieces = ((last_number * period_s / KNOTS_S).ceil() as usize).clamp(1, PIECES_MAX);
-        let curve = Curve { numbers, breaks, last_number, pieces };
+        let curve = FitCurve { numbers, breaks, last_number, pieces };
         // As if all rows of a piece had the same rounding error.
         let rounding_variance =
             grid_s.unwrap_or_default().powi(2) / 12.0 * rest_s.len() as f64 / pieces as f64;
@@ -92,7 +92,7 @@ fn rough_step_s(rest_s: &[f64], at: usize) -> Option<f64> {
 }
 
 /// The curve of a fit. Its unknowns `x` are the values at the knots, then the steps.
-struct Curve<'a> {
+struct FitCurve<'a> {
     numbers: &'a [f64],
     breaks: &'a [usize],
     /// Number of the last row.
@@ -103,13 +103,13 @@ struct Curve<'a> {
 
 /// Where a row is: the knot before it, the fraction of the way to the next one, and the number of steps so far.
 #[derive(Clone, Copy)]
-struct Place {
+struct KnotPosition {
     knot: usize,
     fraction: f64,
     steps: usize,
 }
 
-impl Curve<'_> {
+impl FitCurve<'_> {
     fn first_step(&self) -> usize {
         self.pieces + 1
     }
@@ -118,18 +118,18 @@ impl Curve<'_> {
         self.first_step() + self.breaks.len()
     }
 
-    fn place(&self, row: usize) -> Place {
+    fn place(&self, row: usize) -> KnotPosition {
         let along = self.numbers[row] / self.last_number * self.pieces as f64;
         let knot = (along as usize).min(self.pieces - 1);
         let steps = self.breaks.partition_point(|first| *first <= row);
-        Place { knot, fraction: along - knot as f64, steps }
+        KnotPosition { knot, fraction: along - knot as f64, steps }
     }
 
-    fn without_steps(&self, x: &DVector<f64>, Place { knot, fraction, .. }: Place) -> f64 {
+    fn without_steps(&self, x: &DVector<f64>, KnotPosition { knot, fraction, .. }: KnotPosition) -> f64 {
         (1.0 - fraction) * x[knot] + fraction * x[knot + 1]
     }
 
-    fn with_steps(&self, x: &DVector<f64>, place: Place) -> f64 {
+    fn with_steps(&self, x: &DVector<f64>, place: KnotPosition) -> f64 {
         self.without_steps(x, place) + x.rows(self.first_step(), place.steps).sum()
     }
 
@@ -146,7 +146,7 @@ impl Curve<'_> {
             let place = self.place(row);
             let weight = (limit_s / (rest - self.with_steps(x, place)).abs()).min(1.0);
             let weight = if weight.is_finite() { weight } else { 1.0 };
-            let Place { knot, fraction, steps } = place;
+            let KnotPosition { knot, fraction, steps } = place;
             let mut coefficients = vec![(knot, 1.0 - fraction), (knot + 1, fraction)];
             coefficients.extend((0..steps).map(|step| (self.first_step() + step, 1.0)));
             for &(i, a) in &coefficients {
