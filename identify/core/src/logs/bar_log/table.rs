@@ -11,7 +11,7 @@ use super::{LogError, OtherBarLog};
 use crate::kinematics::BAR_JOINTS;
 use crate::logs::SIMULATED;
 use crate::logs::source::LogSource;
-use crate::logs::tables::csv_text::{Column, Row, Table};
+use crate::logs::tables::csv_text::{CsvColumn, CsvRow, CsvTable};
 use crate::logs::tables::stamp::{StampColumn, TimeColumn, TimeUnit};
 use crate::logs::tables::text::Text;
 
@@ -28,8 +28,8 @@ const REMEDY: &str = "Name the columns as `ballbard export --csv` does (`time_ut
 
 /// The columns of one encoder.
 struct Encoder {
-    value: Column,
-    valid: Option<Column>,
+    value: CsvColumn,
+    valid: Option<CsvColumn>,
     reading: EncoderReader,
 }
 
@@ -37,8 +37,8 @@ struct Encoder {
 struct BarTableLayout {
     time: StampColumn,
     encoders: Vec<Encoder>,
-    flags: Option<Column>,
-    events: Option<Column>,
+    flags: Option<CsvColumn>,
+    events: Option<CsvColumn>,
 }
 
 /// Reads the encoders of the bar from a table.
@@ -48,7 +48,7 @@ pub(super) fn read(
     mapping: Option<&BarLogMapping>,
 ) -> Result<OtherBarLog, LogError> {
     let path = source.path;
-    let mut table = Table::of_mapping(source, mapping.map(|mapping| &mapping.csv))?;
+    let mut table = CsvTable::of_mapping(source, mapping.map(|mapping| &mapping.csv))?;
     let mut layout = match mapping {
         Some(mapping) => {
             let time = TimeColumn::of_table(mapping.time.as_ref(), path)?;
@@ -66,7 +66,7 @@ pub(super) fn read(
     };
     let readings = layout.encoders.iter().map(|encoder| encoder.reading).collect();
     let mut raw = RawBarLog::new(path, kind, readings);
-    let mut row = Row::default();
+    let mut row = CsvRow::default();
     let mut simulated = false;
     while table.next_row(&mut row)? {
         raw.push(layout.read(&table, &row)?)?;
@@ -96,7 +96,7 @@ fn unit_of(name: &str, joint: usize) -> Option<EncoderUnit> {
 }
 
 /// Layout of a table without a mapping, whose columns have the usual names; encoders in the order of the columns.
-fn usual_layout(table: &Table<'_>, path: &Path, bar: &BallBarConfig) -> Result<BarTableLayout, LogError> {
+fn usual_layout(table: &CsvTable<'_>, path: &Path, bar: &BallBarConfig) -> Result<BarTableLayout, LogError> {
     let (time, unit) =
         TIMES.into_iter().find(|(name, _)| table.has(name)).unwrap_or(("time_utc", TimeUnit::DateTime));
     let mut columns = Vec::new();
@@ -130,7 +130,7 @@ fn usual_layout(table: &Table<'_>, path: &Path, bar: &BallBarConfig) -> Result<B
 impl BarTableLayout {
     /// Finds the columns of the stamps and of the encoders.
     fn find(
-        table: &Table<'_>,
+        table: &CsvTable<'_>,
         path: &Path,
         bar: &BallBarConfig,
         time: &TimeColumn,
@@ -151,7 +151,7 @@ impl BarTableLayout {
         Ok(Self { time, encoders, flags: None, events: None })
     }
 
-    fn read(&mut self, table: &Table<'_>, row: &Row) -> Result<RawBarRow, LogError> {
+    fn read(&mut self, table: &CsvTable<'_>, row: &CsvRow) -> Result<RawBarRow, LogError> {
         let mut read = RawBarRow {
             place: row.line,
             stamp_ns: self.time.next_ns(table, row)?,
@@ -174,7 +174,7 @@ impl BarTableLayout {
 
 impl Encoder {
     /// `None` for an empty cell and for NaN.
-    fn count(&self, table: &Table<'_>, row: &Row) -> Result<Option<i64>, LogError> {
+    fn count(&self, table: &CsvTable<'_>, row: &CsvRow) -> Result<Option<i64>, LogError> {
         let text = table.text(row, &self.value);
         if text.is_empty() || text.eq_ignore_ascii_case("nan") {
             return Ok(None);
@@ -190,7 +190,7 @@ impl Encoder {
         Ok(Some(count))
     }
 
-    fn whole_number(&self, table: &Table<'_>, row: &Row, text: &str) -> Result<i64, LogError> {
+    fn whole_number(&self, table: &CsvTable<'_>, row: &CsvRow, text: &str) -> Result<i64, LogError> {
         if let Ok(count) = text.parse::<i64>() {
             return Ok(count);
         }
@@ -209,7 +209,7 @@ impl Encoder {
     }
 }
 
-fn is_true(table: &Table<'_>, row: &Row, column: &Column) -> Result<bool, LogError> {
+fn is_true(table: &CsvTable<'_>, row: &CsvRow, column: &CsvColumn) -> Result<bool, LogError> {
     match table.text(row, column).to_lowercase().as_str() {
         "1" | "true" => Ok(true),
         "0" | "false" | "" => Ok(false),
@@ -221,7 +221,7 @@ fn is_true(table: &Table<'_>, row: &Row, column: &Column) -> Result<bool, LogErr
 }
 
 /// Bits of the flags that a cell names, separated by blanks, as `ballbard export` writes them.
-fn flags_of(table: &Table<'_>, row: &Row, column: &Column) -> Result<u32, LogError> {
+fn flags_of(table: &CsvTable<'_>, row: &CsvRow, column: &CsvColumn) -> Result<u32, LogError> {
     let mut bits = 0;
     for word in table.text(row, column).split_whitespace() {
         let known = flags::NAMES.iter().find(|(_, name)| *name == word);

@@ -8,7 +8,7 @@ use shared::config::{AXES_MAX, AXES_MIN, RobotConfig, Violation};
 use super::{ALONG_COLUMN, FORCE_MAX, ForceKind};
 use crate::kinematics::Joints;
 use crate::logs::LogError;
-use crate::logs::tables::csv_text::{Column, Row, Table};
+use crate::logs::tables::csv_text::{CsvColumn, CsvRow, CsvTable};
 
 const SIGN_COLUMN: &str = "force_sign";
 const VECTOR_COLUMNS: [&str; 3] = ["force_x_N", "force_y_N", "force_z_N"];
@@ -107,7 +107,7 @@ impl ForceColumns {
 pub(in crate::logs) struct ForceLayout {
     kind: ForceKind,
     /// Each with its factor to newtons or newton metres.
-    columns: Vec<(Column, f64)>,
+    columns: Vec<(CsvColumn, f64)>,
     /// Whether a comment may state that the axes are those of the base.
     frame_in_comment: bool,
 }
@@ -115,7 +115,7 @@ pub(in crate::logs) struct ForceLayout {
 impl ForceLayout {
     /// Columns that a mapping names; `None` if the force is in the log's own torques.
     pub fn find_named(
-        table: &Table<'_>,
+        table: &CsvTable<'_>,
         path: &Path,
         force: &ForceColumns,
         robot: &RobotConfig,
@@ -140,7 +140,7 @@ impl ForceLayout {
 
     /// Columns with one of the known names: `force_N`, `force_sign`, `force_x_N` .. `force_z_N` (in the axes of the
     /// flange unless a comment states `# force_frame: base`), torques such as `joint1_Nm`, or the force of a UR.
-    pub fn find_usual(table: &Table<'_>, robot: &RobotConfig) -> Result<Option<Self>, LogError> {
+    pub fn find_usual(table: &CsvTable<'_>, robot: &RobotConfig) -> Result<Option<Self>, LogError> {
         let torques: Vec<String> =
             (1..=robot.axes()).map(|joint| format!("{}{joint}_Nm", robot.log.column)).collect();
         let torques: Vec<&str> = torques.iter().map(String::as_str).collect();
@@ -163,14 +163,14 @@ impl ForceLayout {
     }
 
     /// Kind of the force, once the table is read to its end: comments may be anywhere.
-    pub fn kind(&self, table: &Table<'_>) -> ForceKind {
+    pub fn kind(&self, table: &CsvTable<'_>) -> ForceKind {
         let is_base = |frame: &str| frame.eq_ignore_ascii_case("base");
         let in_base = self.frame_in_comment && table.comment("force_frame").is_some_and(is_base);
         if in_base { ForceKind::InBase } else { self.kind }
     }
 
     /// The numbers of one row \[N or N m\].
-    pub fn row(&self, table: &Table<'_>, row: &Row) -> Result<Joints, LogError> {
+    pub fn row(&self, table: &CsvTable<'_>, row: &CsvRow) -> Result<Joints, LogError> {
         let mut values = Joints::zeros(self.columns.len());
         for (value, (column, factor)) in values.iter_mut().zip(&self.columns) {
             *value = table.number(row, column)? * factor;
@@ -188,7 +188,7 @@ impl ForceLayout {
 }
 
 /// The refusal of a table without a known column of a force.
-pub(in crate::logs) fn unknown(table: &Table<'_>, path: &Path) -> LogError {
+pub(in crate::logs) fn unknown(table: &CsvTable<'_>, path: &Path) -> LogError {
     LogError::MissingColumn {
         path: path.to_owned(),
         column: ALONG_COLUMN.into(),

@@ -14,7 +14,7 @@ use crate::kinematics::Joints;
 use crate::logs::robot::mapping::CsvLayout;
 use crate::logs::robot::table::TIME_COLUMN;
 use crate::logs::source::LogSource;
-use crate::logs::tables::csv_text::{Row, Table};
+use crate::logs::tables::csv_text::{CsvRow, CsvTable};
 use crate::logs::tables::stamp::{StampColumn, TimeColumn, TimeUnit};
 use crate::logs::{JointConversion, LogError, ROWS_MIN, Stream};
 
@@ -76,7 +76,7 @@ impl ForceLog {
         mapping: Option<&ForceLogMapping>,
     ) -> Result<Self, LogError> {
         let path = source.path;
-        let mut table = Table::of_mapping(source, mapping.map(|mapping| &mapping.csv))?;
+        let mut table = CsvTable::of_mapping(source, mapping.map(|mapping| &mapping.csv))?;
         let own_time = TimeColumn::new(TIME_COLUMN, TimeUnit::S);
         let time = mapping.map_or(&own_time, |mapping| &mapping.time);
         let remedy =
@@ -103,7 +103,7 @@ impl ForceLog {
 }
 
 /// The clock that comments declare; by default the robot's.
-fn declared_clock(table: &Table<'_>, path: &Path) -> Result<ForceClock, LogError> {
+fn declared_clock(table: &CsvTable<'_>, path: &Path) -> Result<ForceClock, LogError> {
     let Some(name) = table.comment("clock") else {
         return Ok(ForceClock::default());
     };
@@ -121,14 +121,14 @@ fn declared_clock(table: &Table<'_>, path: &Path) -> Result<ForceClock, LogError
 
 /// All rows of the table \[N or N m\]; a repetition of the row before is left out.
 fn rows(
-    table: &mut Table<'_>,
+    table: &mut CsvTable<'_>,
     path: &Path,
     mut stamps: StampColumn,
     layout: &ForceLayout,
 ) -> Result<Stream<Joints>, LogError> {
     let mut forces = Stream::default();
     let mut before: Option<(i64, u64)> = None;
-    let mut row = Row::default();
+    let mut row = CsvRow::default();
     while table.next_row(&mut row)? {
         let stamp = stamps.next_ns(table, &row)?;
         let values = layout.row(table, &row)?;

@@ -9,7 +9,7 @@ use super::raw::{Meaning, RawLog, RawRobotRow};
 use crate::kinematics::Joints;
 use crate::logs::force::ForceLayout;
 use crate::logs::source::LogSource;
-use crate::logs::tables::csv_text::{Column, Row, Table};
+use crate::logs::tables::csv_text::{CsvColumn, CsvRow, CsvTable};
 use crate::logs::tables::stamp::{StampColumn, TimeColumn, TimeUnit};
 use crate::logs::tables::text::Text;
 use crate::logs::{ForceColumns, LogError, LogFormat, Origin, RobotLog, usual_and_longest_step_s};
@@ -34,9 +34,9 @@ pub fn own_columns(robot: &RobotConfig) -> Columns {
 struct RobotTableLayout {
     time: StampColumn,
     /// Columns and the factors of their values.
-    joints: Vec<(Column, f64)>,
-    speeds: Option<Vec<(Column, f64)>>,
-    torques: Option<Vec<(Column, f64)>>,
+    joints: Vec<(CsvColumn, f64)>,
+    speeds: Option<Vec<(CsvColumn, f64)>>,
+    torques: Option<Vec<(CsvColumn, f64)>>,
     force: Option<ForceLayout>,
 }
 
@@ -44,7 +44,7 @@ struct RobotTableLayout {
 pub(in crate::logs) fn read_own(source: LogSource<'_>, robot: &RobotConfig) -> Result<RobotLog, LogError> {
     let path = source.path;
     let meaning = Meaning::own(robot, own_columns(robot))?;
-    let mut table = Table::open(Text::new(source, None)?)?;
+    let mut table = CsvTable::open(Text::new(source, None)?)?;
     let remedy = "Name the column of time stamps, in seconds, `t_s`, or assign the columns in a mapping (--log-mapping).";
     let mut layout = RobotTableLayout {
         time: seconds_column(table.column(TIME_COLUMN, remedy)?),
@@ -89,7 +89,11 @@ fn refuse_if_not_seconds(log: RobotLog, path: &Path) -> Result<RobotLog, LogErro
 }
 
 /// The columns with the joints of the robot's own log.
-fn own_joints(table: &Table<'_>, path: &Path, robot: &RobotConfig) -> Result<Vec<(Column, f64)>, LogError> {
+fn own_joints(
+    table: &CsvTable<'_>,
+    path: &Path,
+    robot: &RobotConfig,
+) -> Result<Vec<(CsvColumn, f64)>, LogError> {
     let unit = robot.log.unit;
     let other = match unit {
         AngleUnit::Rad => AngleUnit::Deg,
@@ -122,7 +126,7 @@ fn own_joints(table: &Table<'_>, path: &Path, robot: &RobotConfig) -> Result<Vec
 /// A table of `record.py` of the RTDE client, joints in radians.
 pub(in crate::logs) fn read_rtde(source: LogSource<'_>, robot: &RobotConfig) -> Result<RobotLog, LogError> {
     let path = source.path;
-    let table = &mut Table::delimited(Text::new(source, None)?, b' ')?;
+    let table = &mut CsvTable::delimited(Text::new(source, None)?, b' ')?;
     let origin = if table.has("actual_q_0") { Origin::Measured } else { Origin::Commanded };
     let kind = if origin == Origin::Measured { "actual" } else { "target" };
     let columns = |quantity: &str| -> Columns {
@@ -157,7 +161,7 @@ pub(in crate::logs) fn read_mapped(
 ) -> Result<RobotLog, LogError> {
     let path = source.path;
     let text = Text::new(source, mapping.csv.sheet.as_deref())?;
-    let mut table = Table::mapped(text, &mapping.csv)?;
+    let mut table = CsvTable::mapped(text, &mapping.csv)?;
     let (mut layout, meaning) = mapped_layout(&table, robot, path, mapping)?;
     let mut raw = RawLog::new(path, "line");
     read_rows(&mut table, &mut layout, &mut raw)?;
@@ -168,12 +172,12 @@ pub(in crate::logs) fn read_mapped(
     raw.finish(&meaning)
 }
 
-fn seconds_column(column: Column) -> StampColumn {
+fn seconds_column(column: CsvColumn) -> StampColumn {
     StampColumn::new(column, &TimeColumn::new("", TimeUnit::S))
 }
 
 fn mapped_layout<'a>(
-    table: &Table<'_>,
+    table: &CsvTable<'_>,
     robot: &'a RobotConfig,
     path: &Path,
     mapping: &RobotLogMapping,
@@ -208,16 +212,16 @@ fn mapped_layout<'a>(
 }
 
 fn find_columns(
-    table: &Table<'_>,
+    table: &CsvTable<'_>,
     names: &Columns,
     factors: &[f64],
     remedy: &str,
-) -> Result<Vec<(Column, f64)>, LogError> {
+) -> Result<Vec<(CsvColumn, f64)>, LogError> {
     names.iter().zip(factors).map(|(name, factor)| Ok((table.column(name, remedy)?, *factor))).collect()
 }
 
 /// Takes robot, clock and origin from comment lines.
-fn take_comments(raw: &mut RawLog, table: &Table<'_>) {
+fn take_comments(raw: &mut RawLog, table: &CsvTable<'_>) {
     for (key, value) in table.comments() {
         match key.as_str() {
             "robot" => raw.robot = Some(value.clone()),
@@ -233,10 +237,14 @@ fn take_comments(raw: &mut RawLog, table: &Table<'_>) {
     }
 }
 
-fn read_rows(table: &mut Table<'_>, layout: &mut RobotTableLayout, raw: &mut RawLog) -> Result<(), LogError> {
-    let mut row = Row::default();
+fn read_rows(
+    table: &mut CsvTable<'_>,
+    layout: &mut RobotTableLayout,
+    raw: &mut RawLog,
+) -> Result<(), LogError> {
+    let mut row = CsvRow::default();
     while table.next_row(&mut row)? {
-        let numbers = |columns: &[(Column, f64)]| -> Result<Joints, LogError> {
+        let numbers = |columns: &[(CsvColumn, f64)]| -> Result<Joints, LogError> {
             columns.iter().map(|(column, factor)| Ok(table.number(&row, column)? * factor)).collect()
         };
         raw.push(RawRobotRow {

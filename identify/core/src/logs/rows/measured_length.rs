@@ -13,7 +13,7 @@ use super::pose_rows::{
 };
 use crate::kinematics::Joints;
 use crate::logs::source::LogSource;
-use crate::logs::tables::csv_text::{Column, Row, Table};
+use crate::logs::tables::csv_text::{CsvColumn, CsvRow, CsvTable};
 use crate::logs::{CsvLayout, JointColumn, LengthUnit, LogError};
 use crate::model::SetUp;
 
@@ -135,9 +135,9 @@ impl MeasuredLengths {
     /// # Errors
     /// As [`Self::load`].
     pub fn read(bytes: &[u8], path: &Path, mapping: &MeasuredLengthMapping) -> Result<Self, LogError> {
-        let find = |table: &Table<'_>| LengthTableColumns::find(table, mapping);
+        let find = |table: &CsvTable<'_>| LengthTableColumns::find(table, mapping);
         let mut names = SetUpNames::default();
-        let read = |columns: &mut LengthTableColumns<'_>, table: &Table<'_>, row: &Row| {
+        let read = |columns: &mut LengthTableColumns<'_>, table: &CsvTable<'_>, row: &CsvRow| {
             columns.read(table, row, &mut names)
         };
         let rows = rows(LogSource::in_memory(bytes, path), &mapping.csv, find, read)?;
@@ -148,16 +148,16 @@ impl MeasuredLengths {
 
 /// The mapping's columns, found in a file.
 struct LengthTableColumns<'a> {
-    length: (Column, &'a LengthColumn),
-    uncertainty: Option<Column>,
+    length: (CsvColumn, &'a LengthColumn),
+    uncertainty: Option<CsvColumn>,
     /// Columns with the names of anchor and attachment.
-    set_up: [Option<Column>; 2],
+    set_up: [Option<CsvColumn>; 2],
     joints: JointColumns<'a>,
-    flange: Option<([Column; 3], LengthUnit)>,
+    flange: Option<([CsvColumn; 3], LengthUnit)>,
 }
 
 impl<'a> LengthTableColumns<'a> {
-    fn find(table: &Table<'_>, mapping: &'a MeasuredLengthMapping) -> Result<Self, LogError> {
+    fn find(table: &CsvTable<'_>, mapping: &'a MeasuredLengthMapping) -> Result<Self, LogError> {
         let column = |name: &str| mapped(table, name);
         let flange = mapping.flange.as_ref().map(|flange| {
             let [x, y, z] = flange.columns.each_ref().map(|name| column(name));
@@ -176,7 +176,12 @@ impl<'a> LengthTableColumns<'a> {
         })
     }
 
-    fn read(&self, table: &Table<'_>, row: &Row, names: &mut SetUpNames) -> Result<LengthRow, LogError> {
+    fn read(
+        &self,
+        table: &CsvTable<'_>,
+        row: &CsvRow,
+        names: &mut SetUpNames,
+    ) -> Result<LengthRow, LogError> {
         let set_up = names.place(table, row, &self.set_up)?;
         let (column, LengthColumn { unit, offset_mm, .. }) = &self.length;
         let length_m = table.number(row, column)? * unit.to_m() - offset_mm * 1e-3;
@@ -191,7 +196,7 @@ impl<'a> LengthTableColumns<'a> {
         let joints_rad = self.joints.read(table, row)?;
         let flange_m = match &self.flange {
             Some(([x, y, z], unit)) => {
-                let number_m = |column: &Column| Ok(table.number(row, column)? * unit.to_m());
+                let number_m = |column: &CsvColumn| Ok(table.number(row, column)? * unit.to_m());
                 Some([number_m(x)?, number_m(y)?, number_m(z)?])
             }
             None => None,

@@ -16,7 +16,7 @@ use super::pose_rows::{
 };
 use crate::kinematics::Joints;
 use crate::logs::source::LogSource;
-use crate::logs::tables::csv_text::{Column, Row, Table};
+use crate::logs::tables::csv_text::{CsvColumn, CsvRow, CsvTable};
 use crate::logs::tables::stamp::{StampColumn, TimeColumn};
 use crate::logs::time_series::excursions::{Excursions, Fastest, remark};
 use crate::logs::time_series::stream::retain;
@@ -298,12 +298,12 @@ impl MeasuredPoses {
     /// # Errors
     /// As [`Self::load`].
     pub fn read(bytes: &[u8], path: &Path, mapping: &MeasuredPoseMapping) -> Result<Self, LogError> {
-        let find = |table: &Table<'_>| {
+        let find = |table: &CsvTable<'_>| {
             Ok((PoseColumns::find(table, mapping)?, JointColumns::find(table, &mapping.joints)?))
         };
         let mut names = SetUpNames::default();
         let read =
-            |(pose, joints): &mut (PoseColumns<'_>, JointColumns<'_>), table: &Table<'_>, row: &Row| {
+            |(pose, joints): &mut (PoseColumns<'_>, JointColumns<'_>), table: &CsvTable<'_>, row: &CsvRow| {
                 let measured = pose.read(table, row, &mut names)?;
                 Ok(PoseRow { joints_rad: joints.read(table, row)?, ..measured })
             };
@@ -343,15 +343,16 @@ impl TimedPoses {
     /// As [`Self::load`].
     pub fn read(bytes: &[u8], path: &Path, mapping: &MeasuredPoseMapping) -> Result<Self, LogError> {
         let time = TimeColumn::of_table(mapping.time.as_ref(), path)?;
-        let find = |table: &Table<'_>| {
+        let find = |table: &CsvTable<'_>| {
             let columns = PoseColumns::find(table, mapping)?;
             Ok((columns, StampColumn::new(mapped(table, &time.column)?, time)))
         };
         let mut names = SetUpNames::default();
-        let read = |(columns, stamps): &mut (PoseColumns<'_>, StampColumn), table: &Table<'_>, row: &Row| {
-            let pose = columns.read(table, row, &mut names)?;
-            Ok((stamps.next_ns(table, row)?, pose))
-        };
+        let read =
+            |(columns, stamps): &mut (PoseColumns<'_>, StampColumn), table: &CsvTable<'_>, row: &CsvRow| {
+                let pose = columns.read(table, row, &mut names)?;
+                Ok((stamps.next_ns(table, row)?, pose))
+            };
         let mut rows = rows(LogSource::in_memory(bytes, path), &mapping.csv, find, read)?;
         let not_increasing = rows.windows(2).find(|pair| pair[1].0 < pair[0].0);
         if let Some([(before_ns, before), (after_ns, after)]) = not_increasing {
@@ -415,23 +416,23 @@ fn motion(rows: &[PoseRow]) -> Vec<Joints> {
 
 /// Columns of the tracker's measurements in a file, by the mapping.
 struct PoseColumns<'a> {
-    position: (Vec<Column>, LengthUnit),
-    rotation: Option<(Vec<Column>, &'a RotationColumns)>,
+    position: (Vec<CsvColumn>, LengthUnit),
+    rotation: Option<(Vec<CsvColumn>, &'a RotationColumns)>,
     /// Standard uncertainties of position \[mm\] and rotation \[mrad\].
-    uncertainty: [Option<Column>; 2],
+    uncertainty: [Option<CsvColumn>; 2],
     /// Names of station and target.
-    set_up: [Option<Column>; 2],
+    set_up: [Option<CsvColumn>; 2],
 }
 
 /// Numbers of a row times `to_si`, none of them larger than `largest`; `si` is the symbol of the SI unit.
 fn numbers(
-    table: &Table<'_>,
-    row: &Row,
-    columns: &[Column],
+    table: &CsvTable<'_>,
+    row: &CsvRow,
+    columns: &[CsvColumn],
     (to_si, si): (f64, &str),
     largest: f64,
 ) -> Result<Vec<f64>, LogError> {
-    let number = |column: &Column| {
+    let number = |column: &CsvColumn| {
         let value = table.number(row, column)? * to_si;
         if value.abs() <= largest {
             return Ok(value);
@@ -448,7 +449,7 @@ fn numbers(
 }
 
 impl<'a> PoseColumns<'a> {
-    fn find(table: &Table<'_>, mapping: &'a MeasuredPoseMapping) -> Result<Self, LogError> {
+    fn find(table: &CsvTable<'_>, mapping: &'a MeasuredPoseMapping) -> Result<Self, LogError> {
         let rotation =
             mapping.rotation.as_ref().map(|rotation| Ok((mapped_all(table, &rotation.columns)?, rotation)));
         let uncertainty = mapping.uncertainty.as_ref();
@@ -465,12 +466,12 @@ impl<'a> PoseColumns<'a> {
         })
     }
 
-    fn read(&self, table: &Table<'_>, row: &Row, names: &mut SetUpNames) -> Result<PoseRow, LogError> {
+    fn read(&self, table: &CsvTable<'_>, row: &CsvRow, names: &mut SetUpNames) -> Result<PoseRow, LogError> {
         let (columns, unit) = &self.position;
         let position_m = numbers(table, row, columns, (unit.to_m(), "m"), POSITION_M_MAX)?;
         let rotation = self.rotation.as_ref().map(|(columns, form)| rotation(table, row, columns, form));
         let [position_u, rotation_u] = self.uncertainty.each_ref();
-        let uncertainty = |column: &Option<Column>| {
+        let uncertainty = |column: &Option<CsvColumn>| {
             column.as_ref().map(|column| uncertainty(table, row, column)).transpose()
         };
         Ok(PoseRow {
@@ -488,9 +489,9 @@ impl<'a> PoseColumns<'a> {
 }
 
 fn rotation(
-    table: &Table<'_>,
-    row: &Row,
-    columns: &[Column],
+    table: &CsvTable<'_>,
+    row: &CsvRow,
+    columns: &[CsvColumn],
     form: &RotationColumns,
 ) -> Result<Rotation3<f64>, LogError> {
     let (to_si, largest) = form.scale();
@@ -498,7 +499,7 @@ fn rotation(
     let values = numbers(table, row, columns, (to_si, si), largest)?;
     form.rotation(&values).ok_or_else(|| {
         let names: Vec<&str> = columns.iter().map(|column| column.name.as_str()).collect();
-        let cell = Column { index: 0, name: names.join(", ") };
+        let cell = CsvColumn { index: 0, name: names.join(", ") };
         let problem = format!("{values:.3?} is not a rotation");
         table.bad(row, &cell, problem, "check `as` and the order of the columns in the mapping file")
     })

@@ -11,7 +11,7 @@ use shared::output::named;
 
 use crate::kinematics::Joints;
 use crate::logs::source::LogSource;
-use crate::logs::tables::csv_text::{Column, Row, Table};
+use crate::logs::tables::csv_text::{CsvColumn, CsvRow, CsvTable};
 use crate::logs::{CsvLayout, LogError};
 use crate::model::SetUp;
 
@@ -155,7 +155,7 @@ impl JointTableMapping {
     /// # Errors
     /// Every way in which the file cannot be used, see [`LogError`].
     pub fn load(&self, path: &Path) -> Result<Vec<Joints>, LogError> {
-        let find = |table: &Table<'_>| JointColumns::find(table, &self.joints);
+        let find = |table: &CsvTable<'_>| JointColumns::find(table, &self.joints);
         rows(LogSource::open(path)?, &self.csv, find, |joints, table, row| joints.read(table, row))
     }
 }
@@ -235,14 +235,14 @@ pub(in crate::logs) fn check_joints(joints: &[JointColumn]) -> Result<(), Violat
 pub(in crate::logs) fn rows<C, R>(
     source: LogSource<'_>,
     layout: &CsvLayout,
-    find: impl FnOnce(&Table<'_>) -> Result<C, LogError>,
-    mut read: impl FnMut(&mut C, &Table<'_>, &Row) -> Result<R, LogError>,
+    find: impl FnOnce(&CsvTable<'_>) -> Result<C, LogError>,
+    mut read: impl FnMut(&mut C, &CsvTable<'_>, &CsvRow) -> Result<R, LogError>,
 ) -> Result<Vec<R>, LogError> {
     let path = source.path;
-    let mut table = Table::of_mapping(source, Some(layout))?;
+    let mut table = CsvTable::of_mapping(source, Some(layout))?;
     let mut columns = find(&table)?;
     let mut rows = Vec::new();
-    let mut row = Row::default();
+    let mut row = CsvRow::default();
     while table.next_row(&mut row)? {
         rows.push(read(&mut columns, &table, &row)?);
     }
@@ -283,9 +283,9 @@ impl Names {
     /// The place of the name in a row; 0 without a column of names.
     pub(in crate::logs) fn place(
         &mut self,
-        table: &Table<'_>,
-        row: &Row,
-        column: Option<&Column>,
+        table: &CsvTable<'_>,
+        row: &CsvRow,
+        column: Option<&CsvColumn>,
     ) -> Result<usize, LogError> {
         let Some(column) = column else { return Ok(0) };
         let name = table.text(row, column).trim();
@@ -312,9 +312,9 @@ impl SetUpNames {
     /// The set-up of a row by the columns of its names, where the file has them.
     pub(in crate::logs) fn place(
         &mut self,
-        table: &Table<'_>,
-        row: &Row,
-        [station, target]: &[Option<Column>; 2],
+        table: &CsvTable<'_>,
+        row: &CsvRow,
+        [station, target]: &[Option<CsvColumn>; 2],
     ) -> Result<SetUp, LogError> {
         let [stations, targets] = &mut self.0;
         let station = stations.place(table, row, station.as_ref())?;
@@ -327,16 +327,16 @@ impl SetUpNames {
 }
 
 /// The joints' columns, found in a file.
-pub(in crate::logs) struct JointColumns<'a>(Vec<(Column, &'a JointColumn)>);
+pub(in crate::logs) struct JointColumns<'a>(Vec<(CsvColumn, &'a JointColumn)>);
 
 impl<'a> JointColumns<'a> {
-    pub(in crate::logs) fn find(table: &Table<'_>, joints: &'a [JointColumn]) -> Result<Self, LogError> {
+    pub(in crate::logs) fn find(table: &CsvTable<'_>, joints: &'a [JointColumn]) -> Result<Self, LogError> {
         let found = joints.iter().map(|joint| Ok((mapped(table, &joint.column)?, joint)));
         found.collect::<Result<_, LogError>>().map(Self)
     }
 
     /// Joint variables of a row \[rad, m\].
-    pub(in crate::logs) fn read(&self, table: &Table<'_>, row: &Row) -> Result<Joints, LogError> {
+    pub(in crate::logs) fn read(&self, table: &CsvTable<'_>, row: &CsvRow) -> Result<Joints, LogError> {
         let mut q_rad = Joints::zeros(self.0.len());
         for (q, (column, joint)) in q_rad.iter_mut().zip(&self.0) {
             *q = joint.sign * (table.number(row, column)? * joint.unit.to_si() - joint.offset());
@@ -354,7 +354,11 @@ impl<'a> JointColumns<'a> {
 }
 
 /// A stated standard uncertainty of mm or mrad, in m or rad.
-pub(in crate::logs) fn uncertainty(table: &Table<'_>, row: &Row, column: &Column) -> Result<f64, LogError> {
+pub(in crate::logs) fn uncertainty(
+    table: &CsvTable<'_>,
+    row: &CsvRow,
+    column: &CsvColumn,
+) -> Result<f64, LogError> {
     /// A larger number means another unit.
     const UNCERTAINTY_MAX: f64 = 0.1;
     let value = table.number(row, column)? * 1e-3;
@@ -367,20 +371,23 @@ pub(in crate::logs) fn uncertainty(table: &Table<'_>, row: &Row, column: &Column
 }
 
 /// A column that the mapping names.
-pub(in crate::logs) fn mapped(table: &Table<'_>, name: &str) -> Result<Column, LogError> {
+pub(in crate::logs) fn mapped(table: &CsvTable<'_>, name: &str) -> Result<CsvColumn, LogError> {
     table.column(name, "Correct the column's name in the mapping file, or the header.")
 }
 
 /// Columns that the mapping names.
-pub(in crate::logs) fn mapped_all(table: &Table<'_>, names: &[String]) -> Result<Vec<Column>, LogError> {
+pub(in crate::logs) fn mapped_all(
+    table: &CsvTable<'_>,
+    names: &[String],
+) -> Result<Vec<CsvColumn>, LogError> {
     names.iter().map(|name| mapped(table, name)).collect()
 }
 
 /// A column that the mapping may name.
 pub(in crate::logs) fn mapped_if_named(
-    table: &Table<'_>,
+    table: &CsvTable<'_>,
     name: Option<&String>,
-) -> Result<Option<Column>, LogError> {
+) -> Result<Option<CsvColumn>, LogError> {
     name.map(|name| mapped(table, name)).transpose()
 }
 

@@ -12,7 +12,7 @@ use shared::config::{Kind, Validate, Violation};
 use super::pose_rows::{JointColumns, Names, check_joints, mapped, rows};
 use crate::kinematics::Joints;
 use crate::logs::source::LogSource;
-use crate::logs::tables::csv_text::{Column, Row, Table};
+use crate::logs::tables::csv_text::{CsvColumn, CsvRow, CsvTable};
 use crate::logs::{CsvLayout, JointColumn, LengthUnit, LogError};
 
 /// Largest reading of a gauge \[m\]; more means a wrong unit.
@@ -68,7 +68,7 @@ impl ContactMapping {
     /// # Errors
     /// As [`Self::load`].
     pub fn read(&self, bytes: &[u8], path: &Path, sockets: &[&str]) -> Result<Vec<TipRow>, LogError> {
-        let socket = |table: &Table<'_>, row: &Row, column: &Column| {
+        let socket = |table: &CsvTable<'_>, row: &CsvRow, column: &CsvColumn| {
             let name = table.text(row, column);
             sockets.iter().position(|known| *known == name).ok_or_else(|| {
                 let known = sockets.join(", ");
@@ -138,7 +138,8 @@ impl Touches {
     /// As [`Self::load`].
     pub fn read(bytes: &[u8], path: &Path, mapping: &TouchMapping) -> Result<Self, LogError> {
         let mut names = Names::default();
-        let face = |table: &Table<'_>, row: &Row, column: &Column| names.place(table, row, Some(column));
+        let face =
+            |table: &CsvTable<'_>, row: &CsvRow, column: &CsvColumn| names.place(table, row, Some(column));
         let columns = (&*mapping.face, mapping.reading.as_ref(), &*mapping.joints);
         let rows = tip_rows(LogSource::in_memory(bytes, path), &mapping.csv, columns, face)?;
         Ok(Self { rows, faces: names.in_order() })
@@ -150,15 +151,15 @@ fn tip_rows(
     source: LogSource<'_>,
     layout: &CsvLayout,
     (name, gauge, joints): (&str, Option<&ReadingColumn>, &[JointColumn]),
-    mut part: impl FnMut(&Table<'_>, &Row, &Column) -> Result<usize, LogError>,
+    mut part: impl FnMut(&CsvTable<'_>, &CsvRow, &CsvColumn) -> Result<usize, LogError>,
 ) -> Result<Vec<TipRow>, LogError> {
-    type Found<'a> = (Column, Option<(Column, LengthUnit)>, JointColumns<'a>);
-    let find = |table: &Table<'_>| -> Result<Found<'_>, LogError> {
+    type TipColumns<'a> = (CsvColumn, Option<(CsvColumn, LengthUnit)>, JointColumns<'a>);
+    let find = |table: &CsvTable<'_>| -> Result<TipColumns<'_>, LogError> {
         let name = mapped(table, name)?;
         let gauge = gauge.map(|gauge| Ok((mapped(table, &gauge.column)?, gauge.unit))).transpose()?;
         Ok((name, gauge, JointColumns::find(table, joints)?))
     };
-    let read = |(name, gauge, joints): &mut Found<'_>, table: &Table<'_>, row: &Row| {
+    let read = |(name, gauge, joints): &mut TipColumns<'_>, table: &CsvTable<'_>, row: &CsvRow| {
         let part = part(table, row, name)?;
         let mut reading_m = 0.0;
         if let Some((column, unit)) = gauge {

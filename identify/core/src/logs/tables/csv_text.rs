@@ -1,4 +1,4 @@
-//! Header, rows and cells of text tables, read row by row: every table of this module is a [`Table`].
+//! Header, rows and cells of text tables, read row by row: every table of this module is a [`CsvTable`].
 
 use std::path::Path;
 
@@ -15,7 +15,7 @@ struct NumberFormat {
 }
 
 /// A header and its rows, read on demand.
-pub(in crate::logs) struct Table<'a> {
+pub(in crate::logs) struct CsvTable<'a> {
     header: Vec<String>,
     decimal_comma: bool,
     rows: csv::Reader<Text<'a>>,
@@ -23,12 +23,12 @@ pub(in crate::logs) struct Table<'a> {
 
 /// One row and its line in the file.
 #[derive(Default)]
-pub(in crate::logs) struct Row {
+pub(in crate::logs) struct CsvRow {
     pub line: u64,
     cells: csv::StringRecord,
 }
 
-impl Row {
+impl CsvRow {
     /// The cells in their order.
     pub fn cells(&self) -> impl Iterator<Item = &str> {
         self.cells.iter().map(str::trim)
@@ -37,7 +37,7 @@ impl Row {
 
 /// A column that the header names.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(in crate::logs) struct Column {
+pub(in crate::logs) struct CsvColumn {
     pub index: usize,
     pub name: String,
 }
@@ -48,7 +48,7 @@ fn delimiter_of(header: &str) -> u8 {
     [b';', b'\t'].into_iter().filter(|&d| count(d) > count(b',')).max_by_key(|&d| count(d)).unwrap_or(b',')
 }
 
-impl<'a> Table<'a> {
+impl<'a> CsvTable<'a> {
     /// Reads the header of a text whose numbers have decimal points.
     pub fn open(mut text: Text<'a>) -> Result<Self, LogError> {
         let delimiter = delimiter_of(text.header_line()?);
@@ -90,7 +90,7 @@ impl<'a> Table<'a> {
         let format = NumberFormat { delimiter, decimal_comma: layout.decimal_comma };
         let mut table = Self::open_as(text, format, layout.header)?;
         for _ in 0..layout.unit_lines {
-            match table.read(&mut Row::default()) {
+            match table.read(&mut CsvRow::default()) {
                 // These lines need not have the cells of the table.
                 Ok(_) | Err(LogError::Malformed { .. }) => {}
                 Err(error) => return Err(error),
@@ -133,7 +133,7 @@ impl<'a> Table<'a> {
     }
 
     /// The column named `name`, which must occur once.
-    pub fn column(&self, name: &str, remedy: &str) -> Result<Column, LogError> {
+    pub fn column(&self, name: &str, remedy: &str) -> Result<CsvColumn, LogError> {
         let mut matching = self.header.iter().enumerate().filter(|(_, header)| *header == name);
         let Some((index, _)) = matching.next() else {
             return Err(LogError::MissingColumn {
@@ -146,7 +146,7 @@ impl<'a> Table<'a> {
         if matching.next().is_some() {
             return Err(LogError::RepeatedColumn { path: self.path().to_owned(), column: name.to_owned() });
         }
-        Ok(Column { index, name: name.to_owned() })
+        Ok(CsvColumn { index, name: name.to_owned() })
     }
 
     /// What to do if the header shows why a column is missing: it is a row of numbers, or has other delimiters.
@@ -196,7 +196,7 @@ impl<'a> Table<'a> {
     }
 
     /// Puts the next row into `row`, if there is one.
-    pub fn next_row(&mut self, row: &mut Row) -> Result<bool, LogError> {
+    pub fn next_row(&mut self, row: &mut CsvRow) -> Result<bool, LogError> {
         self.read(row).map_err(|mut error| {
             if let LogError::Malformed { problem, .. } = &mut error
                 && matches!(self.rows.read_record(&mut csv::StringRecord::new()), Ok(false))
@@ -207,7 +207,7 @@ impl<'a> Table<'a> {
         })
     }
 
-    fn read(&mut self, row: &mut Row) -> Result<bool, LogError> {
+    fn read(&mut self, row: &mut CsvRow) -> Result<bool, LogError> {
         let is_there = self.rows.read_record(&mut row.cells);
         let is_there = is_there.map_err(|error| malformed(error, self.rows.get_mut()))?;
         if let Some(position) = row.cells.position().filter(|_| is_there) {
@@ -217,12 +217,12 @@ impl<'a> Table<'a> {
     }
 
     /// The text of one cell.
-    pub fn text<'r>(&self, row: &'r Row, column: &Column) -> &'r str {
+    pub fn text<'r>(&self, row: &'r CsvRow, column: &CsvColumn) -> &'r str {
         row.cells.get(column.index).unwrap_or_default().trim()
     }
 
     /// A finite number from one cell.
-    pub fn number(&self, row: &Row, column: &Column) -> Result<f64, LogError> {
+    pub fn number(&self, row: &CsvRow, column: &CsvColumn) -> Result<f64, LogError> {
         let text = self.text(row, column);
         if text.is_empty() {
             return Err(self.bad(row, column, "the cell is empty".into(), "remove the row or fill it in"));
@@ -250,7 +250,7 @@ impl<'a> Table<'a> {
     }
 
     /// An error about one cell.
-    pub fn bad(&self, row: &Row, column: &Column, problem: String, remedy: &'static str) -> LogError {
+    pub fn bad(&self, row: &CsvRow, column: &CsvColumn, problem: String, remedy: &'static str) -> LogError {
         let cell = Cell { path: self.path().to_owned(), line: row.line, column: column.name.clone() };
         LogError::BadValue { cell, problem, remedy }
     }

@@ -6,7 +6,7 @@ use chrono::{DateTime, NaiveDateTime};
 use serde::{Deserialize, Serialize};
 use shared::config::Violation;
 
-use super::csv_text::{Column, Row, Table};
+use super::csv_text::{CsvColumn, CsvRow, CsvTable};
 use crate::logs::LogError;
 
 /// Unit of a time column.
@@ -168,13 +168,13 @@ fn within_range(ns: f64) -> Option<i64> {
 /// A column of a table with time stamps.
 pub(in crate::logs) struct StampColumn {
     /// The column in the table.
-    pub column: Column,
+    pub column: CsvColumn,
     stamps: StampReader,
 }
 
 impl StampColumn {
     /// The column that `time` describes, found in a table.
-    pub(in crate::logs) fn new(column: Column, time: &TimeColumn) -> Self {
+    pub(in crate::logs) fn new(column: CsvColumn, time: &TimeColumn) -> Self {
         Self { column, stamps: StampReader::new(time) }
     }
 
@@ -185,7 +185,7 @@ impl StampColumn {
 
     /// The stamp of the next row to integer ns. Decimal digits are taken as they are: a UTC stamp in seconds has more of them
     /// than an `f64` can hold.
-    pub(in crate::logs) fn next_ns(&mut self, table: &Table<'_>, row: &Row) -> Result<i64, LogError> {
+    pub(in crate::logs) fn next_ns(&mut self, table: &CsvTable<'_>, row: &CsvRow) -> Result<i64, LogError> {
         let Self { column, stamps } = self;
         if stamps.unit == TimeUnit::DateTime {
             return date_ns(table, row, column);
@@ -214,7 +214,7 @@ const FILETIME_1970: i64 = 116_444_736_000_000_000;
 /// Ways to write date and time of day beside RFC 3339: with a blank, and as TwinCAT does.
 const DATES: [&str; 3] = ["%Y-%m-%dT%H:%M:%S%.f", "%Y-%m-%d %H:%M:%S%.f", "%Y-%m-%d-%H:%M:%S%.f"];
 
-fn date_ns(table: &Table<'_>, row: &Row, column: &Column) -> Result<i64, LogError> {
+fn date_ns(table: &CsvTable<'_>, row: &CsvRow, column: &CsvColumn) -> Result<i64, LogError> {
     let text = table.text(row, column);
     let plain = text.strip_prefix("DT#").unwrap_or(text).replace(',', ".");
     let with_zone = DateTime::parse_from_rfc3339(&plain).map(|date| date.to_utc());

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use encoding_rs::{Decoder, Encoding, WINDOWS_1252};
 
-use super::csv_text::{Row, Table};
+use super::csv_text::{CsvRow, CsvTable};
 use super::workbook::{is_workbook, sheets, text_of_sheet};
 use crate::logs::source::LogSource;
 use crate::logs::{CsvLayout, LogError};
@@ -327,10 +327,10 @@ impl<'a> RowsAsText<'a> {
     /// [`LogError`] if the rows do not have this layout.
     pub fn rows(&self, layout: &CsvLayout, rows_max: usize) -> Result<Cells, LogError> {
         let text = Text::new(LogSource::in_memory(self.text.as_bytes(), self.path), None)?;
-        let mut table = Table::mapped(text, &CsvLayout { unit_lines: 0, ..layout.clone() })?;
+        let mut table = CsvTable::mapped(text, &CsvLayout { unit_lines: 0, ..layout.clone() })?;
         let header = table.header().to_vec();
         let mut rows = Vec::new();
-        let mut row = Row::default();
+        let mut row = CsvRow::default();
         while rows.len() < rows_max + layout.unit_lines && table.next_row(&mut row)? {
             rows.push(row.cells().map(str::to_owned).collect());
         }
