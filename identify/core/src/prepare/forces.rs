@@ -115,7 +115,7 @@ pub enum ForceError {
 }
 
 /// Robot, clocks and bar, by which a measured force becomes one along the bar.
-pub(super) struct Surroundings<'a> {
+pub(super) struct ForceContext<'a> {
     /// Reference time on the bar's clock.
     pub t_ref: UtcNs,
     /// The robot's clock against the bar's there.
@@ -137,7 +137,7 @@ pub(super) struct Surroundings<'a> {
 pub(super) fn put_on(
     observations: &mut Vec<Observation>,
     log: &ForceLog,
-    around: &Surroundings<'_>,
+    around: &ForceContext<'_>,
 ) -> Result<(BarForces, Vec<bool>), ForceError> {
     let row_at = |observation: &Observation| log.values.at(around.log_time_s(log, observation.t_s));
     let rows: Vec<Option<Joints>> = observations.iter().map(row_at).collect();
@@ -184,7 +184,7 @@ fn check(kind: ForceKind, along: &[f64]) -> Result<[f64; 2], ForceError> {
     Ok([low, high])
 }
 
-impl Surroundings<'_> {
+impl ForceContext<'_> {
     /// Time of the force log, after its first stamp, at a bar time since the reference \[s\].
     fn log_time_s(&self, log: &ForceLog, t_s: f64) -> f64 {
         let (reference_ns, rate) = match log.clock {

@@ -4,16 +4,16 @@ use nalgebra::Vector3;
 use shared::config::{BallBarConfig, RobotConfig};
 use shared::recording::schema::{CycleRecord, EncoderInfo};
 
-use super::align::find::{Found, Search};
-use super::align::reference::Reference;
+use super::align::find::{AlignedRecording, AlignmentSearch};
+use super::align::reference::ReferenceTime;
 use super::encoders::frozen::constant_encoder;
 use super::encoders::origins::join;
-use super::forces::{Surroundings, put_on};
+use super::forces::{ForceContext, put_on};
 use super::readings::bar_angles::BarAngles;
 use super::readings::both_logs::BothLogs;
 use super::samples::{Sorted, sort};
 use super::sphere::{sphere_of_log, turned_plate};
-use super::timeline::Run;
+use super::timeline::PreparedRun;
 use super::{
     AlignedLog, BarForces, EncoderOffset, InitialValues, Predictor, PrepareError, PrepareOptions, Prepared,
     SampleCounts, SampleStatus, SphereFit,
@@ -56,7 +56,7 @@ pub fn prepare(
     let (interpolated, sphere) = (interpolated?, sphere?);
     let predictor = Predictor::new(&interpolated, &arm, &bar_chain, sphere.centre_m)?;
     let recorded_joints: Vec<u8> = encoders.iter().map(|encoder| encoder.joint).collect();
-    let search = Search {
+    let search = AlignmentSearch {
         readings: &angles.readings,
         recorded_joints: &recorded_joints,
         origins: angles.origins(),
@@ -74,9 +74,9 @@ pub fn prepare(
         error => error,
     })?;
     let (end_s, log_s) = (angles.readings.duration_s(), log.q_rad.duration_s());
-    let reference_time = Reference::new(angles.first_time(), end_s, found.fit.clock, log_s);
+    let reference_time = ReferenceTime::new(angles.first_time(), end_s, found.fit.clock, log_s);
     let alignment = reference_time.alignment(&found.matched, found.ambiguous, log);
-    let Reference { t_ref_s, t_ref, clock, .. } = reference_time;
+    let ReferenceTime { t_ref_s, t_ref, clock, .. } = reference_time;
     let motion = AlignedLog::new(interpolated.clone(), clock.shift_s);
     let (reference_origin, origins) = join(&angles.readings, &mut found, t_ref_s);
     let numbers: Vec<usize> = origins.iter().map(|span| span.number).collect();
@@ -84,7 +84,7 @@ pub fn prepare(
     let offsets = encoder_offsets(&found, reference_origin, &sorted);
     let initial = initial_values(found.fit.geometry.base.origin_m, &sphere, clock, &offsets);
     let mut statuses = statuses_of_cycles(angles, &sorted.statuses);
-    let surroundings = Surroundings {
+    let context = ForceContext {
         t_ref,
         alignment: &alignment,
         motion: &motion,
@@ -92,8 +92,8 @@ pub fn prepare(
         base_m: initial.base_m,
         gravity,
     };
-    let force = with_force(&mut sorted.observations, &mut statuses, log, &surroundings)?;
-    let run = Run {
+    let force = with_force(&mut sorted.observations, &mut statuses, log, &context)?;
+    let run = PreparedRun {
         cycles,
         both: &both_logs,
         t_ref,
@@ -128,10 +128,10 @@ fn with_force(
     observations: &mut Vec<Observation>,
     statuses: &mut [SampleStatus],
     log: &RobotLog,
-    surroundings: &Surroundings<'_>,
+    context: &ForceContext<'_>,
 ) -> Result<Option<BarForces>, PrepareError> {
     let Some(force) = &log.force else { return Ok(None) };
-    let (forces, has_force) = put_on(observations, force, surroundings)?;
+    let (forces, has_force) = put_on(observations, force, context)?;
     // Samples are in the order of their cycles.
     let kept = statuses.iter_mut().filter(|status| **status == SampleStatus::Kept);
     kept.zip(has_force)
@@ -155,7 +155,7 @@ fn initial_values(
 }
 
 /// Offsets of the reference origin and their scatter.
-fn encoder_offsets(found: &Found, reference: usize, sorted: &Sorted) -> Vec<EncoderOffset> {
+fn encoder_offsets(found: &AlignedRecording, reference: usize, sorted: &Sorted) -> Vec<EncoderOffset> {
     let offsets = found.offset_fit.of_origin(reference);
     let measured = found.encoder_map.used.measured();
     let offset = |joint: usize| EncoderOffset {

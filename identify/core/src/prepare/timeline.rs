@@ -103,7 +103,7 @@ impl Timeline {
 }
 
 /// The run after the preparation.
-pub(super) struct Run<'a> {
+pub(super) struct PreparedRun<'a> {
     /// All cycles of the recording.
     pub cycles: &'a [CycleRecord],
     /// Readings of the recording and of the robot's log.
@@ -140,7 +140,7 @@ const SPEED_REACH_S: f64 = 0.05;
 /// Samples to either side among which the one at that distance is sought.
 const NEIGHBOURS: usize = 12;
 
-impl Run<'_> {
+impl PreparedRun<'_> {
     pub fn timeline(&self) -> Timeline {
         let cycles_per_point = self.statuses.len().div_ceil(Timeline::POINTS_MAX).max(1);
         let points = self

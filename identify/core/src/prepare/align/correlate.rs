@@ -153,7 +153,7 @@ fn vertex(scores: &[Score], peak: usize) -> f64 {
 /// Correlation at every shift, in the order of the shifts.
 fn scores(first: &Channels, second: &Channels, overlap_min: usize) -> Vec<Score> {
     let (first_len, second_len) = (first.known.len(), second.known.len());
-    let transform = Transform::new(first_len + second_len);
+    let transform = FourierTransforms::new(first_len + second_len);
     let masks = each(2, |number| transform.forward(&mask([first, second][number])));
     let overlaps = transform.product(&masks[0], &masks[1]);
     let mut covariance = vec![0.0; overlaps.len()];
@@ -222,13 +222,13 @@ fn normalised(values: &[f64], known_points: &[bool], scale: f64) -> Vec<f64> {
 }
 
 /// Fourier transforms of one length, long enough that nothing wraps around.
-struct Transform {
+struct FourierTransforms {
     length: usize,
     forward: Arc<dyn Fft<f64>>,
     inverse: Arc<dyn Fft<f64>>,
 }
 
-impl Transform {
+impl FourierTransforms {
     fn new(points: usize) -> Self {
         let length = points.max(2).next_power_of_two();
         let mut planner = FftPlanner::new();

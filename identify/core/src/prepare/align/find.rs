@@ -10,7 +10,7 @@ use std::sync::Arc;
 use super::clock::SHIFT_SIGMA_S;
 use super::correlate::{Match, candidates};
 use super::rate::rates;
-use super::refine::{Fit, refine};
+use super::refine::{AlignmentFit, refine};
 use super::speeds::{grid_step_s, measured_speeds, predicted_speeds, without_order};
 use super::window::{Best, CANDIDATES, WINDOW_S, best, extended, liveliest, no_match, overlap_min_s};
 use crate::kinematics::{BAR_JOINTS, Chain, Joints, mirroring_joints};
@@ -24,7 +24,7 @@ use crate::prepare::{BarReading, Channels, ComparedLog, Predictor, PrepareError,
 use crate::threads::{each, rows};
 
 /// A recording and the robot's log in which it is searched for.
-pub(in crate::prepare) struct Search<'a> {
+pub(in crate::prepare) struct AlignmentSearch<'a> {
     pub readings: &'a Stream<BarReading>,
     /// Joints of the recording's encoders, 1 to 5.
     pub recorded_joints: &'a [u8],
@@ -40,7 +40,7 @@ pub(in crate::prepare) struct Search<'a> {
 
 /// A recording aligned with a robot log.
 #[derive(Debug, Clone)]
-pub(in crate::prepare) struct Found {
+pub(in crate::prepare) struct AlignedRecording {
     /// How the speeds match.
     pub matched: Match,
     /// Another shift fits as well.
@@ -50,7 +50,7 @@ pub(in crate::prepare) struct Found {
     /// Offsets by origin, refined, and configurations, on all samples.
     pub offset_fit: OffsetFit,
     /// The refined fit; its clock is for times since the first reading.
-    pub fit: Fit,
+    pub fit: AlignmentFit,
 }
 
 /// Largest number of candidates that are fitted.
@@ -88,23 +88,23 @@ impl Hypothesis {
 /// A refined fit with the encoder map of its hypothesis.
 struct MappedFit {
     encoder_map: EncoderMapReport,
-    fit: Fit,
+    fit: AlignmentFit,
 }
 
-impl Search<'_> {
+impl AlignmentSearch<'_> {
     /// The best alignment.
     ///
     /// # Errors
     /// [`PrepareError::NoMatch`], [`PrepareError::NoSpeeds`], [`PrepareError::ClockJump`], [`PrepareError::EncoderSlip`] and those of
     /// [`find_encoder_map`].
-    pub fn run(&self) -> Result<Found, PrepareError> {
+    pub fn run(&self) -> Result<AlignedRecording, PrepareError> {
         let step_s = grid_step_s(self.log_duration_s);
         let window = self.liveliest();
         let Best { matched, ambiguous, fit: MappedFit { encoder_map, fit } } =
             self.best_fit(&window, step_s)?;
         let (mut offset_fit, fit) = self.extended(window, &encoder_map.used, &fit)?;
         offset_fit.correct(&fit.offsets_by_rad);
-        Ok(Found { matched, ambiguous, encoder_map, offset_fit, fit })
+        Ok(AlignedRecording { matched, ambiguous, encoder_map, offset_fit, fit })
     }
 
     /// The best fit of the window.
@@ -127,16 +127,16 @@ impl Search<'_> {
         &self,
         window: Range<usize>,
         encoder_map: &EncoderMap,
-        fit: &Fit,
-    ) -> Result<(OffsetFit, Fit), PrepareError> {
+        fit: &AlignmentFit,
+    ) -> Result<(OffsetFit, AlignmentFit), PrepareError> {
         let measured = encoder_map.measured();
-        let fit_offsets_and_refine = |window: &Range<usize>, fit: &Fit| {
+        let fit_offsets_and_refine = |window: &Range<usize>, fit: &AlignmentFit| {
             let offset_fit = self.offset_fit(&self.pairs(window, fit.clock), encoder_map);
             let fit = self.refined(&offset_fit, &measured, fit.clock, Some(fit))?;
             Some((offset_fit, fit))
         };
         let in_window = fit_offsets_and_refine(&window, fit).ok_or(PrepareError::NothingToFit)?;
-        let refit = |window: &Range<usize>, (_, fit): &(_, Fit)| fit_offsets_and_refine(window, fit);
+        let refit = |window: &Range<usize>, (_, fit): &(_, AlignmentFit)| fit_offsets_and_refine(window, fit);
         extended(&self.readings.t_s, window, in_window, refit)
     }
 
@@ -362,8 +362,8 @@ impl Search<'_> {
         offset_fit: &OffsetFit,
         measured: &[bool; BAR_JOINTS],
         clock: Clock,
-        start: Option<&Fit>,
-    ) -> Option<Fit> {
+        start: Option<&AlignmentFit>,
+    ) -> Option<AlignmentFit> {
         let angles: Vec<[f64; BAR_JOINTS]> = offset_fit.fitting.iter().map(|(_, angles)| *angles).collect();
         let kept = if angles.len() > FIT_MAX { select(&angles, 0.0, FIT_MAX) } else { spaced(&angles, 0.0) };
         let sample = |index: usize| {

@@ -5,7 +5,7 @@
 use std::ops::Range;
 
 use super::correlate::{Match, candidates};
-use super::find::Search;
+use super::find::AlignmentSearch;
 use super::speeds::{measured_speeds, without_order};
 use crate::prepare::PrepareError;
 
@@ -19,7 +19,7 @@ const OVERLAP_MIN: f64 = 0.6;
 const TIMES_SCATTER: f64 = 3.0;
 
 /// A part of the recording that matches the robot's log.
-struct Part {
+struct MatchedPart {
     samples: Range<usize>,
     /// Time of its first sample since the first reading \[s\].
     start_s: f64,
@@ -28,7 +28,7 @@ struct Part {
     shift_s: f64,
 }
 
-impl Search<'_> {
+impl AlignmentSearch<'_> {
     /// A clock step, if each part of `window` matches, at shifts that agree before and after some instant.
     ///
     /// If the robot is not the configured one parts match, too, but their shifts scatter and the angles fit on neither side.
@@ -38,7 +38,7 @@ impl Search<'_> {
         step_s: f64,
     ) -> Option<PrepareError> {
         let parts = self.parts(window, step_s);
-        let differ = |a: &Part, b: &Part| (a.shift_s - b.shift_s).abs() > DIFFERENT_S;
+        let differ = |a: &MatchedPart, b: &MatchedPart| (a.shift_s - b.shift_s).abs() > DIFFERENT_S;
         // Each side has two parts or more: a chance match of one part agrees with no other.
         let mut sides = parts.chunk_by(|a, b| !differ(a, b)).filter(|side| side.len() >= 2);
         let (before, after) = (sides.next()?, sides.next()?);
@@ -47,13 +47,13 @@ impl Search<'_> {
         }
         let by_s = after.first()?.shift_s - before.last()?.shift_s;
         let is_step = by_s.abs() > DIFFERENT_S.max(TIMES_SCATTER * scatter_s(before).max(scatter_s(after)));
-        let fits = |side: &[Part]| self.side_fits(side, step_s);
+        let fits = |side: &[MatchedPart]| self.side_fits(side, step_s);
         let at_s = after.first()?.start_s;
         (is_step && fits(before) && fits(after))
             .then_some(PrepareError::ClockJump { at_s, by_ms: 1e3 * by_s })
     }
 
-    fn parts(&self, window: &Range<usize>, step_s: f64) -> Vec<Part> {
+    fn parts(&self, window: &Range<usize>, step_s: f64) -> Vec<MatchedPart> {
         let joints = self.joints();
         let from_robot = without_order(&self.predicted(step_s));
         let length = window.len().div_ceil(PARTS).max(1);
@@ -66,13 +66,13 @@ impl Search<'_> {
             let matched = candidates(&from_robot, &from_bar, overlap_min, 1).pop()?;
             let is_high = matched.correlation >= self.options.correlation_min;
             let shift_s = matched.shift * step_s - start_s;
-            is_high.then_some(Part { samples, start_s, matched, shift_s })
+            is_high.then_some(MatchedPart { samples, start_s, matched, shift_s })
         };
         window.clone().step_by(length).filter_map(part).collect()
     }
 
     /// Whether the angles of a side fit at its shift, as those of a run without a step do.
-    fn side_fits(&self, side: &[Part], step_s: f64) -> bool {
+    fn side_fits(&self, side: &[MatchedPart], step_s: f64) -> bool {
         let (Some(first), Some(last)) = (side.first(), side.last()) else { return false };
         let window = first.samples.start..last.samples.end;
         let fit = self.hypothesis(&window, (0.0, first.matched), step_s);
@@ -84,6 +84,6 @@ impl Search<'_> {
 }
 
 /// Largest difference of the shifts of neighbouring parts \[s\].
-fn scatter_s(side: &[Part]) -> f64 {
+fn scatter_s(side: &[MatchedPart]) -> f64 {
     side.windows(2).map(|pair| (pair[1].shift_s - pair[0].shift_s).abs()).fold(0.0, f64::max)
 }

@@ -29,7 +29,7 @@ const OVERLAP_MIN: f64 = 0.6;
 const NEAR: i64 = 2;
 
 /// A part of a run, compared with the whole of the other log.
-struct Part {
+struct RunPart {
     /// Its middle since the middle of the run, in grid steps.
     middle: f64,
     /// Half of its length in grid steps.
@@ -37,7 +37,7 @@ struct Part {
     correlations: Correlations,
 }
 
-impl Part {
+impl RunPart {
     /// Place of the part's first sample in the other log, where the run's middle is at `run_middle` of that log, in grid steps.
     fn shift(&self, run_middle: f64, rate: f64) -> f64 {
         run_middle + (1.0 + rate) * self.middle - self.half_length
@@ -64,7 +64,7 @@ pub(in crate::prepare) fn rates(
     let part_s = PART_S.min(run_s / count as f64);
     let log_speeds = speeds_of_log(step_s);
     let row_at = |since_s: f64| window.start + times_s.partition_point(|t_s| *t_s < first_s + since_s);
-    let parts: Vec<Part> = each(count, |number| {
+    let parts: Vec<RunPart> = each(count, |number| {
         let from_s = number as f64 * (run_s - part_s) / (count - 1) as f64;
         let rows = row_at(from_s)..row_at(from_s + part_s);
         let begins_s = t_s.get(rows.start)? - first_s;
@@ -73,7 +73,7 @@ pub(in crate::prepare) fn rates(
         let middle = (begins_s - 0.5 * run_s) / step_s + half_length;
         let overlap_min = (OVERLAP_MIN * 2.0 * half_length) as usize;
         let correlations = correlations(&log_speeds, &part_speeds, overlap_min);
-        Some(Part { middle, half_length, correlations })
+        Some(RunPart { middle, half_length, correlations })
     })
     .into_iter()
     .flatten()
@@ -84,14 +84,14 @@ pub(in crate::prepare) fn rates(
 }
 
 /// Largest sum of the parts' correlations at a rate less one, and the place of the run's middle in the other log there.
-struct Stack {
+struct StackedCorrelations {
     rate: f64,
     run_middle: f64,
     sum: f64,
 }
 
 /// The rate less one on whose line the parts match best; `log_points` is the length of the other log in grid steps.
-fn common_rate(parts: &[Part], log_points: usize) -> Option<f64> {
+fn common_rate(parts: &[RunPart], log_points: usize) -> Option<f64> {
     let reach = parts.iter().map(|part| part.middle.abs()).fold(0.0, f64::max);
     // From rate to rate the outermost part moves by one grid step.
     let rates_max = (RATE_MAX * reach).ceil() as i64;
@@ -103,12 +103,12 @@ fn common_rate(parts: &[Part], log_points: usize) -> Option<f64> {
             sums.iter_mut().zip(first..).for_each(|(sum, shift)| *sum += part.correlations.at(shift));
         }
         let (run_middle, sum) = sums.into_iter().enumerate().max_by(|a, b| a.1.total_cmp(&b.1))?;
-        Some(Stack { rate, run_middle: run_middle as f64, sum })
+        Some(StackedCorrelations { rate, run_middle: run_middle as f64, sum })
     });
     let matching = stacks.into_iter().flatten().filter(|stack| stack.sum > 0.0);
     let best = matching.max_by(|a, b| a.sum.total_cmp(&b.sum))?;
     // A line through the peaks near it is finer than the steps between lines.
-    let peak = |part: &Part| {
+    let peak = |part: &RunPart| {
         let on_line = part.shift(best.run_middle, best.rate).round() as i64;
         let (shift, weight) = part.correlations.peak_near(on_line, NEAR)?;
         Some(Peak { middle: part.middle, delay: shift - part.shift(best.run_middle, 0.0), weight })

@@ -8,18 +8,18 @@ use crate::model::Clock;
 use crate::prepare::Alignment;
 
 /// The middle of what both logs cover, to which all times of the result refer. The other log is the bar's or the tracker's.
-pub(in crate::prepare) struct Reference {
+pub(in crate::prepare) struct ReferenceTime {
     /// Start and end of what both logs cover, counted from the other log's first sample \[s\].
     overlap_s: [f64; 2],
-    /// Reference time, counted from the other log's first sample \[s\].
+    /// ReferenceTime time, counted from the other log's first sample \[s\].
     pub t_ref_s: f64,
-    /// Reference time on the other log's clock.
+    /// ReferenceTime time on the other log's clock.
     pub t_ref: UtcNs,
     /// The clock for times since the reference time.
     pub clock: Clock,
 }
 
-impl Reference {
+impl ReferenceTime {
     /// The samples of the other log begin at `first` and end `end_s` later; `clock` counts from `first`.
     pub fn new(first: UtcNs, end_s: f64, clock: Clock, log_duration_s: f64) -> Self {
         let other_time_s = |tau_s: f64| (tau_s - clock.shift_s) / (1.0 + clock.skew);

@@ -53,7 +53,7 @@ const SIGMA_MIN_RAD: f64 = 1e-7;
 
 /// Clock, geometry and offsets that fit the two logs.
 #[derive(Debug, Clone, PartialEq)]
-pub(in crate::prepare) struct Fit {
+pub(in crate::prepare) struct AlignmentFit {
     /// From bar times as the samples had them to times after the first stamp of the robot's log.
     pub clock: Clock,
     /// Both chains and the base of the fit.
@@ -219,8 +219,8 @@ pub(in crate::prepare) fn refine(
     measured: &[bool; BAR_JOINTS],
     samples: &[Observation],
     coarse: Clock,
-    start: Option<&Fit>,
-) -> Option<Fit> {
+    start: Option<&AlignmentFit>,
+) -> Option<AlignmentFit> {
     // Times about their middle: shift and skew are then nearly independent.
     let middle_s = mean(samples.iter().map(|sample| sample.t_s));
     let motion = AlignedLog::new(log.clone(), coarse.robot_time_s(middle_s));
@@ -263,7 +263,7 @@ pub(in crate::prepare) fn refine(
     let (chain, offsets) = x.split_at(chain_columns);
     let geometry = model.geometry(chain);
     let by_joint = |of_origin: &[f64]| std::array::from_fn(|joint| of_origin[joint]);
-    Some(Fit {
+    Some(AlignmentFit {
         clock: motion.solved(geometry.clock).counted_from(-middle_s),
         geometry,
         offsets_by_rad: offsets.chunks_exact(BAR_JOINTS).map(by_joint).collect(),
@@ -337,7 +337,7 @@ pub(in crate::prepare) struct Residuals<'a> {
 
 /// A sample against what the robot's pose implies.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(in crate::prepare) struct Errors {
+pub(in crate::prepare) struct SampleErrors {
     /// Measured less implied joints; 0 without encoder \[rad\].
     pub error_rad: [f64; BAR_JOINTS],
     /// Joints that the robot's pose implies \[rad\].
@@ -383,7 +383,7 @@ impl<'a> Residuals<'a> {
     }
 
     /// `None` outside the robot's log, or at a singular pose.
-    pub fn errors(&self, t_s: f64, bar_rad: &[f64; BAR_JOINTS]) -> Option<Errors> {
+    pub fn errors(&self, t_s: f64, bar_rad: &[f64; BAR_JOINTS]) -> Option<SampleErrors> {
         let state = self.motion.at(self.geometry.clock.robot_time_s(t_s))?;
         let mut robot = Trace::default();
         self.robot_tracer.trace(&self.geometry.corrected(&state).q, &mut robot);
@@ -400,6 +400,6 @@ impl<'a> Residuals<'a> {
         let rates = robot.joint_twists().zip(state.qd).map(|(twist, qd)| implied.by_pose(&twist) * qd);
         let implied_rad_s = rates.fold(Vector5::zeros(), |sum, rate| sum + rate).into();
         let margin_rad = singularity_margin_rad(&self.bar.links, &implied.joints_rad);
-        Some(Errors { error_rad, implied_rad: implied.joints_rad, implied_rad_s, margin_rad })
+        Some(SampleErrors { error_rad, implied_rad: implied.joints_rad, implied_rad_s, margin_rad })
     }
 }

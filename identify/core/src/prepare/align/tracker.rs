@@ -17,7 +17,7 @@ use shared::time::UtcNs;
 
 use super::clock::{EDGE_S, SHIFT_SIGMA_S, SKEW_SIGMA};
 use super::placement::{PROBE_SIGMA_M, placements};
-use super::reference::Reference;
+use super::reference::ReferenceTime;
 use super::speeds::{REACH, grid_step_s, speeds};
 use super::window::{Best, CANDIDATES, best, extended, liveliest, no_match, overlap_min_s};
 use crate::cost::{LoopProblem, MeasuredPosition, PoseNoise};
@@ -94,7 +94,7 @@ pub fn align_poses(
     let observed_m = longest_view_m(&poses.rows);
     let view_begins_s =
         (i128::from(observed_m.first_stamp_ns) - i128::from(poses.rows.first_stamp_ns)) as f64 * 1e-9;
-    let search = Search {
+    let search = TrackerSearch {
         period_s: observed_m.period_s(),
         observed_m,
         log: &interpolated,
@@ -109,9 +109,9 @@ pub fn align_poses(
     }
     let Best { matched, ambiguous, fit } = search.run()?;
     let clock_of_rows = fit.clock.counted_from(-view_begins_s);
-    let reference = Reference::new(UtcNs(poses.rows.first_stamp_ns), rows_s, clock_of_rows, log_s);
+    let reference = ReferenceTime::new(UtcNs(poses.rows.first_stamp_ns), rows_s, clock_of_rows, log_s);
     let alignment = reference.alignment(&matched, ambiguous, log);
-    let Reference { t_ref_s, t_ref, clock, .. } = reference;
+    let ReferenceTime { t_ref_s, t_ref, clock, .. } = reference;
     let log = AlignedLog::new(interpolated.clone(), clock.shift_s);
     let edge_s = if search.stop_and_go() { REST_S } else { EDGE_S };
     let covered_row = |index: usize| {
@@ -167,7 +167,7 @@ fn longest_view_m(rows: &Stream<PoseRow>) -> Stream<Vector3<f64>> {
 }
 
 /// A tracker's log and the robot's log in which it is searched for.
-struct Search<'a> {
+struct TrackerSearch<'a> {
     /// One target in the tracker's frame, from one station \[m\].
     observed_m: Stream<Vector3<f64>>,
     /// Usual distance of two rows \[s\].
@@ -183,7 +183,7 @@ struct Search<'a> {
 }
 
 /// Clock and target that fit the rows to the nominal robot.
-struct Fit {
+struct TrackerFit {
     clock: Clock,
     /// The target in the flange frame \[m\].
     probe_m: Vector3<f64>,
@@ -191,8 +191,8 @@ struct Fit {
     spread_m: f64,
 }
 
-impl Search<'_> {
-    fn run(&self) -> Result<Best<Fit>, PrepareError> {
+impl TrackerSearch<'_> {
+    fn run(&self) -> Result<Best<TrackerFit>, PrepareError> {
         let window = if self.stop_and_go() {
             0..self.observed_m.len()
         } else {
@@ -204,7 +204,7 @@ impl Search<'_> {
         let refused = match self.best_fit(&window, overlap_min_s) {
             Err(refused) => refused,
             Ok(best) => {
-                let refit = |window: &Range<usize>, fit: &Fit| self.fit(window, fit.clock);
+                let refit = |window: &Range<usize>, fit: &TrackerFit| self.fit(window, fit.clock);
                 return Ok(Best { fit: extended(&self.observed_m.t_s, window, best.fit, refit)?, ..best });
             }
         };
@@ -222,7 +222,7 @@ impl Search<'_> {
     }
 
     /// The best fit of a part of the rows.
-    fn best_fit(&self, window: &Range<usize>, overlap_min_s: f64) -> Result<Best<Fit>, PrepareError> {
+    fn best_fit(&self, window: &Range<usize>, overlap_min_s: f64) -> Result<Best<TrackerFit>, PrepareError> {
         let overlap_min = (overlap_min_s / self.step_s) as usize;
         let observed = self.observed_speeds(window);
         // The place of the target on the flange is unknown so far.
@@ -230,14 +230,14 @@ impl Search<'_> {
         let shifts = candidates(&of_flange, &observed, overlap_min, CANDIDATES);
         let first_s = self.observed_m.t_s.get(window.start).copied().unwrap_or_default();
         let clock = |shift: f64| Clock { shift_s: shift * self.step_s - first_s, skew: 0.0 };
-        let fits: Vec<Fit> = if self.stop_and_go() {
+        let fits: Vec<TrackerFit> = if self.stop_and_go() {
             let clocks = shifts.iter().flat_map(|near| self.clocks_at_standstills(window, clock(near.shift)));
             clocks.filter_map(|clock| self.fit_at_standstills(window, clock)).collect()
         } else {
             shifts.iter().filter_map(|coarse| self.fit(window, clock(coarse.shift))).collect()
         };
         // The speeds of the target, at the place that the fit found.
-        let match_of_target = |fit: &Fit| {
+        let match_of_target = |fit: &TrackerFit| {
             if self.stop_and_go() {
                 return self.match_of_distances(window, fit);
             }
@@ -248,11 +248,13 @@ impl Search<'_> {
             const SAME: f64 = 10.0;
             found.into_iter().find(|matched| (matched.shift - fitted_shift).abs() < SAME)
         };
-        let with_match = |fit: Fit| Some((match_of_target(&fit)?, fit));
-        let mut matching: Vec<(Match, Fit)> = fits.into_iter().filter_map(with_match).collect();
+        let with_match = |fit: TrackerFit| Some((match_of_target(&fit)?, fit));
+        let mut matching: Vec<(Match, TrackerFit)> = fits.into_iter().filter_map(with_match).collect();
         let highest = matching.iter().map(|(matched, _)| matched.correlation).fold(0.0, f64::max);
         matching.retain(|(matched, _)| matched.correlation >= self.options.correlation_min);
-        let are_apart = |fit: &Fit, other: &Fit| (fit.clock.shift_s - other.clock.shift_s).abs() > STANDING_S;
+        let are_apart = |fit: &TrackerFit, other: &TrackerFit| {
+            (fit.clock.shift_s - other.clock.shift_s).abs() > STANDING_S
+        };
         best(matching, |fit| fit.spread_m, are_apart).ok_or_else(|| {
             let highest = shifts.first().map(|best| (highest, best.overlap as f64 * self.step_s));
             no_match(ComparedLog::Tracker, highest, overlap_min_s, self.options)
@@ -340,7 +342,7 @@ impl Search<'_> {
     }
 
     /// Clock, station and target, starting from a coarse shift; `None` if the rows do not determine them.
-    fn fit(&self, window: &Range<usize>, coarse: Clock) -> Option<Fit> {
+    fn fit(&self, window: &Range<usize>, coarse: Clock) -> Option<TrackerFit> {
         let rows = self.rows_to_fit(window, coarse);
         // Times about their middle: shift and skew are then nearly independent.
         let middle_s = mean(rows.iter().map(|row| self.observed_m.t_s[*row]));
@@ -360,7 +362,7 @@ impl Search<'_> {
         let start = model.start();
         let (x, _) = minimise_robust(&problem, &start, LossName::Huber, &Options::default()).ok()?;
         let geometry = model.geometry(&x);
-        Some(Fit {
+        Some(TrackerFit {
             clock: motion.solved(geometry.clock).counted_from(-middle_s),
             probe_m: geometry.tracker.probes.first()?.position_m,
             spread_m: NOMINAL_SIGMA_M * GoodShare::NINE_TENTHS.spread_at(&problem, &x),

@@ -177,7 +177,7 @@ pub fn find_encoder_map(
     recorded_joints: &[u8],
     options: &PrepareOptions,
 ) -> Result<EncoderMapReport, PrepareError> {
-    let table = Table::new(pairs, recorded_joints);
+    let table = SpreadTable::new(pairs, recorded_joints);
     let recorded = table.recorded();
     let mut fitting = table.fitting(options.spread_max_mrad);
     if let EncoderMapChoice::Stated(joints) = &options.encoders {
@@ -229,13 +229,13 @@ pub fn find_encoder_map(
 }
 
 /// Spread of each recorded encoder against each joint, counting as recorded and the other way.
-struct Table<'a> {
+struct SpreadTable<'a> {
     recorded_joints: &'a [u8],
     /// By encoder, joint from 0, and direction: as recorded, reversed.
     spread_mrad: Vec<[[f64; 2]; BAR_JOINTS]>,
 }
 
-impl<'a> Table<'a> {
+impl<'a> SpreadTable<'a> {
     fn new(pairs: &[AnglePair], recorded_joints: &'a [u8]) -> Self {
         let mut segments: Vec<&[AnglePair]> = pairs.chunk_by(|a, b| a.segment == b.segment).collect();
         segments.sort_by_key(|segment| std::cmp::Reverse(segment.len()));

@@ -8,7 +8,7 @@ use crate::logs::Stream;
 #[cfg(doc)]
 use crate::model::Observation;
 use crate::prepare::BarReading;
-use crate::prepare::align::find::Found;
+use crate::prepare::align::find::AlignedRecording;
 
 /// A part of the recording with its own offsets, brought to those of the longest part.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -42,14 +42,15 @@ const UNCHANGED_RAD: f64 = 200e-6;
 /// offsets the others are brought.
 pub(in crate::prepare) fn join(
     readings: &Stream<BarReading>,
-    found: &mut Found,
+    found: &mut AlignedRecording,
     t_ref_s: f64,
 ) -> (usize, Vec<OriginSpan>) {
-    let pairs_of =
-        |found: &Found, origin: usize| found.offset_fit.of_origin(origin).map_or(0, |offsets| offsets.pairs);
+    let pairs_of = |found: &AlignedRecording, origin: usize| {
+        found.offset_fit.of_origin(origin).map_or(0, |offsets| offsets.pairs)
+    };
     let origins = found.offset_fit.origins();
     let reference = (0..origins).max_by_key(|origin| pairs_of(found, *origin)).unwrap_or(0);
-    let offset_sigma_rad = |found: &Found, origin: usize| {
+    let offset_sigma_rad = |found: &AlignedRecording, origin: usize| {
         found.fit.sigma_rad * (SAMPLES_ALIKE / pairs_of(found, origin).max(1) as f64).sqrt()
     };
     let of_reference = found.offset_fit.of_origin(reference);

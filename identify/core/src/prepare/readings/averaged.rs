@@ -71,7 +71,7 @@ impl BeforeAverage<'_> {
         encoder_map: &EncoderMap,
         standstills: &[Standstill],
     ) -> Averaged {
-        let mut bar = Comparison::new(BAR_JOINTS);
+        let mut bar = AveragingComparison::new(BAR_JOINTS);
         // Counters have another offset after a restart, so each part between restarts is averaged separately.
         for part in self.readings.parts_within(f64::INFINITY) {
             let part = self.readings.slice(part);
@@ -79,7 +79,7 @@ impl BeforeAverage<'_> {
             let angles = part.map(|reading| encoder_map.applied(&reading.recorded_rad));
             bar.add(&angles, |t_s| begins_s + t_s, self.width_s, standstills);
         }
-        let mut robot = Comparison::new(self.log.axes());
+        let mut robot = AveragingComparison::new(self.log.axes());
         robot.add(&self.log.q_rad, bar_time_s, self.width_s, standstills);
         let mut bar = bar.finish();
         let measured = encoder_map.measured();
@@ -111,7 +111,7 @@ impl Squares {
 
 /// Collects the differences between readings and averages of one log, part by part.
 #[derive(Debug, Clone)]
-struct Comparison {
+struct AveragingComparison {
     still: Vec<Squares>,
     moving: Vec<Squares>,
     fastest_rad_s: f64,
@@ -119,7 +119,7 @@ struct Comparison {
     fastest: Vec<AveragedPoint>,
 }
 
-impl Comparison {
+impl AveragingComparison {
     fn new(joints: usize) -> Self {
         let none = vec![Squares::default(); joints];
         Self { still: none.clone(), moving: none, fastest_rad_s: 0.0, fastest_joint: 0, fastest: Vec::new() }

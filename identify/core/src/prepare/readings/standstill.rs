@@ -58,8 +58,9 @@ pub(in crate::prepare) fn standstills(
     measured: &[bool; BAR_JOINTS],
 ) -> (Vec<Standstill>, Jitter) {
     let mut found = Vec::new();
-    let mut bar = [Spread::default(); BAR_JOINTS];
-    let mut robot = vec![Spread::default(); still.first().map_or(0, |reading| reading.robot_rad.len())];
+    let mut bar = [SquaredDeviations::default(); BAR_JOINTS];
+    let mut robot =
+        vec![SquaredDeviations::default(); still.first().map_or(0, |reading| reading.robot_rad.len())];
     for segment in still.chunk_by(|a, b| b.t_s - a.t_s < BREAK_S) {
         let (Some(first), Some(last)) = (segment.first(), segment.last()) else { continue };
         let standstill = Standstill { from_s: first.t_s, to_s: last.t_s };
@@ -82,17 +83,20 @@ pub(in crate::prepare) fn standstills(
     for (deviation, measured) in bar_urad.iter_mut().zip(measured) {
         *deviation = deviation.filter(|_| *measured);
     }
-    (found, Jitter { bar_urad, robot_urad: robot.into_iter().map(Spread::deviation_urad).collect() })
+    (
+        found,
+        Jitter { bar_urad, robot_urad: robot.into_iter().map(SquaredDeviations::deviation_urad).collect() },
+    )
 }
 
 /// Squared deviations from straight lines, and their degrees of freedom.
 #[derive(Debug, Clone, Copy, Default)]
-struct Spread {
+struct SquaredDeviations {
     squares: f64,
     degrees_of_freedom: usize,
 }
 
-impl Spread {
+impl SquaredDeviations {
     /// Adds one standstill's times and angles `x`, about their own straight line: a robot that comes to rest drifts.
     fn add(&mut self, readings: impl Iterator<Item = (f64, f64)> + Clone) {
         let count = readings.clone().count();

@@ -8,7 +8,7 @@ use nalgebra::Vector3;
 
 use self::angle_errors::{AngleErrors, LocalShift, local_shifts, outliers, spreads_rad};
 use self::select::{spaced, spread_over_sphere};
-use super::align::find::Found;
+use super::align::find::AlignedRecording;
 use super::align::refine::Residuals;
 use super::readings::bar_angles::BarReading;
 use super::timeline::Sample;
@@ -50,7 +50,7 @@ pub(super) struct Sorted {
 /// [`PrepareError::NothingLeft`], [`PrepareError::LittleTravel`].
 pub(super) fn sort(
     readings: &Stream<BarReading>,
-    found: &Found,
+    found: &AlignedRecording,
     motion: &AlignedLog,
     t_ref_s: f64,
     reference: usize,
@@ -102,7 +102,7 @@ pub(super) fn sort(
 fn check_all(
     readings: &Stream<BarReading>,
     joints: &[Sample],
-    found: &Found,
+    found: &AlignedRecording,
     motion: &AlignedLog,
     options: &PrepareOptions,
 ) -> (Vec<SampleStatus>, Vec<AngleErrors>) {

@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use nalgebra::Vector3;
 
-use super::{Fit, Search};
+use super::{TrackerFit, TrackerSearch};
 use crate::kinematics::Pose;
 use crate::model::Clock;
 use crate::prepare::align::clock::SKEW_SIGMA;
@@ -33,7 +33,7 @@ struct AtRest {
     rows: usize,
 }
 
-impl Search<'_> {
+impl TrackerSearch<'_> {
     /// Whether the robot stands still, on the grid of its log.
     pub(super) fn resting(&self) -> Vec<bool> {
         let steps = (self.log_s / self.step_s) as usize + 1;
@@ -95,7 +95,7 @@ impl Search<'_> {
     }
 
     /// Station and target from rows at standstills; the clock is fixed.
-    pub(super) fn fit_at_standstills(&self, window: &Range<usize>, clock: Clock) -> Option<Fit> {
+    pub(super) fn fit_at_standstills(&self, window: &Range<usize>, clock: Clock) -> Option<TrackerFit> {
         let flange_and_position = |row: usize| {
             let flange = self.flange(clock.robot_time_s(self.observed_m.t_s[row]))?;
             Some((flange, self.observed_m[row]))
@@ -109,11 +109,11 @@ impl Search<'_> {
             let predicted = flange.transform_point(&probe_m.into());
             ((predicted - tracker.transform_point(&(*observed_m).into())).norm_squared(), 3)
         });
-        Some(Fit { clock, probe_m, spread_m: GoodShare::NINE_TENTHS.spread(squared) })
+        Some(TrackerFit { clock, probe_m, spread_m: GoodShare::NINE_TENTHS.spread(squared) })
     }
 
     /// Match of the measured and predicted distances from row to row.
-    pub(super) fn match_of_distances(&self, window: &Range<usize>, fit: &Fit) -> Option<Match> {
+    pub(super) fn match_of_distances(&self, window: &Range<usize>, fit: &TrackerFit) -> Option<Match> {
         let both_positions = |row: usize| {
             let tau_s = fit.clock.robot_time_s(self.observed_m.t_s[row]);
             Some((self.predicted_m(tau_s, &fit.probe_m)?, self.observed_m[row]))
