@@ -152,27 +152,27 @@ impl fmt::Display for ContradictedPrior {
 }
 
 /// An estimated length of robot or bar; `off_m` is the estimated minus the nominal value.
-pub(crate) struct Length {
+pub(crate) struct LengthEstimate {
     pub(crate) id: ParameterId,
     column: usize,
     nominal_m: f64,
     pub(crate) off_m: f64,
 }
 
-impl fmt::Display for Length {
+impl fmt::Display for LengthEstimate {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(out, "{} by {:+.1} mm", self.id, self.off_m * 1e3)
     }
 }
 
 /// The estimated lengths of robot and bar; the first columns of the solution are those of `model`.
-pub(crate) fn lengths(model: &Model, solution: &Solution) -> impl Iterator<Item = Length> {
+pub(crate) fn lengths(model: &Model, solution: &Solution) -> impl Iterator<Item = LengthEstimate> {
     let solved = model.columns().zip(&solution.x).enumerate();
     solved.filter_map(|(column, (parameter, x))| match parameter.id {
         ParameterId::Robot { parameter: LinkParameter::A | LinkParameter::D, .. }
         | ParameterId::Bar { parameter: LinkParameter::A | LinkParameter::D, .. } => {
             let off_m = x - parameter.nominal;
-            Some(Length { id: parameter.id, column, nominal_m: parameter.nominal, off_m })
+            Some(LengthEstimate { id: parameter.id, column, nominal_m: parameter.nominal, off_m })
         }
         _ => None,
     })
@@ -192,12 +192,12 @@ pub struct OtherScale {
 /// [`OTHER_SCALE_BY_CHANCE`] if the scale is correct.
 fn other_scale(model: &Model, solution: &Solution) -> Option<OtherScale> {
     let covariance = &solution.covariance;
-    let of_robot = |length: &Length| {
+    let of_robot = |length: &LengthEstimate| {
         matches!(length.id, ParameterId::Robot { .. })
             && length.id != ParameterId::plate(model.axes())
             && covariance.sigma(length.column).is_some()
     };
-    let lengths: Vec<Length> = lengths(model, solution).filter(of_robot).collect();
+    let lengths: Vec<LengthEstimate> = lengths(model, solution).filter(of_robot).collect();
     let nominal_m = DVector::from_iterator(lengths.len(), lengths.iter().map(|length| length.nominal_m));
     let off_m = DVector::from_iterator(lengths.len(), lengths.iter().map(|length| length.off_m));
     let length_covariance = DMatrix::from_fn(lengths.len(), lengths.len(), |row, column| {

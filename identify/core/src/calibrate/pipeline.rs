@@ -156,7 +156,7 @@ fn estimate_in_steps(runs: &mut [Run], plan: &Plan<'_>) -> Result<Solved, Calibr
     let (mut columns, mut solution) = solver.solve_links()?;
     let rms_start = solution.summary.residual_rms_start;
     let without_terms = solver.runs.iter().map(|run| run.model.clone()).collect();
-    let Choice { candidates, prior_scale, needs_solve } = solver.choose(&mut solution)?;
+    let TermChoice { candidates, prior_scale, needs_solve } = solver.choose(&mut solution)?;
     if needs_solve {
         (columns, solution) = solver.solve_with_terms()?;
     }
@@ -167,7 +167,7 @@ fn estimate_in_steps(runs: &mut [Run], plan: &Plan<'_>) -> Result<Solved, Calibr
 }
 
 /// Terms that were tried, and the scale of the tolerances.
-struct Choice {
+struct TermChoice {
     candidates: Vec<Candidate>,
     prior_scale: f64,
     /// Whether the solution without terms is no longer the minimum.
@@ -255,14 +255,14 @@ impl<'a> Solver<'a> {
 
     /// Chooses terms and widths of priors at the solution without terms, and sets roles and sigmas accordingly. The solution
     /// receives the loss of the improved models.
-    fn choose(&mut self, solution: &mut Solution) -> Result<Choice, CalibrateError> {
+    fn choose(&mut self, solution: &mut Solution) -> Result<TermChoice, CalibrateError> {
         let plan = self.plan;
         let mut candidates = Vec::new();
         let mut prior_scale = 1.0;
         let has_choices = !(plan.groups.is_empty() && plan.tolerances.is_empty() && plan.common.is_empty());
         let has_residuals = solution.summary.residual_rms > RESIDUAL_MIN * self.unit();
         if !(has_choices && has_residuals) {
-            return Ok(Choice { candidates, prior_scale, needs_solve: false });
+            return Ok(TermChoice { candidates, prior_scale, needs_solve: false });
         }
         // Of the costs of the ball-bar only `pose` has a noise model.
         let estimates_noise = self.residual_unit_of().is_none_or(|cost| cost == CostName::Pose);
@@ -283,7 +283,7 @@ impl<'a> Solver<'a> {
         }
         let has_accepted = candidates.iter().any(|candidate| candidate.accepted);
         let needs_solve = estimates_noise || prior_scale != 1.0 || has_accepted;
-        Ok(Choice { candidates, prior_scale, needs_solve })
+        Ok(TermChoice { candidates, prior_scale, needs_solve })
     }
 
     /// Solves again with the chosen terms.

@@ -8,7 +8,7 @@ use shared::output::named;
 use super::{Elongation, PositiveForce, WorkspaceError};
 use crate::calibrate::Calibration;
 use crate::calibrate::change::Changed;
-use crate::calibrate::contradicted::{ContradictedPrior, LENGTH_SIGMA_M, Length, lengths};
+use crate::calibrate::contradicted::{ContradictedPrior, LENGTH_SIGMA_M, LengthEstimate, lengths};
 use crate::calibrate::validation::agreement::{Disagreement, disagreeing};
 use crate::cost::Closure;
 use crate::instrument::{Doubt, Run, ScaleFrom};
@@ -331,7 +331,7 @@ fn turned_plate(model: &Model, solution: &Solution) -> Option<Limit> {
 
 /// Lengths far from the configured ones.
 fn far_lengths(model: &Model, solution: &Solution, scale: &str) -> Option<String> {
-    let mut off: Vec<Length> =
+    let mut off: Vec<LengthEstimate> =
         lengths(model, solution).filter(|length| length.off_m.abs() > LENGTH_OFF_M).collect();
     off.sort_by(|a, b| b.off_m.abs().total_cmp(&a.off_m.abs()));
     (!off.is_empty()).then(|| {

@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 
 use super::line_spectrum::LineSpectrum;
-use super::terms::{Candidate, CandidateGroup, Offer, Verdict, prior_scale, select, select_axes};
+use super::terms::{Candidate, CandidateGroup, Offer, OfferResult, prior_scale, select, select_axes};
 use crate::calibrate::error::CalibrateError;
 use crate::calibrate::pipeline::{HELD_OUT, LEFT_OUT, Plan, Solver, problem};
 use crate::instrument::Run;
@@ -56,7 +56,7 @@ impl Offered {
     }
 
     /// Verdicts on the offers; empty if residuals are not finite.
-    fn verdicts(&self, select: fn(&Normals, &[usize], &[Offer]) -> Vec<Verdict>) -> Vec<Verdict> {
+    fn verdicts(&self, select: fn(&Normals, &[usize], &[Offer]) -> Vec<OfferResult>) -> Vec<OfferResult> {
         let normals = self.normals.as_ref();
         normals.map_or_else(Vec::new, |normals| select(normals, &self.always, &self.offers))
     }
@@ -230,13 +230,13 @@ impl Solver<'_> {
         &mut self,
         groups: &[CandidateGroup],
         offered: &Offered,
-        verdicts: &[Verdict],
+        verdicts: &[OfferResult],
         report: &mut Vec<Candidate>,
     ) -> Result<Vec<ParameterId>, CalibrateError> {
         let mut accepted = Vec::new();
         for (number, group) in groups.iter().enumerate() {
             let verdict = verdicts.iter().find(|verdict| verdict.offer == number && verdict.accepted);
-            let Some(Verdict { scale, .. }) = verdict else {
+            let Some(OfferResult { scale, .. }) = verdict else {
                 self.leave_out(&group.ids)?;
                 continue;
             };

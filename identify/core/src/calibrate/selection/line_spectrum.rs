@@ -38,10 +38,10 @@ const SLOW_ORDER_MAX: f64 = 2.0;
 const WAVES_MAX: usize = 3;
 
 /// A wave of an axis: axis from 0, order (waves per turn).
-type Wave = (usize, u8);
+type AxisWave = (usize, u8);
 
 /// Sums of `J^T J` times `sin^2`, `sin cos` and `cos^2` of one wave.
-type Normal = [f64; 3];
+type WaveNormal = [f64; 3];
 
 /// Products of one wave of axis `b` with all waves: sums of `J_a^T J_b` times a sine or cosine of each, by axis `a`, order and
 /// phase of the other wave, and phase of this wave.
@@ -88,7 +88,7 @@ impl DetectedWaves {
 
 /// Products of one sample's residuals `r` and their derivatives `J` by the drives' angles, multiplied by its weight.
 #[derive(Debug)]
-struct Sample {
+struct SampleProducts {
     fold: usize,
     /// Angle of each drive \[rad\].
     angles_rad: Joints,
@@ -109,7 +109,7 @@ struct Sums {
     rows: f64,
     /// Sums of `J^T r` times sine and cosine.
     gradients: Vec<[[f64; 2]; ORDERS]>,
-    normals: Vec<[Normal; ORDERS]>,
+    normals: Vec<[WaveNormal; ORDERS]>,
 }
 
 impl Sums {
@@ -118,7 +118,7 @@ impl Sums {
         Self { squared: 0.0, rows: 0.0, gradients, normals }
     }
 
-    fn add(&mut self, sample: &Sample) {
+    fn add(&mut self, sample: &SampleProducts) {
         self.squared += sample.squared;
         self.rows += sample.rows;
         for (axis, (gradients, normals)) in self.gradients.iter_mut().zip(&mut self.normals).enumerate() {
@@ -155,10 +155,10 @@ fn add_each(sums: &mut [f64], values: &[f64]) {
 /// Samples of all runs, with their folds.
 #[derive(Debug, Default)]
 pub(in crate::calibrate) struct LineSpectrum {
-    samples: Vec<Sample>,
+    samples: Vec<SampleProducts>,
     folds: usize,
     /// Orders that are separate terms of the model.
-    separate: BTreeSet<Wave>,
+    separate: BTreeSet<AxisWave>,
 }
 
 impl LineSpectrum {
@@ -215,7 +215,7 @@ impl LineSpectrum {
             let jtr = |axis: usize| -> f64 {
                 weight * rows.clone().map(|row| by_drive(row, axis) * residuals[row]).sum::<f64>()
             };
-            self.samples.push(Sample {
+            self.samples.push(SampleProducts {
                 fold,
                 angles_rad: for_axes(&|axis| drives.of_drive(axis, &state.q)),
                 jtj: (0..drives.axes()).map(|a| for_axes(&|b| jtj(a, b))).collect(),
@@ -233,10 +233,11 @@ impl LineSpectrum {
         let mut folds = vec![Sums::zeros(axes); self.folds];
         self.samples.iter().for_each(|sample| folds[sample.fold].add(sample));
         let order_distances_min = (0..axes).map(|axis| self.order_distance_min(axis)).collect();
-        let mut search = Search { spectrum: self, folds, order_distances_min, crosses: BTreeMap::new() };
+        let mut detection =
+            WaveDetection { spectrum: self, folds, order_distances_min, crosses: BTreeMap::new() };
         DetectedWaves {
-            in_all: search.detect(None),
-            without_fold: (0..self.folds).map(|fold| search.detect(Some(fold))).collect(),
+            in_all: detection.detect(None),
+            without_fold: (0..self.folds).map(|fold| detection.detect(Some(fold))).collect(),
         }
     }
 
@@ -247,7 +248,7 @@ impl LineSpectrum {
     }
 
     /// Cross products of a wave with all waves, in each fold.
-    fn crosses(&self, (axis, order): Wave) -> Vec<Cross> {
+    fn crosses(&self, (axis, order): AxisWave) -> Vec<Cross> {
         let axes = self.samples.first().map_or(0, |sample| sample.angles_rad.len());
         let mut crosses = vec![vec![[[[0.0; 2]; 2]; ORDERS]; axes]; self.folds];
         for sample in &self.samples {
@@ -267,23 +268,23 @@ impl LineSpectrum {
 }
 
 /// The detection in all folds, and in all folds except one.
-struct Search<'a> {
+struct WaveDetection<'a> {
     spectrum: &'a LineSpectrum,
     folds: Vec<Sums>,
     /// Minimum difference of distinguishable orders on each axis.
     order_distances_min: Vec<f64>,
     /// Cross products of waves that were detected in some folds.
-    crosses: BTreeMap<Wave, Vec<Cross>>,
+    crosses: BTreeMap<AxisWave, Vec<Cross>>,
 }
 
-impl Search<'_> {
+impl WaveDetection<'_> {
     /// The waves detected in all folds, or in all folds except `without`.
     fn detect(&mut self, without: Option<usize>) -> Vec<ParameterId> {
         let is_used = |fold: &usize| Some(*fold) != without;
         let folds: Vec<usize> = (0..self.folds.len()).filter(is_used).collect();
         let mut all = Sums::zeros(self.order_distances_min.len());
         folds.iter().for_each(|fold| all.add_all(&self.folds[*fold]));
-        let mut found: Vec<Wave> = Vec::new();
+        let mut found: Vec<AxisWave> = Vec::new();
         let mut residual = all.clone();
         while let Some(wave) = self.strongest(&residual, &found) {
             found.push(wave);
@@ -297,8 +298,8 @@ impl Search<'_> {
     }
 
     /// The strongest wave in the residuals, if it is significant.
-    fn strongest(&self, residual: &Sums, found: &[Wave]) -> Option<Wave> {
-        let is_new = |&(_, (axis, order)): &(f64, Wave)| {
+    fn strongest(&self, residual: &Sums, found: &[AxisWave]) -> Option<AxisWave> {
+        let is_new = |&(_, (axis, order)): &(f64, AxisWave)| {
             let of_axis = found.iter().filter(|wave| wave.0 == axis);
             // Over a part of a turn a wave resembles waves of neighbouring orders. The neighbours of detected waves are therefore
             // excluded, and those of one and two waves per turn, which are other terms and may not have been fitted yet.
@@ -320,7 +321,7 @@ impl Search<'_> {
     }
 
     /// Sums after a joint fit of these waves to the residuals of some folds; `None` if the waves are not separable.
-    fn subtract(&self, all: &Sums, waves: &[Wave], folds: &[usize]) -> Option<Sums> {
+    fn subtract(&self, all: &Sums, waves: &[AxisWave], folds: &[usize]) -> Option<Sums> {
         let crosses: Vec<Cross> = waves.iter().map(|wave| sum_over(&self.crosses[wave], folds)).collect();
         let index = |order: u8| usize::from(order - ORDER_MIN);
         let count = 2 * waves.len();
@@ -359,7 +360,7 @@ fn sum_over(crosses: &[Cross], folds: &[usize]) -> Cross {
 /// Orders of an axis that are significant in residuals of this variance, with the ratio to the noise.
 fn significant_orders(
     gradients: &[[f64; 2]; ORDERS],
-    normals: &[Normal; ORDERS],
+    normals: &[WaveNormal; ORDERS],
     variance: f64,
 ) -> Vec<(f64, u8)> {
     let decreases: [f64; ORDERS] = std::array::from_fn(|order| decrease(gradients[order], normals[order]));
@@ -374,7 +375,7 @@ fn significant_orders(
 }
 
 /// Decrease of the sum of squares with one wave: `v^T N^-1 v` with gradient `v = (s, c)` and normal equations `N`.
-fn decrease([s, c]: [f64; 2], [ss, sc, cc]: Normal) -> f64 {
+fn decrease([s, c]: [f64; 2], [ss, sc, cc]: WaveNormal) -> f64 {
     let determinant = ss * cc - sc * sc;
     // The axis did not move, or sine and cosine are proportional over its travel.
     if determinant <= 1e-6 * ss * cc {
@@ -384,7 +385,7 @@ fn decrease([s, c]: [f64; 2], [ss, sc, cc]: Normal) -> f64 {
 }
 
 /// Orders of cycloid lobes and motor turns, which other terms of the axes contain.
-fn separate_terms(drives: &DriveTrain) -> impl Iterator<Item = Wave> + '_ {
+fn separate_terms(drives: &DriveTrain) -> impl Iterator<Item = AxisWave> + '_ {
     let turns = [(Period::Cycloid, &drives.cycloid_lobes), (Period::Motor, &drives.motor_turns)];
     turns.into_iter().flat_map(move |(period, numbers)| {
         let has = move |axis: &usize| drives.has(*axis, JointTerm::Sine(period));
@@ -422,7 +423,7 @@ mod tests {
 
     /// Two axes that make full turns, each observed by its own residual with unit noise, and waves with the given amplitude in
     /// each fold.
-    fn spectrum(waves: &[(Wave, [f64; FOLDS])]) -> LineSpectrum {
+    fn spectrum(waves: &[(AxisWave, [f64; FOLDS])]) -> LineSpectrum {
         let mut random = StdRng::seed_from_u64(5);
         let sample = |number: usize| {
             let fold = number * FOLDS / 2400;
@@ -433,12 +434,12 @@ mod tests {
             };
             let jtr = Joints::from_fn(2, |axis| residual(axis) + random.sample::<f64, _>(StandardNormal));
             let jtj = (0..2).map(|a| Joints::from_fn(2, |b| f64::from(u8::from(a == b)))).collect();
-            Sample { fold, angles_rad, jtj, squared: jtr.iter().map(|r| r * r).sum(), jtr, rows: 2.0 }
+            SampleProducts { fold, angles_rad, jtj, squared: jtr.iter().map(|r| r * r).sum(), jtr, rows: 2.0 }
         };
         LineSpectrum { samples: (0..2400).map(sample).collect(), folds: FOLDS, separate: BTreeSet::new() }
     }
 
-    fn ids((axis, order): Wave) -> Vec<ParameterId> {
+    fn ids((axis, order): AxisWave) -> Vec<ParameterId> {
         Phase::ALL.map(|phase| ParameterId::JointWave { axis, order, phase }).to_vec()
     }
 

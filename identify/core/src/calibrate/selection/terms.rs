@@ -91,7 +91,7 @@ impl Offer {
 
 /// Result for one offer.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Verdict {
+pub struct OfferResult {
     /// Index of the offer.
     pub offer: usize,
     /// Scale of the priors at which left-out folds are predicted best.
@@ -132,23 +132,23 @@ pub(in crate::calibrate) fn falls(before: &[f64], after: &[f64]) -> bool {
 /// Forward selection: accept the offer with which left-out folds are predicted best, then the best of the others in addition,
 /// until none improves the prediction. Then choose the scales of the accepted offers once more. The columns `always` are
 /// always included. The result contains accepted offers in the order of acceptance, then the rejected ones.
-pub fn select(normals: &Normals, always: &[usize], offers: &[Offer]) -> Vec<Verdict> {
-    let mut choice = Choice { normals, always, offers, accepted: Vec::new() };
-    let Some(mut before) = choice.predicted() else { return Vec::new() };
+pub fn select(normals: &Normals, always: &[usize], offers: &[Offer]) -> Vec<OfferResult> {
+    let mut selection = ForwardSelection { normals, always, offers, accepted: Vec::new() };
+    let Some(mut before) = selection.predicted() else { return Vec::new() };
     loop {
-        let tried = choice.open().into_iter().filter_map(|offer| {
-            let (verdict, after) = choice.try_offer(offer, &before)?;
-            Some((Verdict { accepted: falls(&before, &after), ..verdict }, after))
+        let tried = selection.open().into_iter().filter_map(|offer| {
+            let (verdict, after) = selection.try_offer(offer, &before)?;
+            Some((OfferResult { accepted: falls(&before, &after), ..verdict }, after))
         });
-        let mut tried: Vec<(Verdict, Vec<f64>)> = tried.collect();
+        let mut tried: Vec<(OfferResult, Vec<f64>)> = tried.collect();
         tried.sort_by(|a, b| a.0.after.total_cmp(&b.0.after));
         let Some(best) = tried.iter().position(|(verdict, _)| verdict.accepted) else {
-            choice.rescale();
-            choice.accepted.extend(tried.into_iter().map(|(verdict, _)| verdict));
-            return choice.accepted;
+            selection.rescale();
+            selection.accepted.extend(tried.into_iter().map(|(verdict, _)| verdict));
+            return selection.accepted;
         };
         let (verdict, after) = tried.swap_remove(best);
-        choice.accepted.push(verdict);
+        selection.accepted.push(verdict);
         before = after;
     }
 }
@@ -157,32 +157,33 @@ pub fn select(normals: &Normals, always: &[usize], offers: &[Offer]) -> Vec<Verd
 /// folds improves only if a term is larger than its uncertainty, so the gradients of the folds are tested instead. The offer
 /// that is least probable by chance is accepted first, until none is left below its part of [`AXIS_BY_CHANCE`] (Bonferroni).
 /// The result contains the accepted offers.
-pub fn select_axes(normals: &Normals, always: &[usize], offers: &[Offer]) -> Vec<Verdict> {
-    let mut choice = Choice { normals, always, offers, accepted: Vec::new() };
+pub fn select_axes(normals: &Normals, always: &[usize], offers: &[Offer]) -> Vec<OfferResult> {
+    let mut selection = ForwardSelection { normals, always, offers, accepted: Vec::new() };
     let level = AXIS_BY_CHANCE / offers.len().max(1) as f64;
-    while let Some(scores) = choice.scores() {
-        let open = choice.open().into_iter();
+    while let Some(scores) = selection.scores() {
+        let open = selection.open().into_iter();
         let chances = open.filter_map(|axis| Some((axis, scores.chance(&offers[axis].columns)?)));
         let least = chances.min_by(|a, b| a.1.total_cmp(&b.1)).filter(|(_, chance)| *chance < level);
         let Some((axis, _)) = least else { break };
-        let Some((verdict, _)) = choice.predicted().and_then(|before| choice.try_offer(axis, &before)) else {
+        let Some((verdict, _)) = selection.predicted().and_then(|before| selection.try_offer(axis, &before))
+        else {
             break;
         };
-        choice.accepted.push(Verdict { accepted: true, ..verdict });
+        selection.accepted.push(OfferResult { accepted: true, ..verdict });
     }
-    choice.accepted
+    selection.accepted
 }
 
 /// Offers that are accepted so far; while an offer is tried, it is the last of them.
-struct Choice<'a> {
+struct ForwardSelection<'a> {
     normals: &'a Normals,
     /// Columns that are always included.
     always: &'a [usize],
     offers: &'a [Offer],
-    accepted: Vec<Verdict>,
+    accepted: Vec<OfferResult>,
 }
 
-impl Choice<'_> {
+impl ForwardSelection<'_> {
     /// Offers that are not accepted.
     fn open(&self) -> Vec<usize> {
         let is_open = |offer: &usize| self.accepted.iter().all(|verdict| verdict.offer != *offer);
@@ -198,8 +199,14 @@ impl Choice<'_> {
 
     /// The offer in addition, at the scale that predicts best, with the mean squared residual of each left-out fold. `None` if
     /// the folds do not determine the columns.
-    fn try_offer(&mut self, offer: usize, before: &[f64]) -> Option<(Verdict, Vec<f64>)> {
-        self.accepted.push(Verdict { offer, scale: 1.0, before: mean(before), after: 0.0, accepted: false });
+    fn try_offer(&mut self, offer: usize, before: &[f64]) -> Option<(OfferResult, Vec<f64>)> {
+        self.accepted.push(OfferResult {
+            offer,
+            scale: 1.0,
+            before: mean(before),
+            after: 0.0,
+            accepted: false,
+        });
         let errors = self.choose_scale();
         Some((self.accepted.pop()?, errors?))
     }
@@ -233,7 +240,7 @@ impl Choice<'_> {
     /// Mean squared residual of each left-out fold.
     fn predicted(&self) -> Option<Vec<f64>> {
         let columns = |fold: usize| -> Vec<usize> {
-            let of_offer = |verdict: &Verdict| self.offers[verdict.offer].columns(fold).iter().copied();
+            let of_offer = |verdict: &OfferResult| self.offers[verdict.offer].columns(fold).iter().copied();
             self.always.iter().copied().chain(self.accepted.iter().flat_map(of_offer)).collect()
         };
         self.normals.held_out_each(columns, &self.priors())
@@ -278,14 +285,14 @@ mod tests {
     use crate::solver::{LeastSquares, Linearisation, Options};
 
     /// Rows on a straight line plus a wave, which may be zero; a second wave is never present.
-    struct Waves {
+    struct WaveRows {
         t: Vec<f64>,
         noise: Vec<f64>,
         wave: f64,
         priors: Vec<Prior>,
     }
 
-    impl Waves {
+    impl WaveRows {
         fn new(seed: u64, wave: f64) -> Self {
             let mut random = StdRng::seed_from_u64(seed);
             let t = (0..320).map(|_| random.random_range(-3.0..3.0)).collect();
@@ -295,15 +302,15 @@ mod tests {
         }
 
         /// Verdicts on the absent wave and on the other one.
-        fn verdicts(&self) -> Vec<Verdict> {
+        fn verdicts(&self) -> Vec<OfferResult> {
             self.selected(8, select)
         }
 
         fn selected(
             &self,
             folds: usize,
-            select: fn(&Normals, &[usize], &[Offer]) -> Vec<Verdict>,
-        ) -> Vec<Verdict> {
+            select: fn(&Normals, &[usize], &[Offer]) -> Vec<OfferResult>,
+        ) -> Vec<OfferResult> {
             let size = self.t.len() / folds;
             let folds: Vec<Vec<usize>> =
                 (0..folds).map(|fold| (size * fold..size * (fold + 1)).collect()).collect();
@@ -314,7 +321,7 @@ mod tests {
         }
     }
 
-    impl LeastSquares for Waves {
+    impl LeastSquares for WaveRows {
         fn columns(&self) -> usize {
             4
         }
@@ -348,7 +355,7 @@ mod tests {
 
     #[test]
     fn a_term_that_is_in_the_data_is_taken_with_the_scale_that_fits_and_one_that_is_not_is_left() {
-        let verdicts = Waves::new(3, -0.5).verdicts();
+        let verdicts = WaveRows::new(3, -0.5).verdicts();
         let [present, absent] = &verdicts[..] else { panic!("{verdicts:?}") };
         assert_eq!((present.offer, present.scale, present.accepted), (1, 100.0, true));
         assert!(present.before.sqrt() > 0.3 && (present.after.sqrt() - 0.1).abs() < 0.02, "{present:?}");
@@ -358,7 +365,7 @@ mod tests {
     #[test]
     fn of_a_hundred_terms_that_are_not_there_fewer_than_five_are_taken() {
         let trials = 400;
-        let taken = |seed| Waves::new(seed, 0.0).verdicts().iter().filter(|one| one.accepted).count();
+        let taken = |seed| WaveRows::new(seed, 0.0).verdicts().iter().filter(|one| one.accepted).count();
         let rate = (0..trials).map(taken).sum::<usize>() as f64 / (2.0 * trials as f64);
         assert!(rate < 0.05, "{rate}");
     }
@@ -368,7 +375,7 @@ mod tests {
         let trials = 1000;
         let taken = |wave: f64, offer: Option<usize>| {
             let is_taken = |seed: &u64| {
-                let verdicts = Waves::new(*seed, wave).selected(32, select_axes);
+                let verdicts = WaveRows::new(*seed, wave).selected(32, select_axes);
                 verdicts.iter().any(|one| offer.is_none_or(|offer| one.offer == offer))
             };
             (0..trials).filter(is_taken).count() as f64 / trials as f64

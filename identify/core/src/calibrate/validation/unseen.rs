@@ -23,7 +23,7 @@ pub struct UnseenPart {
 }
 
 /// Rows in use that are left out together.
-struct Part {
+struct LeftOutRows {
     data_set: usize,
     name: String,
     /// Numbers of the rows in their file.
@@ -33,7 +33,7 @@ struct Part {
 }
 
 /// The parts of one data set, whose first sample in the problem of all data sets is `first`.
-fn parts((data_set, run): (usize, &Run), first: usize) -> Vec<Part> {
+fn parts((data_set, run): (usize, &Run), first: usize) -> Vec<LeftOutRows> {
     let sections = run.instrument.sections();
     let mut all: Vec<usize> = sections.iter().flat_map(|section| section.samples.iter().copied()).collect();
     all.sort_unstable();
@@ -42,7 +42,7 @@ fn parts((data_set, run): (usize, &Run), first: usize) -> Vec<Part> {
         let places =
             section.samples.iter().filter_map(|row| Some((*row, first + used.binary_search(row).ok()?)));
         let (rows, samples) = places.unzip();
-        Part { data_set, name: section.name, rows, samples }
+        LeftOutRows { data_set, name: section.name, rows, samples }
     };
     sections.into_iter().map(part).collect()
 }
@@ -55,7 +55,7 @@ pub fn unseen_parts(calibration: &Calibration) -> Vec<UnseenPart> {
         return Vec::new();
     }
     let Ok(problem) = problem(runs, columns, sigmas) else { return Vec::new() };
-    let parts: Vec<Part> =
+    let parts: Vec<LeftOutRows> =
         runs.iter().enumerate().zip(problem.starts()).flat_map(|(run, first)| parts(run, *first)).collect();
     let mut folds: Vec<Vec<usize>> = parts.iter().map(|part| part.samples.clone()).collect();
     // The rest is one more fold, which is always part of the fit.
@@ -64,7 +64,7 @@ pub fn unseen_parts(calibration: &Calibration) -> Vec<UnseenPart> {
     folds.push((0..is_rest.len()).filter(|sample| is_rest[*sample]).collect());
     let options = Options { loss: solution.loss, ..Options::default() };
     let Ok(normals) = Normals::new(&problem, &solution.x, &options, &folds) else { return Vec::new() };
-    let predicted = |(part, x): (Part, Option<Vec<f64>>)| {
+    let predicted = |(part, x): (LeftOutRows, Option<Vec<f64>>)| {
         let Run { instrument, model } = &runs[part.data_set];
         let mut without_part = model.clone();
         without_part.adopt(&columns.values(part.data_set, &x?));

@@ -11,9 +11,9 @@ use crate::prepare::Alignment;
 pub(in crate::prepare) struct ReferenceTime {
     /// Start and end of what both logs cover, counted from the other log's first sample \[s\].
     overlap_s: [f64; 2],
-    /// ReferenceTime time, counted from the other log's first sample \[s\].
+    /// Reference time, counted from the other log's first sample \[s\].
     pub t_ref_s: f64,
-    /// ReferenceTime time on the other log's clock.
+    /// Reference time on the other log's clock.
     pub t_ref: UtcNs,
     /// The clock for times since the reference time.
     pub clock: Clock,
