@@ -10,7 +10,7 @@ use identify::instrument::{HoldOut, Measures as _, Tracker};
 use identify::kinematics::{Joints, flange_chain};
 use identify::logs::{JointTableMapping, MeasuredPoseMapping, MeasuredPoses, PoseRow};
 use identify::plan::{
-    Bodies, Design, Language, Measures, PlannedPoses, PoseRequest, Way, pose_program, poses,
+    Bodies, Design, Language, MeasuredQuantity, PlannedPoses, PoseRequest, Way, pose_program, poses,
     poses_position_m_min, random_postures,
 };
 use identify::robot::import;
@@ -25,7 +25,7 @@ use crate::support::command::identify;
 use crate::support::rows::Alone;
 use crate::support::{measured_data, repository, ur10};
 
-fn request(robot: &RobotConfig, measures: Measures) -> PoseRequest<'_> {
+fn request(robot: &RobotConfig, measures: MeasuredQuantity) -> PoseRequest<'_> {
     let noise = PoseNoise { position_m: 5e-5, rotation_rad: 1e-4 };
     PoseRequest { robot, measures, target_m: [0.0, 0.0, 0.1], anchor_m: [1.5, -0.5, 0.2], noise }
 }
@@ -49,7 +49,7 @@ impl Rows {
         Self { offered: some(&mixed[..offered]), others: some(&mixed[offered..]) }
     }
 
-    fn planned(&self, measures: Measures, count: usize) -> Vec<usize> {
+    fn planned(&self, measures: MeasuredQuantity, count: usize) -> Vec<usize> {
         let joints: Vec<Joints> = self.offered.iter().map(|row| row.joints_rad).collect();
         poses(&request(&ur10(), measures), &joints, count, None, 1).unwrap().chosen
     }
@@ -79,7 +79,7 @@ impl Rows {
 fn fifty_planned_rows_calibrate_a_real_robot_better_than_most_random_fifties() {
     let rows = Rows::of(&repository("identify/tests/data/ur10/grid.csv"), 1, 250, 120);
     let how = Alone { hold_out: Some(HoldOut::Rows), joint_waves: Some(30), ..Alone::default() };
-    let planned = rows.error_m(&how, &rows.planned(Measures::Poses, 50));
+    let planned = rows.error_m(&how, &rows.planned(MeasuredQuantity::Poses, 50));
     let random = rows.random(&how, 50, 5);
     println!("planned {planned:.6} m, random {random:.6?}");
     assert!(planned < random[2], "{planned} {random:?}");
@@ -92,12 +92,12 @@ fn all_rows_of_the_real_grid_offer_poses_that_do_the_work_of_twice_as_many_rando
     let Some(data) = measured_data() else { return };
     let grid = data.join("ur10-tracker/grid_11911.csv");
     let how = Alone { joint_waves: Some(64), ..Alone::default() };
-    for measures in [Measures::Poses, Measures::Positions] {
+    for measures in [MeasuredQuantity::Poses, MeasuredQuantity::Positions] {
         let errors = |count: usize, planned: bool| {
             let mut errors: Vec<f64> = (1..=6)
                 .map(|seed| {
                     let mut rows = Rows::of(&grid, seed, 2000, 1000);
-                    if measures == Measures::Positions {
+                    if measures == MeasuredQuantity::Positions {
                         rows.offered.iter_mut().chain(&mut rows.others).for_each(|row| row.rotation = None);
                     }
                     match planned {
@@ -122,7 +122,7 @@ fn all_rows_of_the_real_grid_offer_poses_that_do_the_work_of_twice_as_many_rando
 #[ignore = "hundreds of amplitudes of gears at 1500 poses: minutes"]
 fn fifty_poses_cannot_be_expected_to_do_the_work_of_two_hundred_random_ones() {
     let robot = ur10();
-    for measures in [Measures::Poses, Measures::Positions] {
+    for measures in [MeasuredQuantity::Poses, MeasuredQuantity::Positions] {
         let candidates =
             random_postures(&robot, &Bodies::for_reach(1.3), &design(0.05f64.to_degrees()), 1500, 1).unwrap();
         let request = request(&robot, measures);
@@ -186,7 +186,7 @@ fn moves(joints: &[Joints]) -> impl Iterator<Item = f64> + '_ {
     joints.windows(2).map(far)
 }
 
-fn planned(robot: &RobotConfig, measures: Measures, bodies: &Bodies, count: usize) -> PlannedPoses {
+fn planned(robot: &RobotConfig, measures: MeasuredQuantity, bodies: &Bodies, count: usize) -> PlannedPoses {
     let candidates = random_postures(robot, bodies, &design(0.05f64.to_degrees()), 300, 1).unwrap();
     poses(&request(robot, measures), &candidates, count, Some(bodies), 1).unwrap()
 }
@@ -196,9 +196,11 @@ fn planned(robot: &RobotConfig, measures: Measures, bodies: &Bodies, count: usiz
 fn poses_of_any_arm_and_instrument_are_clear_within_limits_and_expected_to_be_better_than_random_ones() {
     let track = std::fs::read_to_string(repository("identify/tests/data/on_a_track.urdf")).unwrap();
     let on_a_track = import(&track, Some("cell"), Some("tool")).unwrap().config;
-    for (robot, measures) in
-        [(ur10(), Measures::Positions), (ur10(), Measures::Lengths), (on_a_track, Measures::Poses)]
-    {
+    for (robot, measures) in [
+        (ur10(), MeasuredQuantity::Positions),
+        (ur10(), MeasuredQuantity::Lengths),
+        (on_a_track, MeasuredQuantity::Poses),
+    ] {
         let arm = flange_chain(&robot);
         let bodies = Bodies { floor_m: Some(-0.1), ..Bodies::for_reach(1.3) };
         let found = planned(&robot, measures, &bodies, 40);
@@ -236,14 +238,14 @@ fn poses_of_any_arm_and_instrument_are_clear_within_limits_and_expected_to_be_be
 
 #[test]
 fn a_calibration_needs_as_many_poses_as_a_plan_states() {
-    let needed = Measures::Poses.poses_min();
+    let needed = MeasuredQuantity::Poses.poses_min();
     let rows = Rows::of(&repository("identify/tests/data/ur10/grid.csv"), 1, needed, 1).offered;
     let is_too_few = |rows: &[PoseRow]| {
         let result = Alone::quick().without_joint_errors().poses(rows, &ur10());
         result.is_err_and(|error| error.to_string().contains("remain for the fit"))
     };
     assert!(is_too_few(&rows[1..]) && !is_too_few(&rows));
-    assert_eq!(Measures::Lengths.poses_min(), 18);
+    assert_eq!(MeasuredQuantity::Lengths.poses_min(), 18);
 }
 
 #[test]
@@ -392,7 +394,7 @@ fn moves_go_round_a_wall_through_postures_that_are_clear() {
         ..Bodies::for_reach(1.3)
     };
     let arm = flange_chain(&robot);
-    let found = planned(&robot, Measures::Positions, &bodies, 25);
+    let found = planned(&robot, MeasuredQuantity::Positions, &bodies, 25);
     assert!(found.ways.iter().any(|way| matches!(way, Way::Through(_))), "{:?}", found.ways);
     for (postures, way) in found.moves().zip(&found.ways[1..]).filter(|(_, way)| **way != Way::Blocked) {
         assert_eq!(postures.len() > 2, *way != Way::Straight);

@@ -11,9 +11,9 @@ use identify::logs::{RobotLog, Stream};
 use identify::model::ParameterId;
 use identify::model::TermGroup;
 use identify::plan::{
-    Bodies, Checked, Constraints, Criterion, Design, ExpectedPosition, Found, Information, Language,
-    Obstacle, PlaceRequest, PlanError, PlannedPath, PlannedPoses, Progress, Visited, Way, check, places,
-    pose_program, position_m_min, program, robot_path, search,
+    BestPath, Bodies, Checked, Constraints, Criterion, Design, ExpectedPosition, Information, Language,
+    Obstacle, PlaceRequest, PlanError, PlannedPath, PlannedPoses, SearchProgress, Visited, Way, check,
+    places, pose_program, position_m_min, program, robot_path, search,
 };
 use identify::robot::import;
 use identify::simulate::{self, Effects, Experiment, Simulated, StaticErrors};
@@ -68,13 +68,13 @@ impl Cell {
     }
 
     /// Ends after this number of changes, independent of time.
-    fn search(&self, seed: u64, changes: usize) -> Found {
+    fn search(&self, seed: u64, changes: usize) -> BestPath {
         let budget = Duration::from_secs(3600);
-        let is_over = |progress: Option<&Progress>| progress.is_some_and(|made| made.tried >= changes);
+        let is_over = |progress: Option<&SearchProgress>| progress.is_some_and(|made| made.tried >= changes);
         search(&self.constraints(), &self.information(), seed, budget, is_over).unwrap()
     }
 
-    fn robot_path(&self, found: &Found) -> RobotLog {
+    fn robot_path(&self, found: &BestPath) -> RobotLog {
         robot_path(&self.robot.name, &self.constraints(), &found.route).unwrap()
     }
 
@@ -82,7 +82,7 @@ impl Cell {
         check(path, &self.constraints(), &self.information()).unwrap()
     }
 
-    fn planned(&self, found: &Found) -> PlannedPath {
+    fn planned(&self, found: &BestPath) -> PlannedPath {
         PlannedPath {
             robot: self.robot.name.clone(),
             base_m: self.design.base_m,

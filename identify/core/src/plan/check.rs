@@ -40,7 +40,7 @@ pub enum CheckError {
 
 /// A constraint that a path violates.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Violation {
+pub struct PathViolation {
     /// Kind of the constraint.
     pub obstacle: Obstacle,
     /// Start of the first violation \[s\].
@@ -55,7 +55,7 @@ pub struct Checked {
     /// Duration from its first row to its last \[s\].
     pub duration_s: f64,
     /// Violated constraints, in the order of time.
-    pub violations: Vec<Violation>,
+    pub violations: Vec<PathViolation>,
     /// Highest speed of each robot joint \[rad/s, m/s\].
     pub speed_rad_s: Joints,
     /// Highest acceleration of each robot joint \[rad/s², m/s²\].
@@ -184,7 +184,7 @@ impl Checked {
     fn count(&mut self, obstacle: Obstacle, t_s: f64) {
         match self.violations.iter_mut().find(|known| known.obstacle == obstacle) {
             Some(known) => known.duration_s += CHECK_S,
-            None => self.violations.push(Violation { obstacle, first_s: t_s, duration_s: CHECK_S }),
+            None => self.violations.push(PathViolation { obstacle, first_s: t_s, duration_s: CHECK_S }),
         }
     }
 

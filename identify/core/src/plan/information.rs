@@ -96,9 +96,9 @@ pub struct Visited {
 }
 
 /// Joint states of single poses: pose `i` has time `i`.
-pub(super) struct States<'a>(pub(super) &'a [JointState]);
+pub(super) struct PoseStates<'a>(pub(super) &'a [JointState]);
 
-impl RobotMotion for States<'_> {
+impl RobotMotion for PoseStates<'_> {
     fn at(&self, tau_s: f64) -> Option<JointState> {
         // A time below -0.5 rounds to a negative index, which the cast would change to 0.
         (tau_s > -0.5).then(|| self.0.get(tau_s.round() as usize).copied()).flatten()
@@ -220,9 +220,9 @@ impl Information {
     fn with_problem<T>(
         &self,
         poses: &Visited,
-        evaluate: impl FnOnce(&LoopProblem<'_, WhitenedPose, States<'_>>, &[f64]) -> Option<T>,
+        evaluate: impl FnOnce(&LoopProblem<'_, WhitenedPose, PoseStates<'_>>, &[f64]) -> Option<T>,
     ) -> Option<T> {
-        let motion = States(&poses.robot);
+        let motion = PoseStates(&poses.robot);
         let observations: Vec<Observation> =
             poses.bar_rad.iter().enumerate().map(|(i, bar)| Observation::bar(i as f64, *bar)).collect();
         let residual = WhitenedPose::new(&self.model.geometry(&[]), &motion, &observations, self.noise);

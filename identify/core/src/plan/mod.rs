@@ -18,20 +18,20 @@ mod random;
 mod search;
 mod way;
 
-pub use check::{CheckError, Checked, Violation, check};
+pub use check::{CheckError, Checked, PathViolation, check};
 pub use constraints::{Bodies, Constraints, Obstacle, Skeleton};
 pub use design::Design;
 pub use information::{Criterion, ExpectedPosition, Information, Visited, WithTerms};
 pub use optimum::{Optimum, position_m_min};
 pub use path::{Move, Path};
-pub use place::{Place, PlaceRequest, Places, Second, places};
+pub use place::{PlaceRequest, Places, RatedPlace, SecondRun, places};
 pub use poses::{
-    Determined, Measures, PlannedPoses, PoseRequest, PosesError, Way, is_on_last_axis, poses,
+    Determined, MeasuredQuantity, PlannedPoses, PoseRequest, PosesError, Way, is_on_last_axis, poses,
     poses_position_m_min, random_postures,
 };
-pub use programs::{Language, ProgramError, Task, can_be_programmed, pose_program, program};
+pub use programs::{Language, ProgramError, ProgramPurpose, can_be_programmed, pose_program, program};
 pub use random::{DURATION_S_MIN, PlanError, Route, random_route};
-pub use search::{Found, Progress, search};
+pub use search::{BestPath, SearchProgress, search};
 
 use serde::{Deserialize, Serialize};
 

@@ -27,7 +27,7 @@ const STEP_M: f64 = 0.05;
 
 /// A position of the bar, and the expected accuracy of a calibration there.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Place {
+pub struct RatedPlace {
     /// Centre of the gimbal in the robot's base frame \[m\].
     pub base_m: [f64; 3],
     /// Length of the rod \[m\].
@@ -44,9 +44,9 @@ pub struct Place {
 
 /// Effect of a second run in addition to one at the best position.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Second {
+pub struct SecondRun {
     /// Best second position of the same bar.
-    pub place: Place,
+    pub place: RatedPlace,
     /// Expected position errors after a calibration of both runs, each with its own base, offsets and clocks.
     pub expected: ExpectedPosition,
     /// The same for a run of twice the length at the best position instead.
@@ -78,11 +78,11 @@ pub struct PlaceRequest<'a> {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Places {
     /// Positions with a path, best first.
-    pub found: Vec<Place>,
+    pub found: Vec<RatedPlace>,
     /// Number of places without one.
     pub without_path: usize,
     /// Second position; `None` if only one position with the best rod length has a path.
-    pub second: Option<Second>,
+    pub second: Option<SecondRun>,
 }
 
 /// Tries positions until `budget` has elapsed or `is_over` returns true, which receives the number of positions tried.
@@ -182,7 +182,7 @@ impl PlaceRequest<'_> {
     }
 
     /// The position of a second run that improves the result of the first most, with the same rod.
-    fn second_position(&self, found: &[Place]) -> Result<Option<Second>, ModelError> {
+    fn second_position(&self, found: &[RatedPlace]) -> Result<Option<SecondRun>, ModelError> {
         let Some((first, others)) = found.split_first() else { return Ok(None) };
         let bar = self.bar_with_length(first.length_m);
         let information = self.information(&bar, (&robot_chain(self.robot, &bar), &ball_bar_chain(&bar)))?;
@@ -194,7 +194,7 @@ impl PlaceRequest<'_> {
             .filter(|place| place.length_m == first.length_m)
             .map(|place| (after_first.score(&place.normal), place))
             .min_by(|a, b| a.0.total_cmp(&b.0));
-        Ok(best.map(|(_, place)| Second {
+        Ok(best.map(|(_, place)| SecondRun {
             place: place.clone(),
             expected: after_first.position(&place.normal),
             twice_as_long: information.position(&twice),
@@ -209,7 +209,7 @@ impl PlaceRequest<'_> {
         posture_deg: Joints,
         random: &mut ChaCha8Rng,
         is_over: &mut impl FnMut() -> bool,
-    ) -> Result<Option<Place>, ModelError> {
+    ) -> Result<Option<RatedPlace>, ModelError> {
         let design = Design { base_m, posture_deg, ..self.design.clone() };
         let (arm, mut chain) = (robot_chain(self.robot, bar), ball_bar_chain(bar));
         chain.root_from_base.translation.vector = base_m.into();
@@ -218,7 +218,7 @@ impl PlaceRequest<'_> {
         let constraints = self.constraints(&arm, &chain, &limits, &design);
         let tight_design = tight_design(&design);
         let tight = tightened(&constraints, &tight_design);
-        let mut best: Option<Place> = None;
+        let mut best: Option<RatedPlace> = None;
         for _ in 0..PATHS {
             // A position at which the first path fails has too little space.
             let Ok(route) = random_route_until(&tight, random, is_over) else { break };
@@ -226,7 +226,8 @@ impl PlaceRequest<'_> {
             let normal = pieces.total(&information);
             let (score, expected) = (information.score(&normal), information.position(&normal));
             if score.is_finite() && best.as_ref().is_none_or(|best| score < best.score) {
-                best = Some(Place { base_m, length_m: bar.length_m, posture_deg, score, expected, normal });
+                best =
+                    Some(RatedPlace { base_m, length_m: bar.length_m, posture_deg, score, expected, normal });
             }
         }
         Ok(best)

@@ -29,7 +29,7 @@ use crate::model::{
 use crate::solver::{ScaledCholesky, stacked};
 use crate::statistics::{largest_difference, mean, median};
 
-use super::information::States;
+use super::information::PoseStates;
 use super::optimum::optimum;
 
 /// Prior standard deviation of the poses of instrument and target \[m, rad\]: much larger than after the measurement. A still
@@ -44,7 +44,7 @@ const UNDETERMINED: f64 = 0.9;
 
 /// What is measured at each pose.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-pub enum Measures {
+pub enum MeasuredQuantity {
     /// Position and orientation of a probe, by a tracker
     Poses,
     /// Position of a reflector, by a tracker
@@ -53,7 +53,7 @@ pub enum Measures {
     Lengths,
 }
 
-impl Measures {
+impl MeasuredQuantity {
     /// Numbers that are measured at a pose.
     fn rows(self) -> usize {
         match self {
@@ -110,7 +110,7 @@ pub struct PoseRequest<'a> {
     /// Configuration of the robot.
     pub robot: &'a RobotConfig,
     /// Quantity measured at each pose.
-    pub measures: Measures,
+    pub measures: MeasuredQuantity,
     /// Reflector, probe or the wire's end in the flange's frame \[m\].
     pub target_m: [f64; 3],
     /// Outlet of the wire in the robot's base frame \[m\]; unused for a tracker.
@@ -252,7 +252,7 @@ pub fn poses(
     let at_rest: Vec<JointState> = candidates.iter().map(|q| JointState::at_rest(*q)).collect();
     let jacobian = known.measurement_rows(&at_rest)?;
     let weight = known.weight(&standing(candidates.iter().copied()))?;
-    let chosen = Selection::new(&known, &jacobian, &weight).best(count);
+    let chosen = PoseSelection::new(&known, &jacobian, &weight).best(count);
 
     let arm = flange_chain(request.robot);
     let is_clear =
@@ -327,18 +327,18 @@ impl<'a> PriorModel<'a> {
         let flange = flange_chain(request.robot);
         let (model, owner) = match request.measures {
             // The position of the wire's end is equivalent to the measurement of a tracker in the robot's base.
-            Measures::Lengths => (
+            MeasuredQuantity::Lengths => (
                 Model::alone(&flange).with_set_ups(Owner::Wire, [1, 1]).with_set_ups(Owner::Tracker, [1, 1]),
                 Owner::Wire,
             ),
-            Measures::Poses | Measures::Positions => {
+            MeasuredQuantity::Poses | MeasuredQuantity::Positions => {
                 (Model::alone(&flange).with_set_ups(Owner::Tracker, [1, 1]), Owner::Tracker)
             }
         };
         let turns_probe =
             |id: &ParameterId| matches!(id, ParameterId::Probe { coordinate: Coordinate::Rotation(_), .. });
         let is_of_instrument = |id: &ParameterId| {
-            id.owner() == owner && (request.measures == Measures::Poses || !turns_probe(id))
+            id.owner() == owner && (request.measures == MeasuredQuantity::Poses || !turns_probe(id))
         };
         // The scale counts as known, as the plate in plans of paths: its contribution is the same for all poses.
         let instrument: Vec<ParameterId> = model.ids().into_iter().filter(is_of_instrument).collect();
@@ -375,13 +375,13 @@ impl<'a> PriorModel<'a> {
         let (noise, set_ups) =
             (&vec![self.request.noise; states.len()], &vec![SetUp::default(); states.len()]);
         match self.request.measures {
-            Measures::Poses => self.whitened_rows(
+            MeasuredQuantity::Poses => self.whitened_rows(
                 states,
                 MeasuredPose { measured: &self.target_poses(states), noise, set_ups },
                 1.0,
             ),
-            Measures::Positions => self.position_rows(states, self.request.noise),
-            Measures::Lengths => {
+            MeasuredQuantity::Positions => self.position_rows(states, self.request.noise),
+            MeasuredQuantity::Lengths => {
                 let relative_noise = &vec![1.0; states.len()];
                 self.whitened_rows(
                     states,
@@ -417,7 +417,7 @@ impl<'a> PriorModel<'a> {
         // The derivatives do not depend on the measured length.
         let observations: Vec<Observation> =
             (0..states.len()).map(|pose| Observation::length(pose as f64, 1.0)).collect();
-        let motion = States(states);
+        let motion = PoseStates(states);
         let problem = LoopProblem::new(&self.model, &motion, &observations, residual, sigma).ok();
         let rows = problem.and_then(|problem| stacked(&problem, &self.model.start()));
         rows.map(|(_, jacobian)| jacobian).ok_or(PosesError::NotFinite)
@@ -485,7 +485,7 @@ impl<'a> PriorModel<'a> {
 ///
 /// With covariance `P`, weight `W` and the whitened rows `J` of a pose, its selection reduces `tr(W P)` by
 /// `tr((I + J P J^T)^-1 J P W P J^T)`: both small matrices are stored for all candidates, and updated after each selection.
-struct Selection<'k> {
+struct PoseSelection<'k> {
     jacobian: &'k DMatrix<f64>,
     weight: &'k DMatrix<f64>,
     covariance: DMatrix<f64>,
@@ -499,7 +499,7 @@ struct Selection<'k> {
     taken: Vec<bool>,
 }
 
-impl<'k> Selection<'k> {
+impl<'k> PoseSelection<'k> {
     fn new(known: &PriorModel<'_>, jacobian: &'k DMatrix<f64>, weight: &'k DMatrix<f64>) -> Self {
         let rows = known.request.measures.rows();
         let covariance = DMatrix::from_diagonal(&known.prior.clone().into());

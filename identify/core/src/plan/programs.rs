@@ -90,7 +90,7 @@ pub enum ProgramError {
 }
 
 /// One instruction of a program; the controller's angles in radians.
-enum Step {
+enum Instruction {
     /// Goes there slowly and stops.
     Go(Joints),
     /// Stands still \[s\].
@@ -130,7 +130,7 @@ struct Points {
 impl Points {
     /// Alternating moves and standstills. Points with equal digits in the program count as a standstill: controllers refuse
     /// segments of zero length, or stop at them.
-    fn segments(&self, digits: i32) -> Vec<Step> {
+    fn segments(&self, digits: i32) -> Vec<Instruction> {
         let written = |q: &Joints| q.map(|angle| (angle.to_degrees() * 10f64.powi(digits)).round());
         let moves = |pair: &&[Joints]| written(&pair[0]) != written(&pair[1]);
         let pairs: Vec<&[Joints]> = self.raw_rad.windows(2).collect();
@@ -138,8 +138,8 @@ impl Points {
         pairs
             .chunk_by(|one, next| moves(one) == moves(next))
             .map(|run| match run.first().is_some_and(moves) {
-                true => Step::Drive { period_s, raw_rad: run.iter().map(|pair| pair[1]).collect() },
-                false => Step::Stand(period_s * run.len() as f64),
+                true => Instruction::Drive { period_s, raw_rad: run.iter().map(|pair| pair[1]).collect() },
+                false => Instruction::Stand(period_s * run.len() as f64),
             })
             .collect()
     }
@@ -147,7 +147,7 @@ impl Points {
 
 /// Purpose of a program.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Task {
+pub enum ProgramPurpose {
     /// Moves along a path.
     Path,
     /// Stops at each pose.
@@ -166,23 +166,23 @@ impl Language {
     }
 
     /// Name of the program's file.
-    pub fn file_name(self, task: Task) -> String {
+    pub fn file_name(self, purpose: ProgramPurpose) -> String {
         let extension = match self {
             Self::Rapid => "mod",
             Self::Krl => "src",
             Self::Urscript => "script",
             Self::Fanuc => "ls",
         };
-        format!("{}.{extension}", self.name(task))
+        format!("{}.{extension}", self.name(purpose))
     }
 
     /// Name of the program.
-    const fn name(self, task: Task) -> &'static str {
-        match (self, task) {
-            (Self::Rapid, Task::Path) => "BallBarPath",
-            (Self::Rapid, Task::Poses) => "MeasurePoses",
-            (_, Task::Path) => "ballbar_path",
-            (_, Task::Poses) => "measure_poses",
+    const fn name(self, purpose: ProgramPurpose) -> &'static str {
+        match (self, purpose) {
+            (Self::Rapid, ProgramPurpose::Path) => "BallBarPath",
+            (Self::Rapid, ProgramPurpose::Poses) => "MeasurePoses",
+            (_, ProgramPurpose::Path) => "ballbar_path",
+            (_, ProgramPurpose::Poses) => "measure_poses",
         }
     }
 
@@ -224,17 +224,17 @@ pub fn program(
         off_sphere_m * 1e3
     );
     let start = points.raw_rad.first().copied().unwrap_or_default();
-    let attach = Step::Halt {
+    let attach = Instruction::Halt {
         message: "attach the ball-bar now".into(),
         reason: "the arm is at the start of the path".into(),
         jogged_to: None,
     };
-    let mut steps = vec![Step::Go(start), attach, Step::Wait(SETTLE_S)];
+    let mut steps = vec![Instruction::Go(start), attach, Instruction::Wait(SETTLE_S)];
     match language {
-        Language::Urscript => steps.push(Step::Servo(points)),
+        Language::Urscript => steps.push(Instruction::Servo(points)),
         _ => steps.extend(points.segments(language.digits())),
     }
-    Ok(text(language, Task::Path, &about, &steps))
+    Ok(text(language, ProgramPurpose::Path, &about, &steps))
 }
 
 /// Writes the program that stops at poses for `wait_s` \[s\] each. Before a pose without a known free path it waits for the
@@ -254,9 +254,9 @@ pub fn pose_program(
         match way {
             Way::Straight => {}
             Way::Through(postures) => {
-                steps.extend(postures.iter().map(|q| Step::Go(conversion.to_raw(q))));
+                steps.extend(postures.iter().map(|q| Instruction::Go(conversion.to_raw(q))));
             }
-            Way::Blocked => steps.push(Step::Halt {
+            Way::Blocked => steps.push(Instruction::Halt {
                 message: format!("jog by hand to pose {number}"),
                 reason: format!(
                     "no path without collision from pose {} to pose {number} was found",
@@ -265,14 +265,14 @@ pub fn pose_program(
                 jogged_to: Some(number),
             }),
         }
-        steps.extend([Step::Go(conversion.to_raw(q)), Step::Wait(wait_s)]);
+        steps.extend([Instruction::Go(conversion.to_raw(q)), Instruction::Wait(wait_s)]);
     }
     let about = format!("{}: {} poses, {wait_s} s at each", robot.name, poses.joints.len());
-    Ok(text(language, Task::Poses, &about, &steps))
+    Ok(text(language, ProgramPurpose::Poses, &about, &steps))
 }
 
-fn text(language: Language, task: Task, about: &str, steps: &[Step]) -> String {
-    let name = language.name(task);
+fn text(language: Language, purpose: ProgramPurpose, about: &str, steps: &[Instruction]) -> String {
+    let name = language.name(purpose);
     match language {
         Language::Rapid => rapid(name, about, steps),
         Language::Krl => krl(name, about, steps),
@@ -391,45 +391,45 @@ fn list(numbers: &[f64], factor: f64) -> String {
     numbers.iter().map(|number| format!("{:.6}", number * factor)).collect::<Vec<_>>().join(",")
 }
 
-fn rapid(name: &str, about: &str, steps: &[Step]) -> String {
+fn rapid(name: &str, about: &str, steps: &[Instruction]) -> String {
     let target = |raw_rad: &Joints| {
         format!("MoveAbsJ [[{}],[9E9,9E9,9E9,9E9,9E9,9E9]]\\NoEOffs", list(raw_rad, 1f64.to_degrees()))
     };
-    let instruction = |step: &Step| match step {
-        Step::Go(raw_rad) => format!("    {},v50,fine,tool0;\n", target(raw_rad)),
-        Step::Wait(wait_s) => format!("    WaitTime {wait_s};\n"),
-        Step::Halt { message, reason, jogged_to } => {
+    let instruction = |step: &Instruction| match step {
+        Instruction::Go(raw_rad) => format!("    {},v50,fine,tool0;\n", target(raw_rad)),
+        Instruction::Wait(wait_s) => format!("    WaitTime {wait_s};\n"),
+        Instruction::Halt { message, reason, jogged_to } => {
             // After the operator has jogged the arm, it must not return to the previous position.
             let stop = if jogged_to.is_some() { "Stop\\NoRegain" } else { "Stop" };
             format!("    ! {reason}\n    TPWrite \"{message}\";\n    {stop};\n")
         }
-        Step::Stand(wait_s) => format!("    WaitTime {wait_s:.3};\n"),
-        Step::Drive { period_s, raw_rad: points } => {
+        Instruction::Stand(wait_s) => format!("    WaitTime {wait_s:.3};\n"),
+        Instruction::Drive { period_s, raw_rad: points } => {
             let point = |(index, raw_rad): (usize, &Joints)| {
                 let zone = if index + 1 == points.len() { "fine" } else { "z1" };
                 format!("    {},v1000\\T:={period_s},{zone},tool0;\n", target(raw_rad))
             };
             points.iter().enumerate().map(point).collect()
         }
-        Step::Servo(_) => String::new(),
+        Instruction::Servo(_) => String::new(),
     };
     let instructions: String = steps.iter().map(instruction).collect();
     format!("MODULE {name}\n  ! {about}\n  PROC {name}()\n{instructions}  ENDPROC\nENDMODULE\n")
 }
 
-fn krl(name: &str, about: &str, steps: &[Step]) -> String {
+fn krl(name: &str, about: &str, steps: &[Instruction]) -> String {
     let target = |raw_rad: &Joints| {
         let axes = raw_rad.iter().enumerate();
         let axes: Vec<String> =
             axes.map(|(axis, angle)| format!("A{} {:.6}", axis + 1, angle.to_degrees())).collect();
         format!("{{{}}}", axes.join(","))
     };
-    let instruction = |step: &Step| match step {
-        Step::Go(raw_rad) => format!("PTP {}\n", target(raw_rad)),
-        Step::Wait(wait_s) => format!("WAIT SEC {wait_s}\n"),
-        Step::Halt { message, reason, .. } => format!("; {reason}\n; {message}\nHALT\n"),
-        Step::Stand(wait_s) => format!("WAIT SEC {wait_s:.3}\n"),
-        Step::Drive { period_s, raw_rad } => {
+    let instruction = |step: &Instruction| match step {
+        Instruction::Go(raw_rad) => format!("PTP {}\n", target(raw_rad)),
+        Instruction::Wait(wait_s) => format!("WAIT SEC {wait_s}\n"),
+        Instruction::Halt { message, reason, .. } => format!("; {reason}\n; {message}\nHALT\n"),
+        Instruction::Stand(wait_s) => format!("WAIT SEC {wait_s:.3}\n"),
+        Instruction::Drive { period_s, raw_rad } => {
             let spline = |block: &[Joints]| {
                 let points: Vec<String> =
                     block.iter().map(|raw_rad| format!("  SPTP {}\n", target(raw_rad))).collect();
@@ -441,7 +441,7 @@ fn krl(name: &str, about: &str, steps: &[Step]) -> String {
             };
             raw_rad.chunks(BLOCK_POINTS_MAX).map(spline).collect()
         }
-        Step::Servo(_) => String::new(),
+        Instruction::Servo(_) => String::new(),
     };
     let instructions: String = steps.iter().map(instruction).collect();
     // Targets are joint angles, independent of tool and base; but a controller without valid ones does not move.
@@ -451,21 +451,21 @@ fn krl(name: &str, about: &str, steps: &[Step]) -> String {
     )
 }
 
-fn ur_script(name: &str, about: &str, steps: &[Step]) -> String {
-    let instruction = |step: &Step| match step {
-        Step::Go(raw_rad) => format!("  movej([{}], a=0.3, v=0.2)\n", list(raw_rad, 1.0)),
-        Step::Wait(wait_s) => format!("  sleep({wait_s})\n"),
-        Step::Halt { message, reason, jogged_to: None } => {
+fn ur_script(name: &str, about: &str, steps: &[Instruction]) -> String {
+    let instruction = |step: &Instruction| match step {
+        Instruction::Go(raw_rad) => format!("  movej([{}], a=0.3, v=0.2)\n", list(raw_rad, 1.0)),
+        Instruction::Wait(wait_s) => format!("  sleep({wait_s})\n"),
+        Instruction::Halt { message, reason, jogged_to: None } => {
             format!("  # {reason}\n  popup(\"{message}\", title=\"{name}\", blocking=True)\n")
         }
         // The arm cannot be jogged while a program runs.
-        Step::Halt { message, reason, jogged_to: Some(to) } => format!(
+        Instruction::Halt { message, reason, jogged_to: Some(to) } => format!(
             "  # {reason}\n  \
              # stop here, {message}; delete the lines above and start again for poses {to} and following\n  \
              popup(\"{message}\", title=\"{name}\", warning=True)\n  halt\n"
         ),
-        Step::Servo(points) => ur_script_path(points),
-        Step::Stand(_) | Step::Drive { .. } => String::new(),
+        Instruction::Servo(points) => ur_script_path(points),
+        Instruction::Stand(_) | Instruction::Drive { .. } => String::new(),
     };
     let instructions: String = steps.iter().map(instruction).collect();
     format!("def {name}():\n  # {about}\n{instructions}end\n{name}()\n")
@@ -497,7 +497,7 @@ fn ur_script_path(points: &Points) -> String {
 }
 
 /// Joint 3 is measured from the horizontal, by the coupling in `raw_to_joint` ([`check_joint_3_coupling`]).
-fn fanuc(name: &str, about: &str, steps: &[Step]) -> String {
+fn fanuc(name: &str, about: &str, steps: &[Instruction]) -> String {
     /// Highest number of characters of a remark.
     const REMARK: usize = 32;
     /// Highest number of characters of a message.
@@ -510,24 +510,26 @@ fn fanuc(name: &str, about: &str, steps: &[Step]) -> String {
     let mut positions: Vec<&Joints> = Vec::new();
     for step in steps {
         match step {
-            Step::Go(raw_rad) => {
+            Instruction::Go(raw_rad) => {
                 positions.push(raw_rad);
                 lines.push(format!("J P[{}] 10% FINE", positions.len()));
             }
-            Step::Wait(wait_s) | Step::Stand(wait_s) => lines.push(format!("WAIT {wait_s:>6.2}(sec)")),
-            Step::Halt { message, reason, .. } => {
+            Instruction::Wait(wait_s) | Instruction::Stand(wait_s) => {
+                lines.push(format!("WAIT {wait_s:>6.2}(sec)"))
+            }
+            Instruction::Halt { message, reason, .. } => {
                 lines.extend(remark(reason));
                 let message: String = message.replace('-', " ").chars().take(MESSAGE).collect();
                 lines.extend([format!("MESSAGE[{message}]"), "PAUSE".into()]);
             }
-            Step::Drive { period_s, raw_rad: points } => {
+            Instruction::Drive { period_s, raw_rad: points } => {
                 for (index, raw_rad) in points.iter().enumerate() {
                     positions.push(raw_rad);
                     let end = if index + 1 == points.len() { "FINE" } else { "CNT100" };
                     lines.push(format!("J P[{}] {}msec {end}", positions.len(), (period_s * 1e3).round()));
                 }
             }
-            Step::Servo(_) => {}
+            Instruction::Servo(_) => {}
         }
     }
     let mut text = format!(

@@ -41,7 +41,7 @@ const DEXTERITY_PART: f64 = 1.03;
 
 /// Progress of a search.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Progress {
+pub struct SearchProgress {
     /// Number of changes tried.
     pub tried: usize,
     /// Number of changes kept.
@@ -52,7 +52,7 @@ pub struct Progress {
 
 /// Best path of a search.
 #[derive(Debug, Clone)]
-pub struct Found {
+pub struct BestPath {
     /// Path of bar and robot.
     pub route: Route,
     /// Normal equations of the path.
@@ -60,7 +60,7 @@ pub struct Found {
     /// The criterion of each random path, in the order of their seeds.
     pub random_scores: Vec<f64>,
     /// Number of changes, and the value of the criterion.
-    pub progress: Progress,
+    pub progress: SearchProgress,
 }
 
 /// A path divided into pieces, from the start of each move to that of the next.
@@ -82,8 +82,8 @@ pub fn search(
     information: &Information,
     seed: u64,
     budget: Duration,
-    mut is_over: impl FnMut(Option<&Progress>) -> bool,
-) -> Result<Found, PlanError> {
+    mut is_over: impl FnMut(Option<&SearchProgress>) -> bool,
+) -> Result<BestPath, PlanError> {
     let begun = Instant::now();
     let design = tight_design(constraints.design);
     let tight = tightened(constraints, &design);
@@ -114,7 +114,7 @@ pub fn search(
         let ended = PlanError::Ended { duration_s: constraints.design.duration_s };
         return Err(last_error.unwrap_or(ended));
     };
-    let mut progress = Progress { tried: 0, taken: 0, score };
+    let mut progress = SearchProgress { tried: 0, taken: 0, score };
     let mut total = pieces.total(information);
     let mut found_goals = None;
     while begun.elapsed() < budget && !is_over(Some(&progress)) {
@@ -125,11 +125,11 @@ pub fn search(
         let new_score = information.score(&new_total);
         if new_score < score {
             (score, total, pieces) = (new_score, new_total, changed);
-            progress = Progress { taken: progress.taken + 1, score, ..progress };
+            progress = SearchProgress { taken: progress.taken + 1, score, ..progress };
         }
     }
     let route = Route { path: pieces.path, robot_rad: pieces.robot_rad };
-    Ok(Found { route, normal: total, random_scores, progress })
+    Ok(BestPath { route, normal: total, random_scores, progress })
 }
 
 /// The design with additional margins for the motion between two evaluated poses.

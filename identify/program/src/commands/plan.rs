@@ -19,8 +19,8 @@ use crate::kinematics::{Chain, Joints, ball_bar_chain, flange_chain, robot_chain
 use crate::logs::{self, JointTableMapping, LogOptions, joints_of_robot};
 use crate::model::ParameterId;
 use crate::plan::{
-    self, Bodies, Constraints, Criterion, Design, Found, Information, Language, Measures, PlaceRequest,
-    PlannedPath, PoseRequest, ProgramError, Progress, Task,
+    self, BestPath, Bodies, Constraints, Criterion, Design, Information, Language, MeasuredQuantity,
+    PlaceRequest, PlannedPath, PoseRequest, ProgramError, ProgramPurpose, SearchProgress,
 };
 use crate::report::page::{PathPage, PosesPage};
 use crate::report::path;
@@ -220,7 +220,7 @@ struct PosesArguments {
     robot: PathBuf,
     /// What is measured at each pose
     #[arg(long, help_heading = "Planning", value_enum)]
-    measures: Measures,
+    measures: MeasuredQuantity,
     /// Directory for poses.csv, its mapping poses.toml, poses.html and a program for the robot's controller. The exit code is 1
     /// if no path without collision was found for a move: the table marks it as BLOCKED, and programs stop there
     #[arg(long, help_heading = "Output", value_name = "DIR")]
@@ -395,7 +395,7 @@ fn find_path(arguments: &PathArguments) -> anyhow::Result<()> {
         sigmas: &information.sigmas(&checked.normal),
     };
     say(page.write(out)?.display())?;
-    write_programs(&arguments.program, &loaded.robot, Task::Path, out, |language| {
+    write_programs(&arguments.program, &loaded.robot, ProgramPurpose::Path, out, |language| {
         plan::program(language, &robot_path, &loaded.robot, &constraints)
     })
 }
@@ -405,12 +405,12 @@ fn search_path(
     arguments: &PathArguments,
     constraints: &Constraints<'_>,
     information: &Information,
-) -> anyhow::Result<Found> {
+) -> anyhow::Result<BestPath> {
     let terminal = OnTerminal::new();
     let found = plan::search(constraints, information, arguments.seed, arguments.budget, |progress| {
         !terminal.show_sentence(|| match progress {
             None => "first paths; Ctrl-C takes the best so far".into(),
-            Some(Progress { tried, taken, score }) => format!(
+            Some(SearchProgress { tried, taken, score }) => format!(
                 "{tried} changes tried, {taken} taken, criterion {score:.3e}; Ctrl-C takes the path as it is"
             ),
         })
@@ -428,7 +428,7 @@ fn ensure_programs_can_be_written(asked: &[Language], robot: &RobotConfig) -> an
 fn write_programs(
     asked: &[Language],
     robot: &RobotConfig,
-    task: Task,
+    purpose: ProgramPurpose,
     out: &Path,
     program: impl Fn(Language) -> Result<String, ProgramError>,
 ) -> anyhow::Result<()> {
@@ -441,7 +441,7 @@ fn write_programs(
     }
     for &language in asked.iter().chain(&of_maker) {
         match program(language) {
-            Ok(text) => write(&out.join(language.file_name(task)), &text)?,
+            Ok(text) => write(&out.join(language.file_name(purpose)), &text)?,
             Err(error) if of_maker.is_some() => say(format_args!("no program: {error}"))?,
             Err(error) => return Err(error.into()),
         }
@@ -467,7 +467,7 @@ fn select_poses(arguments: &PosesArguments) -> anyhow::Result<()> {
         anchor_m: anchor.unwrap_or_default(),
         noise: PoseNoise { position_m: noise_mm * 1e-3, rotation_rad: noise_mrad.unwrap_or(0.1) * 1e-3 },
     };
-    if *measures != Measures::Poses && plan::is_on_last_axis(&robot, &arguments.target) {
+    if *measures != MeasuredQuantity::Poses && plan::is_on_last_axis(&robot, &arguments.target) {
         let [x, y, z] = arguments.target;
         say(format_args!(
             "--target is on the axis of joint {}, so that nothing shows how far it turns: mount it off the axis, such as --target {},{y},{z}",
@@ -497,7 +497,7 @@ fn select_poses(arguments: &PosesArguments) -> anyhow::Result<()> {
         bodies,
     };
     say(page.write(out)?.display())?;
-    write_programs(&arguments.program, &robot, Task::Poses, out, |language| {
+    write_programs(&arguments.program, &robot, ProgramPurpose::Poses, out, |language| {
         plan::pose_program(language, &planned, &robot, arguments.stand.as_secs_f64())
     })?;
     let blocked = planned.blocked();
@@ -517,15 +517,15 @@ fn ensure_valid(arguments: &PosesArguments) -> anyhow::Result<()> {
     above_zero("noise-mm", *noise_mm)?;
     above_zero("noise-mrad", noise_mrad.unwrap_or(1.0))?;
     anyhow::ensure!(
-        noise_mrad.is_none() || *measures == Measures::Poses,
+        noise_mrad.is_none() || *measures == MeasuredQuantity::Poses,
         "--noise-mrad is that of orientations; give it with --measures poses"
     );
     anyhow::ensure!(
-        anchor.is_some() || *measures != Measures::Lengths,
+        anchor.is_some() || *measures != MeasuredQuantity::Lengths,
         "--measures lengths needs --anchor X,Y,Z: the outlet of the wire in the robot's base frame, in metres"
     );
     anyhow::ensure!(
-        anchor.is_none() || *measures == Measures::Lengths,
+        anchor.is_none() || *measures == MeasuredQuantity::Lengths,
         "--anchor is the outlet of a wire; give it with --measures lengths only"
     );
     anyhow::ensure!(

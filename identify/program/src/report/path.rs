@@ -12,8 +12,8 @@ use crate::logs::{
 };
 use crate::model::ParameterId;
 use crate::plan::{
-    Checked, Constraints, ExpectedPosition, Found, Information, Measures, Places, PlannedPoses, Way,
-    position_m_min,
+    BestPath, Checked, Constraints, ExpectedPosition, Information, MeasuredQuantity, Places, PlannedPoses,
+    Way, position_m_min,
 };
 
 /// Places that are shown, at most.
@@ -27,7 +27,7 @@ pub fn summary(
     checked: &Checked,
     constraints: &Constraints<'_>,
     information: &Information,
-    found: Option<&Found>,
+    found: Option<&BestPath>,
 ) -> String {
     let mut text = accuracy(checked, constraints, information);
     // Writing to a string cannot fail.
@@ -293,16 +293,16 @@ pub fn ways(planned: &PlannedPoses) -> Option<String> {
 pub fn pose_table(
     planned: &PlannedPoses,
     robot: &RobotConfig,
-    measures: Measures,
+    measures: MeasuredQuantity,
 ) -> Result<(String, String), toml::ser::Error> {
     let joints = joint_columns(robot);
     let position = ["x_mm", "y_mm", "z_mm"].map(str::to_owned);
     let rotation = ["rx_deg", "ry_deg", "rz_deg"].map(str::to_owned);
     let mut columns: Vec<String> = joints.iter().map(|joint| joint.column.clone()).collect();
     match measures {
-        Measures::Lengths => columns.push("length_mm".into()),
-        Measures::Positions => columns.extend(position.clone()),
-        Measures::Poses => columns.extend(position.iter().chain(&rotation).cloned()),
+        MeasuredQuantity::Lengths => columns.push("length_mm".into()),
+        MeasuredQuantity::Positions => columns.extend(position.clone()),
+        MeasuredQuantity::Poses => columns.extend(position.iter().chain(&rotation).cloned()),
     }
     let mut table = columns.join(",") + ",way\n";
     let numbers = |q: &Joints| -> Vec<String> {
@@ -321,7 +321,7 @@ pub fn pose_table(
         table += &numbers(q).into_iter().chain(empty).chain([way]).collect::<Vec<_>>().join(",");
         table.push('\n');
     }
-    let mapping = if measures == Measures::Lengths {
+    let mapping = if measures == MeasuredQuantity::Lengths {
         let length = LengthColumn { column: "length_mm".into(), unit: LengthUnit::Mm, offset_mm: 0.0 };
         config::to_toml(&MeasuredLengthMapping { length, joints, ..MeasuredLengthMapping::default() })?
     } else {
@@ -334,7 +334,7 @@ pub fn pose_table(
         };
         config::to_toml(&MeasuredPoseMapping {
             position: PositionColumns { columns: position, unit: LengthUnit::Mm },
-            rotation: (measures == Measures::Poses).then_some(turned),
+            rotation: (measures == MeasuredQuantity::Poses).then_some(turned),
             joints,
             ..MeasuredPoseMapping::default()
         })?
