@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 
-use super::{Series, StudyFile};
+use super::{FigureSeries, StudyFile};
 use crate::model::ParameterId;
 use crate::simulate::{BarLoad, Effects, StaticErrors};
 
@@ -88,7 +88,7 @@ impl Conditions {
     ///
     /// # Errors
     /// [`ConditionError`].
-    pub fn of(study: &StudyFile, series: &Series, x: f64) -> Result<Self, ConditionError> {
+    pub fn of(study: &StudyFile, series: &FigureSeries, x: f64) -> Result<Self, ConditionError> {
         let mut conditions = Self {
             points: 0,
             measured: [true; 5],

@@ -88,7 +88,7 @@ pub enum StudyInstrument {
 /// Presentation of a figure.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Kind {
+pub enum FigureKind {
     /// Error over size, a curve for each estimator of each series.
     #[default]
     Curves,
@@ -142,7 +142,7 @@ pub struct Figure {
     pub thesis: String,
     /// Presentation of the figure.
     #[serde(default)]
-    pub kind: Kind,
+    pub kind: FigureKind,
     /// Measure of the curves.
     #[serde(default)]
     pub measure: Measure,
@@ -152,13 +152,13 @@ pub struct Figure {
     /// Names of the estimators.
     pub estimators: Vec<String>,
     /// Series of varied conditions.
-    pub series: Vec<Series>,
+    pub series: Vec<FigureSeries>,
 }
 
 /// One series of a figure.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Series {
+pub struct FigureSeries {
     /// Name; empty if the figure has only one series.
     #[serde(default)]
     pub name: String,
@@ -177,7 +177,7 @@ pub struct Series {
 /// One curve of a figure.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Choice {
+pub struct CurveChoice {
     /// The figure's number.
     pub figure: String,
     /// The series' name; absent: all series.
@@ -199,9 +199,9 @@ pub struct Statement {
     /// Text of the question or claim.
     pub text: String,
     /// Curve of the question.
-    pub of: Choice,
+    pub of: CurveChoice,
     /// Curve to compare with.
-    pub against: Option<Choice>,
+    pub against: Option<CurveChoice>,
     /// Whether the result is the size at which the curve reaches the study's limit.
     #[serde(default)]
     pub reaches_limit: bool,
@@ -241,14 +241,14 @@ impl StudyFile {
             return Err(UnknownFigure { id: id.clone(), known });
         }
         self.figures.retain(|figure| ids.contains(&figure.id));
-        let is_kept = |choice: &Choice| ids.contains(&choice.figure);
+        let is_kept = |choice: &CurveChoice| ids.contains(&choice.figure);
         self.statements
             .retain(|statement| is_kept(&statement.of) && statement.against.as_ref().is_none_or(is_kept));
         Ok(())
     }
 
     /// Names of the estimators of a series.
-    pub fn estimators_of<'a>(&'a self, figure: &'a Figure, series: &'a Series) -> &'a [String] {
+    pub fn estimators_of<'a>(&'a self, figure: &'a Figure, series: &'a FigureSeries) -> &'a [String] {
         series.estimators.as_deref().unwrap_or(&figure.estimators)
     }
 
@@ -288,9 +288,10 @@ impl StudyFile {
         Ok(())
     }
 
-    fn check_choice(&self, key: &str, choice: &Choice) -> Result<(), Violation> {
+    fn check_choice(&self, key: &str, choice: &CurveChoice) -> Result<(), Violation> {
         let has_curve = |figure: &Figure| {
-            let named = |series: &&Series| choice.series.as_ref().is_none_or(|name| *name == series.name);
+            let named =
+                |series: &&FigureSeries| choice.series.as_ref().is_none_or(|name| *name == series.name);
             let mut series = figure.series.iter().filter(named);
             figure.id == choice.figure
                 && series.any(|series| self.estimators_of(figure, series).contains(&choice.estimator))

@@ -17,11 +17,13 @@ mod trial;
 pub use conditions::{CONDITIONS, ConditionError, Conditions};
 pub use definition::{Definition, LoadError, THESIS};
 pub use file::{
-    Choice, Estimator, Figure, Kind, Measure, PathChoice, Series, Statement, StudyFile, StudyInstrument,
-    UnknownFigure,
+    CurveChoice, Estimator, Figure, FigureKind, FigureSeries, Measure, PathChoice, Statement, StudyFile,
+    StudyInstrument, UnknownFigure,
 };
 pub use reference::{Driven, Reference, ReferenceError};
-pub use results::{Results, ResultsError, Row, Shard, TrialRows, merge};
-pub use summary::{Curve, CurvePoint, FigureTable, Finding, Reach, Spread, Summary, short};
+pub use results::{ResultRow, Results, ResultsError, Shard, TrialRows, merge};
+pub use summary::{
+    CurvePoint, ErrorCurve, ErrorQuantiles, FigureTable, Reach, StatementAnswer, StudySummary, short,
+};
 pub use table::{write_csv, write_parquet};
 pub use trial::{Trial, prepared, run, trials};

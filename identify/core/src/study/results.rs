@@ -78,7 +78,7 @@ pub(super) fn refused(path: &Path) -> impl Fn(io::Error) -> ResultsError + Copy 
 /// Errors of one estimator in one experiment.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Row {
+pub struct ResultRow {
     /// Euclidean norm of the errors of the thesis' parameters \[mm|mrad\].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub euclidean_mm_mrad: Option<f64>,
@@ -99,7 +99,7 @@ pub struct Row {
     pub failed: Option<String>,
 }
 
-impl Row {
+impl ResultRow {
     /// A missing estimate with its reason.
     pub fn failed(reason: String) -> Self {
         Self { failed: Some(reason), ..Self::default() }
@@ -122,7 +122,7 @@ pub struct TrialRows {
     /// The experiment's number.
     pub trial: usize,
     /// Results in the order of the figure's estimators.
-    pub rows: Vec<Row>,
+    pub rows: Vec<ResultRow>,
 }
 
 /// Part `number` (from 1) of a study in `count` parts: every `count`-th experiment.
@@ -240,19 +240,19 @@ impl Results {
 }
 
 /// A row with its place in the study.
-pub(super) struct Placed<'a> {
+pub(super) struct PlacedRow<'a> {
     pub(super) trial: Trial<'a>,
     pub(super) estimator: &'a str,
-    pub(super) row: &'a Row,
+    pub(super) row: &'a ResultRow,
 }
 
 impl Results {
     /// All rows in the order of the study's experiments.
-    pub(super) fn placed<'a>(&'a self, definition: &'a Definition) -> impl Iterator<Item = Placed<'a>> {
+    pub(super) fn placed<'a>(&'a self, definition: &'a Definition) -> impl Iterator<Item = PlacedRow<'a>> {
         let done = trials(definition).filter_map(|trial| Some((trial, self.done.get(&trial.number)?)));
         done.flat_map(|(trial, results)| {
             let names = definition.study.estimators_of(trial.figure, trial.series);
-            names.iter().zip(&results.rows).map(move |(estimator, row)| Placed { trial, estimator, row })
+            names.iter().zip(&results.rows).map(move |(estimator, row)| PlacedRow { trial, estimator, row })
         })
     }
 }

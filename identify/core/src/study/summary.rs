@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 
 use serde::Serialize;
 
-use super::results::Placed;
-use super::{Choice, Definition, Figure, Kind, Measure, Results, Row, Statement};
+use super::results::PlacedRow;
+use super::{CurveChoice, Definition, Figure, FigureKind, Measure, ResultRow, Results, Statement};
 use crate::statistics::quantile;
 
 /// A parameter with a larger median error counts as affected (thesis 3.3) \[mm|mrad\].
@@ -16,7 +16,7 @@ const LARGEST: usize = 5;
 
 /// Quantiles of the errors of all experiments of one point.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Spread {
+pub struct ErrorQuantiles {
     /// Median of the errors.
     pub median: f64,
     /// Lower quartile of the errors.
@@ -27,7 +27,7 @@ pub struct Spread {
     pub worst: f64,
 }
 
-impl Spread {
+impl ErrorQuantiles {
     fn of(mut values: Vec<f64>) -> Self {
         let [median, lower_quartile, upper_quartile, worst] =
             [0.5, 0.25, 0.75, 1.0].map(|part| quantile(&mut values, part));
@@ -45,12 +45,12 @@ pub struct CurvePoint {
     /// Number of experiments without an estimate.
     pub failed: usize,
     /// Quantiles of the other errors by measure; empty if half or more failed.
-    pub errors: BTreeMap<Measure, Spread>,
+    pub errors: BTreeMap<Measure, ErrorQuantiles>,
 }
 
 /// Errors of one estimator in one series.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Curve {
+pub struct ErrorCurve {
     /// The figure's number.
     pub figure: String,
     /// The series' name.
@@ -81,7 +81,7 @@ pub enum Reach {
 
 /// The answer to a [`Statement`].
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Finding {
+pub struct StatementAnswer {
     /// Text of the question or claim.
     pub text: String,
     /// Result as a sentence.
@@ -107,43 +107,43 @@ pub struct FigureTable {
 
 /// Curves, tables and answers.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Summary {
+pub struct StudySummary {
     /// The study's name.
     pub title: String,
     /// Number of experiments of each point.
     pub seeds: u32,
     /// Every curve, in the order of the study's file.
-    pub curves: Vec<Curve>,
+    pub curves: Vec<ErrorCurve>,
     /// Tables of figures that are presented as tables.
     pub tables: Vec<FigureTable>,
     /// Answers, in the order of the study's file.
-    pub findings: Vec<Finding>,
+    pub findings: Vec<StatementAnswer>,
     /// Reasons for missing estimates, with their numbers of experiments.
     pub failures: BTreeMap<String, usize>,
 }
 
-impl Summary {
+impl StudySummary {
     /// Summarises the results of all experiments.
     pub fn new(definition: &Definition, results: &Results) -> Self {
         let study = &definition.study;
-        let placed: Vec<Placed<'_>> = results.placed(definition).collect();
+        let placed: Vec<PlacedRow<'_>> = results.placed(definition).collect();
         let mut failures = BTreeMap::new();
-        for Placed { estimator, row, .. } in &placed {
+        for PlacedRow { estimator, row, .. } in &placed {
             if let Some(reason) = &row.failed {
                 *failures.entry(format!("{estimator}: {reason}")).or_default() += 1;
             }
         }
         let (mut curves, mut tables) = (Vec::new(), Vec::new());
         for figure in &study.figures {
-            let of_figure: Vec<&Placed<'_>> =
+            let of_figure: Vec<&PlacedRow<'_>> =
                 placed.iter().filter(|placed| placed.trial.figure.id == figure.id).collect();
             curves.extend(curves_of(definition, figure, &of_figure));
             let table = match figure.kind {
-                Kind::Curves => continue,
-                Kind::Levels => levels_table(definition, figure, &of_figure),
-                Kind::Affected => affected_table(&of_figure),
-                Kind::Errors => errors_table(&of_figure),
-                Kind::Largest => largest_table(&of_figure),
+                FigureKind::Curves => continue,
+                FigureKind::Levels => levels_table(definition, figure, &of_figure),
+                FigureKind::Affected => affected_table(&of_figure),
+                FigureKind::Errors => errors_table(&of_figure),
+                FigureKind::Largest => largest_table(&of_figure),
             };
             tables.push(FigureTable { figure: figure.id.clone(), ..table });
         }
@@ -153,9 +153,9 @@ impl Summary {
     }
 }
 
-impl Curve {
+impl ErrorCurve {
     /// Size and median error of the points within the chosen range of sizes.
-    fn medians(&self, choice: &Choice) -> impl Iterator<Item = (f64, f64)> {
+    fn medians(&self, choice: &CurveChoice) -> impl Iterator<Item = (f64, f64)> {
         let between = choice.between.unwrap_or([f64::NEG_INFINITY, f64::INFINITY]);
         let points = self.points.iter().filter(move |point| between[0] <= point.x && point.x <= between[1]);
         points.filter_map(|point| Some((point.x, point.errors.get(&choice.measure)?.median)))
@@ -163,13 +163,13 @@ impl Curve {
 }
 
 /// A curve for each series and estimator of the figure.
-fn curves_of(definition: &Definition, figure: &Figure, of_figure: &[&Placed<'_>]) -> Vec<Curve> {
+fn curves_of(definition: &Definition, figure: &Figure, of_figure: &[&PlacedRow<'_>]) -> Vec<ErrorCurve> {
     let study = &definition.study;
     let mut curves = Vec::new();
     for series in &figure.series {
         for estimator in study.estimators_of(figure, series) {
             // By address: the names of series need not differ.
-            let of_curve: Vec<&&Placed<'_>> = of_figure
+            let of_curve: Vec<&&PlacedRow<'_>> = of_figure
                 .iter()
                 .filter(|placed| std::ptr::eq(placed.trial.series, series) && placed.estimator == estimator)
                 .collect();
@@ -177,7 +177,7 @@ fn curves_of(definition: &Definition, figure: &Figure, of_figure: &[&Placed<'_>]
             let median = |point: &CurvePoint| Some((point.x, point.errors.get(&Measure::Euclidean)?.median));
             let medians: Vec<(f64, f64)> = points.iter().filter_map(median).collect();
             let label = study.estimator(estimator).map_or_else(String::new, |found| found.label.clone());
-            curves.push(Curve {
+            curves.push(ErrorCurve {
                 figure: figure.id.clone(),
                 series: series.name.clone(),
                 estimator: estimator.clone(),
@@ -191,8 +191,8 @@ fn curves_of(definition: &Definition, figure: &Figure, of_figure: &[&Placed<'_>]
 }
 
 /// The results of one size.
-fn point(x: f64, of_curve: &[&&Placed<'_>]) -> CurvePoint {
-    let rows: Vec<&Row> =
+fn point(x: f64, of_curve: &[&&PlacedRow<'_>]) -> CurvePoint {
+    let rows: Vec<&ResultRow> =
         of_curve.iter().filter(|placed| placed.trial.x == x).map(|placed| placed.row).collect();
     let failed = rows.iter().filter(|row| row.failed.is_some()).count();
     let mut errors = BTreeMap::new();
@@ -200,7 +200,7 @@ fn point(x: f64, of_curve: &[&&Placed<'_>]) -> CurvePoint {
         for measure in Measure::ALL {
             let values: Vec<f64> = rows.iter().filter_map(|row| row.error(measure)).collect();
             if !values.is_empty() {
-                errors.insert(measure, Spread::of(values));
+                errors.insert(measure, ErrorQuantiles::of(values));
             }
         }
     }
@@ -227,7 +227,7 @@ fn reach(medians: &[(f64, f64)], limit: f64) -> Reach {
 }
 
 /// Answers a question, or checks a claim, by the curves; `limit` is that of the study \[mm|mrad\].
-fn finding(statement: &Statement, curves: &[Curve], limit: f64) -> Finding {
+fn finding(statement: &Statement, curves: &[ErrorCurve], limit: f64) -> StatementAnswer {
     let points = points_of(curves, &statement.of);
     let (value, answer) = match &statement.against {
         None if statement.reaches_limit => size_at_limit(&points, limit),
@@ -244,7 +244,7 @@ fn finding(statement: &Statement, curves: &[Curve], limit: f64) -> Finding {
     let is_within =
         |value: f64| at_least.is_none_or(|least| value >= least) && at_most.is_none_or(|most| value <= most);
     let is_claim = at_least.is_some() || at_most.is_some();
-    Finding {
+    StatementAnswer {
         text: statement.text.clone(),
         answer: answer.unwrap_or_else(|| "not found".into()),
         value,
@@ -263,13 +263,13 @@ struct Point<'a> {
 }
 
 /// The points that a statement selects.
-fn points_of<'a>(curves: &'a [Curve], choice: &Choice) -> Vec<Point<'a>> {
-    let is_chosen = |curve: &&Curve| {
+fn points_of<'a>(curves: &'a [ErrorCurve], choice: &CurveChoice) -> Vec<Point<'a>> {
+    let is_chosen = |curve: &&ErrorCurve| {
         curve.figure == choice.figure
             && curve.estimator == choice.estimator
             && choice.series.as_ref().is_none_or(|series| *series == curve.series)
     };
-    let points = |curve: &'a Curve| {
+    let points = |curve: &'a ErrorCurve| {
         curve.medians(choice).map(|(x, median)| Point { series: &curve.series, x, median })
     };
     curves.iter().filter(is_chosen).flat_map(points).collect()
@@ -288,7 +288,7 @@ fn size_at_limit(points: &[Point<'_>], limit: f64) -> (Option<f64>, Option<Strin
 
 /// Geometric mean of the ratios at equal sizes; for choices with different ranges of sizes the ratio of the geometric means. Points
 /// are compared within one series if both choices select the same series, else across series.
-fn ratio(points: &[Point<'_>], against: &[Point<'_>], choices: [&Choice; 2]) -> Option<f64> {
+fn ratio(points: &[Point<'_>], against: &[Point<'_>], choices: [&CurveChoice; 2]) -> Option<f64> {
     let [choice, against_choice] = choices;
     if choice.between != against_choice.between {
         return Some(mean_median(points)? / mean_median(against)?);
@@ -340,11 +340,11 @@ fn table(head: &[&str], rows: impl IntoIterator<Item = Vec<String>>) -> FigureTa
 }
 
 /// A row for each point of each curve: median and worst errors.
-fn levels_table(definition: &Definition, figure: &Figure, of_figure: &[&Placed<'_>]) -> FigureTable {
+fn levels_table(definition: &Definition, figure: &Figure, of_figure: &[&PlacedRow<'_>]) -> FigureTable {
     let rows = curves_of(definition, figure, of_figure).into_iter().flat_map(|curve| {
-        let Curve { series, label, points, .. } = curve;
+        let ErrorCurve { series, label, points, .. } = curve;
         points.into_iter().map(move |point| {
-            let cell = |measure, value: fn(&Spread) -> f64| {
+            let cell = |measure, value: fn(&ErrorQuantiles) -> f64| {
                 point.errors.get(&measure).map_or_else(|| "none".into(), |spread| short(value(spread)))
             };
             vec![
@@ -371,17 +371,17 @@ fn levels_table(definition: &Definition, figure: &Figure, of_figure: &[&Placed<'
 }
 
 /// A row for each series and estimator: the parameters whose median error exceeds [`AFFECTED_MM_MRAD`].
-fn affected_table(of_figure: &[&Placed<'_>]) -> FigureTable {
+fn affected_table(of_figure: &[&PlacedRow<'_>]) -> FigureTable {
     /// Errors by parameter; one value for each seed.
-    type Errors<'a> = BTreeMap<&'a str, Vec<f64>>;
+    type ErrorsByParameter<'a> = BTreeMap<&'a str, Vec<f64>>;
     // Series and estimators in order of appearance, with their errors.
     let mut keys: Vec<(&str, &str)> = Vec::new();
-    let mut errors_by_key: Vec<Errors<'_>> = Vec::new();
+    let mut errors_by_key: Vec<ErrorsByParameter<'_>> = Vec::new();
     for placed in of_figure {
         let key = (placed.trial.series.name.as_str(), placed.estimator);
         let index = keys.iter().position(|known| *known == key).unwrap_or_else(|| {
             keys.push(key);
-            errors_by_key.push(Errors::new());
+            errors_by_key.push(ErrorsByParameter::new());
             keys.len() - 1
         });
         for (name, error) in &placed.row.errors {
@@ -389,7 +389,7 @@ fn affected_table(of_figure: &[&Placed<'_>]) -> FigureTable {
         }
     }
     let rows = keys.into_iter().zip(errors_by_key).map(|((series, estimator), errors)| {
-        let medians = errors.into_iter().map(|(name, values)| (name, Spread::of(values).median));
+        let medians = errors.into_iter().map(|(name, values)| (name, ErrorQuantiles::of(values).median));
         let mut affected: Vec<(&str, f64)> = medians.filter(|(_, error)| *error > AFFECTED_MM_MRAD).collect();
         affected.sort_by(|(_, a), (_, b)| b.total_cmp(a));
         let names = affected.iter().map(|(name, error)| format!("{name} ({})", short(*error)));
@@ -405,8 +405,8 @@ fn affected_table(of_figure: &[&Placed<'_>]) -> FigureTable {
 }
 
 /// A row for each parameter, a column for each estimator: errors of the first experiment.
-fn errors_table(of_figure: &[&Placed<'_>]) -> FigureTable {
-    let experiment: Vec<&&Placed<'_>> = of_figure.iter().filter(|placed| placed.trial.seed == 1).collect();
+fn errors_table(of_figure: &[&PlacedRow<'_>]) -> FigureTable {
+    let experiment: Vec<&&PlacedRow<'_>> = of_figure.iter().filter(|placed| placed.trial.seed == 1).collect();
     let mut names: Vec<&String> = Vec::new();
     for name in experiment.iter().flat_map(|placed| placed.row.errors.keys()) {
         if !names.contains(&name) {
@@ -416,7 +416,7 @@ fn errors_table(of_figure: &[&Placed<'_>]) -> FigureTable {
     let head: Vec<&str> =
         ["parameter"].into_iter().chain(experiment.iter().map(|placed| placed.estimator)).collect();
     let row = |name: &&String| {
-        let cell = |placed: &&&Placed<'_>| {
+        let cell = |placed: &&&PlacedRow<'_>| {
             placed.row.errors.get(*name).map_or_else(|| "-".into(), |error| format!("{error:.4}"))
         };
         std::iter::once((*name).clone()).chain(experiment.iter().map(cell)).collect()
@@ -425,8 +425,8 @@ fn errors_table(of_figure: &[&Placed<'_>]) -> FigureTable {
 }
 
 /// A row for each experiment and estimator: the [`LARGEST`] errors with their parameters.
-fn largest_table(of_figure: &[&Placed<'_>]) -> FigureTable {
-    let row = |placed: &&Placed<'_>| {
+fn largest_table(of_figure: &[&PlacedRow<'_>]) -> FigureTable {
+    let row = |placed: &&PlacedRow<'_>| {
         let mut errors: Vec<(&String, f64)> =
             placed.row.errors.iter().map(|(name, error)| (name, error.abs())).collect();
         errors.sort_by(|(_, a), (_, b)| b.total_cmp(a));

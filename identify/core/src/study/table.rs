@@ -10,14 +10,14 @@ use parquet::file::properties::WriterProperties;
 use parquet::file::writer::SerializedFileWriter;
 use parquet::schema::parser::parse_message_type;
 
-use super::results::{Placed, refused};
-use super::{Definition, Results, ResultsError, Row, Trial};
+use super::results::{PlacedRow, refused};
+use super::{Definition, ResultRow, Results, ResultsError, Trial};
 
 /// Number of columns with texts, and with numbers.
 const TEXTS: usize = 4;
 const NUMBERS: usize = 5;
 
-impl Placed<'_> {
+impl PlacedRow<'_> {
     const WHOLE: [&'static str; 2] = ["trial", "seed"];
     const TEXT: [&'static str; TEXTS] = ["figure", "series", "estimator", "failed"];
     const NUMBER: [&'static str; NUMBERS] =
@@ -33,7 +33,7 @@ impl Placed<'_> {
     }
 
     fn numbers(&self) -> [Option<f64>; NUMBERS] {
-        let Row { euclidean_mm_mrad, largest_mm_mrad, position_mm, position_p95_mm, .. } = self.row;
+        let ResultRow { euclidean_mm_mrad, largest_mm_mrad, position_mm, position_p95_mm, .. } = self.row;
         [Some(self.trial.x), *euclidean_mm_mrad, *largest_mm_mrad, *position_mm, *position_p95_mm]
     }
 }
@@ -49,7 +49,7 @@ pub fn write_csv(
 ) -> Result<PathBuf, ResultsError> {
     let path = directory.join("points.csv");
     let mut writer = csv::Writer::from_path(&path)?;
-    writer.write_record(Placed::WHOLE.iter().chain(&Placed::TEXT).chain(&Placed::NUMBER))?;
+    writer.write_record(PlacedRow::WHOLE.iter().chain(&PlacedRow::TEXT).chain(&PlacedRow::NUMBER))?;
     for placed in results.placed(definition) {
         let wholes = placed.wholes().into_iter().map(|whole| whole.to_string());
         let texts = placed.texts().into_iter().map(str::to_owned);
@@ -71,10 +71,10 @@ pub fn write_parquet(
     results: &Results,
 ) -> Result<PathBuf, ResultsError> {
     let path = directory.join("points.parquet");
-    let rows: Vec<Placed<'_>> = results.placed(definition).collect();
-    let columns: String = (Placed::WHOLE.iter().map(|name| format!("required int64 {name};")))
-        .chain(Placed::TEXT.iter().map(|name| format!("required binary {name} (UTF8);")))
-        .chain(Placed::NUMBER.iter().map(|name| format!("optional double {name};")))
+    let rows: Vec<PlacedRow<'_>> = results.placed(definition).collect();
+    let columns: String = (PlacedRow::WHOLE.iter().map(|name| format!("required int64 {name};")))
+        .chain(PlacedRow::TEXT.iter().map(|name| format!("required binary {name} (UTF8);")))
+        .chain(PlacedRow::NUMBER.iter().map(|name| format!("optional double {name};")))
         .collect();
     let schema = Arc::new(parse_message_type(&format!("message study {{ {columns} }}"))?);
     let file = File::create(&path).map_err(refused(&path))?;
@@ -82,15 +82,15 @@ pub fn write_parquet(
     let mut group = writer.next_row_group()?;
     let mut index = 0;
     while let Some(mut column) = group.next_column()? {
-        if index < Placed::WHOLE.len() {
+        if index < PlacedRow::WHOLE.len() {
             let values: Vec<i64> = rows.iter().map(|row| row.wholes()[index]).collect();
             column.typed::<Int64Type>().write_batch(&values, None, None)?;
-        } else if index < Placed::WHOLE.len() + TEXTS {
-            let text = index - Placed::WHOLE.len();
+        } else if index < PlacedRow::WHOLE.len() + TEXTS {
+            let text = index - PlacedRow::WHOLE.len();
             let values: Vec<ByteArray> = rows.iter().map(|row| ByteArray::from(row.texts()[text])).collect();
             column.typed::<ByteArrayType>().write_batch(&values, None, None)?;
         } else {
-            let number = index - Placed::WHOLE.len() - TEXTS;
+            let number = index - PlacedRow::WHOLE.len() - TEXTS;
             let values: Vec<Option<f64>> = rows.iter().map(|row| row.numbers()[number]).collect();
             // Parquet's definition level of an optional value: 1 if it is present.
             let levels: Vec<i16> = values.iter().map(|value| i16::from(value.is_some())).collect();

@@ -7,7 +7,10 @@ use std::sync::Arc;
 use nalgebra::Vector3;
 use shared::time::UtcNs;
 
-use super::{Conditions, Definition, Estimator, Figure, Kind, Row, Series, StudyInstrument, TrialRows};
+use super::{
+    Conditions, Definition, Estimator, Figure, FigureKind, FigureSeries, ResultRow, StudyInstrument,
+    TrialRows,
+};
 use crate::calibrate::{BarRun, DataSets, IdentifyConfig, calibrate};
 use crate::instrument::Wire;
 use crate::logs::Stream;
@@ -27,7 +30,7 @@ pub struct Trial<'a> {
     /// Figure that contains the experiment.
     pub figure: &'a Figure,
     /// Series that contains the experiment.
-    pub series: &'a Series,
+    pub series: &'a FigureSeries,
     /// Size of the varied conditions.
     pub x: f64,
     /// Seed of path and noise, from 1.
@@ -50,12 +53,12 @@ pub fn trials(definition: &Definition) -> impl Iterator<Item = Trial<'_>> {
 pub fn run(definition: &Definition, trial: &Trial<'_>) -> TrialRows {
     let names = definition.study.estimators_of(trial.figure, trial.series);
     let rows = solve_all(definition, trial, names);
-    let rows = rows.unwrap_or_else(|reason| vec![Row::failed(reason); names.len()]);
+    let rows = rows.unwrap_or_else(|reason| vec![ResultRow::failed(reason); names.len()]);
     TrialRows { trial: trial.number, rows }
 }
 
 /// A row for each of the named estimators; an error if the experiment cannot be simulated.
-fn solve_all(definition: &Definition, trial: &Trial<'_>, names: &[String]) -> Result<Vec<Row>, String> {
+fn solve_all(definition: &Definition, trial: &Trial<'_>, names: &[String]) -> Result<Vec<ResultRow>, String> {
     let study = &definition.study;
     let conditions = Conditions::of(study, trial.series, trial.x).map_err(|error| error.to_string())?;
     let estimators = || names.iter().map(|name| study.estimator(name));
@@ -64,7 +67,7 @@ fn solve_all(definition: &Definition, trial: &Trial<'_>, names: &[String]) -> Re
     let is_simulated = estimators().flatten().any(is_of_bar);
     let simulated = is_simulated.then(|| simulate(definition, trial.seed, &conditions)).transpose();
     let simulated = simulated.map_err(|error| error.to_string())?;
-    let with_errors = trial.figure.kind != Kind::Curves;
+    let with_errors = trial.figure.kind != FigureKind::Curves;
     let solve = |estimator: Option<&Estimator>| {
         let row = match (estimator, &simulated) {
             (Some(Estimator { instrument: StudyInstrument::Wire, .. }), _) => {
@@ -75,13 +78,13 @@ fn solve_all(definition: &Definition, trial: &Trial<'_>, names: &[String]) -> Re
             }
             _ => Err("there is no such estimator".into()),
         };
-        row.unwrap_or_else(Row::failed)
+        row.unwrap_or_else(ResultRow::failed)
     };
     Ok(estimators().map(solve).collect())
 }
 
 /// Readings of robot and bar for each station of the bar, with the true values, which all stations share.
-struct Simulated {
+struct SimulatedStations {
     stations: Vec<Prepared>,
     truth: Truth,
 }
@@ -99,7 +102,11 @@ fn experiment<'a>(definition: &'a Definition, seed: u32, conditions: &Conditions
     }
 }
 
-fn simulate(definition: &Definition, seed: u32, conditions: &Conditions) -> Result<Simulated, SimulateError> {
+fn simulate(
+    definition: &Definition,
+    seed: u32,
+    conditions: &Conditions,
+) -> Result<SimulatedStations, SimulateError> {
     let mut stations = Vec::new();
     let mut truth = None;
     for station in 0..conditions.stations {
@@ -116,7 +123,7 @@ fn simulate(definition: &Definition, seed: u32, conditions: &Conditions) -> Resu
         stations.push(prepared(&pairs, conditions.measured, experiment.design.base_m)?);
         truth.get_or_insert(pairs.truth);
     }
-    Ok(Simulated { stations, truth: truth.ok_or(SimulateError::Empty)? })
+    Ok(SimulatedStations { stations, truth: truth.ok_or(SimulateError::Empty)? })
 }
 
 /// Pairs of angles as samples that need no preparation: robot and bar on one clock, encoder angles from the reference marks,
@@ -143,10 +150,10 @@ pub fn prepared(pairs: &Pairs, measured: [bool; 5], base_m: [f64; 3]) -> Result<
 /// The errors of a calibration with the bar, on simulated readings.
 fn solve_bar(
     definition: &Definition,
-    simulated: &Simulated,
+    simulated: &SimulatedStations,
     config: &IdentifyConfig,
     with_errors: bool,
-) -> Result<Row, String> {
+) -> Result<ResultRow, String> {
     let bar = &definition.bar;
     let bars = simulated.stations.iter().map(|prepared| BarRun { prepared: prepared.clone(), bar }).collect();
     let data = DataSets { bars, rows: Vec::new() };
@@ -155,7 +162,7 @@ fn solve_bar(
         .only(|id| Selection::Thesis.contains(id, definition.robot.axes()));
     let errors =
         compared.parameters.iter().map(|parameter| (parameter.id.to_string(), parameter.error_displayed()));
-    Ok(Row {
+    Ok(ResultRow {
         euclidean_mm_mrad: Some(compared.euclidean_mm_mrad()),
         largest_mm_mrad: Some(compared.max_mm_mrad()),
         errors: if with_errors { errors.collect() } else { BTreeMap::new() },
@@ -164,7 +171,7 @@ fn solve_bar(
 }
 
 /// The position errors of a calibration with a draw-wire, on rows simulated here.
-fn solve_wire(definition: &Definition, seed: u32, conditions: &Conditions) -> Result<Row, String> {
+fn solve_wire(definition: &Definition, seed: u32, conditions: &Conditions) -> Result<ResultRow, String> {
     let experiment = experiment(definition, seed, conditions);
     let (rows, truth) = wire_rows(&experiment, conditions.wire_rows, conditions.wire_noise_m)
         .map_err(|error| error.to_string())?;
@@ -182,7 +189,7 @@ fn position_errors(
     truth: &Truth,
     definition: &Definition,
     points_m: [Vector3<f64>; 2],
-) -> Row {
+) -> ResultRow {
     let (mean_m, p95_m) = position_errors_m(found, truth, &definition.robot, points_m);
-    Row { position_mm: Some(mean_m * 1e3), position_p95_mm: Some(p95_m * 1e3), ..Row::default() }
+    ResultRow { position_mm: Some(mean_m * 1e3), position_p95_mm: Some(p95_m * 1e3), ..ResultRow::default() }
 }

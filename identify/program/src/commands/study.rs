@@ -14,7 +14,7 @@ use shared::output::say;
 use super::on_terminal::OnTerminal;
 use crate::report::page::StudyPage;
 use crate::simulate::Effects;
-use crate::study::{self, Definition, Results, Shard, Summary, Trial, TrialRows, trials};
+use crate::study::{self, Definition, Results, Shard, StudySummary, Trial, TrialRows, trials};
 
 /// Number of progress lines in the log of a batch job.
 const LINES: usize = 20;
@@ -153,7 +153,7 @@ fn compute(
 fn conclude(out: &Path, definition: &Definition, results: &Results) -> anyhow::Result<()> {
     results.require(trials(definition).count())?;
     results.put_in_order()?;
-    let summary = Summary::new(definition, results);
+    let summary = StudySummary::new(definition, results);
     let mut files =
         vec![study::write_csv(out, definition, results)?, study::write_parquet(out, definition, results)?];
     files.extend(StudyPage { definition, summary: &summary }.write(out)?);

@@ -9,7 +9,10 @@ use plotters::style::RGBColor;
 use super::drawing::plot::{COLOURS, GREY, INK, Mark, Panel, PlotError, Series};
 use super::{PageError, document};
 use crate::report::result::file::{FileError, replace};
-use crate::study::{Curve, CurvePoint, Definition, Figure, Finding, Kind, Measure, Reach, Summary, short};
+use crate::study::{
+    CurvePoint, Definition, ErrorCurve, Figure, FigureKind, Measure, Reach, StatementAnswer, StudySummary,
+    short,
+};
 
 /// Width and height of a panel \[px\].
 const PANEL: (u32, u32) = (450, 330);
@@ -22,7 +25,7 @@ pub struct StudyPage<'a> {
     /// Robot, bar, path and conditions.
     pub definition: &'a Definition,
     /// Curves, tables and answers.
-    pub summary: &'a Summary,
+    pub summary: &'a StudySummary,
 }
 
 impl StudyPage<'_> {
@@ -42,7 +45,7 @@ impl StudyPage<'_> {
     /// [`PlotError`].
     pub fn render(&self) -> Result<Markup, PlotError> {
         let study = &self.definition.study;
-        let (claims, answers): (Vec<&Finding>, Vec<&Finding>) =
+        let (claims, answers): (Vec<&StatementAnswer>, Vec<&StatementAnswer>) =
             self.summary.findings.iter().partition(|finding| finding.holds.is_some());
         Ok(document(
             &study.title,
@@ -65,14 +68,16 @@ impl StudyPage<'_> {
         ))
     }
 
-    fn curves(&self, figure: &Figure) -> Vec<&Curve> {
+    fn curves(&self, figure: &Figure) -> Vec<&ErrorCurve> {
         self.summary.curves.iter().filter(|curve| curve.figure == figure.id).collect()
     }
 
     fn figure(&self, figure: &Figure) -> Result<Markup, PlotError> {
         let shown = match figure.kind {
-            Kind::Curves => self.drawn(figure)?,
-            Kind::Levels | Kind::Affected | Kind::Errors | Kind::Largest => self.tabled(figure),
+            FigureKind::Curves => self.drawn(figure)?,
+            FigureKind::Levels | FigureKind::Affected | FigureKind::Errors | FigureKind::Largest => {
+                self.tabled(figure)
+            }
         };
         Ok(html! {
             h2 id=(figure.id) { (figure.id) ": " (figure.title) }
@@ -169,7 +174,7 @@ impl StudyPage<'_> {
 }
 
 /// Answers to questions, or claims of the thesis with what was found.
-fn findings(title: &str, [asked, found]: [&str; 2], findings: &[&Finding]) -> Markup {
+fn findings(title: &str, [asked, found]: [&str; 2], findings: &[&StatementAnswer]) -> Markup {
     html! {
         @if let Some(first) = findings.first() {
             h2 { (title) }
@@ -192,7 +197,7 @@ fn findings(title: &str, [asked, found]: [&str; 2], findings: &[&Finding]) -> Ma
 }
 
 /// Median errors, a row for each curve, and the value of the condition at which they reach the limit.
-fn value_table(figure: &Figure, curves: &[&Curve], limit: f64) -> Markup {
+fn value_table(figure: &Figure, curves: &[&ErrorCurve], limit: f64) -> Markup {
     html! { div.wide { table {
         thead { tr {
             th.text { (figure.x) }
@@ -207,12 +212,12 @@ fn value_table(figure: &Figure, curves: &[&Curve], limit: f64) -> Markup {
     } } }
 }
 
-fn row_name(curve: &Curve) -> String {
+fn row_name(curve: &ErrorCurve) -> String {
     if curve.series.is_empty() { curve.label.clone() } else { format!("{}, {}", curve.label, curve.series) }
 }
 
 /// The values of the condition at which any curve has a point, ascending.
-fn x_values(curves: &[&Curve]) -> Vec<f64> {
+fn x_values(curves: &[&ErrorCurve]) -> Vec<f64> {
     let mut all_x: Vec<f64> =
         curves.iter().flat_map(|curve| curve.points.iter().map(|point| point.x)).collect();
     all_x.sort_by(f64::total_cmp);
@@ -220,7 +225,7 @@ fn x_values(curves: &[&Curve]) -> Vec<f64> {
     all_x
 }
 
-fn cell(curve: &Curve, x: f64, measure: Measure) -> Markup {
+fn cell(curve: &ErrorCurve, x: f64, measure: Measure) -> Markup {
     let point = curve.points.iter().find(|point| point.x == x);
     let error = point.and_then(|point| Some(short(point.errors.get(&measure)?.median)));
     let failed = point.map_or(0, |point| point.failed);
@@ -237,7 +242,7 @@ fn reached(limit_at: Reach) -> String {
     }
 }
 
-fn medians(curve: &Curve, measure: Measure) -> Vec<(f64, f64)> {
+fn medians(curve: &ErrorCurve, measure: Measure) -> Vec<(f64, f64)> {
     let median = |point: &CurvePoint| Some((point.x, point.errors.get(&measure)?.median));
     let mut points: Vec<(f64, f64)> = curve.points.iter().filter_map(median).collect();
     points.sort_by(|a, b| a.0.total_cmp(&b.0));
