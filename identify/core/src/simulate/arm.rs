@@ -10,7 +10,7 @@ use rand_distr::StandardNormal;
 use shared::config::RobotConfig;
 
 use super::effects::{GEAR_PERIODS, Wave};
-use super::{Stream, random};
+use super::{RandomStream, random};
 use crate::kinematics::{Chain, DhLink, Joints, Trace, Tracer, flange_chain};
 use crate::model::DriveTrain;
 
@@ -64,7 +64,7 @@ pub(super) struct Arm {
 
 impl Arm {
     pub(super) fn new(robot: &RobotConfig, errors: ArmErrors, point_m: Vector3<f64>) -> Self {
-        let mut drawn = random(errors.robot_seed, Stream::StaticErrors);
+        let mut drawn = random(errors.robot_seed, RandomStream::StaticErrors);
         let sigma = errors.errors_mm_mrad * 1e-3;
         let mut chain = flange_chain(robot);
         for link in &mut chain.links {

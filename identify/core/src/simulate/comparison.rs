@@ -16,7 +16,7 @@ use crate::statistics::quantile;
 
 /// An identified parameter with its true value.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Compared {
+pub struct ComparedParameter {
     /// The parameter that is compared.
     pub id: ParameterId,
     /// True value, SI; angles within half a turn of the identified one.
@@ -25,7 +25,7 @@ pub struct Compared {
     pub identified: f64,
 }
 
-impl Compared {
+impl ComparedParameter {
     /// Identified minus true value in the unit of reports (mm, mrad).
     pub fn error_displayed(&self) -> f64 {
         (self.identified - self.truth) * self.id.unit().display_factor()
@@ -36,7 +36,7 @@ impl Compared {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Comparison {
     /// Identified geometry: robot, bar and base.
-    pub parameters: Vec<Compared>,
+    pub parameters: Vec<ComparedParameter>,
     /// Robot clock minus bar clock, identified minus true \[s\].
     pub clock_shift_error_s: f64,
     /// Rate of the robot's clock, identified minus true.
@@ -53,7 +53,7 @@ impl Comparison {
                 use ParameterId::{Bar, Base, BaseRotation, Robot};
                 matches!(parameter.id, Robot { .. } | Bar { .. } | Base { .. } | BaseRotation { .. })
             })
-            .map(|parameter| Compared {
+            .map(|parameter| ComparedParameter {
                 id: parameter.id,
                 truth: true_value(truth, parameter.id, parameter.value)
                     + carried_offset_m(calibration.model(), truth, parameter.id),

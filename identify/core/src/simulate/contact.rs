@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use nalgebra::{Point3, Vector3};
 use shared::config::RobotConfig;
 
-use super::WriteError;
+use super::SimulationWriteError;
 use super::arm::ArmErrors;
 use super::probing::{BALL_M, Probing, TRIES};
 use super::rows::{RowSimulationError, RowTruth, SimulatedRows, check_sizes, rows_csv};
@@ -152,12 +152,12 @@ fn place(
 /// is missing; returns their paths.
 ///
 /// # Errors
-/// [`WriteError`].
+/// [`SimulationWriteError`].
 pub fn write(
     directory: &Path,
     simulated: &SimulatedContacts,
     robot: &RobotConfig,
-) -> Result<[PathBuf; 4], WriteError> {
+) -> Result<[PathBuf; 4], SimulationWriteError> {
     let mapping =
         ContactMapping { csv: CsvLayout::default(), socket: "socket".into(), joints: joint_columns(robot) };
     let table = rows_csv("contact", (&mapping.joints, "socket"), &simulated.rows, |row| {

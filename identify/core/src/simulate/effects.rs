@@ -153,14 +153,14 @@ fn harmonics(amplitude_urad: f64, periods: &[f64], random: &mut ChaCha8Rng) -> V
 }
 
 /// Errors of the readings of some angles: harmonics and white noise.
-struct AngleErrors {
+struct ReadingErrors {
     /// Orders, each with one harmonic for every angle.
     harmonics: Vec<Vec<Wave>>,
     noise_rad: f64,
     random: ChaCha8Rng,
 }
 
-impl AngleErrors {
+impl ReadingErrors {
     /// Error and noise of each angle.
     fn errors_and_noise_rad(&mut self, angles_rad: &[f64]) -> Vec<(f64, f64)> {
         let error =
@@ -175,12 +175,12 @@ impl AngleErrors {
 }
 
 /// Readings of the bar's encoders.
-pub(super) struct BarReading {
-    angle_errors: AngleErrors,
+pub(super) struct BarEncoders {
+    angle_errors: ReadingErrors,
     step_rad: f64,
 }
 
-impl BarReading {
+impl BarEncoders {
     /// `random` draws the properties of the encoders and, unless another generator is given, their noise.
     pub fn new(effects: &Effects, mut random: ChaCha8Rng, noise: Option<ChaCha8Rng>) -> Self {
         let harmonics = vec![
@@ -188,7 +188,7 @@ impl BarReading {
             harmonics(effects.encoder_ellipticity_urad, &[2.0; 5], &mut random),
         ];
         let random = noise.unwrap_or(random);
-        let angle_errors = AngleErrors { harmonics, noise_rad: effects.encoder_noise_urad * 1e-6, random };
+        let angle_errors = ReadingErrors { harmonics, noise_rad: effects.encoder_noise_urad * 1e-6, random };
         Self { angle_errors, step_rad: effects.encoder_step_urad * 1e-6 }
     }
 
@@ -207,7 +207,7 @@ impl BarReading {
 
 /// Readings of the robot's log. Gear errors depend on the angle of their output; rods and bevel gears pass them on to joints.
 pub(super) struct RobotReading {
-    angle_errors: AngleErrors,
+    angle_errors: ReadingErrors,
     /// Angles are row vectors: `joints = gears * joints_from_gears`.
     joints_from_gears: DMatrix<f64>,
     gears_from_joints: DMatrix<f64>,
@@ -243,7 +243,7 @@ impl RobotReading {
             harmonics(CYCLOID_SECOND * effects.cycloid_urad, &cycloid_orders(2.0), &mut random),
         ];
         let random = noise.unwrap_or(random);
-        let angle_errors = AngleErrors { harmonics, noise_rad: effects.robot_noise_urad * 1e-6, random };
+        let angle_errors = ReadingErrors { harmonics, noise_rad: effects.robot_noise_urad * 1e-6, random };
         let play_rad = effects.backlash_urad * 1e-6;
         Self { angle_errors, joints_from_gears, gears_from_joints, play_rad, motors_rad: None }
     }

@@ -20,15 +20,15 @@ mod wire;
 mod write;
 
 pub use arm::ArmErrors;
-pub use comparison::{Compared, Comparison, position_errors_m, true_model};
+pub use comparison::{ComparedParameter, Comparison, position_errors_m, true_model};
 pub use effects::Effects;
-use effects::{BarReading, RobotReading};
-pub use motion::{BarLoad, BarPath, Motion, Pull};
+use effects::{BarEncoders, RobotReading};
+pub use motion::{BarLoad, BarPath, Motion, PathLoad};
 pub use pairs::{LEAD_ROWS, Pairs, pairs};
 pub use rows::{RowSimulationError, RowTruth, SimulatedRows};
 pub use truth::{ClockTruth, EncoderTruth, StaticErrors, THESIS_ERRORS, Truth, parameter_names};
 pub use wire::{ATTACHMENT_M, wire_rows};
-pub use write::{SimulationFiles, WriteError, write};
+pub use write::{SimulationFiles, SimulationWriteError, write};
 
 use std::collections::BTreeMap;
 
@@ -192,7 +192,7 @@ fn is_size(value: f64) -> bool {
 
 /// Independent random streams: an additional draw in one does not change the others.
 #[derive(Debug, Clone, Copy)]
-enum Stream {
+enum RandomStream {
     Path = 1,
     StaticErrors = 2,
     EncoderOffsets = 3,
@@ -203,7 +203,7 @@ enum Stream {
     Wire = 8,
 }
 
-fn random(seed: u64, stream: Stream) -> ChaCha8Rng {
+fn random(seed: u64, stream: RandomStream) -> ChaCha8Rng {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     random.set_stream(stream as u64);
     random
@@ -235,7 +235,8 @@ impl Experiment<'_> {
         let Self { robot, design, .. } = self;
         let [nominal_robot, nominal_bar] = self.nominal();
         let constraints = Constraints::new(&nominal_robot, &nominal_bar, &robot.joint_limits(), design);
-        let Route { path, robot_rad } = random_route(&constraints, &mut random(self.seed, Stream::Path))?;
+        let Route { path, robot_rad } =
+            random_route(&constraints, &mut random(self.seed, RandomStream::Path))?;
         Ok((path, robot_rad.first().copied().unwrap_or_default()))
     }
 
@@ -256,30 +257,30 @@ impl Experiment<'_> {
         let [nominal_robot, nominal_bar] = self.nominal();
         let mut truth = Truth::new(self, &nominal_robot, &nominal_bar);
         truth.parameters.extend(self.robot_reading().terms());
-        let mut load_random = random(self.seed, Stream::Load);
+        let mut load_random = random(self.seed, RandomStream::Load);
         let motion = Motion {
             path,
             robot: truth.robot_chain(&nominal_robot),
             bar: truth.bar_chain(&nominal_bar),
             start_rad,
             limits: self.robot.joint_limits(),
-            pull: Pull::new(self.load, &mut load_random),
+            pull: PathLoad::new(self.load, &mut load_random),
         };
         Ok((truth, motion, load_random))
     }
 
     fn robot_reading(&self) -> RobotReading {
-        let (phases, noise) = self.phases_and_noise(Stream::RobotEffects);
+        let (phases, noise) = self.phases_and_noise(RandomStream::RobotEffects);
         RobotReading::new(self.robot, &self.effects, phases, noise)
     }
 
-    fn bar_reading(&self) -> BarReading {
-        let (phases, noise) = self.phases_and_noise(Stream::EncoderEffects);
-        BarReading::new(&self.effects, phases, noise)
+    fn bar_reading(&self) -> BarEncoders {
+        let (phases, noise) = self.phases_and_noise(RandomStream::EncoderEffects);
+        BarEncoders::new(&self.effects, phases, noise)
     }
 
     /// Generator for the phases of robot or encoders, and another for the noise if that has its own seed.
-    fn phases_and_noise(&self, stream: Stream) -> (ChaCha8Rng, Option<ChaCha8Rng>) {
+    fn phases_and_noise(&self, stream: RandomStream) -> (ChaCha8Rng, Option<ChaCha8Rng>) {
         let robot_seed = self.robot_seed.unwrap_or(self.seed);
         (random(robot_seed, stream), (robot_seed != self.seed).then(|| random(self.seed, stream)))
     }

@@ -64,7 +64,7 @@ pub struct Motion<P = Path> {
     /// Limits of the robot's joints \[rad, m\].
     pub limits: Vec<[f64; 2]>,
     /// Force that changes the bar's length; `None` for a rigid bar.
-    pub pull: Option<Pull>,
+    pub pull: Option<PathLoad>,
 }
 
 impl<P: BarPath> Motion<P> {
@@ -128,12 +128,12 @@ const PERIOD_S: f64 = 7.3;
 
 /// The force on the bar over a path.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Pull {
+pub struct PathLoad {
     load: BarLoad,
     phases: [f64; 3],
 }
 
-impl Pull {
+impl PathLoad {
     pub(super) fn new(load: BarLoad, random: &mut ChaCha8Rng) -> Option<Self> {
         let phases = std::array::from_fn(|_| random.random_range(0.0..TAU));
         (load.force_n > 0.0).then_some(Self { load, phases })

@@ -8,7 +8,7 @@ use rand_distr::StandardNormal;
 use shared::config::RobotConfig;
 
 use super::arm::{Arm, ArmErrors};
-use super::{Stream, random};
+use super::{RandomStream, random};
 use crate::kinematics::{Joints, Pose};
 
 /// Centre of the ball in the flange frame \[m\].
@@ -37,10 +37,10 @@ pub(super) struct Probing {
 impl Probing {
     pub(super) fn new(robot: &RobotConfig, errors: ArmErrors, seed: u64) -> Self {
         let arm = Arm::new(robot, errors, BALL_M.into());
-        let mut pose_random = random(seed, Stream::Path);
+        let mut pose_random = random(seed, RandomStream::Path);
         let (places_m, reach_m) = arm.places(&mut pose_random);
         let turn = Rotation3::from_euler_angles(0.02, -0.01, pose_random.random_range(-0.5..0.5));
-        let noise = random(seed, Stream::RobotEffects);
+        let noise = random(seed, RandomStream::RobotEffects);
         Self { arm, reach_m, turn, random: pose_random, places_m, noise }
     }
 

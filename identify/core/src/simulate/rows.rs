@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use shared::config::{self, RobotConfig};
 
 use super::arm::{Arm, ArmErrors};
-use super::{WriteError, is_size};
+use super::{SimulationWriteError, is_size};
 use crate::kinematics::Chain;
 use crate::logs::{JointColumn, LogError, SIMULATED, TipRow};
 use crate::model::{Geometry, Model, ParameterId};
@@ -34,7 +34,7 @@ impl<T: Serialize> SimulatedRows<T> {
         [rows_file, mapping_file, table_file]: [&str; 3],
         rows: String,
         mapping: &impl Serialize,
-    ) -> Result<[PathBuf; 4], WriteError> {
+    ) -> Result<[PathBuf; 4], SimulationWriteError> {
         let files = [
             (rows_file, rows),
             (mapping_file, config::to_toml(mapping)?),

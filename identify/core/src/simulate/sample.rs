@@ -9,7 +9,7 @@ use shared::recording::schema::{CycleRecord, EncoderInfo, EncoderSample, MAX_ENC
 use shared::time::{DcNs, MonoNs};
 
 use super::truth::EncoderTruth;
-use super::{Experiment, Motion, SimulateError, Stream, random};
+use super::{Experiment, Motion, RandomStream, SimulateError, random};
 use crate::logs::{self, ForceClock, ForceKind, ForceLog, Origin, RobotLog};
 
 /// Time between two bus cycles \[ns\]: 100 Hz.
@@ -83,7 +83,7 @@ pub(super) fn recording(
     let cycles = (motion.path.duration_s * 1e9 / CYCLE_NS as f64).round() as i64 + 1;
     let angles: Vec<[f64; 5]> =
         (0..cycles).map(|k| reading.of(&motion.path.at((k * CYCLE_NS) as f64 * 1e-9))).collect();
-    let mut first_counts = random(experiment.seed, Stream::EncoderOffsets);
+    let mut first_counts = random(experiment.seed, RandomStream::EncoderOffsets);
     let truth: Vec<EncoderTruth> = encoders
         .iter()
         .map(|encoder| {

@@ -8,7 +8,7 @@ use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use shared::config::RobotConfig;
 
-use super::WriteError;
+use super::SimulationWriteError;
 use super::arm::ArmErrors;
 use super::probing::{BALL_M, Probing, TRIES_FEW};
 use super::rows::{RowSimulationError, RowTruth, SimulatedRows, check_sizes, rows_csv};
@@ -114,7 +114,7 @@ pub fn run(experiment: &TouchExperiment<'_>) -> Result<SimulatedTouches, RowSimu
     let mut probing = Probing::new(robot, errors, seed);
     let (block_mm, pose) = place(experiment, &mut probing)?;
     let table = block_table(block_mm);
-    let block = Block::new(pose, block_mm, &table, &mut probing);
+    let block = TouchBlock::new(pose, block_mm, &table, &mut probing);
     let row = |row: usize| -> Result<TipRow, RowSimulationError> {
         let part = row % FACES.len();
         // A probe triggers too late or too early, a gauge reads too much or too little.
@@ -172,7 +172,7 @@ fn place(experiment: &TouchExperiment<'_>, probing: &mut Probing) -> Result<(f64
 }
 
 /// The block with the errors of its faces, in the robot's base.
-struct Block {
+struct TouchBlock {
     pose: Pose,
     /// Half of its nominal edge \[m\].
     half_m: f64,
@@ -180,7 +180,7 @@ struct Block {
     faces: Vec<Face>,
 }
 
-impl Block {
+impl TouchBlock {
     fn new(pose: Pose, block_mm: f64, table: &FaceTable, probing: &mut Probing) -> Self {
         let half_m = 0.5e-3 * block_mm;
         let radius_m = 0.5e-3 * TIP_DIAMETER_MM;
@@ -213,12 +213,12 @@ impl Block {
 /// missing; returns their paths.
 ///
 /// # Errors
-/// [`WriteError`].
+/// [`SimulationWriteError`].
 pub fn write(
     directory: &Path,
     simulated: &SimulatedTouches,
     robot: &RobotConfig,
-) -> Result<[PathBuf; 4], WriteError> {
+) -> Result<[PathBuf; 4], SimulationWriteError> {
     // A touch probe has no readings.
     let with_readings = simulated.rows.iter().any(|row| row.reading_m != 0.0);
     let reading = ReadingColumn { column: "reading_mm".into(), unit: LengthUnit::Mm };

@@ -8,7 +8,7 @@ use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
 use shared::time::UtcNs;
 
-use super::{BarLoad, Design, Effects, Experiment, Stream, random};
+use super::{BarLoad, Design, Effects, Experiment, RandomStream, random};
 use crate::kinematics::{Chain, LinkParameter, Pose};
 use crate::model::thesis_fixed;
 
@@ -70,7 +70,7 @@ impl StaticErrors {
                 THESIS_ERRORS.iter().map(|&(name, error)| (name.to_owned(), error * 1e-3)).collect()
             }
             Self::Drawn { seed } => {
-                let mut random = random(seed, Stream::StaticErrors);
+                let mut random = random(seed, RandomStream::StaticErrors);
                 let fixed = thesis_fixed(axes).map(|id| id.to_string());
                 // `orx` and `ory`, the tilt of the base, are one of the `Effects`.
                 parameter_names(axes)

@@ -4,7 +4,7 @@ use nalgebra::{Point3, Vector3};
 use rand::Rng;
 use rand_distr::StandardNormal;
 
-use super::{Experiment, SimulateError, Stream, Truth, random};
+use super::{Experiment, RandomStream, SimulateError, Truth, random};
 use crate::kinematics::{Joints, flange_chain};
 use crate::logs::LengthRow;
 
@@ -31,8 +31,8 @@ pub fn wire_rows(
     let truth = Truth::new(experiment, &flange, &bar);
     let robot = truth.robot_chain(&flange);
     let limits = experiment.robot.joint_limits();
-    let mut postures = random(experiment.seed, Stream::Postures);
-    let mut noise = random(experiment.seed, Stream::Wire);
+    let mut postures = random(experiment.seed, RandomStream::Postures);
+    let mut noise = random(experiment.seed, RandomStream::Wire);
     let mut robot_reading = experiment.robot_reading();
     let row = |_| {
         let q_rad = Joints::random(&limits, &mut postures);

@@ -24,7 +24,7 @@ pub struct SimulationFiles {
 
 /// Why the files cannot be written.
 #[derive(Debug, thiserror::Error)]
-pub enum WriteError {
+pub enum SimulationWriteError {
     /// The recording cannot be written.
     #[error(transparent)]
     Recording(#[from] shared::recording::WriteError),
@@ -39,13 +39,13 @@ pub enum WriteError {
 /// Writes `recording.mcap`, `robot_log.csv` and `truth.toml` into `directory`, which is created if it is missing.
 ///
 /// # Errors
-/// [`WriteError`]; an existing recording is never overwritten.
+/// [`SimulationWriteError`]; an existing recording is never overwritten.
 pub fn write(
     directory: &Path,
     simulated: &Simulated,
     robot: &RobotConfig,
     bar: &BallBarConfig,
-) -> Result<SimulationFiles, WriteError> {
+) -> Result<SimulationFiles, SimulationWriteError> {
     const RECORDING: &str = "recording";
     let files = SimulationFiles {
         recording: directory.join(format!("{RECORDING}.mcap")),
