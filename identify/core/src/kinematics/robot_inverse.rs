@@ -16,7 +16,7 @@ const AXES: usize = 6;
 
 /// Parameters of the closed form: twists rounded to right angles, without offsets that the structure does not have. The angle of
 /// link n, joint variable + theta, is `tn` below.
-struct Arm {
+struct ClosedForm {
     /// Signs of the twists of links 1, 3, 4, 5, for an axis 3 in the direction of axis 2.
     signs: [f64; 4],
     /// Whether axis 3 is along axis 2 (1) or against it (-1, as in arms by FANUC), which reverses joint 3.
@@ -32,7 +32,7 @@ struct Arm {
     theta_rad: [f64; AXES],
 }
 
-impl Arm {
+impl ClosedForm {
     fn new(chain: &Chain) -> Result<Self, InverseError> {
         let &[l1, l2, l3, l4, l5, l6] = chain.links.as_slice() else {
             return Err(InverseError::Links { found: chain.links.len(), expected: AXES });
@@ -102,7 +102,7 @@ fn clamped(value: f64) -> Option<f64> {
 
 /// The closed form on the nominal structure: up to eight solutions, each joint within half a turn of `near`.
 fn closed_form(chain: &Chain, target: &Pose, near: &[f64; AXES]) -> Result<Vec<[f64; AXES]>, InverseError> {
-    let arm = Arm::new(chain)?;
+    let arm = ClosedForm::new(chain)?;
     let after_joint6 = chain.links.last().map_or_else(Pose::identity, |link| link.after_joint());
     let base_from_wrist =
         chain.root_from_base.inverse() * target * (after_joint6 * chain.last_from_end).inverse();

@@ -8,7 +8,7 @@ use std::cmp::Reverse;
 use shared::output::named;
 
 use super::import::ImportError;
-use super::urdf::{Joint, Urdf};
+use super::urdf::{Urdf, UrdfJoint};
 
 /// Names of a mechanical interface (ISO 9787) at any link, by decreasing priority.
 const FLANGES: [&str; 2] = ["tool0", "flange"];
@@ -26,7 +26,7 @@ pub(super) struct Ends<'a> {
     pub(super) base: String,
     pub(super) tip: String,
     /// Joints from base to tip.
-    pub(super) joints: Vec<&'a Joint>,
+    pub(super) joints: Vec<&'a UrdfJoint>,
     /// Links that are left out by default, and how to include them.
     pub(super) left_out: Vec<String>,
 }
@@ -76,13 +76,13 @@ impl<'a> Ends<'a> {
 /// A link with the axes that move it, and the first joint of a gripper if it belongs to one.
 struct End<'a> {
     link: &'a str,
-    axes: Vec<&'a Joint>,
-    gripper: Option<&'a Joint>,
+    axes: Vec<&'a UrdfJoint>,
+    gripper: Option<&'a UrdfJoint>,
 }
 
 impl<'a> End<'a> {
     /// `joints` lead to the link.
-    fn new(link: &'a str, joints: &[&'a Joint]) -> Self {
+    fn new(link: &'a str, joints: &[&'a UrdfJoint]) -> Self {
         let moving = joints.iter().copied().filter(|joint| joint.moves());
         let mut gripper = None;
         let axes = moving.take_while(|joint| {
@@ -120,7 +120,7 @@ fn find_tip(urdf: &Urdf, base: Option<&str>, left_out: &mut Vec<String>) -> Resu
     }
     let is_parent = |link: &str| urdf.joints.iter().any(|joint| joint.parent == link);
     let Some(arm) = ends.iter().max_by_key(|end| end.axes.len()) else {
-        if !urdf.joints.iter().any(Joint::moves) {
+        if !urdf.joints.iter().any(UrdfJoint::moves) {
             return Err(ImportError::Wrong("no joint moves in it".into()));
         }
         if urdf.links.is_empty() {
@@ -161,7 +161,7 @@ fn find_tip(urdf: &Urdf, base: Option<&str>, left_out: &mut Vec<String>) -> Resu
 }
 
 /// The link named as a robot's base, or else the fixed link that carries the first axis.
-fn find_base(urdf: &Urdf, root: &str, joints: &[&Joint], left_out: &mut Vec<String>) -> String {
+fn find_base(urdf: &Urdf, root: &str, joints: &[&UrdfJoint], left_out: &mut Vec<String>) -> String {
     let fixed_count = joints.iter().position(|joint| joint.moves()).unwrap_or(0);
     let children = joints[..fixed_count].iter().map(|joint| joint.child.as_str());
     let links: Vec<&str> = std::iter::once(root).chain(children).collect();
@@ -190,7 +190,7 @@ fn is_called(link: &str, name: &str) -> bool {
         .is_some_and(|prefix| prefix.chars().next_back().is_none_or(|last| !last.is_alphanumeric()))
 }
 
-fn is_of_gripper(joint: &Joint) -> bool {
+fn is_of_gripper(joint: &UrdfJoint) -> bool {
     let name = joint.name.to_lowercase();
     GRIPPERS.iter().any(|part| name.contains(part))
 }

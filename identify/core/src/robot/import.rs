@@ -10,7 +10,7 @@ use shared::config::{
 };
 
 use super::ends::Ends;
-use super::urdf::{DECIMALS_FINE, Joint, Urdf, angle_rad, decimals};
+use super::urdf::{DECIMALS_FINE, Urdf, UrdfJoint, angle_rad, decimals};
 use crate::kinematics::{AxisLine, Chain, DhLink, Pose};
 
 /// Why a URDF cannot be imported.
@@ -234,12 +234,12 @@ fn repeated<'a>(mut names: impl Iterator<Item = &'a String>) -> Option<&'a Strin
     names.find(|name| !seen.insert(*name))
 }
 
-fn problem(joint: &Joint, problem: impl Into<String>) -> ImportError {
+fn problem(joint: &UrdfJoint, problem: impl Into<String>) -> ImportError {
     ImportError::Joint { joint: joint.name.clone(), problem: problem.into() }
 }
 
 /// Kind of a joint's motion; `None` for a fixed joint.
-fn kind(joint: &Joint) -> Result<Option<JointKind>, ImportError> {
+fn kind(joint: &UrdfJoint) -> Result<Option<JointKind>, ImportError> {
     if let Some(other) = joint.value("mimic", "joint") {
         return Err(problem(
             joint,
@@ -256,7 +256,7 @@ fn kind(joint: &Joint) -> Result<Option<JointKind>, ImportError> {
 
 /// Pose of a joint in its parent link at zero, `T(xyz) Rz(yaw) Ry(pitch) Rx(roll)`. Angles with few decimals that are replaced by
 /// exact ones are added to `assumed`.
-fn origin(joint: &Joint, assumed: &mut Vec<String>) -> Result<Pose, ImportError> {
+fn origin(joint: &UrdfJoint, assumed: &mut Vec<String>) -> Result<Pose, ImportError> {
     let [xyz_m, rpy_rad] = joint.origin()?;
     let written = joint.value("origin", "rpy").unwrap_or_default().split_whitespace();
     for (written, rad) in written.zip(rpy_rad) {
@@ -274,7 +274,7 @@ fn origin(joint: &Joint, assumed: &mut Vec<String>) -> Result<Pose, ImportError>
 
 /// Lower and upper limit in the configuration's unit; `default` to either side if the file has none.
 fn limits(
-    joint: &Joint,
+    joint: &UrdfJoint,
     default: f64,
     unit: &str,
     read: fn(&str) -> Option<f64>,

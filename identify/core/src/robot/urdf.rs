@@ -12,12 +12,12 @@ use super::import::ImportError;
 pub(super) struct Urdf {
     pub(super) name: String,
     pub(super) links: Vec<String>,
-    pub(super) joints: Vec<Joint>,
+    pub(super) joints: Vec<UrdfJoint>,
 }
 
 /// A joint between two links.
 #[derive(Default)]
-pub(super) struct Joint {
+pub(super) struct UrdfJoint {
     pub(super) name: String,
     /// `revolute`, `fixed` and so on.
     pub(super) kind: String,
@@ -83,7 +83,7 @@ impl Urdf {
             (["robot"], "joint") => {
                 let attributes = attributes(tag)?;
                 let [name, kind] = ["name", "type"].map(|key| attribute(&attributes, key));
-                self.joints.push(Joint { name, kind, ..Joint::default() });
+                self.joints.push(UrdfJoint { name, kind, ..UrdfJoint::default() });
             }
             (["robot", "joint"], "parent" | "child" | "origin" | "axis" | "limit" | "mimic") => {
                 if let Some(joint) = self.joints.last_mut() {
@@ -96,8 +96,8 @@ impl Urdf {
     }
 
     /// The joints from the root of the tree to a link, root first.
-    pub(super) fn joints_to(&self, link: &str) -> Vec<&Joint> {
-        let (mut joints, mut link): (Vec<&Joint>, _) = (Vec::new(), link);
+    pub(super) fn joints_to(&self, link: &str) -> Vec<&UrdfJoint> {
+        let (mut joints, mut link): (Vec<&UrdfJoint>, _) = (Vec::new(), link);
         // Links in a circle have no root.
         while let Some(joint) =
             self.joints.iter().find(|joint| joint.child == link).filter(|_| joints.len() < self.joints.len())
@@ -110,7 +110,7 @@ impl Urdf {
     }
 }
 
-impl Joint {
+impl UrdfJoint {
     /// An attribute of a child element.
     pub(super) fn value(&self, element: &str, attribute: &str) -> Option<&str> {
         let (_, attributes) = self.elements.iter().find(|(name, _)| name == element)?;
