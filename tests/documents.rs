@@ -130,7 +130,8 @@ fn every_command_in_a_shell_block_of_a_document_is_one_that_the_programs_accept(
                 let program = words.first().and_then(|word| word.rsplit('/').next()).unwrap_or_default();
                 let accepted = match program {
                     "identify" => {
-                        identify::commands::Arguments::from_words(words.iter().map(OsString::from)).map(drop)
+                        identify::commands::IdentifyArguments::from_words(words.iter().map(OsString::from))
+                            .map(drop)
                     }
                     "ballbard" => ballbard::commands::Arguments::try_parse_from(&words).map(drop),
                     _ => continue,

@@ -3,7 +3,7 @@
 use std::io::{IsTerminal, Write};
 use std::process::ExitCode;
 
-use identify::commands::{self, Arguments};
+use identify::commands::{self, IdentifyArguments};
 use identify::report::summary::wrapped;
 use shared::output::explained;
 use tracing_subscriber::filter::{LevelFilter, Targets};
@@ -12,7 +12,7 @@ use tracing_subscriber::prelude::*;
 
 #[allow(clippy::print_stderr, reason = "the last word of a command-line program")]
 fn main() -> ExitCode {
-    let arguments = Arguments::from_words(std::env::args_os()).unwrap_or_else(|error| error.exit());
+    let arguments = IdentifyArguments::from_words(std::env::args_os()).unwrap_or_else(|error| error.exit());
     let wanted = std::env::var("RUST_LOG").ok().and_then(|text| text.parse::<Targets>().ok());
     let filter = wanted.unwrap_or_else(|| Targets::new().with_default(LevelFilter::INFO));
     let on_terminal = std::io::stderr().is_terminal();

@@ -8,7 +8,7 @@ use generate::page::{HEADINGS, arguments, commands, example, name, page};
 use super::check;
 
 type Ballbard = ballbard::commands::Arguments;
-type Identify = identify::commands::Arguments;
+type Identify = identify::commands::IdentifyArguments;
 
 #[test]
 fn the_page_on_commands_is_that_of_the_programs() {

@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use identify::commands::{self, Arguments, allow_commands, interrupt};
+use identify::commands::{self, IdentifyArguments, allow_commands, interrupt};
 use identify::kinematics::Pose;
 use identify::report::CalibratedRobot;
 use identify::report::result::file::{CalibrationFile, Input};
@@ -36,7 +36,7 @@ fn py_error(error: impl Into<Box<dyn std::error::Error>>) -> PyErr {
 #[pyfunction]
 fn run(py: Python<'_>, words: Vec<OsString>) -> PyResult<(String, String)> {
     let arguments =
-        Arguments::from_words(words).map_err(|error| Error::new_err(error.render().to_string()))?;
+        IdentifyArguments::from_words(words).map_err(|error| Error::new_err(error.render().to_string()))?;
     // Forget a Ctrl-C that ended an earlier command.
     allow_commands();
     let warnings = Lines::default();

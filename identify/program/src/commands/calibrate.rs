@@ -1,5 +1,5 @@
 //! `identify calibrate`. Each instrument has a subcommand with its own options, so that none can be accepted and ignored. All
-//! of them make an [`Experiment`] of their options, which [`driver::calibrate`] calibrates.
+//! of them make an [`ExperimentFile`] of their options, which [`driver::calibrate`] calibrates.
 
 mod bar;
 mod driver;
@@ -18,7 +18,7 @@ use crate::calibrate::IdentifyConfig;
 use crate::model::ParameterId;
 use crate::report::result::file::Input;
 use crate::solver::LossName;
-use experiment::Experiment;
+use experiment::ExperimentFile;
 use rows::{ContactArguments, RowFile, TouchArguments, TrackerArguments};
 
 const AFTER_HELP: &str = "Example: identify calibrate --recording runs/monday-1.mcap --robot-log monday-1.csv --robot irb2400_16 \
@@ -91,8 +91,8 @@ pub struct CommonArguments {
 
 impl CommonArguments {
     /// An experiment without data sets.
-    fn experiment(&self) -> anyhow::Result<Experiment> {
-        Ok(Experiment::new(&self.robot, self.identify_config()?))
+    fn experiment(&self) -> anyhow::Result<ExperimentFile> {
+        Ok(ExperimentFile::new(&self.robot, self.identify_config()?))
     }
 
     /// The configuration file, overridden by the options.
@@ -163,7 +163,7 @@ pub fn run(arguments: &CalibrateArguments) -> anyhow::Result<()> {
 
 impl RowArguments {
     /// Calibrates from the files that `add` adds to an experiment.
-    fn calibrate(&self, add: impl FnOnce(&mut Experiment)) -> anyhow::Result<()> {
+    fn calibrate(&self, add: impl FnOnce(&mut ExperimentFile)) -> anyhow::Result<()> {
         let mut experiment = self.common.experiment()?;
         add(&mut experiment);
         driver::calibrate(experiment, &self.common.result, None)

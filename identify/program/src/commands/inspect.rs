@@ -58,7 +58,7 @@ pub struct InspectArguments {
 }
 
 /// Content of the files that the options name.
-struct Settings {
+struct InspectSettings {
     robot: Option<RobotConfig>,
     log_options: LogOptions,
     bar: Option<BallBarConfig>,
@@ -137,7 +137,7 @@ pub fn run(arguments: &InspectArguments) -> anyhow::Result<()> {
         rows.check_joints(robot, path)?;
     }
     let log_mapping = arguments.log_mapping.as_deref().zip(robot.as_ref());
-    let settings = Settings {
+    let settings = InspectSettings {
         rows,
         log_options: LogOptions {
             format: arguments.log_format,
@@ -180,7 +180,7 @@ fn propose(path: &Path, robot: &RobotConfig, out: &Path) -> anyhow::Result<()> {
     Ok(say(out.display())?)
 }
 
-impl Settings {
+impl InspectSettings {
     /// What is in a file: a bag may have both the robot and the bar.
     fn inspected(&self, path: &Path) -> anyhow::Result<Vec<Inspection>> {
         if let (Some(mapping), Some(robot)) = (&self.rows, &self.robot) {

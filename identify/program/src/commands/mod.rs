@@ -1,4 +1,4 @@
-//! The command line: [`Arguments::from_words`] parses it, and [`run`] calls the module of the command. Each module reads files,
+//! The command line: [`IdentifyArguments::from_words`] parses it, and [`run`] calls the module of the command. Each module reads files,
 //! calls `identify-core`, and prints and writes the result with [`crate::report`].
 
 mod calibrate;
@@ -40,13 +40,13 @@ const AFTER_HELP: &str = "Example: identify calibrate --recording runs/monday-1.
 /// (touch), or any mix of them.
 #[derive(Debug, Parser)]
 #[command(name = "identify", version = version(), about, after_help = AFTER_HELP)]
-pub struct Arguments {
+pub struct IdentifyArguments {
     #[command(subcommand)]
-    command: Command,
+    command: IdentifyCommand,
 }
 
 #[derive(Debug, Subcommand)]
-enum Command {
+enum IdentifyCommand {
     /// Identify the robot's geometry from measurements: bar, tracker, wire, contact, touch.
     Calibrate(Box<calibrate::CalibrateArguments>),
     /// List what each cost can identify on a robot and a bar, before anything is measured.
@@ -77,7 +77,7 @@ enum Command {
     Generate(GenerateArguments),
 }
 
-impl Arguments {
+impl IdentifyArguments {
     /// Parses the words of a command line, the program's name first. Without a subcommand, `plan` plans a path, `simulate`
     /// simulates the ball-bar, and `calibrate` uses the ball-bar or, with `--experiment`, the instruments of that file.
     ///
@@ -138,16 +138,16 @@ fn ensure_can_write(directory: &Path) -> anyhow::Result<()> {
 }
 
 /// Runs a command; an error's text is meant for the user.
-pub fn run(arguments: Arguments) -> anyhow::Result<()> {
+pub fn run(arguments: IdentifyArguments) -> anyhow::Result<()> {
     match arguments.command {
-        Command::Calibrate(arguments) => calibrate::run(&arguments),
-        Command::Examine(arguments) => examine::run(&arguments),
-        Command::Inspect(arguments) => inspect::run(&arguments),
-        Command::Compare(arguments) => compare::run(&arguments),
-        Command::Robot(arguments) => robot::run(&arguments),
-        Command::Plan(arguments) => plan::run(&arguments),
-        Command::Simulate(arguments) => simulate::run(&arguments),
-        Command::Study(arguments) => study::run(&arguments),
-        Command::Generate(arguments) => Ok(arguments.run(Arguments::command())?),
+        IdentifyCommand::Calibrate(arguments) => calibrate::run(&arguments),
+        IdentifyCommand::Examine(arguments) => examine::run(&arguments),
+        IdentifyCommand::Inspect(arguments) => inspect::run(&arguments),
+        IdentifyCommand::Compare(arguments) => compare::run(&arguments),
+        IdentifyCommand::Robot(arguments) => robot::run(&arguments),
+        IdentifyCommand::Plan(arguments) => plan::run(&arguments),
+        IdentifyCommand::Simulate(arguments) => simulate::run(&arguments),
+        IdentifyCommand::Study(arguments) => study::run(&arguments),
+        IdentifyCommand::Generate(arguments) => Ok(arguments.run(IdentifyArguments::command())?),
     }
 }

@@ -54,11 +54,11 @@ enum PlanCommand {
     #[command(
         after_help = "Example: identify plan check robot_path.csv --robot irb2400_16 --base 1.0,0.05,0.35"
     )]
-    Check(CheckArguments),
+    Check(CheckPathArguments),
 }
 
 #[derive(Debug, Args)]
-struct Cell {
+struct CellArguments {
     /// The robot's configuration, or the name of one in `identify robot list`, such as irb2400_16
     #[arg(long, help_heading = "Input", value_name = "FILE")]
     robot: PathBuf,
@@ -158,7 +158,7 @@ impl Around {
 #[derive(Debug, Args)]
 struct PathArguments {
     #[command(flatten)]
-    cell: Cell,
+    cell: CellArguments,
     /// Criterion of the best path
     #[arg(long, help_heading = "Planning", value_enum, default_value_t)]
     criterion: Criterion,
@@ -192,7 +192,7 @@ struct PathArguments {
 #[derive(Debug, Args)]
 struct PlaceArguments {
     #[command(flatten)]
-    cell: Cell,
+    cell: CellArguments,
     /// Criterion of the best path at a place
     #[arg(long, help_heading = "Planning", value_enum, default_value_t)]
     criterion: Criterion,
@@ -264,12 +264,12 @@ struct PosesArguments {
 }
 
 #[derive(Debug, Args)]
-struct CheckArguments {
+struct CheckPathArguments {
     /// The robot's joints on the path, of any kind that `calibrate` reads
     #[arg(value_name = "PATH")]
     path: PathBuf,
     #[command(flatten)]
-    cell: Cell,
+    cell: CellArguments,
     /// Mapping of the columns or joints of the path, such as config/robot_log.toml; default: `[log]` of the robot's configuration
     #[arg(long, help_heading = "Input", value_name = "FILE")]
     log_mapping: Option<PathBuf>,
@@ -288,7 +288,7 @@ struct Loaded {
     calibration: Option<CalibrationFile>,
 }
 
-impl Cell {
+impl CellArguments {
     fn load(&self, criterion: Criterion) -> anyhow::Result<Loaded> {
         let robot: RobotConfig = config::load(&self.robot)?;
         anyhow::ensure!(
@@ -559,7 +559,7 @@ fn write(path: &Path, text: &str) -> anyhow::Result<()> {
 }
 
 fn find_places(arguments: &PlaceArguments) -> anyhow::Result<()> {
-    let Cell { base, calibration, .. } = &arguments.cell;
+    let CellArguments { base, calibration, .. } = &arguments.cell;
     anyhow::ensure!(base.is_none(), "--base is the result of this command; leave it out");
     anyhow::ensure!(
         calibration.is_none(),
@@ -596,7 +596,7 @@ fn find_places(arguments: &PlaceArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn check_path(arguments: &CheckArguments) -> anyhow::Result<()> {
+fn check_path(arguments: &CheckPathArguments) -> anyhow::Result<()> {
     let loaded = arguments.cell.load(Criterion::default())?;
     let mapping =
         arguments.log_mapping.as_deref().map(|path| load_log_mapping(path, &loaded.robot)).transpose()?;

@@ -28,7 +28,7 @@ enum RobotCommand {
     List,
     /// Describe and draw a configuration: axes, conventions, limits, reach, and suspicious values.
     #[command(after_help = "Example: identify robot check arm.toml --picture arm.svg")]
-    Check(CheckArguments),
+    Check(CheckRobotArguments),
 }
 
 #[derive(Debug, Args)]
@@ -51,7 +51,7 @@ struct ImportArguments {
 }
 
 #[derive(Debug, Args)]
-struct CheckArguments {
+struct CheckRobotArguments {
     /// The robot's configuration, or the name of one in `identify robot list`, such as irb2400_16
     #[arg(value_name = "FILE")]
     robot: PathBuf,
@@ -127,7 +127,7 @@ fn run_list() -> anyhow::Result<()> {
     Ok(())
 }
 
-fn run_check(arguments: &CheckArguments) -> anyhow::Result<()> {
+fn run_check(arguments: &CheckRobotArguments) -> anyhow::Result<()> {
     let robot: RobotConfig = config::load(&arguments.robot)?;
     let checked = check(&robot);
     show(robot_check(&robot, &checked))?;

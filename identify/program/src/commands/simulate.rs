@@ -18,7 +18,7 @@ use crate::simulate::touch::{self, TouchExperiment};
 use crate::simulate::{self, BarLoad, Effects, Experiment, StaticErrors};
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
-enum Errors {
+enum RobotErrors {
     /// Table 3.1 of the thesis
     Thesis,
     /// Drawn by --robot-seed, 1 mm|mrad standard deviation
@@ -41,13 +41,13 @@ pub struct SimulateArguments {
 enum SimulateCommand {
     /// A recording of the ball-bar and the robot's own log
     #[command(after_help = "Example: identify simulate bar --robot irb2400_16 --errors drawn --out demo")]
-    Bar(Box<BarArguments>),
+    Bar(Box<SimulateBarArguments>),
     /// Poses at which a ball on the flange is seated in sockets
     #[command(after_help = "Example: identify simulate contact --robot irb120_3 --rows 200 --out seats")]
-    Contact(ContactArguments),
+    Contact(SimulateContactArguments),
     /// Poses at which a tip on the flange touches the faces of a block
     #[command(after_help = "Example: identify simulate touch --robot irb120_3 --block-mm 100 --out cube")]
-    Touch(TouchArguments),
+    Touch(SimulateTouchArguments),
 }
 
 /// Options that `contact` and `touch` share.
@@ -92,7 +92,7 @@ impl ArmArguments {
 }
 
 #[derive(Debug, Args)]
-struct ContactArguments {
+struct SimulateContactArguments {
     #[command(flatten)]
     arm: ArmArguments,
     /// Places of the sockets on their plate, such as config/sockets.toml; default: six on two levels, by the robot's size
@@ -110,7 +110,7 @@ struct ContactArguments {
 }
 
 #[derive(Debug, Args)]
-struct TouchArguments {
+struct SimulateTouchArguments {
     #[command(flatten)]
     arm: ArmArguments,
     /// Edge of the block [mm]; default: by the robot's size
@@ -131,7 +131,7 @@ struct TouchArguments {
 }
 
 #[derive(Debug, Args)]
-struct BarArguments {
+struct SimulateBarArguments {
     /// The robot's configuration, or the name of one in `identify robot list`, such as irb2400_16
     #[arg(long, help_heading = "Input", value_name = "FILE")]
     robot: PathBuf,
@@ -150,7 +150,7 @@ struct BarArguments {
     robot_seed: Option<u64>,
     /// Errors of robot and bar
     #[arg(long, help_heading = "Simulation", value_enum, default_value = "thesis")]
-    errors: Errors,
+    errors: RobotErrors,
     /// Centre of the bar's gimbal in the robot's base frame [m]; default: 1.0,0.05,0.35, or 1.7,0.05,0.6 if link 2 is longer
     /// than a metre
     #[arg(long, help_heading = "Simulation", value_name = "X,Y,Z", value_parser = numbers::<3>, allow_hyphen_values = true)]
@@ -227,7 +227,7 @@ struct BarArguments {
     force_noise_n: f64,
 }
 
-impl BarArguments {
+impl SimulateBarArguments {
     fn effects(&self) -> Effects {
         if self.exact {
             return Effects::NONE;
@@ -285,7 +285,7 @@ fn at_least_one(rows: usize) -> anyhow::Result<usize> {
 }
 
 fn simulate_contacts(
-    ContactArguments { arm, sockets, distances, rows, seating_um }: &ContactArguments,
+    SimulateContactArguments { arm, sockets, distances, rows, seating_um }: &SimulateContactArguments,
 ) -> anyhow::Result<()> {
     ensure_can_write(&arm.out)?;
     let robot: RobotConfig = config::load(&arm.robot)?;
@@ -303,7 +303,7 @@ fn simulate_contacts(
 }
 
 fn simulate_touches(
-    TouchArguments { arm, block_mm, unknown, rows, touch_um, gauge_mm }: &TouchArguments,
+    SimulateTouchArguments { arm, block_mm, unknown, rows, touch_um, gauge_mm }: &SimulateTouchArguments,
 ) -> anyhow::Result<()> {
     ensure_can_write(&arm.out)?;
     let robot: RobotConfig = config::load(&arm.robot)?;
@@ -321,7 +321,7 @@ fn simulate_touches(
     touch::write(&arm.out, &simulated, &robot)?.iter().try_for_each(|path| Ok(say(path.display())?))
 }
 
-fn simulate_bar(arguments: &BarArguments) -> anyhow::Result<()> {
+fn simulate_bar(arguments: &SimulateBarArguments) -> anyhow::Result<()> {
     ensure_can_write(&arguments.out)?;
     let robot: RobotConfig = config::load(&arguments.robot)?;
     let bar: BallBarConfig = config::load(&arguments.bar)?;
@@ -329,9 +329,9 @@ fn simulate_bar(arguments: &BarArguments) -> anyhow::Result<()> {
     experiment.seed = arguments.seed;
     experiment.robot_seed = arguments.robot_seed;
     experiment.errors = match arguments.errors {
-        Errors::Thesis => StaticErrors::Thesis,
-        Errors::Drawn => StaticErrors::Drawn { seed: arguments.robot_seed.unwrap_or(arguments.seed) },
-        Errors::None => StaticErrors::None,
+        RobotErrors::Thesis => StaticErrors::Thesis,
+        RobotErrors::Drawn => StaticErrors::Drawn { seed: arguments.robot_seed.unwrap_or(arguments.seed) },
+        RobotErrors::None => StaticErrors::None,
     };
     experiment.design.base_m = arguments.base.unwrap_or(experiment.design.base_m);
     in_metres("base", &experiment.design.base_m, REACH_M_MAX)?;

@@ -11,7 +11,7 @@ use shared::recording::schema::CycleRecord;
 
 use super::CommonArguments;
 use super::driver::calibrate;
-use super::experiment::{BarRun, Experiment};
+use super::experiment::{BarRunFiles, ExperimentFile};
 use crate::calibrate::{CalibrateError, RunInput};
 use crate::inspect::{self, curves};
 use crate::instrument::CostName;
@@ -75,7 +75,7 @@ pub struct BarArguments {
 }
 
 /// The options as an experiment.
-fn experiment(arguments: &BarArguments) -> anyhow::Result<Experiment> {
+fn experiment(arguments: &BarArguments) -> anyhow::Result<ExperimentFile> {
     let BarArguments { recording, robot_log, bar, force_log, .. } = arguments;
     let runs = recording.len();
     anyhow::ensure!(
@@ -97,7 +97,7 @@ fn experiment(arguments: &BarArguments) -> anyhow::Result<Experiment> {
     for (run, ((recording, robot_log), bar)) in
         recording.iter().zip(robot_log).zip(bar.iter().cycle()).enumerate()
     {
-        bars.push(BarRun {
+        bars.push(BarRunFiles {
             recording: recording.clone(),
             robot_log: robot_log.clone(),
             bar: bar.clone(),
@@ -109,7 +109,7 @@ fn experiment(arguments: &BarArguments) -> anyhow::Result<Experiment> {
     if let Some(encoders) = &arguments.encoders {
         common.identify.prepare.encoders.clone_from(encoders);
     }
-    Ok(Experiment {
+    Ok(ExperimentFile {
         recording_mapping: arguments.recording_mapping.clone(),
         log_format: arguments.log_format,
         log_mapping: arguments.log_mapping.clone(),
@@ -218,7 +218,7 @@ impl RunFiles<'_> {
 
 /// Reads the runs of an experiment.
 pub(super) fn runs<'a>(
-    experiment: &'a Experiment,
+    experiment: &'a ExperimentFile,
     robot: &RobotConfig,
     logs: &LogOptions,
 ) -> anyhow::Result<Vec<RunFiles<'a>>> {
@@ -226,7 +226,7 @@ pub(super) fn runs<'a>(
         experiment.recording_mapping.as_deref().map(config::load).transpose()?;
     let force_mapping: Option<ForceLogMapping> =
         experiment.force_mapping.as_deref().map(config::load).transpose()?;
-    let read_run = |run: &'a BarRun| {
+    let read_run = |run: &'a BarRunFiles| {
         let force = run.force_log.as_deref().map(|path| ForceLog::load(path, robot, force_mapping.as_ref()));
         let force = force.transpose()?;
         let bar: BallBarConfig = config::load(&run.bar)?;

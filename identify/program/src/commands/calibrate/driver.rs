@@ -8,7 +8,7 @@ use shared::config::{self, RobotConfig, Source};
 use shared::output::show;
 
 use super::bar::{self, RunFiles};
-use super::experiment::Experiment;
+use super::experiment::ExperimentFile;
 use super::refused::refused;
 use super::result::{conclude, limited, write_files};
 use super::rows::{self, Aligned, Beside, Others, WithLogs};
@@ -39,7 +39,7 @@ use crate::threads::both;
 /// # Errors
 /// What is wrong with the data or their files; refused data leave a page.
 pub(super) fn calibrate(
-    mut experiment: Experiment,
+    mut experiment: ExperimentFile,
     result: &ResultArguments,
     truth: Option<&Path>,
 ) -> anyhow::Result<()> {
@@ -111,7 +111,7 @@ pub(super) fn calibrate(
 
 /// Reads every file of rows, with what it contains beside its rows.
 fn rows_of(
-    experiment: &Experiment,
+    experiment: &ExperimentFile,
     robot: &RobotConfig,
     logs: &LogOptions,
     directory: &Path,
@@ -128,7 +128,7 @@ fn rows_of(
 
 /// Solves all data sets together, and validates on held-out data; a run of `bars` that is split at a change point becomes two.
 fn solved_and_validated(
-    experiment: &Experiment,
+    experiment: &ExperimentFile,
     robot: &RobotConfig,
     rows: &[Rows],
     bars: &mut Vec<RunFiles<'_>>,

@@ -1,4 +1,4 @@
-//! The [`Experiment`]: paths and settings of one calibration, with any mix of instruments on one robot. All subcommands
+//! The [`ExperimentFile`]: paths and settings of one calibration, with any mix of instruments on one robot. All subcommands
 //! of `identify calibrate` make one, and `--experiment FILE` reads it. It is written beside every result, so that one
 //! command repeats the calibration.
 
@@ -11,7 +11,7 @@ use shared::config::{self, Source, Validate, Violation};
 
 use super::ResultArguments;
 use super::driver::calibrate;
-use super::rows::{Kind, RowFile};
+use super::rows::{RowFile, RowInstrument};
 use crate::calibrate::IdentifyConfig;
 use crate::instrument::Rows;
 use crate::logs::LogFormat;
@@ -33,7 +33,7 @@ pub struct ExperimentArguments {
 /// A run with the ball-bar.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct BarRun {
+pub struct BarRunFiles {
     /// Recording of the bar.
     pub recording: PathBuf,
     /// The robot's own log.
@@ -47,7 +47,7 @@ pub struct BarRun {
 /// Everything that was measured on one robot, and how it is calibrated. Paths count from the file's directory.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Experiment {
+pub struct ExperimentFile {
     /// The robot's configuration.
     pub robot: PathBuf,
     /// Which column or joint of recordings of other programs is what.
@@ -66,7 +66,7 @@ pub struct Experiment {
     pub split_at_changes: bool,
     /// Runs with the ball-bar.
     #[serde(default, rename = "bar", skip_serializing_if = "Vec::is_empty")]
-    pub bars: Vec<BarRun>,
+    pub bars: Vec<BarRunFiles>,
     /// Files of laser trackers.
     #[serde(default, rename = "tracker", skip_serializing_if = "Vec::is_empty")]
     pub trackers: Vec<RowFile>,
@@ -87,7 +87,7 @@ pub struct Experiment {
     pub(super) read_from: Option<PathBuf>,
 }
 
-impl Validate for Experiment {
+impl Validate for ExperimentFile {
     fn validate(&self) -> Result<(), Violation> {
         let remedy = "write a [[bar]], [[tracker]], [[wire]], [[contact]] or [[touch]] block for each file";
         Violation::unless(self.data_sets() > 0, "bar", "nothing was measured", remedy)?;
@@ -118,23 +118,23 @@ impl Validate for Experiment {
 }
 
 /// Checks that the files beside a file of rows suit its instrument.
-fn check_row_file(kind: Kind, index: usize, file: &RowFile) -> Result<(), Violation> {
+fn check_row_file(kind: RowInstrument, index: usize, file: &RowFile) -> Result<(), Violation> {
     let key = kind.key();
     for (is_right, name, problem, remedy) in [
         (
-            file.sockets.is_some() == (kind == Kind::Contact),
+            file.sockets.is_some() == (kind == RowInstrument::Contact),
             "sockets",
             "a table of sockets goes with each [[contact]] block and with no other",
             "write sockets = \"sockets.toml\" there, and there alone",
         ),
         (
-            file.faces.is_none() || kind == Kind::Touch,
+            file.faces.is_none() || kind == RowInstrument::Touch,
             "faces",
             "a table of faces goes with a [[touch]] block",
             "leave it out",
         ),
         (
-            file.robot_log.is_none() || kind == Kind::Tracker,
+            file.robot_log.is_none() || kind == RowInstrument::Tracker,
             "robot_log",
             "it goes with a [[tracker]] block whose rows have times",
             "leave it out",
@@ -151,7 +151,7 @@ fn check_row_file(kind: Kind, index: usize, file: &RowFile) -> Result<(), Violat
     Ok(())
 }
 
-impl Experiment {
+impl ExperimentFile {
     pub(super) fn new(robot: &Path, identify: IdentifyConfig) -> Self {
         Self { robot: robot.to_owned(), identify, ..Self::default() }
     }
@@ -160,12 +160,12 @@ impl Experiment {
         self.bars.len() + self.rows().count()
     }
 
-    fn kinds(&self) -> [(Kind, &[RowFile]); 4] {
+    fn kinds(&self) -> [(RowInstrument, &[RowFile]); 4] {
         [
-            (Kind::Tracker, &self.trackers),
-            (Kind::Wire, &self.wires),
-            (Kind::Contact, &self.contacts),
-            (Kind::Touch, &self.touches),
+            (RowInstrument::Tracker, &self.trackers),
+            (RowInstrument::Wire, &self.wires),
+            (RowInstrument::Contact, &self.contacts),
+            (RowInstrument::Touch, &self.touches),
         ]
     }
 
@@ -175,7 +175,7 @@ impl Experiment {
     }
 
     /// All files of rows, in the order of their data sets.
-    pub(super) fn rows(&self) -> impl Iterator<Item = (Kind, &RowFile)> {
+    pub(super) fn rows(&self) -> impl Iterator<Item = (RowInstrument, &RowFile)> {
         self.kinds().into_iter().flat_map(|(kind, files)| files.iter().map(move |file| (kind, file)))
     }
 
@@ -197,10 +197,10 @@ impl Experiment {
         let Self { trackers, wires, contacts, touches, .. } = self;
         let mut files: Vec<(&str, &mut PathBuf)> = Vec::new();
         let kinds = [
-            (Kind::Tracker, trackers),
-            (Kind::Wire, wires),
-            (Kind::Contact, contacts),
-            (Kind::Touch, touches),
+            (RowInstrument::Tracker, trackers),
+            (RowInstrument::Wire, wires),
+            (RowInstrument::Contact, contacts),
+            (RowInstrument::Touch, touches),
         ];
         for (kind, all) in kinds {
             for rows in all {
@@ -331,7 +331,7 @@ fn relative(file: &Path, directory: &Path) -> Option<PathBuf> {
 }
 
 pub(super) fn run(arguments: &ExperimentArguments) -> anyhow::Result<()> {
-    let mut experiment = Experiment::load(&arguments.experiment)?;
+    let mut experiment = ExperimentFile::load(&arguments.experiment)?;
     experiment.identify.require_mm = arguments.result.require.or(experiment.identify.require_mm);
     calibrate(experiment, &arguments.result, None)
 }
@@ -347,7 +347,7 @@ mod tests {
             validate_mapping: Some("other.toml".into()),
             ..RowFile::default()
         };
-        let files = Experiment { trackers: vec![rows], ..Experiment::default() }.files();
+        let files = ExperimentFile { trackers: vec![rows], ..ExperimentFile::default() }.files();
         for (role, path) in
             [("validation", "other.csv"), ("validation", "third.csv"), ("validation mapping", "other.toml")]
         {

@@ -7,7 +7,7 @@ use shared::config::{self, RobotConfig};
 use shared::output::explained;
 
 use super::bar::RunFiles;
-use super::experiment::Experiment;
+use super::experiment::ExperimentFile;
 use super::inputs;
 use crate::calibrate::CalibrateError;
 use crate::calibrate::refusal::Refusal;
@@ -18,7 +18,7 @@ use crate::report::page::{RefusedPage, WrittenRefusal};
 pub(super) fn refused(
     directory: &Path,
     robot: &RobotConfig,
-    experiment: &Experiment,
+    experiment: &ExperimentFile,
     runs: &[RunFiles<'_>],
     error: CalibrateError,
 ) -> anyhow::Error {
@@ -54,7 +54,7 @@ pub(super) fn refused(
 fn write_page(
     directory: &Path,
     robot: &RobotConfig,
-    experiment: &Experiment,
+    experiment: &ExperimentFile,
     runs: &[RunFiles<'_>],
     refusal: &Refusal<'_>,
 ) -> anyhow::Result<WrittenRefusal> {

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use shared::config::{BallBarConfig, RobotConfig};
 use shared::output::{say, show};
 
-use super::experiment::Experiment;
+use super::experiment::ExperimentFile;
 use crate::calibrate::validation::deployment::Deployment;
 use crate::logs::RobotLogMapping;
 use crate::report::result::deployments::files;
@@ -21,7 +21,7 @@ pub(super) fn write_files(
     residuals: &str,
     robot: &RobotConfig,
     bar: Option<&BallBarConfig>,
-    experiment: &Experiment,
+    experiment: &ExperimentFile,
     log_mapping: Option<&RobotLogMapping>,
     directory: &Path,
 ) -> anyhow::Result<Vec<PathBuf>> {

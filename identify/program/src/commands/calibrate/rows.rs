@@ -123,14 +123,14 @@ impl TrackerArguments {
 
 /// The instruments whose measurements are rows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Kind {
+pub(super) enum RowInstrument {
     Tracker,
     Wire,
     Contact,
     Touch,
 }
 
-impl Kind {
+impl RowInstrument {
     /// The name of its blocks in an experiment's file.
     pub(super) const fn key(self) -> &'static str {
         match self {
@@ -200,7 +200,7 @@ pub(super) struct WithLogs<'a> {
 
 /// Reads the rows of a file by its mapping; `data_set` is its number in messages.
 pub(super) fn read(
-    kind: Kind,
+    kind: RowInstrument,
     options: &RowFile,
     data_set: usize,
     with: &WithLogs<'_>,
@@ -217,7 +217,7 @@ pub(super) fn read(
 
 /// Reads `file`, whose rows have joints, by the mapping in another file; `options` have the table of sockets or faces.
 fn rows_with_joints(
-    kind: Kind,
+    kind: RowInstrument,
     options: &RowFile,
     [file, mapping_file]: [&Path; 2],
     data_set: usize,
@@ -225,7 +225,7 @@ fn rows_with_joints(
 ) -> anyhow::Result<(Instrument, Beside)> {
     let lines = |rows: &[TipRow]| rows.iter().map(|row| row.line).collect();
     Ok(match kind {
-        Kind::Tracker => {
+        RowInstrument::Tracker => {
             let mapping: MeasuredPoseMapping = config::load(mapping_file)?;
             anyhow::ensure!(
                 mapping.time.is_none(),
@@ -241,7 +241,7 @@ fn rows_with_joints(
             let tracker = Tracker::new(&read.rows).with_scale_u_ppm(mapping.scale_u_ppm);
             (tracker.into(), Beside { lines, names, ..Beside::default() })
         }
-        Kind::Wire => {
+        RowInstrument::Wire => {
             let mapping: MeasuredLengthMapping = config::load(mapping_file)?;
             joints_of_robot(&mapping.joints, robot, mapping_file)?;
             let mut read = MeasuredLengths::load(file, &mapping)?;
@@ -251,7 +251,7 @@ fn rows_with_joints(
             let wire = Wire::new(&read.rows).with_scale_u_ppm(mapping.scale_u_ppm);
             (wire.into(), Beside { lines, names, ..Beside::default() })
         }
-        Kind::Contact => {
+        RowInstrument::Contact => {
             let sockets = options.sockets.as_deref().context("a table of sockets is missing")?;
             let table: SocketTable = config::load(sockets)?;
             let mapping: ContactMapping = config::load(mapping_file)?;
@@ -262,7 +262,7 @@ fn rows_with_joints(
                 Contact::new(&rows, &table).map_err(|error| CalibrateError::Rows { data_set, error })?;
             (contact.into(), Beside { lines: lines(&rows), ..Beside::default() })
         }
-        Kind::Touch => {
+        RowInstrument::Touch => {
             let table = options.faces.as_deref().map_or_else(|| Ok(FaceTable::default()), config::load)?;
             let mapping: TouchMapping = config::load(mapping_file)?;
             joints_of_robot(&mapping.joints, robot, mapping_file)?;
@@ -359,14 +359,14 @@ struct ValidationFile<'a> {
 impl<'a> Others<'a> {
     /// Read before the fit, so that a missing file is reported immediately.
     pub(super) fn read(
-        kind: Kind,
+        kind: RowInstrument,
         options: &'a RowFile,
         data_set: usize,
         seed: u64,
         robot: &RobotConfig,
     ) -> anyhow::Result<Self> {
         let mapping_file = options.validate_mapping.as_ref().unwrap_or(&options.mapping);
-        if kind == Kind::Tracker && !options.validate.is_empty() {
+        if kind == RowInstrument::Tracker && !options.validate.is_empty() {
             let mapping: MeasuredPoseMapping = config::load(mapping_file)?;
             anyhow::ensure!(
                 mapping.time.is_none(),
