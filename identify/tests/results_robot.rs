@@ -9,7 +9,7 @@ use identify::kinematics::{Chain, InverseError, Joints, Pose, robot_chain};
 use identify::logs::{JointConversion, RobotLogMapping};
 use identify::model::Model;
 use identify::report::result::corrections::{Correction, corrections, csv, log_corrections};
-use identify::report::result::file::{CalibrationFile, ParameterEntry, SolveEntry, Status};
+use identify::report::result::file::{CalibrationFile, ParameterEntry, ParameterStatus, SolveEntry};
 use identify::report::result::knowledge::CovarianceEntry;
 use identify::report::result::robot_files::urdf;
 use identify::report::{CalibratedRobot, CalibratedRobotError};
@@ -248,7 +248,7 @@ fn file_with_terms(robot: &RobotConfig) -> CalibrationFile {
         value,
         correction: value,
         sigma: None,
-        status: Status::Identified,
+        status: ParameterStatus::Identified,
     }));
     file
 }

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use identify::report::Consistency;
-use identify::report::result::file::{CalibrationFile, ParameterEntry, SolveEntry, Status};
+use identify::report::result::file::{CalibrationFile, ParameterEntry, ParameterStatus, SolveEntry};
 use identify::report::side_by_side;
 
 use super::explained;
@@ -59,7 +59,7 @@ pub fn files() -> Vec<Vec<u8>> {
         value: nominal + correction,
         correction,
         sigma: (correction != 0.0).then_some(1e-5),
-        status: if correction == 0.0 { Status::Fixed } else { Status::Identified },
+        status: if correction == 0.0 { ParameterStatus::Fixed } else { ParameterStatus::Identified },
     };
     let parameters = [
         ("ra1", "m", 0.1, 2e-4),

@@ -10,7 +10,7 @@ use std::time::Duration;
 use identify::commands::{self, IdentifyArguments, allow_commands, interrupt};
 use identify::kinematics::Pose;
 use identify::report::CalibratedRobot;
-use identify::report::result::file::{CalibrationFile, Input};
+use identify::report::result::file::{CalibrationFile, InputFile};
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use pyo3::create_exception;
 use pyo3::exceptions::PyValueError;
@@ -39,7 +39,7 @@ fn run(py: Python<'_>, words: Vec<OsString>) -> PyResult<(String, String)> {
         IdentifyArguments::from_words(words).map_err(|error| Error::new_err(error.render().to_string()))?;
     // Forget a Ctrl-C that ended an earlier command.
     allow_commands();
-    let warnings = Lines::default();
+    let warnings = LogLines::default();
     let writer = warnings.clone();
     let subscriber = tracing_subscriber::fmt()
         .with_max_level(tracing::Level::WARN)
@@ -72,15 +72,15 @@ fn run(py: Python<'_>, words: Vec<OsString>) -> PyResult<(String, String)> {
 
 /// Collects log lines.
 #[derive(Clone, Default)]
-struct Lines(Arc<Mutex<Vec<u8>>>);
+struct LogLines(Arc<Mutex<Vec<u8>>>);
 
-impl Lines {
+impl LogLines {
     fn text(&self) -> String {
         String::from_utf8_lossy(&self.0.lock().unwrap_or_else(PoisonError::into_inner)).into_owned()
     }
 }
 
-impl io::Write for Lines {
+impl io::Write for LogLines {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).write(bytes)
     }
@@ -238,7 +238,7 @@ fn read_recording(py: Python<'_>, path: PathBuf) -> PyResult<RecordingTables> {
 /// SHA-256 of a file, or of a configuration that is built in under this name, hexadecimal.
 #[pyfunction]
 fn checksum(path: PathBuf) -> PyResult<String> {
-    let read = Input::of("", &path).map_err(|error| py_error(format!("{}: {error}", path.display())))?;
+    let read = InputFile::of("", &path).map_err(|error| py_error(format!("{}: {error}", path.display())))?;
     Ok(read.sha256)
 }
 

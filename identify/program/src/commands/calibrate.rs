@@ -16,7 +16,7 @@ use shared::config;
 
 use crate::calibrate::IdentifyConfig;
 use crate::model::ParameterId;
-use crate::report::result::file::Input;
+use crate::report::result::file::InputFile;
 use crate::solver::LossName;
 use experiment::ExperimentFile;
 use rows::{ContactArguments, RowFile, TouchArguments, TrackerArguments};
@@ -171,9 +171,9 @@ impl RowArguments {
 }
 
 /// The files of a calibration with their checksums.
-fn inputs(files: &[(&str, PathBuf)]) -> anyhow::Result<Vec<Input>> {
+fn inputs(files: &[(&str, PathBuf)]) -> anyhow::Result<Vec<InputFile>> {
     let input = |(role, path): &(&str, PathBuf)| {
-        Input::of(role, path).with_context(|| format!("cannot read {}", path.display()))
+        InputFile::of(role, path).with_context(|| format!("cannot read {}", path.display()))
     };
     files.iter().map(input).collect()
 }

@@ -6,7 +6,7 @@
 
 mod poses;
 
-pub use poses::{PoseError, Poses};
+pub use poses::{Poses, TooFewPoses};
 
 use shared::config::{BallBarConfig, RobotConfig};
 
@@ -30,7 +30,7 @@ const NOISE: AngleNoise = AngleNoise { encoder_rad: 1e-5, robot_rad: 1e-5 };
 pub enum ExamineError {
     /// Too few poses were found.
     #[error(transparent)]
-    Poses(#[from] PoseError),
+    Poses(#[from] TooFewPoses),
     /// The model lacks a parameter.
     #[error(transparent)]
     Model(#[from] ModelError),

@@ -17,7 +17,7 @@ const TRIES_PER_POSE: usize = 2000;
     "only {found} of {wanted} random poses of the bar at {base_m:?} m are in the robot's reach and away from singular \
      ones; choose another place or length of the bar"
 )]
-pub struct PoseError {
+pub struct TooFewPoses {
     /// Number of poses found.
     pub found: usize,
     /// Number of poses needed.
@@ -39,7 +39,7 @@ impl Poses {
     /// Poses spread over all joints of the bar, within the robot's limits \[rad\] and the margins of the design.
     ///
     /// # Errors
-    /// [`PoseError`].
+    /// [`TooFewPoses`].
     pub fn spread(
         robot: &Chain,
         bar: &Chain,
@@ -47,7 +47,7 @@ impl Poses {
         design: &Design,
         count: usize,
         seed: u64,
-    ) -> Result<Self, PoseError> {
+    ) -> Result<Self, TooFewPoses> {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let limits_with_margin = design.limits_with_margin(robot, limits);
         let mut poses = Self { observations: Vec::with_capacity(count), joints: PerObservation(Vec::new()) };
@@ -70,7 +70,7 @@ impl Poses {
         }
         let found = poses.observations.len();
         if found < count || count == 0 {
-            return Err(PoseError { found, wanted: count, base_m: design.base_m });
+            return Err(TooFewPoses { found, wanted: count, base_m: design.base_m });
         }
         Ok(poses)
     }

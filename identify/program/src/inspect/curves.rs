@@ -16,7 +16,7 @@ const HOLE_STEPS: f64 = 10.0;
 
 /// One joint over time.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Curve {
+pub struct JointTrace {
     /// Such as `b1` or `q1`.
     pub name: String,
     /// Unit of its values, `deg` or `mm`.
@@ -27,14 +27,14 @@ pub struct Curve {
 
 /// The recorded encoders, by their counters alone: each part between two changes of the origin begins near zero. Nothing
 /// where the cycles cannot be used at all; time counts from the first valid cycle.
-pub fn of_bar(cycles: &[CycleRecord], encoders: &[EncoderInfo]) -> Vec<Curve> {
+pub fn of_bar(cycles: &[CycleRecord], encoders: &[EncoderInfo]) -> Vec<JointTrace> {
     let Ok(BarAngles { measured, readings, .. }) = bar_angles(cycles, encoders) else { return Vec::new() };
     let measured = (0..BAR_JOINTS).filter(|joint| measured[*joint]);
     curves('b', &readings, measured.map(|joint| (joint, JointKind::Revolute)))
 }
 
 /// The joints of a robot's log; time counts from its first stamp.
-pub fn of_robot(log: &RobotLog, robot: &RobotConfig) -> Vec<Curve> {
+pub fn of_robot(log: &RobotLog, robot: &RobotConfig) -> Vec<JointTrace> {
     curves('q', &log.q_rad, (0..log.axes()).zip(robot.joint_kinds()))
 }
 
@@ -43,7 +43,7 @@ fn curves<R: Row>(
     prefix: char,
     rows: &Stream<R>,
     joints: impl Iterator<Item = (usize, JointKind)>,
-) -> Vec<Curve> {
+) -> Vec<JointTrace> {
     let span_s = rows.duration_s();
     let column_s = (span_s / COLUMNS).max(f64::MIN_POSITIVE);
     let parts = rows.parts_within(column_s.max(HOLE_STEPS * span_s / rows.len().max(1) as f64));
@@ -53,7 +53,7 @@ fn curves<R: Row>(
             let points: Vec<(f64, f64)> = part.clone().map(point).collect();
             extremes_of_columns(&points, |(t_s, _)| (t_s / column_s) as i64, |(_, value)| *value)
         };
-        Curve {
+        JointTrace {
             name: format!("{prefix}{}", joint + 1),
             unit: kind.display_symbol(),
             parts: parts.iter().map(thinned).collect(),

@@ -17,11 +17,11 @@ use crate::logs::{
     ContactMapping, CsvLayout, JointColumn, LengthColumn, LogError, MeasuredLengthMapping,
     MeasuredPoseMapping, PositionColumns, RobotLogMapping, RowsAsText, own_columns,
 };
-use columns::{Column, TRACKERS, columns, label_column, triple};
+use columns::{TRACKERS, TableColumn, columns, label_column, triple};
 use joints::joints;
 use layout::layout;
 use times::time;
-use trial::Trial;
+use trial::ResidualTrial;
 
 /// Words by which a length is recognised.
 const LENGTHS: &str = "length cable wire rope distance laenge länge seil draw";
@@ -182,9 +182,9 @@ fn for_sheet(
         return Err(ProposeError::NoJoints { path: shown, joints: robot.axes(), found: found() });
     }
     let joints = joints.unwrap_or_default();
-    let is_joint = |column: &Column| joints.iter().any(|joint| joint.column == column.name);
-    let taken = |column: &Column| is_joint(column) || (is_own_log && log_columns.contains(&column.name));
-    let others: Vec<&Column> = columns.iter().filter(|column| !taken(column)).collect();
+    let is_joint = |column: &TableColumn| joints.iter().any(|joint| joint.column == column.name);
+    let taken = |column: &TableColumn| is_joint(column) || (is_own_log && log_columns.contains(&column.name));
+    let others: Vec<&TableColumn> = columns.iter().filter(|column| !taken(column)).collect();
     let mut notes = Notes::default();
     let time = time(&others, &mut notes);
     // Only a robot's log has a mapping with the time.
@@ -193,7 +193,7 @@ fn for_sheet(
     let position = triple(&others, &["x", "y", "z"]);
     let of_tracker = position.is_some_and(|xyz| xyz[0].has_word(TRACKERS));
     let socket = others.iter().find(|column| column.has_word(SOCKETS));
-    let trial = Trial { bytes, path, robot };
+    let trial = ResidualTrial { bytes, path, robot };
     // The most specific content decides: a log with times may also have the controller's own positions.
     let mapping = match (time, length, position, socket) {
         (_, _, _, Some(socket)) => contacts(csv, joints, socket, &mut notes),
@@ -225,7 +225,7 @@ fn for_sheet(
     Ok(Proposal { mapping, notes })
 }
 
-fn contacts(csv: CsvLayout, joints: Vec<JointColumn>, socket: &Column, notes: &mut Notes) -> Mapping {
+fn contacts(csv: CsvLayout, joints: Vec<JointColumn>, socket: &TableColumn, notes: &mut Notes) -> Mapping {
     let socket = socket.name.clone();
     notes.reason(format!(
         "column `{socket}` contains the socket in which the ball is seated: inferred from its name"
@@ -236,8 +236,8 @@ fn contacts(csv: CsvLayout, joints: Vec<JointColumn>, socket: &Column, notes: &m
 fn lengths(
     csv: CsvLayout,
     joints: Vec<JointColumn>,
-    length: &Column,
-    others: &[&Column],
+    length: &TableColumn,
+    others: &[&TableColumn],
     notes: &mut Notes,
 ) -> MeasuredLengthMapping {
     let (unit, why) = length.length_unit();
@@ -255,8 +255,8 @@ fn lengths(
 fn poses(
     csv: CsvLayout,
     joints: Vec<JointColumn>,
-    xyz: [&Column; 3],
-    others: &[&Column],
+    xyz: [&TableColumn; 3],
+    others: &[&TableColumn],
     notes: &mut Notes,
 ) -> MeasuredPoseMapping {
     let columns = xyz.map(|column| column.name.clone());

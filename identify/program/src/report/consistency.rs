@@ -7,7 +7,7 @@
 
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
-use super::result::file::{CalibrationFile, Status};
+use super::result::file::{CalibrationFile, ParameterStatus};
 use crate::evaluate::random_postures;
 use crate::kinematics::{Chain, Joints, nearest_turn};
 use crate::model::{ParameterId, Unit};
@@ -20,7 +20,7 @@ const SAME_NOMINAL: f64 = 1e-9;
 
 /// One parameter in several calibrations.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Compared {
+pub struct ParameterEstimates {
     /// Identifier of the compared parameter.
     pub id: ParameterId,
     /// Identified value and sigma in each calibration, SI; `None` if it was fixed there. Angles are within half a turn of the first.
@@ -37,7 +37,7 @@ pub struct Compared {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Consistency {
     /// The robot's parameters.
-    pub parameters: Vec<Compared>,
+    pub parameters: Vec<ParameterEstimates>,
     /// Parameters of the robot whose nominal value is not the same in all of them.
     pub other_nominals: Vec<String>,
     /// Smallest probability times the number of tests, at most one; `None` if no parameter was identified twice.
@@ -89,7 +89,7 @@ impl Consistency {
         let (mut ids, mut other_nominals): (Vec<ParameterId>, Vec<String>) = Default::default();
         for entry in files.iter().flat_map(|file| &file.parameters) {
             let Ok(id @ ParameterId::Robot { .. }) = entry.name.parse() else { continue };
-            if entry.status != Status::Fixed && !ids.contains(&id) {
+            if entry.status != ParameterStatus::Fixed && !ids.contains(&id) {
                 ids.push(id);
             }
             let first = first.parameters.iter().find(|first| first.name == entry.name);
@@ -98,7 +98,7 @@ impl Consistency {
                 other_nominals.push(entry.name.clone());
             }
         }
-        let parameters: Vec<Compared> = ids.into_iter().map(|id| compared(id, files)).collect();
+        let parameters: Vec<ParameterEstimates> = ids.into_iter().map(|id| compared(id, files)).collect();
         let tested: Vec<f64> = parameters.iter().filter_map(|one| one.p).collect();
         let p_corrected =
             tested.iter().copied().min_by(f64::total_cmp).map(|p| (p * tested.len() as f64).min(1.0));
@@ -131,11 +131,11 @@ fn ends_apart(one: &CalibrationFile, other: &CalibrationFile) -> Option<Sizes> {
     Some(Sizes::of(apart))
 }
 
-fn compared(id: ParameterId, files: &[CalibrationFile]) -> Compared {
+fn compared(id: ParameterId, files: &[CalibrationFile]) -> ParameterEstimates {
     let name = id.to_string();
     let value_and_sigma = |file: &CalibrationFile| {
         let entry = file.parameters.iter().find(|entry| entry.name == name)?;
-        let is_identified = entry.status != Status::Fixed;
+        let is_identified = entry.status != ParameterStatus::Fixed;
         let sigma = entry.sigma.filter(|sigma| is_identified && *sigma > 0.0 && sigma.is_finite())?;
         Some((entry.value, sigma))
     };
@@ -158,5 +158,5 @@ fn compared(id: ParameterId, files: &[CalibrationFile]) -> Compared {
     // The distribution halves its argument, and fails where half of a positive one rounds to zero.
     let chi_squared = if chi_squared < f64::MIN_POSITIVE { 0.0 } else { chi_squared };
     let p = ChiSquared::new(freedom as f64).ok().map(|distribution| distribution.sf(chi_squared));
-    Compared { id, values, half_widths, mean, p }
+    ParameterEstimates { id, values, half_widths, mean, p }
 }

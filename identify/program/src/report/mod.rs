@@ -14,7 +14,7 @@ pub mod table;
 pub mod verdict;
 
 pub use calibrated_robot::{CalibratedRobot, CalibratedRobotError};
-pub use consistency::{Compared, Consistency, ConsistencyError};
+pub use consistency::{Consistency, ConsistencyError, ParameterEstimates};
 pub use page::picture;
 
 pub use result::read::CalibrationReadError;

@@ -4,7 +4,7 @@
 use std::fmt::Write;
 
 use super::result::corrections::TO_JOINT;
-use super::result::file::{CalibrationFile, ParameterEntry, ReadIn, Status};
+use super::result::file::{CalibrationFile, ParameterEntry, ParameterStatus, ReadIn};
 use crate::calibrate::Calibration;
 use crate::calibrate::validation::deployment::Deployment;
 use crate::inspect::{Inspection, JointLine};
@@ -91,10 +91,10 @@ fn parameters(file: &CalibrationFile) -> String {
     let _ = writeln!(text, "\n{:<16}{:>14}{:>12}{:>10}  unit", "parameter", "nominal", "correction", "sigma");
     let (entries, waves) = applied.reported();
     let [exact, uncertain] = ParameterEntry::fixed(entries.iter().copied());
-    for entry in entries.into_iter().filter(|entry| entry.status != Status::Fixed) {
+    for entry in entries.into_iter().filter(|entry| entry.status != ParameterStatus::Fixed) {
         let ReadIn { factor, unit, decimals } = entry.read_in();
         let sigma = entry.sigma.map_or_else(|| "-".into(), |sigma| format!("{:.5}", sigma * factor));
-        let prior = if entry.status == Status::IdentifiedWithPrior { " (prior)" } else { "" };
+        let prior = if entry.status == ParameterStatus::IdentifiedWithPrior { " (prior)" } else { "" };
         let _ = writeln!(
             text,
             "{:<16}{:>14.4}{:>+12.decimals$}{:>10}  {unit}{prior}",

@@ -19,7 +19,7 @@ use crate::logs::{
     self, BarLog, BarLogMapping, ForceLog, ForceLogMapping, LogFormat, LogOptions, RobotLog, is_recording,
 };
 use crate::prepare::{EncoderMapChoice, Prepared, SampleCounts, bar_angles};
-use crate::report::page::Source;
+use crate::report::page::InspectedLog;
 use crate::report::result::file::MeasurementEntry;
 use crate::threads::both;
 
@@ -186,7 +186,7 @@ impl RunFiles<'_> {
     }
 
     /// Content of the recording and of the robot's log, without curves.
-    pub(super) fn sources(&self, robot: &RobotConfig) -> [Source; 2] {
+    pub(super) fn sources(&self, robot: &RobotConfig) -> [InspectedLog; 2] {
         let recording = || match &*self.recording {
             BarLog::Recording(recording) => inspect::recording(recording),
             BarLog::Other(other) => inspect::bar_log(other),
@@ -194,17 +194,17 @@ impl RunFiles<'_> {
         let (recording, robot_log) = both(recording, || inspect::robot_log(&self.log, robot));
         let source = |role, path: &Path, inspection| {
             let path = path.to_owned();
-            Source { role, path, inspection, curves: Vec::new() }
+            InspectedLog { role, path, inspection, curves: Vec::new() }
         };
         [source("recording", self.recording_path, recording), source("robot log", self.log_path, robot_log)]
     }
 
     /// As [`Self::sources`], with curves of the joints over time.
-    pub(super) fn sources_with_curves(&self, robot: &RobotConfig) -> [Source; 2] {
+    pub(super) fn sources_with_curves(&self, robot: &RobotConfig) -> [InspectedLog; 2] {
         let [recording, robot_log] = self.sources(robot);
         let of_bar = curves::of_bar(self.cycles(), self.recording.encoders());
         let of_robot = curves::of_robot(&self.log, robot);
-        [Source { curves: of_bar, ..recording }, Source { curves: of_robot, ..robot_log }]
+        [InspectedLog { curves: of_bar, ..recording }, InspectedLog { curves: of_robot, ..robot_log }]
     }
 
     /// Operator, robot and bar of the recording; `None` if another program made it.

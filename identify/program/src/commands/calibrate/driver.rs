@@ -23,7 +23,7 @@ use crate::kinematics::flange_chain;
 use crate::logs::LogOptions;
 use crate::report::page::Page;
 use crate::report::result::clocks::ClockEntry;
-use crate::report::result::file::{CalibrationFile, Input, MeasurementEntry, ParameterEntry, SolveEntry};
+use crate::report::result::file::{CalibrationFile, InputFile, MeasurementEntry, ParameterEntry, SolveEntry};
 use crate::report::result::force::ForceEntry;
 use crate::report::result::knowledge::NoiseEntry;
 use crate::report::result::residuals::residuals_csv;
@@ -147,7 +147,7 @@ fn solved_and_validated(
 
 /// The content of `calibration.toml` for any instruments, without the figures of files of rows.
 fn calibration_file(
-    inputs: Vec<Input>,
+    inputs: Vec<InputFile>,
     robot: &RobotConfig,
     bars: &[RunFiles<'_>],
     beside: &[Beside],

@@ -15,7 +15,7 @@ use super::rows::{RowFile, RowInstrument};
 use crate::calibrate::IdentifyConfig;
 use crate::instrument::Rows;
 use crate::logs::LogFormat;
-use crate::report::result::file::Input;
+use crate::report::result::file::InputFile;
 
 /// Name of the file beside a result.
 const NAME: &str = "experiment.toml";
@@ -235,7 +235,7 @@ impl ExperimentFile {
 
     /// Refuses a data set that is given twice: its measurements would count twice, and intervals would be too narrow.
     /// `inputs` are the files of the experiment with their checksums.
-    pub(super) fn ensure_distinct(&self, inputs: &[Input]) -> anyhow::Result<()> {
+    pub(super) fn ensure_distinct(&self, inputs: &[InputFile]) -> anyhow::Result<()> {
         let bars = self.bars.iter().map(|run| [&run.recording, &run.robot_log]);
         let rows = self.rows().map(|(_, rows)| [&rows.file, &rows.mapping]);
         let sets: Vec<[&PathBuf; 2]> = bars.chain(rows).collect();

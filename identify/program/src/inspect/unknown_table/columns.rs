@@ -8,7 +8,7 @@ use crate::logs::{CsvLayout, LengthUnit, LogError, RowsAsText};
 pub(super) const TRACKERS: &str = "tracker meas measured measurement laser probe smr leica api faro";
 
 /// One column of a table, with those of its cells that are numbers.
-pub(super) struct Column {
+pub(super) struct TableColumn {
     pub(super) name: String,
     /// The name in lower case, without unit.
     pub(super) plain: String,
@@ -17,7 +17,7 @@ pub(super) struct Column {
     pub(super) is_date: bool,
 }
 
-impl Column {
+impl TableColumn {
     pub(super) fn words(&self) -> impl Iterator<Item = &str> {
         self.plain.split(|character: char| !character.is_alphanumeric()).filter(|word| !word.is_empty())
     }
@@ -126,7 +126,7 @@ fn plain_and_unit(name: &str) -> (String, Option<String>) {
 }
 
 /// The columns with names, units and numbers, read in this layout.
-pub(super) fn columns(text: &RowsAsText<'_>, csv: &CsvLayout) -> Result<Vec<Column>, LogError> {
+pub(super) fn columns(text: &RowsAsText<'_>, csv: &CsvLayout) -> Result<Vec<TableColumn>, LogError> {
     /// Enough to see ranges and steps.
     const ROWS_MAX: usize = 20_000;
     let (header, units, rows) = text.rows(csv, ROWS_MAX)?;
@@ -137,15 +137,15 @@ pub(super) fn columns(text: &RowsAsText<'_>, csv: &CsvLayout) -> Result<Vec<Colu
         let unit = unit
             .or_else(|| units.iter().filter_map(|line| line.get(index)).find_map(|unit| unit_named(unit)));
         let numbers = cells().filter_map(|cell| number(cell, csv.decimal_comma)).collect();
-        Column { name: name.clone(), plain, unit, numbers, is_date }
+        TableColumn { name: name.clone(), plain, unit, numbers, is_date }
     };
     Ok(header.iter().enumerate().map(column).collect())
 }
 
 /// One column for each of the words, with names that are otherwise equal, such as `tracker_x`, `tracker_y`, `tracker_z`;
 /// those of a tracker are preferred.
-pub(super) fn group<'c>(columns: &[&'c Column], words: &[&str]) -> Option<Vec<&'c Column>> {
-    let mut found: Vec<Vec<&Column>> = Vec::new();
+pub(super) fn group<'c>(columns: &[&'c TableColumn], words: &[&str]) -> Option<Vec<&'c TableColumn>> {
+    let mut found: Vec<Vec<&TableColumn>> = Vec::new();
     for first in columns.iter().filter(|column| column.is_number()) {
         for at in first.plain.match_indices(words[0]).map(|(at, _)| at) {
             let (before, after) = (&first.plain[..at], &first.plain[at + words[0].len()..]);
@@ -165,13 +165,13 @@ pub(super) fn group<'c>(columns: &[&'c Column], words: &[&str]) -> Option<Vec<&'
 }
 
 /// [`group`] of three words.
-pub(super) fn triple<'c>(columns: &[&'c Column], words: &[&str; 3]) -> Option<[&'c Column; 3]> {
+pub(super) fn triple<'c>(columns: &[&'c TableColumn], words: &[&str; 3]) -> Option<[&'c TableColumn; 3]> {
     group(columns, words).and_then(|group| group.try_into().ok())
 }
 
 /// The column that names the station or target of each row.
 pub(super) fn label_column(
-    columns: &[&Column],
+    columns: &[&TableColumn],
     what: &str,
     words: &[&str],
     notes: &mut Notes,

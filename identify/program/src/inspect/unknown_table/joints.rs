@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use shared::config::{AngleUnit, RobotConfig};
 
-use super::columns::Column;
+use super::columns::TableColumn;
 use super::{Notes, listed};
 use crate::logs::{JointColumn, JointUnit};
 
@@ -22,9 +22,9 @@ const NAMED_JOINTS: &[[&str; 6]] = &[
 ];
 
 /// Candidates for the joints: each has `axes` columns whose names differ only in the number, or the usual name, of the joint.
-fn families(columns: &[Column], axes: usize) -> Vec<Vec<&Column>> {
+fn families(columns: &[TableColumn], axes: usize) -> Vec<Vec<&TableColumn>> {
     // Pattern: a name with `#` in place of the joint. Its columns are keyed by the joint's number.
-    let mut by_pattern: BTreeMap<String, BTreeMap<usize, &Column>> = BTreeMap::new();
+    let mut by_pattern: BTreeMap<String, BTreeMap<usize, &TableColumn>> = BTreeMap::new();
     for column in columns.iter().filter(|column| column.is_number()) {
         let bytes = column.plain.as_bytes();
         for (at, byte) in bytes.iter().enumerate().filter(|(_, byte)| byte.is_ascii_digit()) {
@@ -49,18 +49,20 @@ fn families(columns: &[Column], axes: usize) -> Vec<Vec<&Column>> {
     let consecutive = |by_number: &BTreeMap<usize, _>| {
         // From 0 if there is a 0, otherwise from 1.
         let first = usize::from(!by_number.contains_key(&0));
-        (first..first + axes).map(|number| by_number.get(&number).copied()).collect::<Option<Vec<&Column>>>()
+        (first..first + axes)
+            .map(|number| by_number.get(&number).copied())
+            .collect::<Option<Vec<&TableColumn>>>()
     };
     by_pattern.values().filter_map(consecutive).collect()
 }
 
 /// Whether the values of all columns, taken in this unit, are within the limits of their joints.
-fn are_within(family: &[&Column], robot: &RobotConfig, unit: AngleUnit) -> bool {
+fn are_within(family: &[&TableColumn], robot: &RobotConfig, unit: AngleUnit) -> bool {
     family.iter().zip(&robot.joint_limits_deg).all(|(column, limits)| is_within(column, *limits, unit))
 }
 
 /// Whether all values, taken in this unit, are within the limits of the joint.
-fn is_within(column: &Column, limits_deg: [f64; 2], unit: AngleUnit) -> bool {
+fn is_within(column: &TableColumn, limits_deg: [f64; 2], unit: AngleUnit) -> bool {
     /// Zeros of controllers and models differ by quarter turns.
     const MARGIN_DEG: f64 = 190.0;
     let deg = |number: f64| (number * unit.to_rad()).to_degrees();
@@ -72,7 +74,7 @@ fn is_within(column: &Column, limits_deg: [f64; 2], unit: AngleUnit) -> bool {
 
 /// The columns of the joints with their unit: of all candidates the one with the highest score.
 pub(super) fn joints(
-    columns: &[Column],
+    columns: &[TableColumn],
     robot: &RobotConfig,
     header: bool,
     notes: &mut Notes,
@@ -112,7 +114,7 @@ pub(super) fn joints(
         format!("{} are joints 1 to {axes}: inferred from the columns' names and ranges", listed(&names)),
     );
     let unit = if unit == AngleUnit::Deg { JointUnit::Deg } else { JointUnit::Rad };
-    let joint = |column: &&Column| JointColumn {
+    let joint = |column: &&TableColumn| JointColumn {
         column: column.name.clone(),
         unit,
         sign: 1.0,
@@ -123,16 +125,16 @@ pub(super) fn joints(
 }
 
 /// Of a table without header: the first neighbouring columns that are neither times nor millimetres.
-fn first_neighbours<'c>(columns: &'c [Column], robot: &RobotConfig) -> Option<Vec<&'c Column>> {
-    let numeric: Vec<&Column> = columns.iter().filter(|column| column.is_number()).collect();
-    let are_angles = |family: &&[&Column]| {
+fn first_neighbours<'c>(columns: &'c [TableColumn], robot: &RobotConfig) -> Option<Vec<&'c TableColumn>> {
+    let numeric: Vec<&TableColumn> = columns.iter().filter(|column| column.is_number()).collect();
+    let are_angles = |family: &&[&TableColumn]| {
         are_within(family, robot, AngleUnit::Deg) && !family.iter().any(|column| column.rises())
     };
-    numeric.windows(robot.joint_limits_deg.len()).find(are_angles).map(<[&Column]>::to_vec)
+    numeric.windows(robot.joint_limits_deg.len()).find(are_angles).map(<[&TableColumn]>::to_vec)
 }
 
 /// Empirical weights: a certain contradiction outweighs all favourable signs, and -5 or less excludes a candidate.
-fn score(family: &[&Column], robot: &RobotConfig) -> i32 {
+fn score(family: &[&TableColumn], robot: &RobotConfig) -> i32 {
     let has = |words| i32::from(family.iter().any(|column| column.has_word(words)));
     let still = family.iter().all(|column| column.numbers.windows(2).all(|pair| pair[0] == pair[1]));
     let has_other_unit = family
@@ -148,7 +150,7 @@ fn score(family: &[&Column], robot: &RobotConfig) -> i32 {
 }
 
 /// The unit by the size of the values; a note states whether the header agrees.
-pub(super) fn angle_unit(family: &[&Column], notes: &mut Notes) -> AngleUnit {
+pub(super) fn angle_unit(family: &[&TableColumn], notes: &mut Notes) -> AngleUnit {
     /// Joints of robots turn by little more than a turn either way.
     const RAD_MAX: f64 = 6.7;
     let stated = family.iter().find_map(|column| match column.unit.as_deref() {

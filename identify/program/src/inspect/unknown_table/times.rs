@@ -1,7 +1,7 @@
 //! The column of the time stamps, and its unit.
 
 use super::Notes;
-use super::columns::Column;
+use super::columns::TableColumn;
 use crate::logs::{TimeColumn, TimeUnit};
 use crate::statistics::median;
 
@@ -22,7 +22,7 @@ fn is_date_in_digits(number: f64) -> bool {
 }
 
 /// The time stamps, if there are some.
-pub(super) fn time(columns: &[&Column], notes: &mut Notes) -> Option<TimeColumn> {
+pub(super) fn time(columns: &[&TableColumn], notes: &mut Notes) -> Option<TimeColumn> {
     /// Windows FILETIME, 100 ns since 1601, of the years 1980 to 2100.
     const FILETIME: std::ops::Range<f64> = 1.19e17..1.58e17;
     let dated = columns.iter().find(|column| column.is_date && column.has_word(TIMES));
@@ -30,7 +30,7 @@ pub(super) fn time(columns: &[&Column], notes: &mut Notes) -> Option<TimeColumn>
         notes.reason(format!("`{}` has dates", column.name));
         return Some(TimeColumn::new(&column.name, TimeUnit::DateTime));
     }
-    let rising: Vec<&&Column> =
+    let rising: Vec<&&TableColumn> =
         columns.iter().filter(|column| column.is_number() && column.rises()).collect();
     let with_unit =
         rising.iter().find(|column| matches!(column.unit.as_deref(), Some("s" | "ms" | "us" | "ns")));

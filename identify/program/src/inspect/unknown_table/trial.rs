@@ -5,7 +5,7 @@ use std::path::Path;
 
 use shared::config::RobotConfig;
 
-use super::columns::{Column, group};
+use super::columns::{TableColumn, group};
 use super::joints::angle_unit;
 use super::{Notes, listed};
 use crate::calibrate::rows::{likely, misfit, some_of};
@@ -17,13 +17,13 @@ use crate::logs::{
 };
 
 /// Determines by residuals of the nominal robot what the names of the columns leave open.
-pub(super) struct Trial<'a> {
+pub(super) struct ResidualTrial<'a> {
     pub(super) bytes: &'a [u8],
     pub(super) path: &'a Path,
     pub(super) robot: &'a RobotConfig,
 }
 
-impl Trial<'_> {
+impl ResidualTrial<'_> {
     /// The rows as this mapping reads them.
     fn rows(&self, mapping: &MeasuredPoseMapping) -> Option<Instrument> {
         let read = MeasuredPoses::read(self.bytes, self.path, mapping).ok()?;
@@ -40,7 +40,7 @@ impl Trial<'_> {
     pub(super) fn corrected(
         &self,
         mut mapping: MeasuredPoseMapping,
-        others: &[&Column],
+        others: &[&TableColumn],
         notes: &mut Notes,
     ) -> MeasuredPoseMapping {
         /// The nominal robot is within this of the right reading; any wrong one is further away \[rad\].
@@ -90,7 +90,7 @@ impl Trial<'_> {
     pub(super) fn with_flange(
         &self,
         mapping: MeasuredLengthMapping,
-        xyz: Option<[&Column; 3]>,
+        xyz: Option<[&TableColumn; 3]>,
         notes: &mut Notes,
     ) -> MeasuredLengthMapping {
         let Some(xyz) = xyz else { return mapping };
@@ -124,7 +124,7 @@ fn undo(joints: &mut [JointColumn], mistake: JointMistake) {
 }
 
 /// All readings of the columns whose names are those of an orientation.
-fn orientations(columns: &[&Column]) -> Vec<RotationColumns> {
+fn orientations(columns: &[&TableColumn]) -> Vec<RotationColumns> {
     const THREE: [[&str; 3]; 5] = [
         ["rx", "ry", "rz"],
         ["roll", "pitch", "yaw"],
@@ -136,7 +136,7 @@ fn orientations(columns: &[&Column]) -> Vec<RotationColumns> {
     const NINE: [&str; 9] = ["r11", "r12", "r13", "r21", "r22", "r23", "r31", "r32", "r33"];
     const ORDERS: [&str; 12] =
         ["xyz", "xzy", "yxz", "yzx", "zxy", "zyx", "xyx", "xzx", "yxy", "yzy", "zxz", "zyz"];
-    let rotation = |form, group: Vec<&Column>| RotationColumns {
+    let rotation = |form, group: Vec<&TableColumn>| RotationColumns {
         form,
         columns: group.iter().map(|column| column.name.clone()).collect(),
         ..RotationColumns::default()

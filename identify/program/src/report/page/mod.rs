@@ -31,7 +31,7 @@ pub use drawing::plot::PlotError;
 pub use planned::path::PathPage;
 pub use planned::poses::PosesPage;
 pub use refused::{RefusedPage, WrittenRefusal};
-pub use run::inputs::Source;
+pub use run::inputs::InspectedLog;
 pub use study::StudyPage;
 
 /// Content of the page.
@@ -50,7 +50,7 @@ pub struct Page<'a> {
     /// Tables of the rows' errors, as on the command line.
     pub tables: &'a str,
     /// Recording and robot log of each run; may be empty.
-    pub sources: &'a [Source],
+    pub sources: &'a [InspectedLog],
     /// The whole configuration that was used, as text.
     pub configuration: &'a str,
 }

@@ -10,7 +10,7 @@ use super::drawing::{correlations, figures};
 use super::{Page, rows};
 use crate::evaluate::{Evaluation, Expected};
 use crate::model::{Owner, ParameterId};
-use crate::report::result::file::{CalibrationFile, Input, ParameterEntry, ReadIn, Status};
+use crate::report::result::file::{CalibrationFile, InputFile, ParameterEntry, ParameterStatus, ReadIn};
 use crate::report::summary::not_separated;
 use crate::report::table::about_links;
 use crate::statistics::Sizes;
@@ -104,7 +104,11 @@ pub(super) fn parameters(file: &CalibrationFile, first_heading: &str, other_head
         None => run == 0,
     };
     let select = |wanted: &dyn Fn(&ParameterEntry) -> bool| -> Vec<&ParameterEntry> {
-        entries.iter().copied().filter(|entry| entry.status != Status::Fixed && wanted(entry)).collect()
+        entries
+            .iter()
+            .copied()
+            .filter(|entry| entry.status != ParameterStatus::Fixed && wanted(entry))
+            .collect()
     };
     let owner = |entry: &ParameterEntry| entry.id().map(ParameterId::owner);
     // Names of the bar's links, joints and encoders begin with `b`, those of its base and clock do not.
@@ -198,7 +202,7 @@ fn table(caption: &str, entries: &[&ParameterEntry]) -> Markup {
                 @for entry in entries {
                     @let ReadIn { factor, unit, decimals } = entry.read_in();
                     tr {
-                        td { (entry.name) @if entry.status == Status::IdentifiedWithPrior { " (p)" } }
+                        td { (entry.name) @if entry.status == ParameterStatus::IdentifiedWithPrior { " (p)" } }
                         td { (format!("{:.3}", entry.nominal * factor)) }
                         td { (format!("{:+.decimals$}", entry.correction * factor)) }
                         td { @if let Some(sigma) = entry.sigma { (format!("{:.decimals$}", sigma * factor)) } @else { "–" } }
@@ -278,7 +282,7 @@ pub(super) fn origin(page: &Page<'_>) -> Markup {
 }
 
 /// Inputs with their checksums, program and configuration: all that is needed to repeat the calibration.
-pub(super) fn repeated_with(inputs: &[Input], software: &str, configuration: &str) -> Markup {
+pub(super) fn repeated_with(inputs: &[InputFile], software: &str, configuration: &str) -> Markup {
     html! {
         h2 { "To repeat it" }
         table {

@@ -55,7 +55,7 @@ pub enum FileError {
 
 /// A file that the calibration was made from.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Input {
+pub struct InputFile {
     /// Such as `recording` or `robot`.
     pub role: String,
     /// Path of the file.
@@ -64,7 +64,7 @@ pub struct Input {
     pub sha256: String,
 }
 
-impl Input {
+impl InputFile {
     /// Reads the checksum of a file, or of a configuration that was given by its name.
     pub fn of(role: &str, path: &Path) -> io::Result<Self> {
         let mut hash = Sha256::new();
@@ -80,7 +80,7 @@ impl Input {
 /// How a parameter was determined.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Status {
+pub enum ParameterStatus {
     /// Found from the samples.
     Identified,
     /// Found from the samples and a prior.
@@ -105,7 +105,7 @@ pub struct ParameterEntry {
     /// One standard deviation; absent for fixed parameters that are taken as exact.
     pub sigma: Option<f64>,
     /// Identified or fixed.
-    pub status: Status,
+    pub status: ParameterStatus,
 }
 
 impl ParameterEntry {
@@ -121,9 +121,9 @@ impl ParameterEntry {
                 _ => sigma,
             },
             status: match parameter.role {
-                Role::Free => Status::Identified,
-                Role::Prior { .. } => Status::IdentifiedWithPrior,
-                Role::Fixed | Role::Considered { .. } => Status::Fixed,
+                Role::Free => ParameterStatus::Identified,
+                Role::Prior { .. } => ParameterStatus::IdentifiedWithPrior,
+                Role::Fixed | Role::Considered { .. } => ParameterStatus::Fixed,
             },
         }
     }
@@ -151,7 +151,7 @@ impl ParameterEntry {
             for (parameter, &column) in model.columns().zip(columns_of) {
                 let Some(name) = columns.all().get(column).map(ToString::to_string) else { continue };
                 // An entry that was fixed in an earlier run is replaced by that of a run that identifies it.
-                if entries.iter().all(|entry| entry.name != name || entry.status == Status::Fixed) {
+                if entries.iter().all(|entry| entry.name != name || entry.status == ParameterStatus::Fixed) {
                     entries.retain(|entry| entry.name != name);
                     entries.push(Self { name, ..Self::new(parameter, covariance.sigma(column)) });
                 }
@@ -170,7 +170,7 @@ impl ParameterEntry {
     /// Names of the fixed parameters: first the exact ones, then those with an uncertainty.
     pub(in crate::report) fn fixed<'e>(entries: impl IntoIterator<Item = &'e Self>) -> [Vec<String>; 2] {
         let mut names = [Vec::new(), Vec::new()];
-        for entry in entries.into_iter().filter(|entry| entry.status == Status::Fixed) {
+        for entry in entries.into_iter().filter(|entry| entry.status == ParameterStatus::Fixed) {
             names[usize::from(entry.sigma.is_some())].push(entry.held());
         }
         names
@@ -332,7 +332,7 @@ pub struct CalibrationFile {
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub noise: Vec<NoiseEntry>,
     /// Files it was made from.
-    pub inputs: Vec<Input>,
+    pub inputs: Vec<InputFile>,
     /// Kinds of terms that were tried on held-out segments of the runs.
     #[serde(default)]
     pub candidates: Vec<Candidate>,
@@ -376,7 +376,7 @@ impl CalibrationFile {
         robot: &str,
         instrument: &str,
         solve: SolveEntry,
-        inputs: Vec<Input>,
+        inputs: Vec<InputFile>,
         parameters: Vec<ParameterEntry>,
     ) -> Self {
         Self {

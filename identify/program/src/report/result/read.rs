@@ -17,11 +17,11 @@ const SIGMA_MIN: f64 = 1e-30;
 #[error("{}: {kind}", path.display())]
 pub struct CalibrationReadError {
     path: PathBuf,
-    kind: Kind,
+    kind: ReadProblem,
 }
 
 #[derive(Debug, thiserror::Error)]
-enum Kind {
+enum ReadProblem {
     #[error("cannot be read: {0}; check the path and its permissions")]
     Io(#[from] std::io::Error),
     #[error("is not a calibration: {0}; give the file that `identify calibrate` wrote, or its directory")]
@@ -56,13 +56,13 @@ impl CalibrationFile {
         Self::checked(text, path).map_err(|kind| CalibrationReadError { path: path.to_owned(), kind })
     }
 
-    fn checked(text: &str, path: &Path) -> Result<Self, Kind> {
+    fn checked(text: &str, path: &Path) -> Result<Self, ReadProblem> {
         let is_toml = path.extension().is_some_and(|ending| ending == "toml");
         let values: Map<String, Value> =
             if is_toml { toml::from_str(text)? } else { serde_json::from_str(text)? };
         let file: Self = match values.get("schema").and_then(Value::as_u64) {
             Some(1) => serde_json::from_value(upgraded_from_schema_1(values))?,
-            Some(found) if found != u64::from(SCHEMA) => return Err(Kind::Schema { found }),
+            Some(found) if found != u64::from(SCHEMA) => return Err(ReadProblem::Schema { found }),
             // TOML has infinite numbers, `Value` has none.
             _ if is_toml => toml::from_str(text)?,
             _ => serde_json::from_value(values.into())?,
@@ -72,7 +72,7 @@ impl CalibrationFile {
             let numbers = [entry.nominal, entry.value, entry.correction];
             let invalid = numbers.into_iter().find(|number| !(-NUMBER_MAX..=NUMBER_MAX).contains(number));
             if let Some(value) = invalid.or_else(|| entry.sigma.filter(|sigma| !is_valid_sigma(*sigma))) {
-                return Err(Kind::Number { name: entry.name.clone(), value });
+                return Err(ReadProblem::Number { name: entry.name.clone(), value });
             }
         }
         Ok(file)

@@ -9,7 +9,7 @@ use crate::instrument::{Apart, Deviation, Rejection};
 
 /// One sample: robot minus measurement, along the axes of the robot's base.
 #[derive(Debug, Default, Serialize)]
-struct Row {
+struct ResidualRow {
     /// Number of the data set as in `calibration.toml`, from 1.
     data_set: usize,
     instrument: &'static str,
@@ -30,7 +30,7 @@ struct Row {
     rotation_mrad: Option<String>,
 }
 
-impl Row {
+impl ResidualRow {
     fn measured(self, Deviation { apart, rotation_rad }: Deviation) -> Self {
         // Six decimals of mm and mrad; NaN becomes an empty cell.
         let thousandths = |value: f64| value.is_finite().then(|| format!("{:.6}", value * 1e3));
@@ -73,7 +73,7 @@ pub fn residuals_csv(calibration: &Calibration, lines: &[&[u64]]) -> Result<Stri
         };
         let lines = row_file.and_then(|index| lines.get(index)).copied().unwrap_or_default();
         for (sample, (deviation, left_out)) in deviations.into_iter().enumerate() {
-            let row = Row {
+            let row = ResidualRow {
                 data_set: number + 1,
                 instrument: run.instrument.name(),
                 sample: sample + 1,
@@ -81,7 +81,7 @@ pub fn residuals_csv(calibration: &Calibration, lines: &[&[u64]]) -> Result<Stri
                 t_s: run.instrument.time_s(sample).map(|t_s| format!("{t_s:.6}")),
                 used: left_out.is_none(),
                 left_out: left_out.map(reason),
-                ..Row::default()
+                ..ResidualRow::default()
             };
             all.push(row.measured(deviation));
         }

@@ -6,24 +6,24 @@ use std::collections::HashSet;
 use crate::inspect::curves::extremes_of_columns;
 
 /// Where something is drawn, in whole SVG units.
-pub(in crate::report::page) type Place = (i32, i32);
+pub(in crate::report::page) type SvgPoint = (i32, i32);
 
 /// Dots of one set, at most.
 const DOTS_MAX: usize = 4000;
 
 /// A line through the first, lowest, highest and last point of each run of points in one column: with columns of this width it looks
 /// as the whole line does.
-pub(in crate::report::page) fn line(points: &[Place], column: i32) -> Vec<Place> {
+pub(in crate::report::page) fn line(points: &[SvgPoint], column: i32) -> Vec<SvgPoint> {
     extremes_of_columns(points, |(x, _)| i64::from(x.div_euclid(column.max(1))), |(_, y)| f64::from(*y))
 }
 
 /// One dot for each occupied cell of a grid, with the smallest cells that give at most [`DOTS_MAX`] dots. A single dot far
 /// from all others is always drawn.
-pub(in crate::report::page) fn dots(points: Vec<Place>) -> Vec<Place> {
+pub(in crate::report::page) fn dots(points: Vec<SvgPoint>) -> Vec<SvgPoint> {
     let mut cell = 1;
     loop {
         let mut taken = HashSet::new();
-        let of_cell = |(x, y): &Place| taken.insert((x.div_euclid(cell), y.div_euclid(cell)));
+        let of_cell = |(x, y): &SvgPoint| taken.insert((x.div_euclid(cell), y.div_euclid(cell)));
         let mut kept = points.clone();
         kept.retain(of_cell);
         if kept.len() <= DOTS_MAX {
@@ -39,7 +39,7 @@ mod tests {
     use rand::rngs::StdRng;
     use rand::{Rng, SeedableRng};
 
-    fn cloud(count: usize) -> Vec<Place> {
+    fn cloud(count: usize) -> Vec<SvgPoint> {
         let mut random = StdRng::seed_from_u64(1);
         (0..count).map(|i| ((i * 2700 / count) as i32, random.random_range(300..600))).collect()
     }
@@ -49,7 +49,7 @@ mod tests {
         let whole = cloud(200_000);
         let thinned = line(&whole, 3);
         assert!(thinned.len() <= 4 * 900, "{}", thinned.len());
-        let heights = |points: &[Place], column: i32| {
+        let heights = |points: &[SvgPoint], column: i32| {
             let within = points.iter().filter(|(x, _)| x / 3 == column).map(|(_, y)| *y);
             (within.clone().min(), within.max())
         };

@@ -4,7 +4,7 @@
 use maud::Markup;
 use plotters::prelude::RGBColor;
 
-use crate::inspect::curves::Curve;
+use crate::inspect::curves::JointTrace;
 use crate::prepare::Deviations;
 use crate::report::page::drawing::figures::{THIRD, TimeAxis, dots};
 use crate::report::page::drawing::plot::{BLUE, COLOURS, Mark, ORANGE, Panel, PlotError, Series};
@@ -15,8 +15,8 @@ const RED: RGBColor = COLOURS[5];
 const PARTS_MAX: usize = 200;
 
 /// One figure for each joint of a log.
-pub(super) fn joints(curves: &[Curve], at_s: Option<f64>) -> Result<Vec<Markup>, PlotError> {
-    let figure = |curve: &Curve| {
+pub(super) fn joints(curves: &[JointTrace], at_s: Option<f64>) -> Result<Vec<Markup>, PlotError> {
+    let figure = |curve: &JointTrace| {
         let points = || curve.parts.iter().flatten();
         let time = TimeAxis::of(points().map(|(t_s, _)| *t_s));
         let at = |(t_s, value): &(f64, f64)| (time.at(*t_s), *value);

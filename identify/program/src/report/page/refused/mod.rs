@@ -9,13 +9,13 @@ use maud::{Markup, html};
 
 use super::certificate::{identity, sheet, to_the_second};
 use super::drawing::plot::PlotError;
-use super::run::inputs::{Source, rows};
+use super::run::inputs::{InspectedLog, rows};
 use super::sections::repeated_with;
 use super::{PageError, document};
 use crate::calibrate::refusal::Refusal;
 use crate::inspect::JointLine;
 use crate::report::result::earlier::Earlier;
-use crate::report::result::file::{Input, MeasurementEntry, now, replace, software};
+use crate::report::result::file::{InputFile, MeasurementEntry, now, replace, software};
 
 /// Content of the page.
 #[derive(Debug)]
@@ -29,9 +29,9 @@ pub struct RefusedPage<'a> {
     /// Message and place of the refusal.
     pub refusal: &'a Refusal<'a>,
     /// Recording and robot log of each run.
-    pub runs: &'a [[Source; 2]],
+    pub runs: &'a [[InspectedLog; 2]],
     /// Files that were read.
-    pub inputs: &'a [Input],
+    pub inputs: &'a [InputFile],
     /// The whole configuration that was used, as text.
     pub configuration: &'a str,
 }
@@ -156,7 +156,7 @@ impl RefusedPage<'_> {
         if self.refusal.place.bar_s.is_some() { " Red: time of the problem." } else { "" }
     }
 
-    fn run(&self, number: usize, [recording, robot_log]: &[Source; 2]) -> Result<Markup, PlotError> {
+    fn run(&self, number: usize, [recording, robot_log]: &[InspectedLog; 2]) -> Result<Markup, PlotError> {
         let place = (self.refusal.run == Some(number)).then_some(&self.refusal.place);
         let name = (self.runs.len() > 1).then(|| self.number(number));
         Ok(html! {
@@ -167,7 +167,7 @@ impl RefusedPage<'_> {
 }
 
 /// Content of one log of a run; the instant `at_s` is marked.
-fn log(what: &str, run: Option<&str>, log: &Source, at_s: Option<f64>) -> Result<Markup, PlotError> {
+fn log(what: &str, run: Option<&str>, log: &InspectedLog, at_s: Option<f64>) -> Result<Markup, PlotError> {
     let panels = figures::joints(&log.curves, at_s)?;
     let found = &log.inspection;
     Ok(html! {

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use maud::{Markup, html};
 
-use crate::inspect::curves::Curve;
+use crate::inspect::curves::JointTrace;
 use crate::inspect::{Inspection, UNSAID};
 
 /// Facts of one file that the page shows; a long run may have thousands of events.
@@ -12,7 +12,7 @@ const FACTS_MAX: usize = 24;
 
 /// One log of a run and what is in it.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Source {
+pub struct InspectedLog {
     /// Such as `recording`.
     pub role: &'static str,
     /// Path of its file.
@@ -20,11 +20,11 @@ pub struct Source {
     /// Its content.
     pub inspection: Inspection,
     /// Its joints over time; empty if the page does not draw them.
-    pub curves: Vec<Curve>,
+    pub curves: Vec<JointTrace>,
 }
 
 /// Content of the files, side by side.
-pub(in crate::report::page) fn section(sources: &[Source]) -> Markup {
+pub(in crate::report::page) fn section(sources: &[InspectedLog]) -> Markup {
     html! { @if !sources.is_empty() {
         h2 { "Content of the logs, and missing information" }
         div.columns.sources { @for source in sources { (facts(source)) } }
@@ -44,7 +44,7 @@ pub(in crate::report::page) fn rows(facts: &[(String, String)]) -> Markup {
 }
 
 /// Content of one file; missing information is emphasised.
-fn facts(source: &Source) -> Markup {
+fn facts(source: &InspectedLog) -> Markup {
     let Inspection { facts, suspicious, .. } = &source.inspection;
     html! {
         table {

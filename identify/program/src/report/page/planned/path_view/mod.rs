@@ -1,5 +1,5 @@
 //! The three-dimensional animation of `path.html` and `poses.html`: an arm with bar or target, along a path or from pose to
-//! pose. [`Scene`] has points over time and capsules between them; it goes into the page as JSON, and `view.js` draws it with
+//! pose. [`PathScene`] has points over time and capsules between them; it goes into the page as JSON, and `view.js` draws it with
 //! the library OGL.
 
 use maud::{Markup, PreEscaped, html};
@@ -46,7 +46,7 @@ impl View<'_> {
 
 /// What `view.js` draws.
 #[derive(Serialize)]
-struct Scene<'a> {
+struct PathScene<'a> {
     times_s: Vec<f64>,
     /// For each frame x, y and z of all points, one after the other \[m\].
     frames: Vec<Vec<f64>>,
@@ -60,7 +60,7 @@ struct Scene<'a> {
     reach_m: f64,
 }
 
-impl<'a> Scene<'a> {
+impl<'a> PathScene<'a> {
     fn of(view: &View<'_>, bodies: &'a Bodies) -> Self {
         let arm = view.arm;
         let (times_s, skeletons): (Vec<f64>, Vec<Skeleton>) =
@@ -128,7 +128,7 @@ fn gimbal_or_target(view: &View<'_>) -> Vec<Vector3<f64>> {
 /// The animation with its controls.
 pub(super) fn view(view: &View<'_>) -> Markup {
     let default_bodies = Bodies::for_reach(view.arm.reach_m());
-    let scene = Scene::of(view, view.bodies.unwrap_or(&default_bodies));
+    let scene = PathScene::of(view, view.bodies.unwrap_or(&default_bodies));
     let (what, when, as_thick) = match view.carried {
         Carried::Bar(_) => {
             ("The robot and the bar along the path", "Time along the path", "Links, plate and rod")
