@@ -36,10 +36,10 @@ fn simulated() -> Simulated {
 }
 
 /// One row of a table for `write_robot_log.py`: stamp \[ns\], joints \[rad\], and the output of the robot's force sensor.
-type Row = (i64, Joints, Vec<f64>);
+type ForceRow = (i64, Joints, Vec<f64>);
 
 /// The rows of a run; `sensor` computes its output from robot, joints, and the force of the robot on the bar \[N\].
-fn table_rows(run: &Simulated, sensor: impl Fn(&Chain, &Joints, [f64; 3]) -> Vec<f64>) -> Vec<Row> {
+fn table_rows(run: &Simulated, sensor: impl Fn(&Chain, &Joints, [f64; 3]) -> Vec<f64>) -> Vec<ForceRow> {
     let (robot, log) = (&run.motion.robot, &run.robot_log);
     let centre_m = run.motion.bar.root_from_base.translation.vector;
     let force = log.force.as_ref().unwrap();
@@ -54,7 +54,7 @@ fn table_rows(run: &Simulated, sensor: impl Fn(&Chain, &Joints, [f64; 3]) -> Vec
 }
 
 /// Writes the rows to a log with `write_robot_log.py` and returns its path.
-fn write_log(directory: &Path, modules: &[&str], kind: &str, rows: &[Row]) -> PathBuf {
+fn write_log(directory: &Path, modules: &[&str], kind: &str, rows: &[ForceRow]) -> PathBuf {
     let python = python_with(modules);
     let mut text = String::new();
     for (stamp_ns, joints, measured) in rows {

@@ -10,22 +10,22 @@ use shared::config::{self, BallBarConfig};
 
 use super::{explained, joint_states};
 
-struct Setting {
+struct BarLogSetting {
     bars: [BallBarConfig; 2],
     mapping: BarLogMapping,
 }
 
-static SETTING: LazyLock<Setting> = LazyLock::new(|| {
+static SETTING: LazyLock<BarLogSetting> = LazyLock::new(|| {
     let mut four = crate::ball_bar();
     four.encoders.remove(2);
     let mapping = config::load(&crate::config_directory().join("bar_log.toml")).expect("a shipped file");
-    Setting { bars: [crate::ball_bar(), four], mapping }
+    BarLogSetting { bars: [crate::ball_bar(), four], mapping }
 });
 
 /// Reads a table or a bag, with and without a mapping. Either its cycles are numbered and their angles finite, or it is
 /// refused with a reason.
 pub fn any_file(bytes: &[u8]) {
-    let Setting { bars, mapping } = &*SETTING;
+    let BarLogSetting { bars, mapping } = &*SETTING;
     for (bar, mapping) in bars.iter().flat_map(|bar| [(bar, None), (bar, Some(mapping))]) {
         match OtherBarLog::read(bytes, Path::new("log"), bar, mapping) {
             Ok(log) => {

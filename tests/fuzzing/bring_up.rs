@@ -18,7 +18,7 @@ const CYCLES: usize = 5;
 /// Longest permitted bring-up of a bus, in its own time, for any replies.
 const BRING_UP_NS_MAX: i64 = 600 * NS_PER_S;
 
-struct Rig {
+struct BringUpRig {
     clock: Clock,
     wire: DamagedWire,
 }
@@ -29,7 +29,7 @@ pub(super) fn segment(clock: &Clock) -> InProcessWire {
     InProcessWire::new(SimulatedSegment::new(&config, Box::new(SmoothMotion::new(1, 3600, 1))), clock.clone())
 }
 
-impl Rig {
+impl BringUpRig {
     fn new() -> Self {
         let clock = Clock::virtual_from(UtcNs(1_790_000_000_000_000_000));
         let wire = DamagedWire::new(segment(&clock));
@@ -39,7 +39,7 @@ impl Rig {
 
 /// Either the bus comes up, its clock is followed and it is cycled, or it is refused with a reason; both in bounded time.
 pub fn any_replies(bytes: &[u8]) {
-    thread_local!(static RIG: RefCell<Rig> = RefCell::new(Rig::new()));
+    thread_local!(static RIG: RefCell<BringUpRig> = RefCell::new(BringUpRig::new()));
     RIG.with_borrow_mut(|rig| {
         rig.wire.exchange_segment(segment(&rig.clock));
         rig.wire.play(Script::of(bytes));

@@ -17,13 +17,13 @@ const CYCLES_MAX: usize = 200;
 const RECOVERY_CYCLES_MAX: usize = 1000;
 
 /// An acquisition that continues from one script to the next, because a bring-up for each script would be slow.
-struct Rig {
+struct CycleRig {
     acquisition: Acquisition,
     wire: DamagedWire,
     last: Option<CycleRecord>,
 }
 
-impl Rig {
+impl CycleRig {
     fn new() -> Self {
         let clock = Clock::virtual_from(UtcNs(1_790_000_000_000_000_000));
         let wire = DamagedWire::new(segment(&clock));
@@ -55,7 +55,7 @@ impl Rig {
 
 /// Every due cycle has its record, time increases, and a bus without further faults returns to valid samples.
 pub fn any_replies(bytes: &[u8]) {
-    thread_local!(static RIG: RefCell<Rig> = RefCell::new(Rig::new()));
+    thread_local!(static RIG: RefCell<CycleRig> = RefCell::new(CycleRig::new()));
     RIG.with_borrow_mut(|rig| {
         rig.wire.play(Script::of(bytes));
         for _ in 0..CYCLES_MAX {

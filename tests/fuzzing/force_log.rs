@@ -16,16 +16,16 @@ const MAPPINGS: [&str; 2] = [
      [force]\ncolumns = [\"a\", \"b\", \"c\", \"d\", \"e\", \"f\"]\nunit = \"Nm\"\n",
 ];
 
-struct Setting {
+struct ForceLogSetting {
     robot: RobotConfig,
     mappings: Vec<Option<ForceLogMapping>>,
 }
 
-static SETTING: LazyLock<Setting> = LazyLock::new(|| {
+static SETTING: LazyLock<ForceLogSetting> = LazyLock::new(|| {
     let directory = crate::config_directory();
     let load = |text: &str| config::parse(text, Path::new("mapping.toml")).expect("a mapping");
     let shipped = config::load(&directory.join("force_log.toml")).expect("a shipped file");
-    Setting {
+    ForceLogSetting {
         robot: config::load(&directory.join("robots/irb2400_16.toml")).expect("a shipped file"),
         mappings: [None, Some(shipped)].into_iter().chain(MAPPINGS.map(|text| Some(load(text)))).collect(),
     }

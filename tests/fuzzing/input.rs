@@ -1,9 +1,9 @@
 //! Splits fuzzed bytes into values; missing bytes at the end read as zero.
 
 /// Bytes that are not used yet.
-pub struct Input<'a>(pub &'a [u8]);
+pub struct UnusedBytes<'a>(pub &'a [u8]);
 
-impl<'a> Input<'a> {
+impl<'a> UnusedBytes<'a> {
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
     }

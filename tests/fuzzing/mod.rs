@@ -21,7 +21,7 @@ mod robot_log;
 mod segment;
 
 pub use corpus::unpack;
-use input::Input;
+use input::UnusedBytes;
 
 /// A function that takes bytes from an external source.
 pub struct Target {

@@ -12,16 +12,16 @@ use shared::config;
 
 use super::explained;
 
-struct Setting {
+struct PoseTableSetting {
     lengths: MeasuredLengthMapping,
     poses: MeasuredPoseMapping,
     contacts: ContactMapping,
     touches: TouchMapping,
 }
 
-static SETTING: LazyLock<Setting> = LazyLock::new(|| {
+static SETTING: LazyLock<PoseTableSetting> = LazyLock::new(|| {
     let directory = crate::config_directory();
-    Setting {
+    PoseTableSetting {
         lengths: config::load(&directory.join("measured_length.toml")).expect("a shipped file"),
         poses: config::load(&directory.join("measured_pose.toml")).expect("a shipped file"),
         contacts: config::load(&directory.join("contact.toml")).expect("a shipped file"),

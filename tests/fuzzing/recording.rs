@@ -10,7 +10,7 @@ use shared::recording::schema::{CycleRecord, EncoderInfo, EncoderSample, Event, 
 use shared::recording::{Recording, RecordingWriter, SalvageError, salvage, verify};
 use shared::time::{DcNs, MonoNs, UtcNs};
 
-use super::{Input, explained};
+use super::{UnusedBytes, explained};
 
 const START: UtcNs = UtcNs(1_790_000_000_000_000_000);
 const RUN: &str = "ballbard.run";
@@ -63,7 +63,7 @@ pub fn any_content(bytes: &[u8]) {
         let schema = writer.add_schema(schema, "ros2msg", b"").expect("schema");
         writer.add_channel(schema, topic, "cdr", &BTreeMap::new()).expect("channel")
     });
-    let mut input = Input(bytes);
+    let mut input = UnusedBytes(bytes);
     let mut sequence = 0;
     while !input.is_empty() {
         let kind = input.byte();

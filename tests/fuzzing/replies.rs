@@ -6,21 +6,21 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use ballbard::segment::{FRAME_BYTES_MAX, InProcessWire, Wire};
 use shared::time::MonoNs;
 
-use super::Input;
+use super::UnusedBytes;
 
 /// Script of damage to replies: each entry waits for a number of replies, or of mailbox replies if selected.
 pub struct Script {
-    entries: Vec<Entry>,
+    entries: Vec<DamagedReply>,
     passed: u16,
 }
 
-struct Entry {
+struct DamagedReply {
     after: u16,
     only_mailbox: bool,
-    damage: Damage,
+    damage: ReplyDamage,
 }
 
-enum Damage {
+enum ReplyDamage {
     Drop,
     Cut(usize),
     /// First byte of the damage, in the data of the first datagram.
@@ -30,19 +30,19 @@ enum Damage {
 impl Script {
     /// Parses entries until the bytes end.
     pub fn of(bytes: &[u8]) -> Self {
-        let mut input = Input(bytes);
+        let mut input = UnusedBytes(bytes);
         let mut entries = Vec::new();
         while !input.is_empty() {
             let (kind, after, at) = (input.byte(), input.word(), usize::from(input.byte()));
             let damage = match kind & 3 {
-                0 => Damage::Drop,
-                1 => Damage::Cut(at),
-                _ => Damage::Overwrite(at, {
+                0 => ReplyDamage::Drop,
+                1 => ReplyDamage::Cut(at),
+                _ => ReplyDamage::Overwrite(at, {
                     let length = usize::from(input.byte());
                     input.take(length).to_vec()
                 }),
             };
-            entries.push(Entry { after, only_mailbox: kind & 4 != 0, damage });
+            entries.push(DamagedReply { after, only_mailbox: kind & 4 != 0, damage });
         }
         entries.reverse();
         Self { entries, passed: 0 }
@@ -60,9 +60,9 @@ impl Script {
         }
         self.passed = 0;
         match self.entries.pop().map(|entry| entry.damage) {
-            Some(Damage::Drop) => None,
-            Some(Damage::Cut(at)) => Some(at.min(reply.len())),
-            Some(Damage::Overwrite(at, bytes)) => {
+            Some(ReplyDamage::Drop) => None,
+            Some(ReplyDamage::Cut(at)) => Some(at.min(reply.len())),
+            Some(ReplyDamage::Overwrite(at, bytes)) => {
                 reply.iter_mut().skip(26 + at).zip(bytes).for_each(|(byte, other)| *byte = other);
                 Some(reply.len())
             }

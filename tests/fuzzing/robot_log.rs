@@ -10,12 +10,12 @@ use shared::config::{self, RobotConfig};
 
 use super::{explained, force_log, joint_states};
 
-struct Setting {
+struct RobotLogSetting {
     robot: RobotConfig,
     mapping: RobotLogMapping,
 }
 
-static SETTING: LazyLock<Setting> = LazyLock::new(|| {
+static SETTING: LazyLock<RobotLogSetting> = LazyLock::new(|| {
     let directory = crate::config_directory();
     // Limits that no joint reaches, so that most logs are accepted.
     let mut robot: RobotConfig =
@@ -23,13 +23,13 @@ static SETTING: LazyLock<Setting> = LazyLock::new(|| {
     robot.joint_limits_deg = vec![[-1e6, 1e6]; 6];
     let shipped: RobotLogMapping = config::load(&directory.join("robot_log.toml")).expect("a shipped file");
     let torques = ForceColumns { columns: Vec::new(), unit: ForceUnit::Nm, frame: ForceFrame::Flange };
-    Setting { robot, mapping: RobotLogMapping { force: Some(torques), ..shipped } }
+    RobotLogSetting { robot, mapping: RobotLogMapping { force: Some(torques), ..shipped } }
 });
 
 /// Reads a log of that format, with and without a mapping. Either it has the guaranteed properties, or it is refused with a
 /// reason.
 fn any_log(format: LogFormat, bytes: &[u8]) {
-    let Setting { robot, mapping } = &*SETTING;
+    let RobotLogSetting { robot, mapping } = &*SETTING;
     for mapping in [None, Some(mapping.clone())] {
         let options = LogOptions { format: Some(format), mapping };
         match read_with(bytes, Path::new("log"), robot, &options) {

@@ -1,6 +1,6 @@
 //! The simulated segment with arbitrary frames and mailbox requests.
 
-use super::Input;
+use super::UnusedBytes;
 use frames::*;
 
 #[path = "../../daemon/tests/segment/frames.rs"]
@@ -32,7 +32,7 @@ pub fn any_frames(bytes: &[u8]) {
     wire.enter_safeop(TERMINAL);
     wire.process_data(0, 0);
     assert_eq!(wire.request(TERMINAL, OP), (OP, 0));
-    let mut input = Input(bytes);
+    let mut input = UnusedBytes(bytes);
     let mut reply = [0; 1518];
     while !input.is_empty() {
         wire.now_ns += 1 << (input.byte() % 41);
@@ -66,7 +66,7 @@ fn headers(frame: &[u8]) -> Vec<(u8, u8, u16)> {
 pub fn any_requests(bytes: &[u8]) {
     let mut wire = Wire::new(1, Turning);
     wire.enter_preop(TERMINAL);
-    let mut input = Input(bytes);
+    let mut input = UnusedBytes(bytes);
     while !input.is_empty() {
         let length = usize::from(input.byte());
         let mut request = input.take(length.min(MAILBOX_BYTES)).to_vec();

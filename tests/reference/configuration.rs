@@ -32,14 +32,14 @@ fn kind(key: &str, value: &Value) -> String {
 
 /// A section of a file, of all its blocks with the same title.
 #[derive(Default)]
-struct Section {
+struct FileSection {
     title: String,
     about: String,
     rows: String,
     keys: HashSet<String>,
 }
 
-impl Section {
+impl FileSection {
     /// Adds a comment that belongs to no key; its indented lines are an example.
     fn add_paragraph(&mut self, lines: &[String]) {
         let is_code = |line: &String| line.starts_with("    ");
@@ -50,7 +50,7 @@ impl Section {
         }
     }
 
-    fn add_key(&mut self, Entry { key, value, text, is_set }: &Entry, comment: &[String]) {
+    fn add_key(&mut self, KeyEntry { key, value, text, is_set }: &KeyEntry, comment: &[String]) {
         if !self.keys.insert(key.clone()) {
             return;
         }
@@ -71,14 +71,14 @@ impl Section {
 }
 
 /// A key with its value, which is a comment if it is not set.
-struct Entry {
+struct KeyEntry {
     key: String,
     value: Value,
     text: String,
     is_set: bool,
 }
 
-impl Entry {
+impl KeyEntry {
     /// The key of a line; its value may continue in further lines.
     fn parse<'t>(line: &'t str, is_set: bool, further: &mut impl Iterator<Item = &'t str>) -> Option<Self> {
         let (key, _) = line.split_once(" = ").filter(|(key, _)| !key.contains(char::is_whitespace))?;
@@ -96,7 +96,7 @@ impl Entry {
 
 fn page(file: &str) -> String {
     let text = std::fs::read_to_string(repository("config").join(file)).unwrap();
-    let (mut sections, mut at, mut comment) = (vec![Section::default()], 0, Vec::new());
+    let (mut sections, mut at, mut comment) = (vec![FileSection::default()], 0, Vec::new());
     let mut lines = text.lines();
     while let Some(line) = lines.next() {
         let remark = line.strip_prefix('#').map(|remark| remark.strip_prefix(' ').unwrap_or(remark));
@@ -105,11 +105,11 @@ fn page(file: &str) -> String {
             let known = sections.iter().position(|section| section.title == content);
             at = known.unwrap_or(sections.len());
             if known.is_none() {
-                sections.push(Section { title: content.to_owned(), ..Section::default() });
+                sections.push(FileSection { title: content.to_owned(), ..FileSection::default() });
                 sections[at].add_paragraph(&comment);
             }
             comment.clear();
-        } else if let Some(entry) = Entry::parse(content, remark.is_none(), &mut lines) {
+        } else if let Some(entry) = KeyEntry::parse(content, remark.is_none(), &mut lines) {
             sections[at].add_key(&entry, &take(&mut comment));
         } else if let Some(remark) = remark {
             comment.push(remark.to_owned());
@@ -117,7 +117,7 @@ fn page(file: &str) -> String {
             sections[at].add_paragraph(&take(&mut comment));
         }
     }
-    format!("\n## config/{file}\n") + &sections.iter().map(Section::markdown).collect::<String>()
+    format!("\n## config/{file}\n") + &sections.iter().map(FileSection::markdown).collect::<String>()
 }
 
 #[test]

@@ -14,7 +14,7 @@ In a calibration from several data sets, a parameter that each of them has for i
 ";
 
 /// Parameters of one row, by their names without numbers.
-type Row = Vec<(String, Vec<ParameterId>)>;
+type ParameterRow = Vec<(String, Vec<ParameterId>)>;
 
 const fn heading(owner: Owner) -> &'static str {
     match owner {
@@ -31,7 +31,7 @@ const fn heading(owner: Owner) -> &'static str {
 
 #[test]
 fn the_page_on_parameters_is_the_table_of_the_model() {
-    let mut rows: Vec<(_, Row)> = Vec::new();
+    let mut rows: Vec<(_, ParameterRow)> = Vec::new();
     for id in ParameterId::all() {
         let kind = (id.meaning(), id.block());
         let letters = id.to_string().replace(|letter: char| letter.is_ascii_digit(), "");
