@@ -11,14 +11,19 @@ use identify::evaluate::{Budget, Expected, Limit, WorkspaceError};
 use identify::instrument::{HoldOut, PoseError};
 use identify::report::result::file::{CalibrationFile, SolveEntry};
 use identify::report::result::validation::{HeldOutEntry, RowsEntry, UnseenPartEntry, ValidationEntry};
-use identify::report::verdict::{Grade, Verdict};
+use identify::report::verdict::{CalibrationVerdict, Grade};
 use identify::statistics::Sizes;
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 
 /// Root mean squares \[mm, mrad\], nominal and calibrated.
-fn judged(position: [f64; 2], rotation: [f64; 2], limits: &[Limit], required_m: Option<f64>) -> Verdict {
+fn judged(
+    position: [f64; 2],
+    rotation: [f64; 2],
+    limits: &[Limit],
+    required_m: Option<f64>,
+) -> CalibrationVerdict {
     judged_within(0.1e-3, position, rotation, limits, required_m)
 }
 
@@ -29,7 +34,7 @@ fn judged_within(
     rotation: [f64; 2],
     limits: &[Limit],
     required_m: Option<f64>,
-) -> Verdict {
+) -> CalibrationVerdict {
     let (file, workspace) = file(expanded_m, position, rotation);
     file.with_verdict(&workspace, limits, required_m).verdict.unwrap()
 }

@@ -9,7 +9,7 @@ use identify::calibrate::{CalibrateError, Calibration, IdentifyConfig, calibrate
 use identify::evaluate::{Expected, WorkspaceError, evidence};
 use identify::kinematics::Joints;
 use identify::report::result::file::{CalibrationFile, ParameterEntry, SolveEntry};
-use identify::report::verdict::{Grade, Verdict};
+use identify::report::verdict::{CalibrationVerdict, Grade};
 use identify::simulate::position_errors_m;
 use identify::simulate::{Design, Simulated};
 use nalgebra::Vector3;
@@ -58,7 +58,7 @@ pub fn judged(
     run: &Simulated,
     found: &Calibration,
     robot: &RobotConfig,
-) -> Result<(WorkspaceError, Verdict, [f64; 2]), CalibrateError> {
+) -> Result<(WorkspaceError, CalibrationVerdict, [f64; 2]), CalibrateError> {
     let limits = &robot.joint_limits();
     let evidence = evidence(found, limits).with_validation(found, None)?;
     let solution = found.solution();

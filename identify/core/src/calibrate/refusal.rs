@@ -8,7 +8,7 @@ use crate::solver::SolveError;
 
 /// Reason why the data gave no calibration.
 #[derive(Debug, Clone)]
-pub struct Refusal<'e> {
+pub struct CalibrationRefusal<'e> {
     /// Message as on the terminal: the problem, then the remedy.
     pub message: String,
     /// Index of the run, from 0; `None` if the refusal concerns all data.
@@ -21,7 +21,7 @@ pub struct Refusal<'e> {
 
 impl CalibrateError {
     /// The refusal; `None` for errors that are not due to the data, such as an invalid option or a cancelled solve.
-    pub fn refusal(&self) -> Option<Refusal<'_>> {
+    pub fn refusal(&self) -> Option<CalibrationRefusal<'_>> {
         let of_data = match self {
             Self::Model(_) | Self::NoRun | Self::Selection(_) | Self::NoEffect { .. } => false,
             Self::Prepare { error, .. } => !error.is_mistyped(),
@@ -35,7 +35,7 @@ impl CalibrateError {
             Self::Prepare { run, error } => (Some(*run), error.place(), error.deviations()),
             _ => (None, Place::default(), None),
         };
-        of_data.then(|| Refusal { message: self.to_string(), run, place, deviations })
+        of_data.then(|| CalibrationRefusal { message: self.to_string(), run, place, deviations })
     }
 
     /// Whether a mistake in a file of rows may be the cause.

@@ -31,7 +31,7 @@ pub enum Grade {
 
 /// The verdict on a calibration.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Verdict {
+pub struct CalibrationVerdict {
     /// Both questions in one word.
     pub grade: Grade,
     /// Held-out data are predicted better than with the nominal robot; absent where nothing was held out.
@@ -55,7 +55,7 @@ impl fmt::Display for Grade {
     }
 }
 
-impl fmt::Display for Verdict {
+impl fmt::Display for CalibrationVerdict {
     /// The reason, without grade and number.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match (&self.reason, self.required_m) {
@@ -170,7 +170,7 @@ impl CalibrationFile {
                 .or_else(untested);
             (if reason.is_some() { Grade::Amber } else { Grade::Green }, reason)
         };
-        self.verdict = Some(Verdict { grade, better, required_m, reason });
+        self.verdict = Some(CalibrationVerdict { grade, better, required_m, reason });
         self
     }
 

@@ -10,7 +10,7 @@ use super::bar::RunFiles;
 use super::experiment::ExperimentFile;
 use super::inputs;
 use crate::calibrate::CalibrateError;
-use crate::calibrate::refusal::Refusal;
+use crate::calibrate::refusal::CalibrationRefusal;
 use crate::report::page::{RefusedPage, WrittenRefusal};
 
 /// The error of a calibration, as the terminal shows it, with the place of its page. Without a page, because the data are not the
@@ -56,7 +56,7 @@ fn write_page(
     robot: &RobotConfig,
     experiment: &ExperimentFile,
     runs: &[RunFiles<'_>],
-    refusal: &Refusal<'_>,
+    refusal: &CalibrationRefusal<'_>,
 ) -> anyhow::Result<WrittenRefusal> {
     let bar = runs.first().map_or("", |run| run.bar.name.as_str());
     let page = RefusedPage {

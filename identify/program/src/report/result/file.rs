@@ -25,7 +25,7 @@ use crate::calibrate::validation::deployment::Deployment;
 use crate::cost::SharedColumns;
 use crate::evaluate::{Budget, Limit, Validity, not_separated};
 use crate::model::{Group, Model, Parameter, ParameterId, Role, TermGroup, Unit};
-use crate::report::verdict::Verdict;
+use crate::report::verdict::CalibrationVerdict;
 use crate::solver::{Covariance, Identifiability, Solution, Summary};
 
 /// Version of the file's structure; it rises when a key changes its name or meaning.
@@ -313,7 +313,7 @@ pub struct CalibrationFile {
     pub measured: Vec<MeasurementEntry>,
     /// The verdict; files of earlier versions have none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub verdict: Option<Verdict>,
+    pub verdict: Option<CalibrationVerdict>,
     /// Limits of its accuracy, the most important first; the verdict names the first that is serious.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub limits: Vec<Limit>,

@@ -12,7 +12,7 @@ use super::drawing::plot::PlotError;
 use super::run::inputs::{InspectedLog, rows};
 use super::sections::repeated_with;
 use super::{PageError, document};
-use crate::calibrate::refusal::Refusal;
+use crate::calibrate::refusal::CalibrationRefusal;
 use crate::inspect::JointLine;
 use crate::report::result::earlier::Earlier;
 use crate::report::result::file::{InputFile, MeasurementEntry, now, replace, software};
@@ -27,7 +27,7 @@ pub struct RefusedPage<'a> {
     /// Description of the measurement in each recording.
     pub measured: &'a [MeasurementEntry],
     /// Message and place of the refusal.
-    pub refusal: &'a Refusal<'a>,
+    pub refusal: &'a CalibrationRefusal<'a>,
     /// Recording and robot log of each run.
     pub runs: &'a [[InspectedLog; 2]],
     /// Files that were read.
