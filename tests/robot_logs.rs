@@ -7,7 +7,7 @@ use std::process::Command;
 
 use identify::calibrate::{IdentifyConfig, calibrate_run};
 use identify::logs::{
-    BarLog, LogError, LogOptions, Origin, RobotLog, RobotLogMapping, load, load_with, read,
+    BarLog, LogError, LogOptions, RobotLog, RobotLogMapping, ValueOrigin, load, load_with, read,
 };
 use identify::model::ParameterId;
 use identify::simulate::Comparison;
@@ -57,7 +57,7 @@ fn check_bag(kind: &str) {
     // One message has a joint that is NaN.
     assert_follows(&log, Some(100), 1e-12);
     assert_eq!((log.quality.incomplete_dropped, log.q_rad.first_stamp_ns), (1, START_NS));
-    assert_eq!((log.clock.as_str(), log.origin), ("header.stamp", Origin::Measured));
+    assert_eq!((log.clock.as_str(), log.origin), ("header.stamp", ValueOrigin::Measured));
     for (row, speeds) in log.speed_rad_s.unwrap().iter().enumerate().take(100) {
         for (joint, speed) in speeds.iter().enumerate() {
             assert!((speed - 0.5 * (0.01 * row as f64 + joint as f64).cos()).abs() < 1e-12);
@@ -164,7 +164,7 @@ fn egm_messages_by_googles_protobuf_are_read_in_degrees_on_either_clock() {
             assert_eq!(log.q_rad.first_stamp_ns, START_NS / 1000 * 1000);
         }
         assert_eq!((log.q_rad.len(), log.quality.duplicates_dropped), (ROWS, 1));
-        assert_eq!((log.clock.as_str(), log.origin), (clock, Origin::Measured));
+        assert_eq!((log.clock.as_str(), log.origin), (clock, ValueOrigin::Measured));
     }
 }
 
@@ -175,7 +175,7 @@ fn measured_not_target_angles_of_an_rtde_client_are_read_by_name() {
     let path = write_log(directory.path(), &["csv"], "rtde");
     let log = load(&path, &robot()).unwrap();
     assert_follows(&log, None, 1e-12);
-    assert_eq!((log.q_rad.first_stamp_ns, log.origin), (250_000_000_000, Origin::Measured));
+    assert_eq!((log.q_rad.first_stamp_ns, log.origin), (250_000_000_000, ValueOrigin::Measured));
     for (row, speeds) in log.speed_rad_s.unwrap().iter().enumerate() {
         for (joint, speed) in speeds.iter().enumerate() {
             assert!((speed - 0.5 * (0.01 * row as f64 + joint as f64).cos()).abs() < 1e-12);
@@ -190,7 +190,7 @@ fn measured_angles_of_rsi_telegrams_by_an_xml_writer_are_read() {
     let path = write_log(directory.path(), &["xml.etree"], "rsi");
     let log = load(&path, &robot()).unwrap();
     assert_follows(&log, None, 1e-12);
-    assert_eq!((log.clock.as_str(), log.origin), ("IPOC", Origin::Measured));
+    assert_eq!((log.clock.as_str(), log.origin), ("IPOC", ValueOrigin::Measured));
 }
 
 #[test]

@@ -4,7 +4,7 @@
 use crate::support::{bar, irb2400};
 use identify::inspect::{self, curves};
 use identify::kinematics::Joints;
-use identify::logs::{Origin, RobotLog, Stream};
+use identify::logs::{RobotLog, Stream, ValueOrigin};
 use identify::report::table;
 use identify::simulate::{self, Experiment, Simulated};
 use shared::config::JointKind;
@@ -58,7 +58,7 @@ fn clocks_that_jump_and_counters_with_a_new_origin_are_suspected() {
 #[test]
 fn frozen_and_commanded_logs_are_suspected() {
     let mut log: RobotLog = simulated().robot_log;
-    log.origin = Origin::Commanded;
+    log.origin = ValueOrigin::Commanded;
     // At the highest speed: the joints are repeated for 30 rows and then jump.
     let step = |row: &usize| (log.q_rad[row + 30][0] - log.q_rad[*row][0]).abs();
     let fastest = (0..log.q_rad.len() - 30).max_by(|a, b| step(a).total_cmp(&step(b))).unwrap();

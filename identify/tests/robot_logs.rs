@@ -9,7 +9,8 @@ use identify::kinematics::Joints;
 
 use crate::support::{irb2400 as irb, nj220 as nj};
 use identify::logs::{
-    JointConversion, LogError, LogOptions, Origin, RobotLog, RobotLogMapping, Stream, load_with, read, write,
+    JointConversion, LogError, LogOptions, RobotLog, RobotLogMapping, Stream, ValueOrigin, load_with, read,
+    write,
 };
 use proptest::prelude::*;
 use rand::SeedableRng;
@@ -25,7 +26,7 @@ fn sample_log() -> RobotLog {
     RobotLog {
         robot: Some("left arm".into()),
         clock: "controller".into(),
-        origin: Origin::Measured,
+        origin: ValueOrigin::Measured,
         q_rad: Stream::new(1_795_000_000_123_456_789, t_s, q_rad).into(),
         ..RobotLog::default()
     }

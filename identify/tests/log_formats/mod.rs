@@ -10,8 +10,8 @@ use std::path::Path;
 
 use crate::support::{bar, irb2400};
 use identify::logs::{
-    ForceLog, JointUnit, LogError, LogFormat, LogOptions, MeasuredLengths, Origin, OtherBarLog, RobotLog,
-    RobotLogMapping, TimedPoses, Touches, read_with,
+    ForceLog, JointUnit, LogError, LogFormat, LogOptions, MeasuredLengths, OtherBarLog, RobotLog,
+    RobotLogMapping, TimedPoses, Touches, ValueOrigin, read_with,
 };
 use shared::config::{self, AngleUnit, JointKind, RobotConfig};
 
@@ -72,7 +72,7 @@ fn the_shipped_mapping_reads_decimal_commas_units_and_the_coupling_of_a_fanuc() 
         _ => angle_deg(row, joint),
     });
     assert!((log.q_rad.period_s() - 0.008).abs() < 1e-12);
-    assert_eq!((log.clock.as_str(), log.origin), ("controller", Origin::Measured));
+    assert_eq!((log.clock.as_str(), log.origin), ("controller", ValueOrigin::Measured));
 }
 
 #[test]
@@ -210,10 +210,10 @@ fn what_record_py_of_the_rtde_client_writes_is_recognised() {
         .collect();
     let log = read_as(&(header("actual") + &body), None).unwrap();
     assert_follows(&log, 60, angle_deg);
-    assert_eq!((log.origin, log.speed_rad_s.unwrap()[3]), (Origin::Measured, [0.25; 6].into()));
+    assert_eq!((log.origin, log.speed_rad_s.unwrap()[3]), (ValueOrigin::Measured, [0.25; 6].into()));
     let log = read_as(&(header("target") + &body), None).unwrap();
     assert!(
-        log.origin == Origin::Commanded
+        log.origin == ValueOrigin::Commanded
             && log.quality.remarks.iter().any(|remark| remark.contains("commanded"))
     );
 }
@@ -239,7 +239,7 @@ fn telegrams_of_rsi_give_measured_joints_or_commanded_ones_where_a_mapping_asks(
     for text in [telegrams(60, 12), format!("<?xml version=\"1.0\"?><Log>\n{}</Log>\n", telegrams(60, 12))] {
         let log = read_as(&text, None).unwrap();
         assert_follows(&log, 60, angle_deg);
-        assert!((log.q_rad.period_s() - 0.012).abs() < 1e-12 && log.origin == Origin::Measured);
+        assert!((log.q_rad.period_s() - 0.012).abs() < 1e-12 && log.origin == ValueOrigin::Measured);
     }
     let joints: String =
         (1..=6).map(|joint| format!("[[joints]]\ncolumn = \"A{joint}\"\nunit = \"deg\"\n")).collect();

@@ -80,7 +80,7 @@ pub fn is_simulated(path: &Path) -> Result<bool, LogError> {
 /// Whether joint values are measured by the encoders or commanded by the controller.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Origin {
+pub enum ValueOrigin {
     /// Read from the robot's encoders.
     Measured,
     /// Output of the interpolator. It lacks the servo lag, so that results are worse; reports state this origin.
@@ -90,7 +90,7 @@ pub enum Origin {
     Unstated,
 }
 
-impl Origin {
+impl ValueOrigin {
     /// Its word in files.
     pub const fn name(self) -> &'static str {
         match self {
@@ -139,7 +139,7 @@ pub struct RobotLog {
     /// Name of the clock that made the stamps, as the file declares it (`unstated` otherwise).
     pub clock: String,
     /// Whether the joints were measured or commanded.
-    pub origin: Origin,
+    pub origin: ValueOrigin,
     /// Joint variables of the model \[rad, m\]. Jitter has been removed from the stamps of the file.
     pub q_rad: Shared<Stream<Joints>>,
     /// Rates of the joint variables \[rad/s, m/s\], one row per stamp, if the log has them.

@@ -36,7 +36,7 @@ pub use search::{BestPath, SearchProgress, search};
 use serde::{Deserialize, Serialize};
 
 use crate::kinematics::{InverseError, Joints};
-use crate::logs::{Origin, RobotLog, Stream};
+use crate::logs::{RobotLog, Stream, ValueOrigin};
 
 /// Time between two rows of a planned path \[s\].
 const ROW_S: f64 = 0.004;
@@ -97,7 +97,7 @@ pub fn robot_path(
     Ok(RobotLog {
         robot: Some(robot.to_owned()),
         clock: "planned".into(),
-        origin: Origin::Commanded,
+        origin: ValueOrigin::Commanded,
         q_rad: Stream::new(0, t_s, q_rad).into(),
         ..RobotLog::default()
     })

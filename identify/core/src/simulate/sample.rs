@@ -10,7 +10,7 @@ use shared::time::{DcNs, MonoNs};
 
 use super::truth::EncoderTruth;
 use super::{Experiment, Motion, RandomStream, SimulateError, random};
-use crate::logs::{self, ForceClock, ForceKind, ForceLog, Origin, RobotLog};
+use crate::logs::{self, ForceClock, ForceKind, ForceLog, RobotLog, ValueOrigin};
 
 /// Time between two bus cycles \[ns\]: 100 Hz.
 pub(super) const CYCLE_NS: i64 = 10_000_000;
@@ -61,7 +61,7 @@ pub(super) fn robot_log(
     Ok(RobotLog {
         robot: Some(experiment.robot.name.clone()),
         clock: "robot controller".into(),
-        origin: Origin::Measured,
+        origin: ValueOrigin::Measured,
         force: motion.pull.map(force_log),
         q_rad: logs::Stream::new(first_stamp_ns, stamps_s, q_rad).into(),
         ..RobotLog::default()

@@ -6,7 +6,7 @@ use shared::config::{JointKind, RobotConfig};
 
 use super::{Inspection, JointLine, joint_lines, stamps, suspect_still, unwrapped};
 use crate::kinematics::Joints;
-use crate::logs::{Origin, RobotLog};
+use crate::logs::{RobotLog, ValueOrigin};
 use crate::prepare::unwrapped_log;
 use crate::statistics::largest_difference;
 
@@ -31,7 +31,7 @@ pub fn robot_log(log: &RobotLog, robot: &RobotConfig) -> Inspection {
     }
     let quality = &log.quality;
     stamps(&mut inspection, &log.q_rad.t_s, quality);
-    if log.origin == Origin::Commanded {
+    if log.origin == ValueOrigin::Commanded {
         inspection
             .suspect("the angles are commanded ones, without servo lag; log the measured ones if possible");
     }

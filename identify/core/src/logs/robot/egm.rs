@@ -13,7 +13,7 @@ use shared::config::RobotConfig;
 use super::mapping::RobotLogMapping;
 use super::raw::{Meaning, RawLog, RawRobotRow};
 use crate::kinematics::Joints;
-use crate::logs::{LogError, LogFormat, Origin, RobotLog};
+use crate::logs::{LogError, LogFormat, RobotLog, ValueOrigin};
 
 #[derive(Clone, PartialEq, Message)]
 struct EgmHeader {
@@ -58,8 +58,8 @@ struct EgmRobot {
 
 impl EgmRobot {
     /// The position that a log with this origin has.
-    fn position(&self, origin: Option<Origin>) -> Option<&EgmPosition> {
-        if origin == Some(Origin::Commanded) { self.planned.as_ref() } else { self.feed_back.as_ref() }
+    fn position(&self, origin: Option<ValueOrigin>) -> Option<&EgmPosition> {
+        if origin == Some(ValueOrigin::Commanded) { self.planned.as_ref() } else { self.feed_back.as_ref() }
     }
 }
 

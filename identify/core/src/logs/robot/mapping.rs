@@ -5,7 +5,7 @@ use shared::config::{AngleUnit, LogConversion, Validate, Violation};
 
 use crate::logs::rows::pose_rows::{JointColumn, check_format, check_joints};
 use crate::logs::tables::stamp::TimeColumn;
-use crate::logs::{ForceColumns, Origin};
+use crate::logs::{ForceColumns, ValueOrigin};
 
 /// Layout of a text table.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -68,7 +68,7 @@ pub struct RobotLogMapping {
     /// Name of the clock that made the stamps.
     pub clock: Option<String>,
     /// Whether values are measured or commanded; of formats that have both, which are read.
-    pub values: Option<Origin>,
+    pub values: Option<ValueOrigin>,
     /// Topic of a bag that has several with joint states.
     pub topic: Option<String>,
     /// Layout of a text table.

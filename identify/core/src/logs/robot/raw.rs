@@ -14,8 +14,8 @@ use crate::logs::time_series::frozen::repeated_rows;
 use crate::logs::time_series::sampling::Stamps;
 use crate::logs::time_series::stream::retain;
 use crate::logs::{
-    ForceClock, ForceKind, ForceLog, JointConversion, JointMistake, LogError, LogFormat, LogQuality, Origin,
-    ROWS_MIN, RobotLog, Stream, since_first_s, travel,
+    ForceClock, ForceKind, ForceLog, JointConversion, JointMistake, LogError, LogFormat, LogQuality,
+    ROWS_MIN, RobotLog, Stream, ValueOrigin, since_first_s, travel,
 };
 use crate::statistics::{extremes, largest_difference};
 use crate::threads;
@@ -57,7 +57,7 @@ pub(in crate::logs) struct RawLog {
     quality: LogQuality,
     pub robot: Option<String>,
     pub clock: String,
-    pub origin: Origin,
+    pub origin: ValueOrigin,
     pub remarks: Vec<String>,
     /// Kind of the rows' force on the bar, if they have one. Joint torques without columns of their own are the rows' torques.
     pub force: Option<ForceKind>,
@@ -152,7 +152,7 @@ impl RawLog {
         let stated = mapping.and_then(|mapping| mapping.clock.clone());
         Self {
             clock: stated.unwrap_or_else(|| clock.into()),
-            origin: mapping.and_then(|mapping| mapping.values).unwrap_or(Origin::Measured),
+            origin: mapping.and_then(|mapping| mapping.values).unwrap_or(ValueOrigin::Measured),
             ..Self::new(path, what)
         }
     }
@@ -395,7 +395,7 @@ impl RawLog {
             ));
         }
         quality.remark_counts(self.what, "the joints", "they are left out", "lack a joint");
-        if self.origin == Origin::Commanded {
+        if self.origin == ValueOrigin::Commanded {
             quality
                 .remarks
                 .push("the values are commanded, not measured: they do not contain the servo lag".into());

@@ -12,7 +12,7 @@ use crate::logs::source::LogSource;
 use crate::logs::tables::csv_text::{CsvColumn, CsvRow, CsvTable};
 use crate::logs::tables::stamp::{StampColumn, TimeColumn, TimeUnit};
 use crate::logs::tables::text::Text;
-use crate::logs::{ForceColumns, LogError, LogFormat, Origin, RobotLog, usual_and_longest_step_s};
+use crate::logs::{ForceColumns, LogError, LogFormat, RobotLog, ValueOrigin, usual_and_longest_step_s};
 use crate::statistics::largest_difference;
 
 /// Name of the column with time stamps \[s\].
@@ -127,8 +127,8 @@ fn own_joints(
 pub(in crate::logs) fn read_rtde(source: LogSource<'_>, robot: &RobotConfig) -> Result<RobotLog, LogError> {
     let path = source.path;
     let table = &mut CsvTable::delimited(Text::new(source, None)?, b' ')?;
-    let origin = if table.has("actual_q_0") { Origin::Measured } else { Origin::Commanded };
-    let kind = if origin == Origin::Measured { "actual" } else { "target" };
+    let origin = if table.has("actual_q_0") { ValueOrigin::Measured } else { ValueOrigin::Commanded };
+    let kind = if origin == ValueOrigin::Measured { "actual" } else { "target" };
     let columns = |quantity: &str| -> Columns {
         (0..robot.axes()).map(|joint| format!("{kind}_{quantity}_{joint}")).collect()
     };
@@ -227,7 +227,7 @@ fn take_comments(raw: &mut RawLog, table: &CsvTable<'_>) {
             "robot" => raw.robot = Some(value.clone()),
             "clock" => value.clone_into(&mut raw.clock),
             "values" => {
-                raw.origin = [Origin::Measured, Origin::Commanded]
+                raw.origin = [ValueOrigin::Measured, ValueOrigin::Commanded]
                     .into_iter()
                     .find(|origin| origin.name() == value.to_lowercase())
                     .unwrap_or_default();
