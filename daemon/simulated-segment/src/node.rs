@@ -11,7 +11,7 @@ use super::source::EncoderSource;
 const OUTPUTS_MAX: usize = 16;
 
 /// A sync event for the device.
-pub struct Step<'a> {
+pub struct SyncStep<'a> {
     /// State of the application layer: SAFE-OP or OP.
     pub state: AlState,
     pub event: SyncEvent,
@@ -27,7 +27,7 @@ pub trait Device: Send {
     fn chip(&self) -> ChipProfile;
 
     /// A sync event in SAFE-OP or OP: read outputs, fill inputs.
-    fn step(&mut self, _step: Step<'_>, _source: &mut dyn EncoderSource) {}
+    fn step(&mut self, _step: SyncStep<'_>, _source: &mut dyn EncoderSource) {}
 
     /// Sets the synchronisation of the device.
     fn synchronise(&mut self, _mode: SyncMode) {}
@@ -110,7 +110,7 @@ impl Node {
         let len = self.esc.outputs().len().min(OUTPUTS_MAX);
         outputs[..len].copy_from_slice(&self.esc.outputs()[..len]);
         let inputs = self.esc.inputs_mut();
-        self.device.step(Step { state, event, outputs: &outputs[..len], inputs }, source);
+        self.device.step(SyncStep { state, event, outputs: &outputs[..len], inputs }, source);
     }
 
     fn serve_mailbox(&mut self, now_ns: i64) {

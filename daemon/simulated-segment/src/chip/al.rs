@@ -80,7 +80,7 @@ const PATIENCE_NS: i64 = 2_000_000_000;
 
 /// A transition that the master has requested, and its times.
 #[derive(Clone, Copy)]
-struct Pending {
+struct AlRequest {
     target: AlState,
     /// When it is decided first ...
     due_ns: i64,
@@ -88,7 +88,7 @@ struct Pending {
     deadline_ns: i64,
 }
 
-enum Verdict {
+enum AlDecision {
     Enter,
     /// Not yet; refused with this code after the time limit.
     Wait(AlStatusCode),
@@ -102,7 +102,7 @@ pub struct AlMachine {
     state: AlState,
     /// AL status code while the error bit is set.
     error: Option<u16>,
-    pending: Option<Pending>,
+    pending: Option<AlRequest>,
 }
 
 impl AlMachine {
@@ -144,7 +144,7 @@ impl AlMachine {
             Ok(target) => {
                 let due_ns = now_ns.saturating_add(TRANSITION_NS);
                 let deadline_ns = due_ns.saturating_add(PATIENCE_NS);
-                self.pending = Some(Pending { target, due_ns, deadline_ns });
+                self.pending = Some(AlRequest { target, due_ns, deadline_ns });
             }
             Err(code) => self.error = Some(code as u16),
         }
@@ -165,10 +165,10 @@ impl AlMachine {
     /// Decides the requested transition; called once it [is due](Self::is_due).
     pub fn decide(&mut self, now_ns: i64, readiness: &Readiness) {
         let Some(pending) = self.pending else { return };
-        match verdict(self.state, pending.target, readiness) {
-            Verdict::Wait(_) if now_ns < pending.deadline_ns => return,
-            Verdict::Enter => self.state = pending.target,
-            Verdict::Wait(code) | Verdict::Refuse(code) => self.error = Some(code as u16),
+        match decision(self.state, pending.target, readiness) {
+            AlDecision::Wait(_) if now_ns < pending.deadline_ns => return,
+            AlDecision::Enter => self.state = pending.target,
+            AlDecision::Wait(code) | AlDecision::Refuse(code) => self.error = Some(code as u16),
         }
         self.pending = None;
     }
@@ -185,10 +185,10 @@ fn target(requested: u8) -> Result<AlState, AlStatusCode> {
     }
 }
 
-fn verdict(from: AlState, to: AlState, readiness: &Readiness) -> Verdict {
+fn decision(from: AlState, to: AlState, readiness: &Readiness) -> AlDecision {
     let mailbox = [(readiness.mailbox, AlStatusCode::InvalidMailboxConfiguration)];
     match (from, to) {
-        _ if to <= from => Verdict::Enter,
+        _ if to <= from => AlDecision::Enter,
         (AlState::Init, AlState::PreOp) => require(&mailbox),
         (AlState::PreOp, AlState::SafeOp) => require(&[
             mailbox[0],
@@ -196,25 +196,25 @@ fn verdict(from: AlState, to: AlState, readiness: &Readiness) -> Verdict {
             (readiness.inputs, AlStatusCode::InvalidInputConfiguration),
             (readiness.sync != SyncReadiness::Invalid, AlStatusCode::InvalidDcSyncConfiguration),
         ]),
-        (AlState::SafeOp, AlState::Op) => verdict_on_op(readiness),
-        _ => Verdict::Refuse(AlStatusCode::InvalidRequestedStateChange),
+        (AlState::SafeOp, AlState::Op) => decision_on_op(readiness),
+        _ => AlDecision::Refuse(AlStatusCode::InvalidRequestedStateChange),
     }
 }
 
 /// Refuses with the code of the first condition that does not hold.
-fn require(conditions: &[(bool, AlStatusCode)]) -> Verdict {
+fn require(conditions: &[(bool, AlStatusCode)]) -> AlDecision {
     let failed = conditions.iter().find(|(holds, _)| !holds);
-    failed.map_or(Verdict::Enter, |(_, code)| Verdict::Refuse(*code))
+    failed.map_or(AlDecision::Enter, |(_, code)| AlDecision::Refuse(*code))
 }
 
-fn verdict_on_op(readiness: &Readiness) -> Verdict {
+fn decision_on_op(readiness: &Readiness) -> AlDecision {
     match readiness.sync {
-        SyncReadiness::Invalid => Verdict::Refuse(AlStatusCode::InvalidDcSyncConfiguration),
-        SyncReadiness::WrongSync1 => Verdict::Refuse(AlStatusCode::FatalSyncError),
-        SyncReadiness::Waiting => Verdict::Wait(AlStatusCode::NoSyncError),
+        SyncReadiness::Invalid => AlDecision::Refuse(AlStatusCode::InvalidDcSyncConfiguration),
+        SyncReadiness::WrongSync1 => AlDecision::Refuse(AlStatusCode::FatalSyncError),
+        SyncReadiness::Waiting => AlDecision::Wait(AlStatusCode::NoSyncError),
         SyncReadiness::Off | SyncReadiness::Running if !readiness.outputs_received => {
-            Verdict::Wait(AlStatusCode::NoValidOutputs)
+            AlDecision::Wait(AlStatusCode::NoValidOutputs)
         }
-        SyncReadiness::Off | SyncReadiness::Running => Verdict::Enter,
+        SyncReadiness::Off | SyncReadiness::Running => AlDecision::Enter,
     }
 }

@@ -83,12 +83,12 @@ const LIST_RESPONSE: u8 = 2;
 const INFORMATION_ERROR: u8 = 7;
 
 /// An answer that is being assembled behind its headers.
-struct Answer<'a> {
+struct CoeResponse<'a> {
     mailbox: &'a mut [u8; MAILBOX_MAX],
     len: usize,
 }
 
-impl Answer<'_> {
+impl CoeResponse<'_> {
     /// Appends bytes; returns false if the mailbox is full.
     fn push(&mut self, bytes: &[u8]) -> bool {
         let end = self.len + bytes.len();
@@ -123,7 +123,7 @@ pub fn answer(
 ) -> Option<usize> {
     let header = request.first_chunk::<MAILBOX_HEADER_LEN>()?;
     let end = MAILBOX_HEADER_LEN + usize::from(u16::from_le_bytes([header[0], header[1]]));
-    let mut answer = Answer { mailbox, len: MAILBOX_HEADER_LEN };
+    let mut answer = CoeResponse { mailbox, len: MAILBOX_HEADER_LEN };
     let Some(content) = request.get(MAILBOX_HEADER_LEN..end) else {
         return Some(refuse(answer, INVALID_HEADER, request));
     };
@@ -143,14 +143,14 @@ pub fn answer(
 pub fn abort_with(request: &[u8], mailbox: &mut [u8; MAILBOX_MAX], code: u32) -> Option<usize> {
     let sdo = request.get(MAILBOX_HEADER_LEN + COE_HEADER_LEN..)?;
     let &[_, i0, i1, subindex] = sdo.first_chunk::<4>()?;
-    let mut answer = Answer { mailbox, len: MAILBOX_HEADER_LEN };
+    let mut answer = CoeResponse { mailbox, len: MAILBOX_HEADER_LEN };
     abort(&mut answer, [i0, i1, subindex], code);
     Some(answer.finish(TYPE_COE, request))
 }
 
 /// An emergency, which is sent without a request (ETG.1000.6 section 5.6.4): error code, error register, no data.
 pub fn emergency(mailbox: &mut [u8; MAILBOX_MAX], code: u16) -> usize {
-    let mut answer = Answer { mailbox, len: MAILBOX_HEADER_LEN };
+    let mut answer = CoeResponse { mailbox, len: MAILBOX_HEADER_LEN };
     answer.begin(SERVICE_EMERGENCY);
     answer.push(&code.to_le_bytes());
     answer.push(&[0x01, 0, 0, 0, 0, 0]);
@@ -158,13 +158,13 @@ pub fn emergency(mailbox: &mut [u8; MAILBOX_MAX], code: u16) -> usize {
 }
 
 /// Mailbox error reply (ETG.1000.4 table 30): type 1 and the error code `detail`.
-fn refuse(mut answer: Answer<'_>, detail: u16, request: &[u8]) -> usize {
+fn refuse(mut answer: CoeResponse<'_>, detail: u16, request: &[u8]) -> usize {
     answer.push(&[1, 0]);
     answer.push(&detail.to_le_bytes());
     answer.finish(TYPE_ERROR, request)
 }
 
-fn sdo(content: &[u8], answer: &mut Answer<'_>, objects: &mut dyn ObjectDictionary) {
+fn sdo(content: &[u8], answer: &mut CoeResponse<'_>, objects: &mut dyn ObjectDictionary) {
     let Some((&[command, i0, i1, subindex], data)) = content.split_first_chunk::<4>() else {
         return abort(answer, [0; 3], Abort::UnknownCommand as u32);
     };
@@ -185,7 +185,7 @@ fn sdo(content: &[u8], answer: &mut Answer<'_>, objects: &mut dyn ObjectDictiona
     }
 }
 
-fn abort(answer: &mut Answer<'_>, [i0, i1, subindex]: [u8; 3], code: u32) {
+fn abort(answer: &mut CoeResponse<'_>, [i0, i1, subindex]: [u8; 3], code: u32) {
     // An abort is sent as a request by either side.
     answer.begin(SERVICE_SDO_REQUEST);
     answer.push(&[ABORT, i0, i1, subindex]);
@@ -195,7 +195,7 @@ fn abort(answer: &mut Answer<'_>, [i0, i1, subindex]: [u8; 3], code: u32) {
 fn upload(
     index: u16,
     subindex: u8,
-    answer: &mut Answer<'_>,
+    answer: &mut CoeResponse<'_>,
     objects: &dyn ObjectDictionary,
 ) -> Result<(), Abort> {
     let mut value = [0; MAILBOX_MAX];
@@ -226,7 +226,7 @@ fn downloaded(command: u8, data: &[u8]) -> Result<&[u8], Abort> {
 }
 
 /// SDO information service: only the lists of objects.
-fn information(content: &[u8], answer: &mut Answer<'_>, objects: &dyn ObjectDictionary) {
+fn information(content: &[u8], answer: &mut CoeResponse<'_>, objects: &dyn ObjectDictionary) {
     let opcode = content.first().map_or(0, |byte| byte & 0x7f);
     let list = content.get(4..).and_then(|rest| rest.first_chunk()).map(|kind| u16::from_le_bytes(*kind));
     answer.begin(SERVICE_INFORMATION);
@@ -244,7 +244,7 @@ fn information(content: &[u8], answer: &mut Answer<'_>, objects: &dyn ObjectDict
 }
 
 /// List 0 contains the lengths of the five others.
-fn list_objects(kind: u16, answer: &mut Answer<'_>, objects: &dyn ObjectDictionary) {
+fn list_objects(kind: u16, answer: &mut CoeResponse<'_>, objects: &dyn ObjectDictionary) {
     match usize::from(kind).checked_sub(1).and_then(|index| LISTS.get(index)) {
         None => {
             for list in LISTS {

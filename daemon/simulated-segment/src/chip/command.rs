@@ -21,7 +21,7 @@ const ARMW: u8 = 13;
 const FRMW: u8 = 14;
 
 /// Effect of a command on one device, after its address is decoded.
-enum Action {
+enum CommandEffect {
     Nothing,
     Read(ReadMode),
     Write,
@@ -50,10 +50,10 @@ fn exchange_logical(esc: &mut Esc, datagram: &mut Datagram<'_>, now_ns: i64) -> 
 fn execute_physical(esc: &mut Esc, datagram: &mut Datagram<'_>, now_ns: i64) -> u16 {
     let address = datagram.memory_address();
     match action(esc, datagram) {
-        Action::Nothing => 0,
-        Action::Read(mode) => u16::from(esc.read(address, datagram.data, mode, now_ns)),
-        Action::Write => u16::from(esc.write(address, datagram.data, now_ns)),
-        Action::Exchange(mode) => {
+        CommandEffect::Nothing => 0,
+        CommandEffect::Read(mode) => u16::from(esc.read(address, datagram.data, mode, now_ns)),
+        CommandEffect::Write => u16::from(esc.write(address, datagram.data, now_ns)),
+        CommandEffect::Exchange(mode) => {
             // The data on the wire is read before it is replaced; a datagram has at most 2047 bytes.
             let mut incoming = [0; 2048];
             let incoming = &mut incoming[..datagram.data.len()];
@@ -66,7 +66,7 @@ fn execute_physical(esc: &mut Esc, datagram: &mut Datagram<'_>, now_ns: i64) -> 
 }
 
 /// Decodes whether the command addresses this device, and increments the address field if the command requires that.
-fn action(esc: &Esc, datagram: &mut Datagram<'_>) -> Action {
+fn action(esc: &Esc, datagram: &mut Datagram<'_>) -> CommandEffect {
     let command = datagram.command();
     let first = datagram.device_address() == 0;
     let addressed = datagram.device_address() == esc.station_address();
@@ -74,18 +74,18 @@ fn action(esc: &Esc, datagram: &mut Datagram<'_>) -> Action {
         datagram.increment_device_address();
     }
     match command {
-        APRD if first => Action::Read(ReadMode::Replace),
-        APWR if first => Action::Write,
-        APRW if first => Action::Exchange(ReadMode::Replace),
-        FPRD if addressed => Action::Read(ReadMode::Replace),
-        FPWR if addressed => Action::Write,
-        FPRW if addressed => Action::Exchange(ReadMode::Replace),
-        BRD => Action::Read(ReadMode::Or),
-        BWR => Action::Write,
-        BRW => Action::Exchange(ReadMode::Or),
-        ARMW if first => Action::Read(ReadMode::Replace),
-        FRMW if addressed => Action::Read(ReadMode::Replace),
-        ARMW | FRMW => Action::Write,
-        _ => Action::Nothing,
+        APRD if first => CommandEffect::Read(ReadMode::Replace),
+        APWR if first => CommandEffect::Write,
+        APRW if first => CommandEffect::Exchange(ReadMode::Replace),
+        FPRD if addressed => CommandEffect::Read(ReadMode::Replace),
+        FPWR if addressed => CommandEffect::Write,
+        FPRW if addressed => CommandEffect::Exchange(ReadMode::Replace),
+        BRD => CommandEffect::Read(ReadMode::Or),
+        BWR => CommandEffect::Write,
+        BRW => CommandEffect::Exchange(ReadMode::Or),
+        ARMW if first => CommandEffect::Read(ReadMode::Replace),
+        FRMW if addressed => CommandEffect::Read(ReadMode::Replace),
+        ARMW | FRMW => CommandEffect::Write,
+        _ => CommandEffect::Nothing,
     }
 }

@@ -16,8 +16,8 @@ const CATEGORY_RX_PDO: u16 = 51;
 const CATEGORY_END: u16 = 0xffff;
 const VERSION: u16 = 1;
 
-/// First words of the EEPROM.
-pub struct Header {
+/// First words of the EEPROM, which the slave information (SII) begins with.
+pub struct SiiHeader {
     /// PDI control and configuration words that the chip loads at power-up (words 0 to 3).
     pub configuration: [u16; 4],
     pub vendor: u32,
@@ -51,7 +51,7 @@ pub struct Image {
 
 impl Image {
     /// An EEPROM with header and names: order code (string 1), long name (string 2), group (string 3).
-    pub fn new(header: &Header, names: [&'static str; 3], general: &General) -> Self {
+    pub fn new(header: &SiiHeader, names: [&'static str; 3], general: &General) -> Self {
         let mut image = Self { bytes: vec![0; CATEGORIES] };
         image.header(header);
         image.category(CATEGORY_STRINGS, &strings(&names));
@@ -59,7 +59,7 @@ impl Image {
         image
     }
 
-    fn header(&mut self, header: &Header) {
+    fn header(&mut self, header: &SiiHeader) {
         for (index, word) in header.configuration.iter().enumerate() {
             self.put(index * 2, &word.to_le_bytes());
         }

@@ -8,7 +8,7 @@ use super::dc::{DistributedClock, LocalClock, Pulses};
 use super::fmmu::{self, Fmmu, Mapped};
 use super::registers as reg;
 use super::sii::Sii;
-use super::sync_manager::{self, Completion, Direction, ExpectedSyncManager, Permit, SyncManager};
+use super::sync_manager::{self, Access, Completion, ExpectedSyncManager, Permit, SyncManager};
 
 /// Sync manager channels by use, for every device with a mailbox.
 const MAILBOX_OUT: usize = 0;
@@ -258,7 +258,7 @@ impl Esc {
 
     /// The master reads; returns whether the access was permitted.
     pub fn read(&mut self, address: u16, data: &mut [u8], mode: ReadMode, now_ns: i64) -> bool {
-        let permit = sync_manager::permit(&self.sync_managers, address, data.len(), Direction::Read);
+        let permit = sync_manager::permit(&self.sync_managers, address, data.len(), Access::Read);
         if matches!(permit, Permit::Denied) || data.is_empty() {
             return false;
         }
@@ -277,7 +277,7 @@ impl Esc {
 
     /// The master writes; returns whether the access was permitted.
     pub fn write(&mut self, address: u16, data: &[u8], now_ns: i64) -> bool {
-        let permit = sync_manager::permit(&self.sync_managers, address, data.len(), Direction::Write);
+        let permit = sync_manager::permit(&self.sync_managers, address, data.len(), Access::Write);
         let end = usize::from(address) + data.len();
         if matches!(permit, Permit::Denied) || data.is_empty() || end > self.memory.len() {
             return false;
@@ -304,7 +304,7 @@ impl Esc {
     pub fn read_logical(&mut self, logical: u32, data: &mut [u8], now_ns: i64) -> bool {
         let mut matched = false;
         for index in 0..self.fmmus.len() {
-            let mapped = self.fmmus[index].map(logical, data.len(), Direction::Read);
+            let mapped = self.fmmus[index].map(logical, data.len(), Access::Read);
             let Some(mapped) = mapped else { continue };
             matched |= self.read_mapped(&mapped, &mut data[mapped.data.clone()], now_ns);
         }
@@ -312,7 +312,7 @@ impl Esc {
     }
 
     fn read_mapped(&mut self, mapped: &Mapped, data: &mut [u8], now_ns: i64) -> bool {
-        if !self.is_mappable(mapped.physical, data.len(), Direction::Read) {
+        if !self.is_mappable(mapped.physical, data.len(), Access::Read) {
             return false;
         }
         let (Some(bits), Some(byte)) = (mapped.bits, data.first_mut()) else {
@@ -328,7 +328,7 @@ impl Esc {
     pub fn write_logical(&mut self, logical: u32, data: &[u8], now_ns: i64) -> bool {
         let mut matched = false;
         for index in 0..self.fmmus.len() {
-            let mapped = self.fmmus[index].map(logical, data.len(), Direction::Write);
+            let mapped = self.fmmus[index].map(logical, data.len(), Access::Write);
             let Some(mapped) = mapped else { continue };
             matched |= self.write_mapped(&mapped, &data[mapped.data.clone()], now_ns);
         }
@@ -336,7 +336,7 @@ impl Esc {
     }
 
     fn write_mapped(&mut self, mapped: &Mapped, data: &[u8], now_ns: i64) -> bool {
-        if !self.is_mappable(mapped.physical, data.len(), Direction::Write) {
+        if !self.is_mappable(mapped.physical, data.len(), Access::Write) {
             return false;
         }
         let (Some(bits), Some(byte)) = (mapped.bits, data.first()) else {
@@ -347,9 +347,9 @@ impl Esc {
     }
 
     /// A unit maps nothing while the sync manager behind it is off; registers can be mapped for reading.
-    fn is_mappable(&self, physical: u16, len: usize, direction: Direction) -> bool {
+    fn is_mappable(&self, physical: u16, len: usize, direction: Access) -> bool {
         let permit = sync_manager::permit(&self.sync_managers, physical, len, direction);
-        let register = direction == Direction::Read && physical < reg::PROCESS_MEMORY;
+        let register = direction == Access::Read && physical < reg::PROCESS_MEMORY;
         register || matches!(permit, Permit::Through(_))
     }
 

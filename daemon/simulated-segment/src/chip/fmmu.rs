@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use super::sync_manager::Direction;
+use super::sync_manager::Access;
 
 /// Number of units that a chip can have.
 pub const UNITS_MAX: usize = 8;
@@ -78,8 +78,8 @@ impl Fmmu {
     }
 
     /// The part of `len` bytes from `logical` that this unit maps for an access of the master.
-    pub fn map(&self, logical: u32, len: usize, direction: Direction) -> Option<Mapped> {
-        let kind = if direction == Direction::Read { READ } else { WRITE };
+    pub fn map(&self, logical: u32, len: usize, direction: Access) -> Option<Mapped> {
+        let kind = if direction == Access::Read { READ } else { WRITE };
         if self.enable & ENABLE == 0 || self.kind & kind == 0 {
             return None;
         }

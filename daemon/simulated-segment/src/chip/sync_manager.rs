@@ -21,7 +21,7 @@ const PDI_DISABLED: u8 = 0x01;
 
 /// Direction of an access by the master.
 #[derive(Clone, Copy, PartialEq, Eq)]
-pub enum Direction {
+pub enum Access {
     Read,
     Write,
 }
@@ -82,7 +82,7 @@ impl SyncManager {
         self.activate = registers[6];
         if !self.is_enabled() {
             (self.full, self.event) = (false, false);
-        } else if repeated && self.is_mailbox() && self.direction() == Direction::Read {
+        } else if repeated && self.is_mailbox() && self.direction() == Access::Read {
             // The master lost the last answer and requests it again; it is still in memory.
             self.full = true;
         }
@@ -127,8 +127,8 @@ impl SyncManager {
         self.control & MODE_MASK == MODE_MAILBOX
     }
 
-    fn direction(&self) -> Direction {
-        if self.control & WRITTEN_BY_MASTER == 0 { Direction::Read } else { Direction::Write }
+    fn direction(&self) -> Access {
+        if self.control & WRITTEN_BY_MASTER == 0 { Access::Read } else { Access::Write }
     }
 
     fn end(&self) -> usize {
@@ -140,32 +140,32 @@ impl SyncManager {
     }
 
     /// Whether the channel permits an access from the byte `from` to `to`; to a mailbox only from its start.
-    fn admits(&self, from: usize, to: usize, direction: Direction) -> bool {
+    fn admits(&self, from: usize, to: usize, direction: Access) -> bool {
         let inside = usize::from(self.start) <= from && to <= self.end();
         let at_start = usize::from(self.start) == from;
-        let ready = self.full == (direction == Direction::Read);
+        let ready = self.full == (direction == Access::Read);
         inside && direction == self.direction() && (!self.is_mailbox() || (at_start && ready))
     }
 
     fn complete(&mut self) -> Completion {
-        self.event = self.direction() == Direction::Write;
+        self.event = self.direction() == Access::Write;
         match (self.is_mailbox(), self.direction()) {
-            (true, Direction::Write) => {
+            (true, Access::Write) => {
                 self.full = true;
                 Completion::Request
             }
-            (true, Direction::Read) => {
+            (true, Access::Read) => {
                 self.full = false;
                 Completion::Nothing
             }
-            (false, Direction::Write) => Completion::Outputs,
-            (false, Direction::Read) => Completion::Nothing,
+            (false, Access::Write) => Completion::Outputs,
+            (false, Access::Read) => Completion::Nothing,
         }
     }
 }
 
 /// Decision of the channels on an access of `len` bytes at `address`.
-pub fn permit(channels: &[SyncManager], address: u16, len: usize, direction: Direction) -> Permit {
+pub fn permit(channels: &[SyncManager], address: u16, len: usize, direction: Access) -> Permit {
     let (from, to) = (usize::from(address), usize::from(address) + len);
     let touched = channels.iter().position(|channel| channel.is_active() && channel.overlaps(from, to));
     match touched {

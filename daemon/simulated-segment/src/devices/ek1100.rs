@@ -2,7 +2,7 @@
 
 use super::VENDOR;
 use crate::chip::ChipProfile;
-use crate::chip::eeprom::{General, Header, Image};
+use crate::chip::eeprom::{General, Image, SiiHeader};
 use crate::node::Device;
 
 const PRODUCT: u32 = 0x044c_2c52;
@@ -18,7 +18,7 @@ pub struct Ek1100;
 
 impl Device for Ek1100 {
     fn chip(&self) -> ChipProfile {
-        let header = Header {
+        let header = SiiHeader {
             configuration: CONFIGURATION,
             vendor: VENDOR,
             product: PRODUCT,

@@ -44,7 +44,7 @@ impl Hand {
 }
 
 #[derive(Debug, Clone, Copy, Default)]
-struct Joint {
+struct TurnedJoint {
     /// Angle by which it was turned by hand.
     by_hand: Periods,
     /// True time \[ns\] and position of the last conversion.
@@ -56,7 +56,7 @@ struct Joint {
 pub struct HandTurned {
     motion: SmoothMotion,
     hand: Hand,
-    joints: Vec<Joint>,
+    joints: Vec<TurnedJoint>,
     /// Total time for which the motion was stopped \[ns\].
     stopped_ns: i64,
     held_since_ns: Option<i64>,
@@ -66,7 +66,7 @@ impl HandTurned {
     /// A motion and the hand that can stop it.
     pub fn new(motion: SmoothMotion) -> (Self, Hand) {
         let hand = Hand::default();
-        let joints = vec![Joint::default(); motion.joints()];
+        let joints = vec![TurnedJoint::default(); motion.joints()];
         (Self { motion, hand: hand.clone(), joints, stopped_ns: 0, held_since_ns: None }, hand)
     }
 

@@ -30,7 +30,7 @@ const NOT_STARTED: i64 = i64::MAX;
 const AT_NEXT: i64 = i64::MIN;
 
 #[derive(Debug)]
-struct Shared {
+struct ReplayState {
     start_ns: AtomicI64,
     /// Number of rows that each channel has played.
     played: Vec<AtomicUsize>,
@@ -48,20 +48,20 @@ pub struct Replay {
     channels: usize,
     period_ns: i64,
     /// True time of pulses, for each channel.
-    pulses: Vec<Pulses>,
-    shared: Arc<Shared>,
+    pulses: Vec<PulseTiming>,
+    shared: Arc<ReplayState>,
 }
 
 /// True time of pulses against their nominal one.
 #[derive(Debug, Clone, Copy, Default)]
-struct Pulses {
+struct PulseTiming {
     /// True minus nominal time of the last one \[ns\].
     true_minus_nominal_ns: Option<i64>,
     /// Sum of the changes of that difference by which the clock of the bus was set \[ns\].
     delay_ns: i64,
 }
 
-impl Pulses {
+impl PulseTiming {
     /// Clocks drift by less than this between two pulses; a larger change means that the clock was set \[ns\].
     const SET_NS: i64 = 20_000;
 
@@ -77,7 +77,7 @@ impl Pulses {
 
 /// Starts a replay and reads its progress, from any thread.
 #[derive(Debug, Clone)]
-pub struct ReplayHandle(Arc<Shared>);
+pub struct ReplayHandle(Arc<ReplayState>);
 
 impl Replay {
     /// Plays `counts`, rows of `channels` counts each, one row every `period_ns`. Shows the first row until it is started
@@ -96,13 +96,13 @@ impl Replay {
         if period_ns <= 0 {
             return Err(ReplayError::Period(period_ns));
         }
-        let shared = Arc::new(Shared {
+        let shared = Arc::new(ReplayState {
             start_ns: AtomicI64::new(NOT_STARTED),
             played: (0..channels).map(|_| AtomicUsize::new(0)).collect(),
             rows: counts.len() / channels,
         });
         let handle = ReplayHandle(Arc::clone(&shared));
-        let pulses = vec![Pulses::default(); channels];
+        let pulses = vec![PulseTiming::default(); channels];
         Ok((Self { counts, channels, period_ns, pulses, shared }, handle))
     }
 

@@ -40,7 +40,7 @@ impl Sine {
 }
 
 #[derive(Debug, Clone)]
-struct Joint {
+struct SmoothJoint {
     sines: [Sine; SINES],
     /// Position of the encoder at angle zero.
     start: Periods,
@@ -53,7 +53,7 @@ struct Joint {
 #[derive(Debug, Clone)]
 pub struct SmoothMotion {
     lines: u32,
-    joints: Vec<Joint>,
+    joints: Vec<SmoothJoint>,
 }
 
 impl SmoothMotion {
@@ -61,7 +61,7 @@ impl SmoothMotion {
     pub fn new(joints: usize, lines: u32, seed: u64) -> Self {
         let mut random = StdRng::seed_from_u64(seed);
         let lines = lines.clamp(1, LINES_MAX);
-        let joints = (0..joints).map(|_| Joint::new(lines, &mut random)).collect();
+        let joints = (0..joints).map(|_| SmoothJoint::new(lines, &mut random)).collect();
         Self { lines, joints }
     }
 
@@ -103,7 +103,7 @@ impl SmoothMotion {
     }
 }
 
-impl Joint {
+impl SmoothJoint {
     fn new(lines: u32, random: &mut StdRng) -> Self {
         let mut sines = [(); SINES].map(|()| Sine {
             amplitude_rad: random.random_range(0.3..1.0),

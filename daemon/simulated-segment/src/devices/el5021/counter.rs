@@ -17,7 +17,7 @@ const AMPLITUDE_MIN: f64 = 0.5;
 
 /// Settings in the object dictionary.
 #[derive(Debug, Clone, Copy)]
-pub struct Settings {
+pub struct CounterSettings {
     /// 0x8000:01, counter to zero on C.
     pub reset_on_c: bool,
     /// 0x8000:0E, counts backwards.
@@ -40,7 +40,7 @@ pub struct Settings {
     pub bits: u8,
 }
 
-impl Default for Settings {
+impl Default for CounterSettings {
     fn default() -> Self {
         Self {
             reset_on_c: false,
@@ -57,7 +57,7 @@ impl Default for Settings {
     }
 }
 
-impl Settings {
+impl CounterSettings {
     /// Entry of a table for each of [`BITS`].
     fn for_bits(&self, table: [f64; 6]) -> f64 {
         table[usize::from(self.bits.clamp(*BITS.start(), *BITS.end()) - BITS.start())]
@@ -103,7 +103,13 @@ impl Counter {
     }
 
     /// One conversion: from the encoder's signal and the master's requests to the inputs.
-    pub fn convert(&mut self, signal: Signal, settings: &Settings, outputs: &Outputs, inputs: &mut Inputs) {
+    pub fn convert(
+        &mut self,
+        signal: Signal,
+        settings: &CounterSettings,
+        outputs: &Outputs,
+        inputs: &mut Inputs,
+    ) {
         match signal {
             Signal::Recorded { count } => inputs.counter = count,
             Signal::Turning { position, periods_per_s, amplitude, reference_mark, on_reference_mark } => {
@@ -132,12 +138,18 @@ impl Counter {
     }
 
     /// Sets the offset with which `position` has this count.
-    fn set(&mut self, position: Periods, count: u32, settings: &Settings) {
+    fn set(&mut self, position: Periods, count: u32, settings: &CounterSettings) {
         self.offset = Periods(settings.position(count).0.wrapping_sub(position.0));
     }
 
     /// Copies the value on the rising edge of the request; `set_done` follows the request.
-    fn serve_set(&mut self, position: Periods, settings: &Settings, outputs: &Outputs, inputs: &mut Inputs) {
+    fn serve_set(
+        &mut self,
+        position: Periods,
+        settings: &CounterSettings,
+        outputs: &Outputs,
+        inputs: &mut Inputs,
+    ) {
         if outputs.set_counter && !self.set_was_requested {
             self.set(position, outputs.set_value, settings);
         }
@@ -149,7 +161,7 @@ impl Counter {
     fn serve_latch(
         &mut self,
         mark: Option<Periods>,
-        settings: &Settings,
+        settings: &CounterSettings,
         outputs: &Outputs,
         inputs: &mut Inputs,
     ) {
@@ -174,7 +186,7 @@ impl Counter {
 }
 
 /// The position as the terminal counts it, backwards if that is set.
-fn directed(position: Periods, settings: &Settings) -> Periods {
+fn directed(position: Periods, settings: &CounterSettings) -> Periods {
     if settings.reversed { Periods(position.0.wrapping_neg()) } else { position }
 }
 
@@ -195,14 +207,14 @@ mod tests {
     #[derive(Default)]
     struct Terminal {
         counter: Counter,
-        settings: Settings,
+        settings: CounterSettings,
         outputs: Outputs,
         inputs: Inputs,
     }
 
     impl Terminal {
         fn with_bits(bits: u8) -> Self {
-            Self { settings: Settings { bits, ..Settings::default() }, ..Self::default() }
+            Self { settings: CounterSettings { bits, ..CounterSettings::default() }, ..Self::default() }
         }
 
         fn convert(&mut self, signal: Signal) -> u32 {
@@ -228,7 +240,7 @@ mod tests {
 
     #[test]
     fn resolution_is_full_below_750_hz_and_6_bits_at_80_khz() {
-        let settings = Settings { bits: 12, ..Settings::default() };
+        let settings = CounterSettings { bits: 12, ..CounterSettings::default() };
         let constant = [(0.0, 0), (749.0, 0), (751.0, 1), (1499.0, 1), (1501.0, 2), (80e3, 6)];
         for (frequency_hz, bits) in constant {
             assert_eq!(settings.constant_bits(frequency_hz), bits, "{frequency_hz} Hz");

@@ -5,14 +5,14 @@ mod counter;
 mod mapping;
 mod objects;
 
-use counter::{Counter, Settings};
+use counter::{Counter, CounterSettings};
 
 use super::VENDOR;
 use crate::chip::al::AlState;
 use crate::chip::coe::ObjectDictionary;
-use crate::chip::eeprom::{General, Header, Image};
+use crate::chip::eeprom::{General, Image, SiiHeader};
 use crate::chip::{ChipProfile, ExpectedSyncManager, SyncMode};
-use crate::node::{Device, SignalFault, Step};
+use crate::node::{Device, SignalFault, SyncStep};
 use crate::source::{Conversion, EncoderSource, Signal};
 
 const PRODUCT: u32 = 0x139d_3052;
@@ -96,7 +96,7 @@ struct Diagnosis {
 pub struct El5021 {
     channel: usize,
     revision: Revision,
-    settings: Settings,
+    settings: CounterSettings,
     counter: Counter,
     sync_mode: SyncMode,
     diagnosis: Diagnosis,
@@ -111,7 +111,7 @@ impl El5021 {
         Self { channel, revision, ..Self::default() }
     }
 
-    fn diagnose(&mut self, step: &Step<'_>) {
+    fn diagnose(&mut self, step: &SyncStep<'_>) {
         let supervised = self.sync_mode == SyncMode::DistributedClock && step.state == AlState::Op;
         self.diagnosis.sync_error = supervised && step.event.missed > 0;
         if supervised {
@@ -133,7 +133,7 @@ impl El5021 {
 impl Device for El5021 {
     fn chip(&self) -> ChipProfile {
         let [mailbox_out, mailbox_in, ..] = SYNC_MANAGERS;
-        let header = Header {
+        let header = SiiHeader {
             configuration: CONFIGURATION,
             vendor: VENDOR,
             product: PRODUCT,
@@ -162,7 +162,7 @@ impl Device for El5021 {
         }
     }
 
-    fn step(&mut self, step: Step<'_>, source: &mut dyn EncoderSource) {
+    fn step(&mut self, step: SyncStep<'_>, source: &mut dyn EncoderSource) {
         self.diagnose(&step);
         // In SAFE-OP outputs are safe, that is, without requests.
         self.outputs = match step.state {

@@ -1,6 +1,6 @@
 //! Object dictionary of the EL5021 (CoE).
 
-use super::counter::{BITS, Settings};
+use super::counter::{BITS, CounterSettings};
 use super::{El5021, PRODUCT, VENDOR, mapping};
 use crate::chip::SyncMode;
 use crate::chip::coe::{Abort, ObjectDictionary, ObjectList};
@@ -29,7 +29,7 @@ const BY_SYNC0: u16 = 0x02;
 const BY_SYNC1: u16 = 0x03;
 
 /// The value of an object.
-enum Value {
+enum ObjectValue {
     Bit(bool),
     U8(u8),
     U16(u16),
@@ -37,7 +37,7 @@ enum Value {
     Text(&'static str),
 }
 
-impl Value {
+impl ObjectValue {
     fn write(&self, target: &mut [u8]) -> Result<usize, Abort> {
         let mut put = |bytes: &[u8]| {
             target.get_mut(..bytes.len()).ok_or(Abort::OutOfMemory)?.copy_from_slice(bytes);
@@ -54,18 +54,18 @@ impl Value {
 }
 
 /// The entries of a PDO in the object dictionary: object, subindex and bits in one word.
-fn mapped(entries: &[PdoEntry], subindex: u8) -> Option<Value> {
+fn mapped(entries: &[PdoEntry], subindex: u8) -> Option<ObjectValue> {
     let Some(position) = usize::from(subindex).checked_sub(1) else {
-        return Some(Value::U8(entries.len() as u8));
+        return Some(ObjectValue::U8(entries.len() as u8));
     };
     let PdoEntry { object: (index, subindex), bits } = entries.get(position)?;
-    Some(Value::U32(u32::from(*index) << 16 | u32::from(*subindex) << 8 | u32::from(*bits)))
+    Some(ObjectValue::U32(u32::from(*index) << 16 | u32::from(*subindex) << 8 | u32::from(*bits)))
 }
 
 impl El5021 {
     /// The value of an object; `None` if the object or its subindex does not exist.
-    fn value(&self, index: u16, subindex: u8) -> Option<Value> {
-        use Value::{Bit, Text, U8, U16, U32};
+    fn value(&self, index: u16, subindex: u8) -> Option<ObjectValue> {
+        use ObjectValue::{Bit, Text, U8, U16, U32};
         let Self { revision, settings, diagnosis, inputs, outputs, .. } = self;
         let on_clock = self.sync_mode == SyncMode::DistributedClock;
         let has_frequency = revision.measures_frequency();
@@ -142,7 +142,7 @@ impl El5021 {
     }
 
     /// The value of an object, or why it has none.
-    fn value_or_abort(&self, index: u16, subindex: u8) -> Result<Value, Abort> {
+    fn value_or_abort(&self, index: u16, subindex: u8) -> Result<ObjectValue, Abort> {
         let is_object = || self.list(ObjectList::All).contains(&index);
         let missing = || if is_object() { Abort::NoSubindex } else { Abort::NoObject };
         self.value(index, subindex).ok_or_else(missing)
@@ -175,7 +175,7 @@ impl El5021 {
         if signature != RESTORE {
             return Err(Abort::ValueRange);
         }
-        self.settings = Settings::default();
+        self.settings = CounterSettings::default();
         Ok(())
     }
 }
@@ -197,7 +197,7 @@ impl ObjectDictionary for El5021 {
         }
         value[..bytes.len()].copy_from_slice(bytes);
         let value = u32::from_le_bytes(value);
-        if matches!(present, Value::Bit(_)) && value > 1 {
+        if matches!(present, ObjectValue::Bit(_)) && value > 1 {
             return Err(Abort::ValueRange);
         }
         if index == 0x1011 { self.restore(value) } else { self.change_setting(index, subindex, value) }
