@@ -10,7 +10,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use shared::recording::schema::{PortCounts, flags};
 
-use crate::devices::el5021::Status;
+use crate::devices::el5021::StatusWord;
 
 /// How serious a state is.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
@@ -511,8 +511,8 @@ fn invalid_encoders(joints: &[u8], status: Option<u16>, valid_share: f64) -> Str
 /// Whether the terminal reports late cycles, and no error of the encoder.
 fn is_only_unsynchronised(status: Option<u16>) -> bool {
     let is_only =
-        |status: Status| status.sync_error() && !status.amplitude_error() && !status.frequency_error();
-    status.map(Status).is_some_and(is_only)
+        |status: StatusWord| status.sync_error() && !status.amplitude_error() && !status.frequency_error();
+    status.map(StatusWord).is_some_and(is_only)
 }
 
 fn encoder_remedy(status: Option<u16>) -> &'static str {

@@ -13,7 +13,7 @@ use shared::time::NS_PER_S;
 
 use super::error::{BusError, while_doing, wrong_devices};
 use super::{
-    Bus, BusPlan, DeviceClock, Group, Operational, OperationalGroup, STATION_ADDRESS_FIRST, timers,
+    Bus, BusGroup, BusPlan, DeviceClock, Operational, OperationalGroup, STATION_ADDRESS_FIRST, timers,
     working_counter_of,
 };
 use crate::devices::{DeviceKind, EK1100, EL5021, el5021};
@@ -85,7 +85,7 @@ impl Bus {
         Ok(operational)
     }
 
-    fn discover(&mut self, plan: &BusPlan) -> Result<Group<PreOp, NoDc>, BusError> {
+    fn discover(&mut self, plan: &BusPlan) -> Result<BusGroup<PreOp, NoDc>, BusError> {
         let no_answer = || BusError::from(Fact::BusNoAnswer { bus: plan.name.clone() });
         let bus_minus_monotonic_ns = self.bus_minus_monotonic_ns;
         let bus_time_ns = move || timers::now().plus_ns(bus_minus_monotonic_ns).0.max(0) as u64;
@@ -98,7 +98,7 @@ impl Bus {
         if group.is_empty() { Err(no_answer()) } else { Ok(group) }
     }
 
-    fn identify(&mut self, group: &Group<PreOp, NoDc>) {
+    fn identify(&mut self, group: &BusGroup<PreOp, NoDc>) {
         let info = |(position, device): (usize, SubDeviceRef<'_, _>)| {
             let identity = device.identity();
             DeviceInfo {
@@ -129,7 +129,7 @@ impl Bus {
 
     fn configure_terminals(
         &mut self,
-        group: &mut Group<PreOp, NoDc>,
+        group: &mut BusGroup<PreOp, NoDc>,
         plan: &BusPlan,
     ) -> Result<(), BusError> {
         let Self { exchange, main, .. } = self;
@@ -157,7 +157,7 @@ impl Bus {
     }
 
     /// Synchronises the clocks of all terminals to the reference clock.
-    fn synchronise_clocks(&mut self, group: &Group<PreOpPdi, NoDc>) -> Result<Vec<DeviceClock>, BusError> {
+    fn synchronise_clocks(&mut self, group: &BusGroup<PreOpPdi, NoDc>) -> Result<Vec<DeviceClock>, BusError> {
         let mut rounds_left = CLOCK_SYNC_ROUNDS_MAX;
         loop {
             self.distribute_time(group)?;
@@ -174,7 +174,7 @@ impl Bus {
     }
 
     /// Sends the time of the reference clock to all others, and checks that it advances.
-    fn distribute_time(&mut self, group: &Group<PreOpPdi, NoDc>) -> Result<(), BusError> {
+    fn distribute_time(&mut self, group: &BusGroup<PreOpPdi, NoDc>) -> Result<(), BusError> {
         let mut times_ns = Vec::with_capacity(CLOCK_SYNC_FRAMES as usize);
         for _ in 0..CLOCK_SYNC_FRAMES {
             let response = self.exchange.run(group.tx_rx_sync_system_time(self.main));
@@ -189,7 +189,7 @@ impl Bus {
         }
     }
 
-    fn read_clocks(&mut self, group: &Group<PreOpPdi, NoDc>) -> Result<Vec<DeviceClock>, BusError> {
+    fn read_clocks(&mut self, group: &BusGroup<PreOpPdi, NoDc>) -> Result<Vec<DeviceClock>, BusError> {
         let read = |(position, device): (usize, SubDeviceRef<'_, _>)| {
             let register = device.register_read::<u32>(RegisterAddress::DcSystemTimeDifference);
             let register = self.exchange.run(register).map_err(while_doing(SYNCHRONISING))?;
@@ -201,9 +201,9 @@ impl Bus {
 
     fn start_sync(
         &mut self,
-        group: Group<PreOpPdi, NoDc>,
+        group: BusGroup<PreOpPdi, NoDc>,
         plan: &BusPlan,
-    ) -> Result<Group<PreOpPdi, HasDc>, BusError> {
+    ) -> Result<BusGroup<PreOpPdi, HasDc>, BusError> {
         let configuration = DcConfiguration {
             start_delay: SYNC_START_DELAY,
             sync0_period: plan.cycle_period,
@@ -214,7 +214,10 @@ impl Bus {
             .map_err(while_doing("starting SYNC0 and SYNC1"))
     }
 
-    fn request_operational<Dc>(&mut self, group: Group<PreOpPdi, Dc>) -> Result<Group<Op, Dc>, BusError> {
+    fn request_operational<Dc>(
+        &mut self,
+        group: BusGroup<PreOpPdi, Dc>,
+    ) -> Result<BusGroup<Op, Dc>, BusError> {
         let devices = group.len();
         let safe_op = self.exchange.run(group.into_safe_op(self.main));
         let safe_op = safe_op.map_err(|error| self.explain_refusal(devices, "SAFE-OP", error))?;

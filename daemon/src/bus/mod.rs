@@ -47,9 +47,9 @@ const FRAME_BYTES_MIN: usize = 60;
 /// Preamble and start delimiter precede each frame, a check sequence follows.
 const FRAME_BYTES_AROUND: usize = 8 + 4;
 
-type Group<State, Dc> = SubDeviceGroup<DEVICES_MAX, PDI_BYTES_MAX, ethercrab::DefaultLock, State, Dc>;
+type BusGroup<State, Dc> = SubDeviceGroup<DEVICES_MAX, PDI_BYTES_MAX, ethercrab::DefaultLock, State, Dc>;
 
-type Device<'a> = SubDeviceRef<'static, SubDevicePdi<'a, PDI_BYTES_MAX, ethercrab::DefaultLock>>;
+type BusDevice<'a> = SubDeviceRef<'static, SubDevicePdi<'a, PDI_BYTES_MAX, ethercrab::DefaultLock>>;
 
 /// Expected devices of the bus, and its timing.
 #[derive(Debug, Clone)]
@@ -105,8 +105,8 @@ pub struct DeviceClock {
 }
 
 enum OperationalGroup {
-    Dc(Group<Op, HasDc>),
-    FreeRun(Group<Op, NoDc>),
+    Dc(BusGroup<Op, HasDc>),
+    FreeRun(BusGroup<Op, NoDc>),
 }
 
 impl OperationalGroup {
@@ -114,7 +114,7 @@ impl OperationalGroup {
         &'a self,
         main: &'static MainDevice<'static>,
         position: usize,
-    ) -> Result<Device<'a>, EtherCatError> {
+    ) -> Result<BusDevice<'a>, EtherCatError> {
         match self {
             Self::Dc(group) => group.subdevice(main, position),
             Self::FreeRun(group) => group.subdevice(main, position),
@@ -124,7 +124,7 @@ impl OperationalGroup {
 
 /// Result of one cyclic frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Reply {
+pub struct CyclicReply {
     /// Working counter of the process data.
     pub working_counter: u16,
     /// Every device is in OP.
@@ -147,7 +147,7 @@ pub struct CyclicExchange {
     /// When the reply was received; equal to `sent` without one.
     pub received: MonoNs,
     /// `None` when no reply arrived in time.
-    pub reply: Option<Reply>,
+    pub reply: Option<CyclicReply>,
 }
 
 impl Bus {
@@ -209,7 +209,8 @@ impl Bus {
         let inputs = self.inputs(operational);
         let States { not_operational, silent } = states;
         let all_operational = not_operational == 0;
-        let reply = Reply { working_counter, all_operational, not_operational, silent, dc_time, inputs };
+        let reply =
+            CyclicReply { working_counter, all_operational, not_operational, silent, dc_time, inputs };
         CyclicExchange { sent, received: self.exchange.received_last(), reply: Some(reply) }
     }
 

@@ -14,8 +14,6 @@ use super::{BRING_UP_REPLY_TIMEOUT, BRING_UP_RETRIES};
 const FRAMES_MAX: usize = 16;
 const FRAME_DATA_BYTES: usize = PduStorage::element_size(1100);
 
-type Storage = PduStorage<FRAMES_MAX, FRAME_DATA_BYTES>;
-
 /// Stacks that no bus uses.
 static IDLE: Mutex<Vec<Stack>> = Mutex::new(Vec::new());
 
@@ -44,7 +42,8 @@ impl Stack {
     }
 
     fn new(pdu_timeout: Duration) -> Self {
-        let storage: &'static Storage = Box::leak(Box::new(Storage::new()));
+        let storage: &'static PduStorage<FRAMES_MAX, FRAME_DATA_BYTES> =
+            Box::leak(Box::new(PduStorage::new()));
         // Splitting fails only the second time; a storage made here was never split.
         #[allow(clippy::expect_used, reason = "the storage was made one line above")]
         let (tx, rx, pdu_loop) = storage.try_split().expect("fresh storage");

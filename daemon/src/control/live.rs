@@ -575,7 +575,7 @@ impl Track {
 /// Why an encoder gives no value, from the status word of its terminal.
 fn sample_problem(sample: Option<&EncoderStatus>) -> String {
     let Some(sample) = sample else { return "no bus".into() };
-    let status = el5021::Status(sample.status);
+    let status = el5021::StatusWord(sample.status);
     let text = match (sample.valid, status.amplitude_error(), status.frequency_error()) {
         (true, ..) => "no new sample",
         (_, true, _) => "signal too low: cable, plug or supply",

@@ -10,7 +10,7 @@ use shared::time::{DcNs, MonoNs, NS_PER_S};
 
 use super::events::{Down, Happening};
 use super::{Acquisition, ClockPair, Observation, Sampler};
-use crate::bus::{CyclicExchange, Operational, Reply, RestoreToOp, absent};
+use crate::bus::{CyclicExchange, CyclicReply, Operational, RestoreToOp, absent};
 use crate::problem::Fact;
 
 /// A terminal without a reply counts as lost after this number of cycles.
@@ -153,7 +153,7 @@ impl Acquisition {
     }
 
     /// Requests OP from terminals in SAFE-OP, in the time until the next frame.
-    fn restore_to_op(&mut self, reply: &Reply, now: MonoNs) {
+    fn restore_to_op(&mut self, reply: &CyclicReply, now: MonoNs) {
         let is_first_request = self.health.restoring.is_none();
         let (first, last) = self.health.restoring.unwrap_or((now, MonoNs(i64::MIN / 2)));
         if now.ns_since(first) > RESTORE_TIMEOUT_NS {

@@ -3,7 +3,7 @@
 use shared::recording::schema::{CycleRecord, EncoderSample, MAX_ENCODERS, flags};
 use shared::time::{DcNs, UtcNs};
 
-use crate::bus::{CyclicExchange, Reply};
+use crate::bus::{CyclicExchange, CyclicReply};
 use crate::devices::el5021;
 
 /// Time at which a cycle's encoders were sampled.
@@ -112,7 +112,7 @@ impl Sampler {
         record.encoders.iter_mut().for_each(|encoder| encoder.valid = false);
     }
 
-    fn check_inputs(&mut self, record: &mut CycleRecord, reply: &Reply) {
+    fn check_inputs(&mut self, record: &mut CycleRecord, reply: &CyclicReply) {
         let places = record.encoders.iter_mut().zip(&reply.inputs).zip(&mut self.toggles);
         for ((encoder, input), toggle_before) in places.take(self.encoder_count) {
             let toggle = input.status.toggle();
@@ -143,7 +143,7 @@ impl Sampler {
 
     /// A short working counter does not show which terminal is missing, so it invalidates every count; unless it is short by
     /// exactly the share of terminals that do not answer: then all others were processed.
-    fn invalidate_unproven(&self, record: &mut CycleRecord, reply: &Reply) {
+    fn invalidate_unproven(&self, record: &mut CycleRecord, reply: &CyclicReply) {
         // The coupler has position 0, and must answer.
         let absent = |index: usize| reply.silent >> (index + 1) & 1 == 1;
         let missing = (0..self.encoder_count).filter(|index| absent(*index)).count() as u16;
@@ -163,13 +163,13 @@ mod tests {
     use shared::time::MonoNs;
 
     use super::*;
-    use crate::devices::el5021::{Input, Status};
+    use crate::devices::el5021::{Input, StatusWord};
 
     const TIME: SampleTime = SampleTime { utc: UtcNs(1), uncertainty_ns: 2, dc: DcNs(3) };
 
-    fn reply(toggle: bool) -> Reply {
-        let status = Status(if toggle { 0x8000 } else { 0 });
-        Reply {
+    fn reply(toggle: bool) -> CyclicReply {
+        let status = StatusWord(if toggle { 0x8000 } else { 0 });
+        CyclicReply {
             working_counter: 6,
             all_operational: true,
             not_operational: 0,
@@ -179,7 +179,7 @@ mod tests {
         }
     }
 
-    fn exchange(reply: Option<Reply>) -> CyclicExchange {
+    fn exchange(reply: Option<CyclicReply>) -> CyclicExchange {
         CyclicExchange { sent: MonoNs(10), received: MonoNs(20), reply }
     }
 
@@ -202,7 +202,7 @@ mod tests {
         let mut sampler = sampler();
         sampler.sample(0, TIME, &exchange(Some(reply(true))));
         let mut second = reply(true);
-        second.inputs[1].status = Status(0);
+        second.inputs[1].status = StatusWord(0);
         let record = sampler.sample(1, TIME, &exchange(Some(second)));
         assert_eq!(record.flags, flags::STALE_INPUT);
         assert_eq!(record.encoders().iter().map(|encoder| encoder.valid).collect::<Vec<_>>(), [false, true]);
@@ -232,11 +232,11 @@ mod tests {
 
     #[test]
     fn a_short_working_counter_or_a_device_out_of_op_invalidates_every_count() {
-        let short = Reply { working_counter: 3, ..reply(true) };
+        let short = CyclicReply { working_counter: 3, ..reply(true) };
         let record = sampler().sample(0, TIME, &exchange(Some(short)));
         assert!(!record.encoders().iter().any(|encoder| encoder.valid));
         assert_eq!(record.flags, flags::WORKING_COUNTER);
-        let safe_op = Reply { all_operational: false, ..reply(true) };
+        let safe_op = CyclicReply { all_operational: false, ..reply(true) };
         let record = sampler().sample(0, TIME, &exchange(Some(safe_op)));
         assert!(!record.encoders().iter().any(|encoder| encoder.valid));
         assert_eq!(record.flags, flags::NOT_OPERATIONAL);
@@ -245,24 +245,40 @@ mod tests {
     #[test]
     fn terminals_before_missing_ones_stay_valid_only_if_the_counter_proves_it() {
         // The terminal at position 2 answers nothing, and its 3 are missing.
-        let rest = Reply {
+        let rest = CyclicReply {
             working_counter: 3,
             all_operational: false,
             not_operational: 4,
             silent: 4,
             ..reply(true)
         };
-        let valid = |reply: Reply| {
+        let valid = |reply: CyclicReply| {
             let record = sampler().sample(0, TIME, &exchange(Some(reply)));
             assert_ne!(record.flags, 0);
             record.encoders().iter().map(|encoder| encoder.valid).collect::<Vec<_>>()
         };
         assert_eq!(valid(rest), [true, false]);
-        assert_eq!(valid(Reply { working_counter: 2, ..rest }), [false, false], "another terminal is short");
-        assert_eq!(valid(Reply { working_counter: 6, ..rest }), [false, false], "a contradiction");
-        assert_eq!(valid(Reply { working_counter: u16::MAX, ..rest }), [false, false], "a damaged counter");
-        assert_eq!(valid(Reply { not_operational: 6, ..rest }), [false, false], "the other is not in OP");
-        assert_eq!(valid(Reply { silent: 5, not_operational: 5, ..rest }), [false, false], "no coupler");
+        assert_eq!(
+            valid(CyclicReply { working_counter: 2, ..rest }),
+            [false, false],
+            "another terminal is short"
+        );
+        assert_eq!(valid(CyclicReply { working_counter: 6, ..rest }), [false, false], "a contradiction");
+        assert_eq!(
+            valid(CyclicReply { working_counter: u16::MAX, ..rest }),
+            [false, false],
+            "a damaged counter"
+        );
+        assert_eq!(
+            valid(CyclicReply { not_operational: 6, ..rest }),
+            [false, false],
+            "the other is not in OP"
+        );
+        assert_eq!(
+            valid(CyclicReply { silent: 5, not_operational: 5, ..rest }),
+            [false, false],
+            "no coupler"
+        );
     }
 
     #[test]

@@ -24,9 +24,9 @@ pub const DATA_READY_NS: i64 = 31_000;
 
 /// Status word of the TxPDO.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Status(pub u16);
+pub struct StatusWord(pub u16);
 
-impl Status {
+impl StatusWord {
     const LATCH_VALID: u16 = 1 << 0;
     const FREQUENCY_ERROR: u16 = 1 << 3;
     const AMPLITUDE_ERROR: u16 = 1 << 4;
@@ -82,7 +82,7 @@ impl Output {
 /// Inputs of one terminal.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Input {
-    pub status: Status,
+    pub status: StatusWord,
     pub count: u32,
     /// Count at the last reference mark (C).
     pub latch: u32,
@@ -94,7 +94,7 @@ impl Input {
         let pdo: &[u8; INPUT_BYTES] = pdo.try_into().ok()?;
         let [s0, s1, c0, c1, c2, c3, l0, l1, l2, l3] = *pdo;
         Some(Self {
-            status: Status(u16::from_le_bytes([s0, s1])),
+            status: StatusWord(u16::from_le_bytes([s0, s1])),
             count: u32::from_le_bytes([c0, c1, c2, c3]),
             latch: u32::from_le_bytes([l0, l1, l2, l3]),
         })
@@ -117,8 +117,8 @@ mod tests {
     #[test]
     fn every_error_bit_invalidates_the_count() {
         for bit in [3, 4, 13, 14] {
-            assert!(Status(1 << bit).has_error(), "bit {bit}");
+            assert!(StatusWord(1 << bit).has_error(), "bit {bit}");
         }
-        assert!(!Status(0b1000_0100_0000_0101).has_error());
+        assert!(!StatusWord(0b1000_0100_0000_0101).has_error());
     }
 }

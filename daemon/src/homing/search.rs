@@ -6,7 +6,7 @@ use shared::recording::schema::{CycleRecord, MAX_ENCODERS};
 use shared::time::UtcNs;
 
 use super::{Found, HomingError, PATIENCE_S, SIGNAL_LOST_MAX_S};
-use crate::devices::el5021::Status;
+use crate::devices::el5021::StatusWord;
 
 /// Angle that identifies the joint and its direction \[rad\].
 const TURNED_MIN_RAD: f64 = 5.0 * std::f64::consts::PI / 180.0;
@@ -119,7 +119,7 @@ impl Search {
             track.moved = i64::from(encoder.count.wrapping_sub(start) as i32);
             track.lowest = track.lowest.min(track.moved);
             track.highest = track.highest.max(track.moved);
-            let is_latched = Status(encoder.status).latch_valid();
+            let is_latched = StatusWord(encoder.status).latch_valid();
             let rising = track.moved > before;
             track.latched = is_latched.then(|| track.latched.unwrap_or(rising));
         }

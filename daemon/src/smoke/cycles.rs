@@ -14,7 +14,7 @@ use super::check::{Outcome, Reason, Subject};
 use super::config::{CyclesConfig, SmokeConfig};
 use crate::bus::DeviceClock;
 use crate::cycle::{BusNames, CycleEvent};
-use crate::devices::el5021::Status;
+use crate::devices::el5021::StatusWord;
 use crate::problem::{Fact, Problem};
 use crate::run::{Session, Stop};
 use crate::scheduler::until;
@@ -174,7 +174,7 @@ impl Figures {
         let is_bad = record.flags & CYCLE_FLAGS != 0;
         let is_device_bad = record.flags & DEVICE_FLAGS != 0;
         let follows_bad = std::mem::replace(&mut self.was_bad, is_bad || is_device_bad) || lost > 0;
-        let is_sync_error = record.encoders().iter().any(|encoder| Status(encoder.status).sync_error());
+        let is_sync_error = record.encoders().iter().any(|encoder| StatusWord(encoder.status).sync_error());
         let is_unsynchronised = record.flags & flags::STALE_INPUT != 0 || is_sync_error;
         let has_other_cause = is_bad || is_device_bad || follows_bad;
         self.bad_cycles += u64::from(is_bad);
@@ -190,7 +190,7 @@ impl Figures {
             return;
         }
         for (figures, encoder) in self.encoders.iter_mut().zip(record.encoders()) {
-            let status = Status(encoder.status);
+            let status = StatusWord(encoder.status);
             figures.valid += u64::from(encoder.valid);
             figures.amplitude_errors += u64::from(status.amplitude_error());
             figures.frequency_errors += u64::from(status.frequency_error());
