@@ -12,7 +12,7 @@ use ballbard::clock::Clock;
 use ballbard::cycle::Acquisition;
 use ballbard::problem::Fact;
 use ballbard::segment::simulated::{SegmentConfig, SimulatedSegment, SmoothMotion};
-use ballbard::segment::{FRAME_BYTES_MAX, InProcessWire, Wire};
+use ballbard::segment::{FRAME_BYTES_MAX, FrameWire, InProcessWire};
 use shared::config::EncoderConfig;
 use shared::time::{MonoNs, UtcNs};
 
@@ -77,7 +77,7 @@ fn a_missing_or_surplus_terminal_is_named_by_its_position() {
 /// A cable without a device at its end.
 struct Nowhere(Clock);
 
-impl Wire for Nowhere {
+impl FrameWire for Nowhere {
     fn send(&mut self, _frame: &[u8]) -> io::Result<()> {
         Ok(())
     }
@@ -91,7 +91,7 @@ impl Wire for Nowhere {
 /// An interface that is down.
 struct Dead;
 
-impl Wire for Dead {
+impl FrameWire for Dead {
     fn send(&mut self, _frame: &[u8]) -> io::Result<()> {
         Err(io::ErrorKind::NetworkDown.into())
     }
@@ -104,7 +104,7 @@ impl Wire for Dead {
 #[test]
 fn silence_is_reported_as_no_answer() {
     let clock = Clock::virtual_from(UtcNs(0));
-    let wires: [Box<dyn Wire>; 2] = [Box::new(Nowhere(clock.clone())), Box::new(Dead)];
+    let wires: [Box<dyn FrameWire>; 2] = [Box::new(Nowhere(clock.clone())), Box::new(Dead)];
     for wire in wires {
         let error = Bus::new(wire, clock.clone(), Duration::from_millis(4)).bring_up(&plan(5)).err().unwrap();
         assert!(matches!(error.fact(), Fact::BusNoAnswer { .. }), "{error}");
@@ -118,7 +118,7 @@ struct Noisy {
     step: u32,
 }
 
-impl Wire for Noisy {
+impl FrameWire for Noisy {
     fn send(&mut self, frame: &[u8]) -> io::Result<()> {
         self.inner.send(frame)
     }
@@ -164,7 +164,7 @@ struct Losing<F> {
     on_the_way_back: bool,
 }
 
-impl<F: Fn(usize) -> bool + Send> Wire for Losing<F> {
+impl<F: Fn(usize) -> bool + Send> FrameWire for Losing<F> {
     fn send(&mut self, frame: &[u8]) -> io::Result<()> {
         let number = self.sent.fetch_add(1, Ordering::Relaxed);
         if (self.loses)(number) && !self.on_the_way_back { Ok(()) } else { self.inner.send(frame) }
@@ -229,7 +229,7 @@ struct Late {
     sent: Arc<Mutex<Vec<Vec<u8>>>>,
 }
 
-impl Wire for Late {
+impl FrameWire for Late {
     fn send(&mut self, frame: &[u8]) -> io::Result<()> {
         self.sent.lock().unwrap().push(frame.to_vec());
         self.inner.send(frame)
@@ -287,7 +287,7 @@ struct Impatient {
     interrupt: Arc<AtomicBool>,
 }
 
-impl Wire for Impatient {
+impl FrameWire for Impatient {
     fn send(&mut self, frame: &[u8]) -> io::Result<()> {
         let frames = self.frames.fetch_add(1, Ordering::Relaxed) + 1;
         self.interrupt.fetch_or(frames >= self.patience, Ordering::Relaxed);
@@ -331,7 +331,7 @@ struct Shifted {
     by_ns: Arc<AtomicI64>,
 }
 
-impl Wire for Shifted {
+impl FrameWire for Shifted {
     fn send(&mut self, frame: &[u8]) -> io::Result<()> {
         self.inner.send(frame)
     }

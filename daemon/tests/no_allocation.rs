@@ -12,7 +12,7 @@ use ballbard::cycle::Acquisition;
 use ballbard::record;
 use ballbard::run::Live;
 use ballbard::segment::simulated::{SegmentConfig, SimulatedSegment, SmoothMotion};
-use ballbard::segment::{EthernetWire, InProcessWire, Wire};
+use ballbard::segment::{EthernetWire, FrameWire, InProcessWire};
 use nix::sched::{CloneFlags, unshare};
 use shared::time::UtcNs;
 

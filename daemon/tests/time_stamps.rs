@@ -11,7 +11,7 @@ use ballbard::bus::{Bus, BusPlan};
 use ballbard::clock::Clock;
 use ballbard::cycle::{Acquisition, CycleEvent, Happening};
 use ballbard::segment::simulated::{SegmentConfig, SimulatedSegment, SmoothMotion};
-use ballbard::segment::{FRAME_BYTES_MAX, Wire};
+use ballbard::segment::{FRAME_BYTES_MAX, FrameWire};
 use rand::{Rng, SeedableRng, rngs::StdRng};
 use shared::recording::schema::{CycleRecord, flags};
 use shared::time::{MonoNs, UtcNs};
@@ -59,7 +59,7 @@ impl DelayedWire {
     }
 }
 
-impl Wire for DelayedWire {
+impl FrameWire for DelayedWire {
     fn send(&mut self, frame: &[u8]) -> io::Result<()> {
         self.wait(self.delays.least_ns.0, self.delays.mean_ns.0);
         let now = self.clock.now();

@@ -3,7 +3,7 @@
 use std::io;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use ballbard::segment::{FRAME_BYTES_MAX, InProcessWire, Wire};
+use ballbard::segment::{FRAME_BYTES_MAX, FrameWire, InProcessWire};
 use shared::time::MonoNs;
 
 use super::UnusedBytes;
@@ -109,7 +109,7 @@ impl DamagedWire {
     }
 }
 
-impl Wire for DamagedWire {
+impl FrameWire for DamagedWire {
     fn send(&mut self, frame: &[u8]) -> io::Result<()> {
         self.lock().0.send(frame)
     }

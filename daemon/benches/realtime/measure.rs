@@ -8,7 +8,7 @@ use ballbard::bus;
 use ballbard::clock::Clock;
 use ballbard::cycle::{Acquisition, RealtimeReport};
 use ballbard::segment::simulated::{SegmentConfig, SimulatedSegment, SmoothMotion};
-use ballbard::segment::{EthernetWire, FRAME_BYTES_MAX, InProcessWire, Wire};
+use ballbard::segment::{EthernetWire, FRAME_BYTES_MAX, FrameWire, InProcessWire};
 use shared::config::RealtimeConfig;
 use shared::recording::schema::CycleRecord;
 
@@ -121,7 +121,7 @@ fn cycle(bus: &Bus, rate_hz: u64, cycles: u64) -> Measured {
     let segment = SimulatedSegment::new(&SegmentConfig::default(), Box::new(source));
     let stop = Arc::new(AtomicBool::new(false));
     let mut serving = None;
-    let wire: Box<dyn Wire> = match bus {
+    let wire: Box<dyn FrameWire> = match bus {
         Bus::InProcess => Box::new(InProcessWire::new(segment, Clock::Real)),
         Bus::Veth([near, far]) => {
             let (far, stop) = (EthernetWire::open(far).unwrap(), Arc::clone(&stop));

@@ -17,7 +17,7 @@ use shared::time::MonoNs;
 
 use super::timers;
 use crate::clock::Clock;
-use crate::segment::{FRAME_BYTES_MAX, Wire};
+use crate::segment::{FRAME_BYTES_MAX, FrameWire};
 
 /// With no timer pending, poll again after this time \[ns\].
 const POLL_PERIOD_NS: i64 = 1_000_000;
@@ -48,7 +48,7 @@ impl WireCounters {
 pub struct Exchange {
     /// `None` once released.
     halves: Option<(PduTx<'static>, PduRx<'static>)>,
-    wire: Box<dyn Wire>,
+    wire: Box<dyn FrameWire>,
     clock: Clock,
     buffer: Box<[u8; FRAME_BYTES_MAX]>,
     counters: WireCounters,
@@ -60,7 +60,7 @@ pub struct Exchange {
 
 impl Exchange {
     /// The halves of one `PduStorage` and their wire.
-    pub fn new(tx: PduTx<'static>, rx: PduRx<'static>, wire: Box<dyn Wire>, clock: Clock) -> Self {
+    pub fn new(tx: PduTx<'static>, rx: PduRx<'static>, wire: Box<dyn FrameWire>, clock: Clock) -> Self {
         let now = clock.now();
         Self {
             halves: Some((tx, rx)),

@@ -28,7 +28,7 @@ pub use timers::use_clock;
 
 use crate::clock::Clock;
 use crate::devices::el5021::{self, Input, Output};
-use crate::segment::Wire;
+use crate::segment::FrameWire;
 use stack::Stack;
 
 /// More devices than a ball-bar has; ethercrab needs a power of two.
@@ -152,7 +152,7 @@ pub struct CyclicExchange {
 
 impl Bus {
     /// A MainDevice on a wire.
-    pub fn new(wire: Box<dyn Wire>, clock: Clock, reply_timeout: Duration) -> Self {
+    pub fn new(wire: Box<dyn FrameWire>, clock: Clock, reply_timeout: Duration) -> Self {
         let Stack { tx, rx, main, pdu_timeout } = Stack::take(reply_timeout);
         Self {
             exchange: Exchange::new(tx, rx, wire, clock.clone()),

@@ -18,7 +18,7 @@ use crate::segment::faults::{FaultHandle, FaultSwitch, FaultWindow, FaultySegmen
 use crate::segment::simulated::{
     EncoderSource, ReplayHandle, Revision, SegmentConfig, SimulatedSegment, SmoothMotion, TERMINALS_MAX,
 };
-use crate::segment::{EthernetWire, FRAME_BYTES_MAX, Wire};
+use crate::segment::{EthernetWire, FRAME_BYTES_MAX, FrameWire};
 
 #[derive(Debug, Args)]
 pub struct SegmentArguments {

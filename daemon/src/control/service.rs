@@ -400,12 +400,12 @@ pub(crate) mod tests {
     use crate::homing::MarksFile;
     use crate::run::BusChoice;
     use crate::segment::simulated::{SegmentConfig, SimulatedSegment, SmoothMotion};
-    use crate::segment::{FRAME_BYTES_MAX, InProcessWire, Wire};
+    use crate::segment::{FRAME_BYTES_MAX, FrameWire, InProcessWire};
 
     /// A wire whose driver panics on demand.
     struct Deadly(InProcessWire, Arc<AtomicBool>);
 
-    impl Wire for Deadly {
+    impl FrameWire for Deadly {
         fn send(&mut self, frame: &[u8]) -> io::Result<()> {
             assert!(!self.1.load(Ordering::Acquire), "the test ends this thread");
             self.0.send(frame)

@@ -64,7 +64,7 @@ pub fn start_opening(
 /// A bus in operation over another wire, for tests of the layers above.
 #[cfg(test)]
 pub(crate) fn open_on_wire(
-    wire: Box<dyn crate::segment::Wire>,
+    wire: Box<dyn crate::segment::FrameWire>,
     daemon: &DaemonConfig,
     bar: &BallBarConfig,
     storage: &Storage,

@@ -17,11 +17,11 @@ use crate::segment::faults::{FaultHandle, FaultWindow, FaultySegment};
 use crate::segment::simulated::{
     EncoderSource, Hand, HandTurned, Replay, ReplayHandle, SegmentConfig, SimulatedSegment, SmoothMotion,
 };
-use crate::segment::{EthernetWire, InProcessWire, Wire};
+use crate::segment::{EthernetWire, FrameWire, InProcessWire};
 
 /// Result of [`prepare`].
 pub(super) struct Prepared {
-    pub wire: Box<dyn Wire>,
+    pub wire: Box<dyn FrameWire>,
     pub clock: Clock,
     pub plan: BusPlan,
     /// Encoders of the run, in bus order.
@@ -82,7 +82,7 @@ pub(super) fn check(request: &RunRequest) -> Result<(), RunError> {
 
 impl Prepared {
     fn from_config(
-        wire: Box<dyn Wire>,
+        wire: Box<dyn FrameWire>,
         clock: Clock,
         bus: &str,
         daemon: &DaemonConfig,
@@ -112,7 +112,7 @@ impl Prepared {
 
 /// A bus on this wire, in real time.
 #[cfg(test)]
-pub(super) fn on_wire(wire: Box<dyn Wire>, daemon: &DaemonConfig, bar: &BallBarConfig) -> Prepared {
+pub(super) fn on_wire(wire: Box<dyn FrameWire>, daemon: &DaemonConfig, bar: &BallBarConfig) -> Prepared {
     Prepared::from_config(wire, crate::clock::Clock::Real, SIMULATED_BUS, daemon, bar)
 }
 
@@ -122,7 +122,7 @@ fn in_process(
     source: Box<dyn EncoderSource>,
     clock: &Clock,
     faults: &[FaultWindow],
-) -> (Box<dyn Wire>, FaultHandle) {
+) -> (Box<dyn FrameWire>, FaultHandle) {
     let (mut segment, handle) = FaultySegment::new(SimulatedSegment::new(config, source), config.seed);
     segment.schedule(faults);
     (Box::new(InProcessWire::with_faults(segment, clock.clone())), handle)

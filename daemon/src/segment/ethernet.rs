@@ -11,7 +11,7 @@ use nix::sys::socket::{AddressFamily, MsgFlags, SockFlag, SockType, recv, send, 
 use nix::sys::time::TimeSpec;
 use shared::time::{MonoNs, NS_PER_S};
 
-use super::{FRAME_BYTES_MAX, Wire};
+use super::{FRAME_BYTES_MAX, FrameWire};
 use crate::claim::{Claim, Holder};
 use crate::clock::Clock;
 use crate::tuning;
@@ -117,7 +117,7 @@ impl EthernetWire {
     }
 }
 
-impl Wire for EthernetWire {
+impl FrameWire for EthernetWire {
     fn send(&mut self, frame: &[u8]) -> io::Result<()> {
         self.reopen_if_gone();
         match send(self.socket.as_raw_fd(), frame, MsgFlags::MSG_DONTWAIT) {

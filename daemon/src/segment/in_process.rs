@@ -4,7 +4,7 @@ use std::io;
 
 use shared::time::MonoNs;
 
-use super::{FRAME_BYTES_MAX, Wire};
+use super::{FRAME_BYTES_MAX, FrameWire};
 use crate::clock::Clock;
 use simulated_segment::SimulatedSegment;
 use simulated_segment::faults::FaultySegment;
@@ -42,7 +42,7 @@ impl InProcessWire {
     }
 }
 
-impl Wire for InProcessWire {
+impl FrameWire for InProcessWire {
     fn send(&mut self, frame: &[u8]) -> io::Result<()> {
         let now = self.clock.now();
         if !self.segment.has_link(now.0) {

@@ -12,7 +12,7 @@ pub use in_process::InProcessWire;
 pub use simulated_segment::{self as simulated, FRAME_BYTES_MAX, faults};
 
 /// Carries Ethernet frames to a segment and back. One thread owns it.
-pub trait Wire: Send {
+pub trait FrameWire: Send {
     /// Hands a frame to the wire.
     fn send(&mut self, frame: &[u8]) -> io::Result<()>;
 

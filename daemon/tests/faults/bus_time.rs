@@ -9,7 +9,7 @@ use ballbard::clock::Clock;
 use ballbard::cycle::Acquisition;
 use ballbard::segment::faults::{Fault, FaultySegment};
 use ballbard::segment::simulated::{SegmentConfig, SimulatedSegment, SmoothMotion};
-use ballbard::segment::{FRAME_BYTES_MAX, InProcessWire, Wire};
+use ballbard::segment::{FRAME_BYTES_MAX, FrameWire, InProcessWire};
 use shared::time::{MonoNs, UtcNs};
 
 use super::rig::plan;
@@ -26,7 +26,7 @@ struct HourAhead {
     misread: Arc<AtomicBool>,
 }
 
-impl Wire for HourAhead {
+impl FrameWire for HourAhead {
     fn send(&mut self, frame: &[u8]) -> io::Result<()> {
         self.wire.send(frame)
     }
