@@ -33,7 +33,7 @@ pub struct ClockPair {
 
 /// Effect of a pair on the fit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Observation {
+pub enum PairStatus {
     /// It agrees with those before.
     Followed,
     /// No delay explains it: it deviates by this much on the bus' clock \[ns\]. Excluded from the fit until further pairs
@@ -72,20 +72,20 @@ impl Reading {
 
 impl ClockFit {
     /// Takes one pair into account.
-    pub fn observe(&mut self, pair: ClockPair) -> Observation {
+    pub fn observe(&mut self, pair: ClockPair) -> PairStatus {
         let reading = Reading::of(pair);
         let Some(filter) = &mut self.filter else {
             self.filter = Some(Filter::first(&reading, self.known.as_ref()));
-            return Observation::Followed;
+            return PairStatus::Followed;
         };
         let dt_s = filter.predict(reading.at);
-        let deviation = filter.deviation(&reading);
-        let deviation_ns = deviation.by_ns;
+        let innovation = filter.innovation(&reading);
+        let deviation_ns = innovation.by_ns;
         let class = match self.gate.take() {
-            Some(gate) => gate.classify(deviation),
-            None if deviation.is_explained() => Class::Accepted,
-            None if filter.follows_trend(&deviation) => Class::RateChanged(deviation_ns / dt_s.max(1e-9)),
-            None => Class::Undecided(InnovationGate::begin(deviation)),
+            Some(gate) => gate.classify(innovation),
+            None if innovation.is_explained() => Class::Accepted,
+            None if filter.follows_trend(&innovation) => Class::RateChanged(deviation_ns / dt_s.max(1e-9)),
+            None => Class::Undecided(InnovationGate::begin(innovation)),
         };
         match class {
             Class::Accepted => filter.correct(&reading, dt_s),
@@ -95,15 +95,15 @@ impl ClockFit {
             }
             Class::Undecided(gate) => {
                 self.gate = Some(gate);
-                return Observation::Gated(deviation_ns.round() as i64);
+                return PairStatus::Gated(deviation_ns.round() as i64);
             }
             Class::Stepped => {
                 // The fit is wrong by the step until it restarts, and its uncertainty covers that.
-                self.gate = Some(InnovationGate::begin(deviation));
-                return Observation::Stepped(deviation_ns.round() as i64);
+                self.gate = Some(InnovationGate::begin(innovation));
+                return PairStatus::Stepped(deviation_ns.round() as i64);
             }
         }
-        Observation::Followed
+        PairStatus::Followed
     }
 
     /// A fit without readings that keeps the estimated rates of the clocks and delays of the path.

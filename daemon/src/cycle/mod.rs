@@ -23,7 +23,7 @@ use std::time::Duration;
 use shared::recording::schema::{CycleRecord, DeviceInfo, flags};
 use shared::time::{DcNs, MonoNs, UtcNs};
 
-pub use clock_fit::{ClockFit, ClockPair, Observation};
+pub use clock_fit::{ClockFit, ClockPair, PairStatus};
 pub use continuity::Continuity;
 pub use events::{BusNames, CycleEvent, Down, Happening, Origin};
 pub use links::Links;

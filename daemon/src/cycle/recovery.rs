@@ -9,7 +9,7 @@ use shared::recording::schema::{CycleRecord, flags};
 use shared::time::{DcNs, MonoNs, NS_PER_S};
 
 use super::events::{Down, Happening};
-use super::{Acquisition, ClockPair, Observation, Sampler};
+use super::{Acquisition, ClockPair, PairStatus, Sampler};
 use crate::bus::{CyclicExchange, CyclicReply, Operational, RestoreToOp, absent};
 use crate::problem::Fact;
 
@@ -115,7 +115,7 @@ impl Acquisition {
         &mut self,
         record: &CycleRecord,
         exchange: &CyclicExchange,
-        seen: Option<Observation>,
+        seen: Option<PairStatus>,
     ) {
         let Some(reply) = &exchange.reply else {
             let since = *self.health.silent_since.get_or_insert(exchange.sent);
@@ -125,7 +125,7 @@ impl Acquisition {
             return;
         };
         self.health.silent_since = None;
-        if let Some(Observation::Stepped(by_ns)) = seen {
+        if let Some(PairStatus::Stepped(by_ns)) = seen {
             // Even a small step: the terminals' clocks would take long to follow, and until then the sampling times
             // are unknown.
             self.report(Happening::ClockStep { by_ns });
@@ -371,7 +371,7 @@ impl Acquisition {
     }
 
     /// Takes a reading of the bus' clock into account; `None` without one.
-    pub(super) fn observe_clocks(&mut self, exchange: &CyclicExchange) -> Option<Observation> {
+    pub(super) fn observe_clocks(&mut self, exchange: &CyclicExchange) -> Option<PairStatus> {
         let dc = exchange.reply?.dc_time?;
         let CyclicExchange { sent, received, .. } = *exchange;
         Some(self.fit.observe(ClockPair { dc, sent, received, frame_ns: self.bus.frame_ns() }))
@@ -379,9 +379,9 @@ impl Acquisition {
 }
 
 /// Whether a bus time is too far off to be used, also to find the cycle that was sampled.
-pub(super) fn is_misread(seen: Observation) -> bool {
+pub(super) fn is_misread(seen: PairStatus) -> bool {
     match seen {
-        Observation::Followed => false,
-        Observation::Gated(by_ns) | Observation::Stepped(by_ns) => by_ns.unsigned_abs() > MISREAD_NS,
+        PairStatus::Followed => false,
+        PairStatus::Gated(by_ns) | PairStatus::Stepped(by_ns) => by_ns.unsigned_abs() > MISREAD_NS,
     }
 }

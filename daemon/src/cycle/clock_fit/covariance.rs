@@ -3,7 +3,7 @@
 
 /// Covariance of offset \[ns\] and drift \[ns/s\].
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Covariance {
+pub(super) struct ClockCovariance {
     /// \[ns^2\]
     pub offset: f64,
     /// \[ns^2/s\]
@@ -12,7 +12,7 @@ pub(super) struct Covariance {
     pub drift: f64,
 }
 
-impl Covariance {
+impl ClockCovariance {
     pub fn independent(offset_sigma_ns: f64, drift_sigma: f64) -> Self {
         Self { offset: offset_sigma_ns.powi(2), cross: 0.0, drift: drift_sigma.powi(2) }
     }

@@ -5,8 +5,8 @@
 use shared::time::{DcNs, MonoNs};
 
 use super::Reading;
-use super::covariance::Covariance;
-use super::innovation_gate::Deviation;
+use super::covariance::ClockCovariance;
+use super::innovation_gate::Innovation;
 
 /// Wander of the offset between two clocks \[ns^2/s\]: some 10 ns in a second.
 const OFFSET_WANDER_NS2_PER_S: f64 = 100.0;
@@ -53,10 +53,10 @@ pub(super) struct Filter {
     /// Rate of the bus' clock relative to the host's, minus one \[ns/s\].
     drift: f64,
     /// Covariance for the gains. It treats readings as quick as the quickest as equally accurate, so that they are followed.
-    covariance: Covariance,
+    covariance: ClockCovariance,
     /// Conservative covariance under those gains, if each delay may divide between the directions in any way; a random run
     /// of delays then looks like a rate.
-    conservative: Covariance,
+    conservative: ClockCovariance,
     /// Number of readings so far, up to [`START_READINGS`].
     readings: u32,
     /// Half the width of the narrowest hard bound, which increases slowly \[ns\].
@@ -74,10 +74,10 @@ impl Filter {
     /// From one reading and an earlier estimate for the same clocks and path.
     pub fn first(reading: &Reading, known: Option<&Self>) -> Self {
         let offset_sigma_ns = reading.half_ns.hypot(READING_SIGMA_NS);
-        let start = |known: Option<Covariance>| {
+        let start = |known: Option<ClockCovariance>| {
             let drift_sigma =
                 known.map_or(DRIFT_SIGMA_START, |known| DRIFT_SIGMA_KNOWN.hypot(known.drift.sqrt()));
-            Covariance::independent(offset_sigma_ns, drift_sigma)
+            ClockCovariance::independent(offset_sigma_ns, drift_sigma)
         };
         Self {
             at: reading.at,
@@ -126,14 +126,14 @@ impl Filter {
         dt_s
     }
 
-    /// Deviation of a reading from the prediction.
+    /// Innovation of a reading: its deviation from the prediction.
     ///
     /// A delay beyond the quickest round trip moves the centre by at most half of it; the same holds for the readings in the
     /// filter. While the quickest round trip is unknown, all of it may be such a delay.
-    pub fn deviation(&self, reading: &Reading) -> Deviation {
+    pub fn innovation(&self, reading: &Reading) -> Innovation {
         let quickest_half_ns = if self.is_starting() { 0.0 } else { self.quickest_half_ns };
         let fit_delayed_ns = (self.asymmetry_ns - quickest_half_ns).abs();
-        Deviation {
+        Innovation {
             at: reading.at,
             by_ns: self.deviation_ns(reading),
             delayed_ns: (reading.half_ns - quickest_half_ns).abs(),
@@ -176,10 +176,10 @@ impl Filter {
 
     /// Whether earlier readings deviated to the same side, which means a changed rate and not a step. Under load readings
     /// cannot show that.
-    pub fn follows_trend(&self, deviation: &Deviation) -> bool {
-        let slack_ns = deviation.delayed_ns + deviation.predicted_ns;
-        let is_near = deviation.by_ns.abs() <= 2.0 * slack_ns && slack_ns <= CREEP_SLACK_NS;
-        is_near && self.trend * deviation.by_ns.signum() > CREEP_SIGMAS
+    pub fn follows_trend(&self, innovation: &Innovation) -> bool {
+        let slack_ns = innovation.delayed_ns + innovation.predicted_ns;
+        let is_near = innovation.by_ns.abs() <= 2.0 * slack_ns && slack_ns <= CREEP_SLACK_NS;
+        is_near && self.trend * innovation.by_ns.signum() > CREEP_SIGMAS
     }
 
     /// Quick replies that contradict each other show that the shortest delay varies.

@@ -29,9 +29,9 @@ const WAIT_S_MAX: f64 = 0.25;
 /// Largest rate change by chrony \[ns/s\].
 const RATE_MAX: f64 = 100e6;
 
-/// A reading relative to the prediction, with the possible causes of the difference.
+/// Deviation of a reading from the prediction, with the possible causes of the difference.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Deviation {
+pub(super) struct Innovation {
     pub at: MonoNs,
     /// Deviation on the bus' clock from the prediction \[ns\].
     pub by_ns: f64,
@@ -41,7 +41,7 @@ pub(super) struct Deviation {
     pub predicted_ns: f64,
 }
 
-impl Deviation {
+impl Innovation {
     pub fn is_explained(&self) -> bool {
         self.by_ns.abs() <= self.delayed_ns + self.predicted_ns
     }
@@ -50,7 +50,7 @@ impl Deviation {
 /// State of the gate since the first unexplained reading.
 #[derive(Debug, Clone)]
 pub(super) struct InnovationGate {
-    first: Deviation,
+    first: Innovation,
     /// Number of unexplained readings that agree with the first.
     agreeing: u32,
     /// Number of readings that decided nothing.
@@ -74,7 +74,7 @@ pub(super) enum Class {
 }
 
 impl InnovationGate {
-    pub fn begin(first: Deviation) -> Self {
+    pub fn begin(first: Innovation) -> Self {
         Self { first, agreeing: 1, undecided: 0, erratic: 0, largest_ns: first.by_ns.abs() }
     }
 
@@ -84,7 +84,7 @@ impl InnovationGate {
     }
 
     /// Takes a further reading into account.
-    pub fn classify(mut self, reading: Deviation) -> Class {
+    pub fn classify(mut self, reading: Innovation) -> Class {
         let noise_ns = reading.delayed_ns + self.first.delayed_ns + NOISE_NS;
         let grown_ns = reading.by_ns - self.first.by_ns;
         // The deviation has disappeared: the first reading was misread.
@@ -134,7 +134,7 @@ impl InnovationGate {
     }
 
     /// For a reading that agrees neither with the fit nor with the first unexplained one: starts again with it.
-    fn contradicted(self, reading: Deviation) -> Class {
+    fn contradicted(self, reading: Innovation) -> Class {
         let erratic = self.erratic + 1;
         if erratic >= ERRATIC_MAX {
             return Class::Stepped;

@@ -135,9 +135,9 @@ fn one_wrong_bus_time_is_left_out() {
         let pair = clocks.next(0, 0);
         if step % 100 == 99 {
             let broken = ClockPair { dc: DcNs(pair.0.dc.0 ^ (1 << (step % 40 + 17))), ..pair.0 };
-            assert!(matches!(fit.observe(broken), Observation::Gated(_)), "{step}");
+            assert!(matches!(fit.observe(broken), PairStatus::Gated(_)), "{step}");
         } else {
-            assert_eq!(fit.observe(pair.0), Observation::Followed, "{step}");
+            assert_eq!(fit.observe(pair.0), PairStatus::Followed, "{step}");
         }
         assert!(step < 100 || error_ns(&fit, pair).abs() < 200.0, "{step}");
     }
@@ -148,11 +148,11 @@ fn resolve(
     fit: &mut ClockFit,
     clocks: &mut Clocks,
     delay: impl Fn(usize) -> (i64, i64),
-) -> (Observation, usize) {
+) -> (PairStatus, usize) {
     for step in 0..200 {
         let (there, back) = delay(step);
         let seen = fit.observe(clocks.next(there, back).0);
-        if !matches!(seen, Observation::Gated(_)) {
+        if !matches!(seen, PairStatus::Gated(_)) {
             return (seen, step + 1);
         }
     }
@@ -170,14 +170,14 @@ fn a_step_either_way_is_reported_within_five_readings_and_never_followed() {
             });
             clocks.dc_ns += step_ns as f64;
             let (seen, readings) = resolve(&mut fit, &mut clocks, |_| (0, 0));
-            let Observation::Stepped(found_ns) = seen else { panic!("{step_ns}: {seen:?}") };
+            let PairStatus::Stepped(found_ns) = seen else { panic!("{step_ns}: {seen:?}") };
             assert!((found_ns - step_ns).abs() < 2_000, "{found_ns} instead of {step_ns}");
             assert!(readings <= 5, "{step_ns}: {readings} readings");
             // The fit is unchanged; a restarted one is right at once.
             let pair = clocks.next(0, 0);
             assert!((error_ns(&fit, pair) - step_ns as f64).abs() < 2_000.0 + 1e-4 * size_ns as f64);
             let mut fit = fit.restarted();
-            assert_eq!(fit.observe(pair.0), Observation::Followed);
+            assert_eq!(fit.observe(pair.0), PairStatus::Followed);
             (0..10).for_each(|_| {
                 fit.observe(clocks.next(0, 0).0);
             });
@@ -194,7 +194,7 @@ fn while_a_step_is_in_doubt_the_uncertainty_covers_it() {
     });
     clocks.dc_ns += 50_000.0;
     let (pair, _) = clocks.next(0, 0);
-    assert!(matches!(fit.observe(pair), Observation::Gated(49_000..51_000)));
+    assert!(matches!(fit.observe(pair), PairStatus::Gated(49_000..51_000)));
     assert!(fit.uncertainty_ns(pair.dc) > 50_000);
 }
 
@@ -210,7 +210,7 @@ fn a_rate_changed_by_500_ppm_is_followed_and_is_no_step() {
         for step in 0..500 {
             let pair = clocks.next(0, 0);
             let seen = fit.observe(pair.0);
-            assert!(!matches!(seen, Observation::Stepped(_)), "{change_ppm} ppm, {step}");
+            assert!(!matches!(seen, PairStatus::Stepped(_)), "{change_ppm} ppm, {step}");
             let error_ns = error_ns(&fit, pair).abs();
             let sigma_ns = f64::from(fit.uncertainty_ns(pair.0.dc));
             assert!(error_ns < 3.0 * sigma_ns, "{change_ppm} ppm, {step}: {error_ns} of {sigma_ns} ns");
@@ -228,7 +228,7 @@ fn a_bus_time_that_makes_no_sense_at_all_is_a_stepped_clock_in_the_end() {
     let mut random = StdRng::seed_from_u64(1);
     let erratic = (0..200).any(|_| {
         let pair = ClockPair { dc: DcNs(random.random()), ..clocks.next(0, 0).0 };
-        matches!(fit.observe(pair), Observation::Stepped(_))
+        matches!(fit.observe(pair), PairStatus::Stepped(_))
     });
     assert!(erratic);
 }
@@ -251,8 +251,8 @@ fn an_hour_under_load_has_no_false_step_and_a_step_of_100_us_is_found() {
         let (there, back) = loaded(&mut random);
         let pair = clocks.next(there, back);
         let seen = fit.observe(pair.0);
-        assert!(!matches!(seen, Observation::Stepped(_)), "{step}");
-        gated += usize::from(matches!(seen, Observation::Gated(_)));
+        assert!(!matches!(seen, PairStatus::Stepped(_)), "{step}");
+        gated += usize::from(matches!(seen, PairStatus::Gated(_)));
         let error_ns = error_ns(&fit, pair).abs();
         within += usize::from(error_ns < 2.0 * f64::from(fit.uncertainty_ns(pair.0.dc)));
         assert!(step < 1000 || error_ns < 40_000.0, "{step}: {error_ns} ns");
@@ -264,7 +264,7 @@ fn an_hour_under_load_has_no_false_step_and_a_step_of_100_us_is_found() {
         let mut found = None;
         for _ in 0..300 {
             let (there, back) = loaded(&mut random);
-            if let Observation::Stepped(by_ns) = fit.observe(clocks.next(there, back).0) {
+            if let PairStatus::Stepped(by_ns) = fit.observe(clocks.next(there, back).0) {
                 found = Some(by_ns);
                 fit = fit.restarted();
                 break;
@@ -300,7 +300,7 @@ fn under_load_a_rate_changed_by_some_ppm_is_no_step_at_any_rate_of_cycles() {
                 let (there, back) = loaded(&mut random);
                 let pair = clocks.next(there, back);
                 let seen = fit.observe(pair.0);
-                assert!(!matches!(seen, Observation::Stepped(_)), "{seed} {period_ns} {change_ppm} {step}");
+                assert!(!matches!(seen, PairStatus::Stepped(_)), "{seed} {period_ns} {change_ppm} {step}");
                 assert!(error_ns(&fit, pair).abs() < 20_000.0, "{seed} {period_ns} {change_ppm} {step}");
             }
         }
@@ -315,7 +315,7 @@ fn under_load_a_step_of_80_us_is_found_at_any_rate_of_cycles() {
         clocks.dc_ns += 80_000.0;
         let found = (0..400).any(|_| {
             let (there, back) = loaded(&mut random);
-            matches!(fit.observe(clocks.next(there, back).0), Observation::Stepped(50_000..110_000))
+            matches!(fit.observe(clocks.next(there, back).0), PairStatus::Stepped(50_000..110_000))
         });
         assert!(found, "{seed} {period_ns}");
     }
@@ -335,7 +335,7 @@ proptest! {
             let error_ns = error_ns(&fit, pair).abs();
             // Fit and truth are both within the bound of the reading that was followed.
             let width_ns = pair.0.received.ns_since(pair.0.sent) - FRAME_NS;
-            prop_assert!(seen != Observation::Followed || error_ns < width_ns as f64 + 2_000.0, "{step}: {error_ns}");
+            prop_assert!(seen != PairStatus::Followed || error_ns < width_ns as f64 + 2_000.0, "{step}: {error_ns}");
             prop_assert!(step < 100 || error_ns < 4.0 * sigma_ns, "{step}: {error_ns} of {sigma_ns}");
         }
     }
