@@ -9,7 +9,7 @@ use std::time::Duration;
 use ballbard::bus::{Bus, BusPlan};
 use ballbard::clock::Clock;
 use ballbard::cycle::Acquisition;
-use ballbard::homing::{Found, HomingError, HomingStep, Miswired, Sequence, verify};
+use ballbard::homing::{FoundMark, HomingError, HomingStep, Miswired, Sequence, verify};
 use ballbard::segment::InProcessWire;
 use ballbard::segment::faults::{Fault, FaultHandle, FaultySegment};
 use ballbard::segment::simulated::{
@@ -82,7 +82,7 @@ impl Bench {
         &mut self,
         encoders: &[EncoderConfig],
         obeys: impl Fn(&Hand, u8),
-    ) -> Result<Vec<Found>, HomingError> {
+    ) -> Result<Vec<FoundMark>, HomingError> {
         let hand = &self.hand;
         let mut turned_rad_max = 0.0f64;
         let mut watch = |step| match step {
@@ -137,7 +137,7 @@ fn obedient(hand: &Hand, joint: u8) {
     hand.turn(usize::from(joint) - 1);
 }
 
-fn kept(encoders: &[EncoderConfig], found: &[Found]) -> HomingConfig {
+fn kept(encoders: &[EncoderConfig], found: &[FoundMark]) -> HomingConfig {
     HomingConfig::new(UtcNs(0), encoders, &verify(encoders, found).unwrap())
 }
 
@@ -178,7 +178,7 @@ fn after_a_power_cycle_and_homing_again_the_same_pose_reads_the_same_angle() {
     bench.assert_angles_are_those_from_the_true_marks(&kept(&encoders(), &again));
 }
 
-fn miswired(found: &[Found], encoders: &[EncoderConfig]) -> String {
+fn miswired(found: &[FoundMark], encoders: &[EncoderConfig]) -> String {
     let error: Miswired = verify(encoders, found).unwrap_err();
     error.to_string()
 }

@@ -13,7 +13,7 @@ mod sequence;
 mod wiring;
 
 pub use file::MarksFile;
-pub use sequence::{Outcome, Sequence};
+pub use sequence::{HomingResult, Sequence};
 pub use wiring::{Miswired, verify};
 
 use shared::config::bar_joint_name;
@@ -91,7 +91,7 @@ pub enum HomingError {
 
 /// The encoder of a joint, and its mark.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Found {
+pub struct FoundMark {
     /// Joint that was turned.
     pub joint: u8,
     /// The encoder that moved, in bus order from 0.
@@ -120,7 +120,7 @@ pub enum HomingStep {
         turned_rad: f64,
     },
     /// The mark of a joint was found.
-    Found(Found),
+    Found(FoundMark),
 }
 
 impl HomingStep {
@@ -133,7 +133,7 @@ impl HomingStep {
                 bar_joint_name(joint)
             )),
             Self::Turning { .. } => None,
-            Self::Found(Found { joint, encoder, counts_rise, reference_counts }) => {
+            Self::Found(FoundMark { joint, encoder, counts_rise, reference_counts }) => {
                 let way = if counts_rise { "up" } else { "down" };
                 let terminal = encoder + 1;
                 Some(format!(

@@ -5,7 +5,7 @@ use shared::config::EncoderConfig;
 use shared::recording::schema::{CycleRecord, MAX_ENCODERS};
 use shared::time::UtcNs;
 
-use super::{Found, HomingError, PATIENCE_S, SIGNAL_LOST_MAX_S};
+use super::{FoundMark, HomingError, PATIENCE_S, SIGNAL_LOST_MAX_S};
 use crate::devices::el5021::StatusWord;
 
 /// Angle that identifies the joint and its direction \[rad\].
@@ -15,7 +15,7 @@ const OTHERS_MAX_RAD: f64 = 2.0 * std::f64::consts::PI / 180.0;
 
 /// Result of one record.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) enum Seen {
+pub(super) enum Detection {
     Nothing,
     /// The encoder passed its mark in the wrong direction: that latch is not used.
     MarkPassedBackwards {
@@ -23,7 +23,7 @@ pub(super) enum Seen {
         encoder: usize,
     },
     /// The encoder, its direction and its mark.
-    Found(Found),
+    Found(FoundMark),
 }
 
 /// Time of the first record of the search, and counts of its first valid one.
@@ -35,7 +35,7 @@ struct Start {
 
 /// Motion of one encoder since the joint's search began.
 #[derive(Debug, Clone, Copy, Default)]
-struct Track {
+struct EncoderMotion {
     /// Distance from the start \[counts\].
     moved: i64,
     /// Smallest and largest distance so far \[counts\].
@@ -50,9 +50,9 @@ pub(super) struct Search {
     encoders: Vec<EncoderConfig>,
     joint: u8,
     /// Encoders of the joints that are finished.
-    earlier: Vec<Found>,
+    earlier: Vec<FoundMark>,
     start: Option<Start>,
-    tracks: [Track; MAX_ENCODERS],
+    motions: [EncoderMotion; MAX_ENCODERS],
     /// The encoder that moves, and whether its counts increase.
     mover: Option<(usize, bool)>,
     /// Time since the first record \[s\].
@@ -63,7 +63,7 @@ pub(super) struct Search {
 
 impl Search {
     /// Searches the mark of `joint`, after those in `earlier`. Terminals must have just been armed.
-    pub fn new(encoders: Vec<EncoderConfig>, joint: u8, earlier: Vec<Found>) -> Self {
+    pub fn new(encoders: Vec<EncoderConfig>, joint: u8, earlier: Vec<FoundMark>) -> Self {
         Self { encoders, joint, earlier, ..Self::default() }
     }
 
@@ -79,7 +79,7 @@ impl Search {
     }
 
     /// Takes the next record of the bus.
-    pub fn observe(&mut self, record: &CycleRecord) -> Result<Seen, HomingError> {
+    pub fn observe(&mut self, record: &CycleRecord) -> Result<Detection, HomingError> {
         let start = *self.start.get_or_insert_with(|| Start {
             time: record.sample_time,
             counts: record.encoders.map(|encoder| encoder.count),
@@ -89,7 +89,7 @@ impl Search {
             if self.elapsed_s - self.valid_last_s > SIGNAL_LOST_MAX_S {
                 return Err(HomingError::NoSignal(self.joint));
             }
-            return Ok(Seen::Nothing);
+            return Ok(Detection::Nothing);
         }
         if self.valid_last_s == 0.0 {
             // The start must be a valid count.
@@ -101,7 +101,7 @@ impl Search {
         self.find_mover()?;
         if let Some((encoder, counts_rise)) = self.mover {
             let seen = self.check_mark(record, encoder, counts_rise)?;
-            if seen != Seen::Nothing {
+            if seen != Detection::Nothing {
                 return Ok(seen);
             }
         }
@@ -109,19 +109,19 @@ impl Search {
             let (joint, turned_rad) = self.progress();
             return Err(HomingError::NoMark { joint, turned_deg: turned_rad.to_degrees() });
         }
-        Ok(Seen::Nothing)
+        Ok(Detection::Nothing)
     }
 
     fn follow(&mut self, record: &CycleRecord) {
         let Some(start) = self.start else { return };
-        for ((track, encoder), start) in self.tracks.iter_mut().zip(record.encoders()).zip(start.counts) {
-            let before = track.moved;
-            track.moved = i64::from(encoder.count.wrapping_sub(start) as i32);
-            track.lowest = track.lowest.min(track.moved);
-            track.highest = track.highest.max(track.moved);
+        for ((motion, encoder), start) in self.motions.iter_mut().zip(record.encoders()).zip(start.counts) {
+            let before = motion.moved;
+            motion.moved = i64::from(encoder.count.wrapping_sub(start) as i32);
+            motion.lowest = motion.lowest.min(motion.moved);
+            motion.highest = motion.highest.max(motion.moved);
             let is_latched = StatusWord(encoder.status).latch_valid();
-            let rising = track.moved > before;
-            track.latched = is_latched.then(|| track.latched.unwrap_or(rising));
+            let rising = motion.moved > before;
+            motion.latched = is_latched.then(|| motion.latched.unwrap_or(rising));
         }
     }
 
@@ -150,25 +150,25 @@ impl Search {
         record: &CycleRecord,
         encoder: usize,
         counts_rise: bool,
-    ) -> Result<Seen, HomingError> {
+    ) -> Result<Detection, HomingError> {
         let (joint, reference_counts) = (self.joint, record.encoders[encoder].latch);
-        match self.tracks[encoder].latched {
-            None => Ok(Seen::Nothing),
+        match self.motions[encoder].latched {
+            None => Ok(Detection::Nothing),
             Some(rising) if rising != counts_rise => {
-                self.tracks[encoder].latched = None;
-                Ok(Seen::MarkPassedBackwards { encoder })
+                self.motions[encoder].latched = None;
+                Ok(Detection::MarkPassedBackwards { encoder })
             }
             Some(_) if !self.was_passed(encoder, reference_counts) => {
                 Err(HomingError::Implausible { joint, latch: reference_counts })
             }
-            Some(_) => Ok(Seen::Found(Found { joint, encoder, counts_rise, reference_counts })),
+            Some(_) => Ok(Detection::Found(FoundMark { joint, encoder, counts_rise, reference_counts })),
         }
     }
 
     /// Whether the joint has passed this count, within one signal period.
     fn was_passed(&self, encoder: usize, count: u32) -> bool {
         let period = 1i64 << self.encoders[encoder].interpolation_bits;
-        let Track { lowest, highest, .. } = self.tracks[encoder];
+        let EncoderMotion { lowest, highest, .. } = self.motions[encoder];
         let start = self.start.map_or(count, |start| start.counts[encoder]);
         let distance = i64::from(count.wrapping_sub(start) as i32);
         (lowest - period..=highest + period).contains(&distance)
@@ -176,7 +176,7 @@ impl Search {
 
     /// Angle by which an encoder turned; positive if its counts increased.
     fn turned_rad(&self, encoder: usize) -> f64 {
-        self.tracks[encoder].moved as f64 * self.encoders[encoder].scale().rad_per_count()
+        self.motions[encoder].moved as f64 * self.encoders[encoder].scale().rad_per_count()
     }
 
     /// The encoder that has turned farthest.

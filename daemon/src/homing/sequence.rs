@@ -6,8 +6,8 @@ use std::ops::Range;
 use shared::config::EncoderConfig;
 use shared::recording::schema::CycleRecord;
 
-use super::search::{Search, Seen};
-use super::{Found, HomingError, HomingStep};
+use super::search::{Detection, Search};
+use super::{FoundMark, HomingError, HomingStep};
 use crate::cycle::Acquisition;
 use crate::devices::el5021::Output;
 
@@ -17,25 +17,25 @@ const PROGRESS_S: f64 = 0.5;
 const DISARM_CYCLES: u32 = 20;
 
 /// The encoder and mark of each joint, in the order in which the joints were turned.
-pub type Outcome = Result<Vec<Found>, HomingError>;
+pub type HomingResult = Result<Vec<FoundMark>, HomingError>;
 
 /// Finds the encoder and the mark of every joint.
 pub struct Sequence {
     encoders: Vec<EncoderConfig>,
-    found: Vec<Found>,
+    found: Vec<FoundMark>,
     /// For the current joint; `None` until its terminals are armed.
     search: Option<Search>,
     progress_due_s: f64,
-    state: State,
+    state: SequenceState,
 }
 
-enum State {
+enum SequenceState {
     /// These terminals drop an earlier latch, for this number of further cycles.
     Disarmed(Range<usize>, u32),
     /// The current joint is being turned.
     Armed,
     /// One more cycle disarms all terminals.
-    Ending(Outcome),
+    Ending(HomingResult),
 }
 
 impl Sequence {
@@ -46,7 +46,7 @@ impl Sequence {
             found: Vec::with_capacity(encoders.len()),
             search: None,
             progress_due_s: 0.0,
-            state: State::Armed,
+            state: SequenceState::Armed,
         };
         sequence.begin_joint(acquisition);
         sequence
@@ -60,12 +60,12 @@ impl Sequence {
         sink: &mut dyn FnMut(&CycleRecord),
         watch: &mut dyn FnMut(HomingStep),
         stopped: Option<String>,
-    ) -> Option<Outcome> {
-        if let Some(cause) = stopped.filter(|_| !matches!(self.state, State::Ending(_))) {
+    ) -> Option<HomingResult> {
+        if let Some(cause) = stopped.filter(|_| !matches!(self.state, SequenceState::Ending(_))) {
             self.end(acquisition, Err(HomingError::Stopped(cause)));
         }
         match &mut self.state {
-            State::Disarmed(terminals, cycles) => {
+            SequenceState::Disarmed(terminals, cycles) => {
                 acquisition.next_cycle(sink);
                 *cycles -= 1;
                 if *cycles == 0 {
@@ -74,11 +74,11 @@ impl Sequence {
                 }
                 None
             }
-            State::Armed => {
+            SequenceState::Armed => {
                 self.search(acquisition, sink, watch);
                 None
             }
-            State::Ending(outcome) => {
+            SequenceState::Ending(outcome) => {
                 acquisition.next_cycle(sink);
                 Some(outcome.clone())
             }
@@ -95,7 +95,7 @@ impl Sequence {
 
     fn disarm(&mut self, acquisition: &mut Acquisition, terminals: Range<usize>) {
         set_latch(acquisition, terminals.clone(), false);
-        self.state = State::Disarmed(terminals, DISARM_CYCLES);
+        self.state = SequenceState::Disarmed(terminals, DISARM_CYCLES);
     }
 
     fn arm(
@@ -105,7 +105,7 @@ impl Sequence {
         watch: &mut dyn FnMut(HomingStep),
     ) {
         set_latch(acquisition, terminals, true);
-        self.state = State::Armed;
+        self.state = SequenceState::Armed;
         // After a mark that was passed backwards the search continues.
         let encoder = self.found.len();
         if let Some(EncoderConfig { joint, .. }) =
@@ -125,10 +125,10 @@ impl Sequence {
         watch: &mut dyn FnMut(HomingStep),
     ) {
         let Some(search) = &mut self.search else { return };
-        let mut seen = Ok(Seen::Nothing);
+        let mut seen = Ok(Detection::Nothing);
         acquisition.next_cycle(&mut |record| {
             sink(record);
-            if matches!(seen, Ok(Seen::Nothing)) {
+            if matches!(seen, Ok(Detection::Nothing)) {
                 seen = search.observe(record);
             }
         });
@@ -138,9 +138,9 @@ impl Sequence {
             self.progress_due_s = search.elapsed_s() + PROGRESS_S;
         }
         match seen {
-            Ok(Seen::Nothing) => {}
-            Ok(Seen::MarkPassedBackwards { encoder }) => self.disarm(acquisition, encoder..encoder + 1),
-            Ok(Seen::Found(found)) => {
+            Ok(Detection::Nothing) => {}
+            Ok(Detection::MarkPassedBackwards { encoder }) => self.disarm(acquisition, encoder..encoder + 1),
+            Ok(Detection::Found(found)) => {
                 watch(HomingStep::Found(found));
                 self.found.push(found);
                 self.begin_joint(acquisition);
@@ -149,9 +149,9 @@ impl Sequence {
         }
     }
 
-    fn end(&mut self, acquisition: &mut Acquisition, outcome: Outcome) {
+    fn end(&mut self, acquisition: &mut Acquisition, outcome: HomingResult) {
         set_latch(acquisition, 0..self.encoders.len(), false);
-        self.state = State::Ending(outcome);
+        self.state = SequenceState::Ending(outcome);
     }
 }
 

@@ -5,7 +5,7 @@ use std::fmt;
 use shared::config::EncoderConfig;
 use shared::encoder::Direction;
 
-use super::Found;
+use super::FoundMark;
 
 /// The configuration differs from the encoders found.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -15,7 +15,7 @@ pub struct Miswired {
 }
 
 /// The counts at the reference marks, in the order of the encoders; or the necessary changes of the configuration.
-pub fn verify(encoders: &[EncoderConfig], found: &[Found]) -> Result<Vec<u32>, Miswired> {
+pub fn verify(encoders: &[EncoderConfig], found: &[FoundMark]) -> Result<Vec<u32>, Miswired> {
     let found_on = |encoder: usize| found.iter().find(|found| found.encoder == encoder);
     let compared: Vec<(EncoderConfig, EncoderConfig)> = encoders
         .iter()
@@ -28,7 +28,7 @@ pub fn verify(encoders: &[EncoderConfig], found: &[Found]) -> Result<Vec<u32>, M
     Ok((0..encoders.len()).filter_map(|encoder| Some(found_on(encoder)?.reference_counts)).collect())
 }
 
-fn as_found(config: &EncoderConfig, found: &Found) -> EncoderConfig {
+fn as_found(config: &EncoderConfig, found: &FoundMark) -> EncoderConfig {
     let direction = if found.counts_rise { Direction::Positive } else { Direction::Negative };
     EncoderConfig { joint: found.joint, direction, ..config.clone() }
 }

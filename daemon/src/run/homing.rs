@@ -10,7 +10,7 @@ use shared::recording::schema::CycleRecord;
 use super::live::Live;
 use crate::claim;
 use crate::cycle::Acquisition;
-use crate::homing::{Found, HomingError, HomingStep, Outcome, Sequence};
+use crate::homing::{HomingError, HomingResult, HomingStep, Sequence};
 use crate::record::Stop;
 use crate::scheduler::{Died, received};
 use crate::segment::simulated::Hand;
@@ -25,7 +25,7 @@ const STEPS_MAX: usize = 64;
 pub(super) struct HomingJob {
     pub stop: Stop,
     steps: SyncSender<HomingStep>,
-    outcomes: SyncSender<Outcome>,
+    outcomes: SyncSender<HomingResult>,
 }
 
 /// A homing in progress, for its observer.
@@ -33,9 +33,9 @@ pub struct ActiveHoming {
     /// Requests the end of the homing.
     pub stop: Stop,
     steps: Receiver<HomingStep>,
-    outcomes: Receiver<Outcome>,
+    outcomes: Receiver<HomingResult>,
     /// The outcome until it is returned.
-    outcome: Option<Outcome>,
+    outcome: Option<HomingResult>,
     is_over: bool,
 }
 
@@ -114,7 +114,7 @@ impl ActiveHoming {
     }
 
     /// The outcome, once the homing is over and every step was taken; returned once.
-    pub fn outcome(&mut self) -> Option<Result<Vec<Found>, HomingError>> {
+    pub fn outcome(&mut self) -> Option<HomingResult> {
         self.outcome.take()
     }
 }

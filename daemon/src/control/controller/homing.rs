@@ -7,7 +7,7 @@ use shared::recording::Disk;
 use shared::time::MonoNs;
 
 use crate::control::status::HomingStatus;
-use crate::homing::{self, Found, HomingError, HomingStep, MarksFile};
+use crate::homing::{self, FoundMark, HomingError, HomingStep, MarksFile};
 use crate::run::{ActiveHoming, Session};
 use crate::scheduler::{Pending, Scheduler};
 
@@ -65,7 +65,7 @@ impl Homing {
     }
 
     /// Verifies the marks and starts to write their file.
-    fn save(&mut self, encoders: Vec<EncoderConfig>, found: Vec<Found>, marks: &MarksFile) {
+    fn save(&mut self, encoders: Vec<EncoderConfig>, found: Vec<FoundMark>, marks: &MarksFile) {
         (self.status.joint, self.status.turned_deg) = (None, None);
         let (disk, file) = (Arc::clone(&self.disk), marks.clone());
         self.saving = Some(Pending::start(&*self.scheduler, "homing", move || {
