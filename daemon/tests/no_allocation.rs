@@ -10,7 +10,7 @@ use ballbard::bus::Bus;
 use ballbard::clock::Clock;
 use ballbard::cycle::Acquisition;
 use ballbard::record;
-use ballbard::run::Live;
+use ballbard::run::LatestSamples;
 use ballbard::segment::simulated::{SegmentConfig, SimulatedSegment, SmoothMotion};
 use ballbard::segment::{EthernetWire, FrameWire, InProcessWire};
 use nix::sched::{CloneFlags, unshare};
@@ -89,7 +89,7 @@ fn cost(clock: &Clock, rate_hz: u64, cycles: u64) -> (u64, u64) {
     // Rings as in real time, large enough for the test, which does not empty them.
     let (mut sink, _source) = record::ring(cycles as usize + 1000, record::FullRing::Drops);
     acquisition.next_cycle(&mut |record| sink.push(record));
-    let live = Live::default();
+    let live = LatestSamples::default();
     let waits_before = voluntary_switches();
     let calls_before = CALLS.get();
     for _ in 0..cycles {

@@ -1,6 +1,6 @@
 //! The real-time thread of a [`Session`](super::Session): brings the bus up, keeps it in operation, and executes one job
-//! after the other, a run or a homing. Its cycles go to the job's ring and to [`Live`]. Without a job the cycle continues on
-//! real time, so that samples stay live.
+//! after the other, a run or a homing. Its cycles go to the job's ring and to [`LatestSamples`]. Without a job the cycle
+//! continues on real time, so that samples stay live.
 
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError};
@@ -11,9 +11,9 @@ use shared::recording::schema::DeviceInfo;
 use shared::time::{MonoNs, UtcNs};
 
 use super::error::RunError;
-use super::homing::{Homing, HomingJob};
-use super::live::Live;
-use super::source::Prepared;
+use super::homing::{HomingJob, HomingTask};
+use super::live::LatestSamples;
+use super::source::PreparedBus;
 use crate::bus::{Bus, BusPlan, DeviceClock};
 use crate::clock::Clock;
 use crate::cycle::{Acquisition, RealtimeReport};
@@ -59,10 +59,10 @@ pub(super) enum Pace {
 }
 
 /// Channels and stops of the cycle's thread.
-pub(super) struct Channels {
+pub(super) struct CycleChannels {
     pub ready: SyncSender<Result<Ready, RunError>>,
     pub jobs: Receiver<Job>,
-    pub live: Arc<Live>,
+    pub live: Arc<LatestSamples>,
     /// Ends the attempt to bring up the bus for the first time.
     pub opening: Stop,
     /// Ends later attempts between two runs; a run or a homing has its own request.
@@ -77,21 +77,21 @@ pub(super) struct CycleLoop {
     jobs: Receiver<Job>,
     ending: Stop,
     over: SyncSender<()>,
-    task: Option<Task>,
+    task: Option<CycleTask>,
     pace: Pace,
 }
 
 /// Job that the cycle is executing.
-enum Task {
+enum CycleTask {
     Run(RunTask),
-    Home(Box<Homing>),
+    Home(Box<HomingTask>),
 }
 
 /// The bus, and where its samples are published.
 struct OnBus {
     acquisition: Acquisition,
     clock: Clock,
-    live: Arc<Live>,
+    live: Arc<LatestSamples>,
     plan: BusPlan,
     replay: Option<(ReplayHandle, UtcNs)>,
     hand: Option<Hand>,
@@ -100,13 +100,13 @@ struct OnBus {
 impl CycleLoop {
     /// Brings the bus into operation and reports the result to `channels.ready`; `None` if it fails.
     pub fn start(
-        prepared: Prepared,
+        prepared: PreparedBus,
         realtime: RealtimeConfig,
         pace: Pace,
-        channels: Channels,
+        channels: CycleChannels,
     ) -> Option<Self> {
-        let Prepared { wire, clock, plan, replay, hand, .. } = prepared;
-        let Channels { ready, jobs, live, opening, ending, over } = channels;
+        let PreparedBus { wire, clock, plan, replay, hand, .. } = prepared;
+        let CycleChannels { ready, jobs, live, opening, ending, over } = channels;
         let realtime = clock.is_real().then(|| RealtimeReport::apply(realtime));
         let mut bus = Bus::new(wire, clock.clone(), plan.reply_timeout);
         bus.interrupt_by(opening.flag());
@@ -139,8 +139,8 @@ impl CycleLoop {
     fn step(&mut self) -> bool {
         let continues = match &mut self.task {
             None => return self.serve_next(),
-            Some(Task::Run(run)) => run.step(&mut self.on_bus),
-            Some(Task::Home(homing)) => self.on_bus.home(homing),
+            Some(CycleTask::Run(run)) => run.step(&mut self.on_bus),
+            Some(CycleTask::Home(homing)) => self.on_bus.home(homing),
         };
         if !continues {
             self.task = None;
@@ -159,13 +159,13 @@ impl CycleLoop {
         match job {
             Ok(Job::Run(job)) => {
                 self.on_bus.acquisition.interrupt_by(job.stop.flag());
-                self.task = Some(Task::Run(RunTask::begin(job, &mut self.on_bus)));
+                self.task = Some(CycleTask::Run(RunTask::begin(job, &mut self.on_bus)));
             }
             Ok(Job::Home(job)) => {
                 let OnBus { acquisition, plan, hand, .. } = &mut self.on_bus;
                 acquisition.interrupt_by(job.stop.flag());
-                let homing = Homing::begin(job, acquisition, &plan.encoders, hand.as_ref());
-                self.task = Some(Task::Home(Box::new(homing)));
+                let homing = HomingTask::begin(job, acquisition, &plan.encoders, hand.as_ref());
+                self.task = Some(CycleTask::Home(Box::new(homing)));
             }
             Err(TryRecvError::Empty) => self.on_bus.idle(),
             Err(TryRecvError::Disconnected) => return false,
@@ -204,7 +204,7 @@ impl OnBus {
     }
 
     /// A cycle of a homing; false once it is over.
-    fn home(&mut self, homing: &mut Homing) -> bool {
+    fn home(&mut self, homing: &mut HomingTask) -> bool {
         let continues = homing.step(&mut self.acquisition, &self.live);
         self.publish();
         continues
@@ -328,7 +328,7 @@ mod tests {
         let segment = SimulatedSegment::new(&SegmentConfig::default(), Box::new(motion));
         let wire = Box::new(InProcessWire::new(segment, clock.clone()));
         let prepared = source::on_wire(wire, &DaemonConfig::default(), &config::load(&bar).unwrap());
-        let Prepared { wire, plan, .. } = prepared;
+        let PreparedBus { wire, plan, .. } = prepared;
         let bus = Bus::new(wire, clock.clone(), plan.reply_timeout);
         let acquisition = Acquisition::start(bus, &plan, clock.clone()).unwrap();
         let (live, replay, hand) = (Arc::default(), None, None);

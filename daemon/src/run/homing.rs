@@ -7,7 +7,7 @@ use shared::config::EncoderConfig;
 use shared::encoder::Direction;
 use shared::recording::schema::CycleRecord;
 
-use super::live::Live;
+use super::live::LatestSamples;
 use crate::claim;
 use crate::cycle::Acquisition;
 use crate::homing::{HomingError, HomingResult, HomingStep, Sequence};
@@ -49,14 +49,14 @@ pub(super) fn begin() -> (HomingJob, ActiveHoming) {
 }
 
 /// Homing in the cycle. Steps may allocate, because no run is recorded.
-pub(super) struct Homing {
+pub(super) struct HomingTask {
     job: HomingJob,
     sequence: Sequence,
     directions: Vec<Direction>,
     hand: Option<Hand>,
 }
 
-impl Homing {
+impl HomingTask {
     pub fn begin(
         job: HomingJob,
         acquisition: &mut Acquisition,
@@ -72,7 +72,7 @@ impl Homing {
     }
 
     /// One cycle; false once the homing is over.
-    pub fn step(&mut self, acquisition: &mut Acquisition, live: &Live) -> bool {
+    pub fn step(&mut self, acquisition: &mut Acquisition, live: &LatestSamples) -> bool {
         let Self { job: HomingJob { stop, steps, outcomes }, sequence, directions, hand } = self;
         let mut report = |step: HomingStep| {
             if let (HomingStep::Turn { encoder, .. }, Some(hand)) = (step, &hand) {

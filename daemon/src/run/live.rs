@@ -18,7 +18,7 @@ pub const BUS_FLAGS: u32 =
 /// The latest sample of each encoder, for display. Count, status and validity of one encoder are of one cycle; different encoders
 /// may be of different cycles.
 #[derive(Debug, Default)]
-pub struct Live {
+pub struct LatestSamples {
     /// Time of the latest cycle: when its frame was sent, as in the two times below.
     at_ns: AtomicI64,
     /// Time of the latest cycle without any of [`BUS_FLAGS`].
@@ -58,7 +58,7 @@ pub struct LiveEncoder {
     pub valid: bool,
 }
 
-impl Live {
+impl LatestSamples {
     /// Publishes a record. Wait-free, for the real-time thread.
     pub fn publish(&self, record: &CycleRecord) {
         for (slot, encoder) in self.encoders.iter().zip(record.encoders()) {

@@ -21,7 +21,7 @@ use shared::time::UtcNs;
 
 pub use error::RunError;
 pub use homing::ActiveHoming;
-pub use live::{BUS_FLAGS, Live, LiveEncoder};
+pub use live::{BUS_FLAGS, LatestSamples, LiveEncoder};
 pub(crate) use place::claim_directory;
 pub use place::finish_leftovers;
 pub use request::{About, BusChoice, RunDetails, RunRequest, check_text, name_by_time, typed_name};

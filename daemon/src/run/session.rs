@@ -13,13 +13,13 @@ use shared::recording::{
 };
 use shared::time::{MonoNs, UtcNs};
 
-use super::cycle_thread::{Channels, CycleLoop, Job, Pace, Ready, RunJob};
+use super::cycle_thread::{CycleChannels, CycleLoop, Job, Pace, Ready, RunJob};
 use super::error::RunError;
 use super::homing::{self, ActiveHoming};
-use super::live::Live;
+use super::live::LatestSamples;
 use super::place::finish_leftovers;
 use super::request::RunDetails;
-use super::source::Prepared;
+use super::source::PreparedBus;
 use crate::bus::{DeviceClock, absent};
 use crate::claim;
 use crate::clock::Clock;
@@ -47,7 +47,7 @@ pub struct Session {
     /// Report of the cycle's thread; empty while the bus is being brought up.
     ready: Ready,
     /// The latest sample of each encoder.
-    pub live: Arc<Live>,
+    pub live: Arc<LatestSamples>,
     /// Runs the session's tasks.
     pub scheduler: Arc<dyn Scheduler>,
     pace: Pace,
@@ -90,7 +90,7 @@ pub struct Opening {
 impl Session {
     /// Starts to bring the bus into operation. `opening` can end the attempt early.
     pub(super) fn open(
-        prepared: Prepared,
+        prepared: PreparedBus,
         daemon: &DaemonConfig,
         bar: &BallBarConfig,
         storage: &Storage,
@@ -100,7 +100,7 @@ impl Session {
         let (ready_tx, ready) = sync_channel(1);
         let (jobs, jobs_rx) = sync_channel(JOBS_MAX);
         let (over, cycle_over) = sync_channel(1);
-        let (live, ending) = (Arc::<Live>::default(), Stop::default());
+        let (live, ending) = (Arc::<LatestSamples>::default(), Stop::default());
         let session = Self {
             jobs,
             cycle_over,
@@ -121,7 +121,7 @@ impl Session {
         };
         let realtime = daemon.realtime.clone();
         let channels =
-            Channels { ready: ready_tx, jobs: jobs_rx, live, opening: opening.clone(), ending, over };
+            CycleChannels { ready: ready_tx, jobs: jobs_rx, live, opening: opening.clone(), ending, over };
         start(&**scheduler, "cycle", move || CycleLoop::start(prepared, realtime, pace, channels))?;
         Ok(Opening { ready, session: Some(session) })
     }

@@ -20,7 +20,7 @@ use crate::segment::simulated::{
 use crate::segment::{EthernetWire, FrameWire, InProcessWire};
 
 /// Result of [`prepare`].
-pub(super) struct Prepared {
+pub(super) struct PreparedBus {
     pub wire: Box<dyn FrameWire>,
     pub clock: Clock,
     pub plan: BusPlan,
@@ -44,11 +44,11 @@ pub(super) fn prepare(
     daemon: &DaemonConfig,
     bar: &BallBarConfig,
     clock: Clock,
-) -> Result<Prepared, RunError> {
+) -> Result<PreparedBus, RunError> {
     let prepared = match &request.bus {
         BusChoice::Interface(name) => {
             let wire = Box::new(EthernetWire::open(name)?);
-            Prepared::from_config(wire, clock, name, daemon, bar)
+            PreparedBus::from_config(wire, clock, name, daemon, bar)
         }
         BusChoice::Simulated => {
             // One motion for all encoders of the bar: their discs have the same number of lines.
@@ -56,8 +56,8 @@ pub(super) fn prepare(
             let config = SegmentConfig { terminals: bar.encoders.len(), ..SegmentConfig::default() };
             let (source, hand) = HandTurned::new(SmoothMotion::new(bar.encoders.len(), lines, config.seed));
             let (wire, faults) = in_process(&config, Box::new(source), &clock, &request.faults);
-            let prepared = Prepared::from_config(wire, clock, SIMULATED_BUS, daemon, bar);
-            Prepared { hand: Some(hand), faults: Some(faults), ..prepared }
+            let prepared = PreparedBus::from_config(wire, clock, SIMULATED_BUS, daemon, bar);
+            PreparedBus { hand: Some(hand), faults: Some(faults), ..prepared }
         }
         BusChoice::Replay(path) => prepare_replay(path, clock, daemon, bar, &request.faults)?,
     };
@@ -80,7 +80,7 @@ pub(super) fn check(request: &RunRequest) -> Result<(), RunError> {
     }
 }
 
-impl Prepared {
+impl PreparedBus {
     fn from_config(
         wire: Box<dyn FrameWire>,
         clock: Clock,
@@ -112,8 +112,8 @@ impl Prepared {
 
 /// A bus on this wire, in real time.
 #[cfg(test)]
-pub(super) fn on_wire(wire: Box<dyn FrameWire>, daemon: &DaemonConfig, bar: &BallBarConfig) -> Prepared {
-    Prepared::from_config(wire, crate::clock::Clock::Real, SIMULATED_BUS, daemon, bar)
+pub(super) fn on_wire(wire: Box<dyn FrameWire>, daemon: &DaemonConfig, bar: &BallBarConfig) -> PreparedBus {
+    PreparedBus::from_config(wire, crate::clock::Clock::Real, SIMULATED_BUS, daemon, bar)
 }
 
 /// The simulated segment as a wire of this process, with `faults` scheduled.
@@ -151,14 +151,14 @@ fn prepare_replay(
     daemon: &DaemonConfig,
     bar: &BallBarConfig,
     faults: &[FaultWindow],
-) -> Result<Prepared, RunError> {
+) -> Result<PreparedBus, RunError> {
     let (recording, source, handle) = open_replay(path)?;
     let encoders = &recording.run.encoders;
     // A replay has at least one row.
     let first_sample = recording.cycles.first().map(|record| record.sample_time);
     let segment = replaying_segment(SegmentConfig::default(), &recording);
     let (wire, _) = in_process(&segment, Box::new(source), &clock, faults);
-    let mut prepared = Prepared::from_config(wire, clock, SIMULATED_BUS, daemon, bar);
+    let mut prepared = PreparedBus::from_config(wire, clock, SIMULATED_BUS, daemon, bar);
     prepared.plan.encoders = encoders
         .iter()
         .map(|info| EncoderConfig {
