@@ -8,7 +8,7 @@ mod stop;
 mod storage;
 mod synchroniser;
 
-pub use progress::{Handed, Limits, Progress, Snapshot, Synced};
-pub use recorder::{CycleSink, CycleSource, FullRing, Mark, Recorder, RunLink, RunSummary, ring};
+pub use progress::{Handed, Limits, RunProgress, Snapshot, Synced};
+pub use recorder::{CycleSink, CycleSource, FullRing, Marker, Recorder, RunLink, RunSummary, ring};
 pub use stop::Stop;
 pub use storage::Storage;

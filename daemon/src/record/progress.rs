@@ -24,7 +24,7 @@ pub struct Handed {
 
 /// Progress of a run: cycles taken from the bus, written, synchronised. Reading it never waits for the disk.
 #[derive(Debug)]
-pub struct Progress {
+pub struct RunProgress {
     handed: Arc<Handed>,
     limits: Limits,
     clock: Clock,
@@ -57,7 +57,7 @@ struct OnDisk {
     /// The longest waits of completed calls, see [`OnDisk::longest_at`].
     longest: DiskTiming,
     /// Step before the run has its file.
-    opening: Opening,
+    opening: OpeningStep,
     /// `None` before the run has its file.
     place: Option<RunPlace>,
     /// Why the file is not in its place, until the run is moved.
@@ -70,7 +70,7 @@ struct OnDisk {
 
 /// The disk's current step before a run has its file.
 #[derive(Debug, Default)]
-struct Opening {
+struct OpeningStep {
     what: &'static str,
     since: MonoNs,
 }
@@ -88,7 +88,7 @@ pub struct Synced {
     pub at: Option<MonoNs>,
 }
 
-/// [`Progress`] at one moment.
+/// [`RunProgress`] at one moment.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Snapshot {
     /// Extent that survives a power failure.
@@ -119,10 +119,10 @@ pub struct Snapshot {
     pub flagged: Vec<Flagged>,
 }
 
-impl Progress {
+impl RunProgress {
     /// For a run that has no file yet.
     pub fn new(handed: Arc<Handed>, limits: Limits, clock: Clock) -> Self {
-        let opening = Opening { what: "to begin with it", since: clock.now() };
+        let opening = OpeningStep { what: "to begin with it", since: clock.now() };
         let disk = OnDisk { opening, ..OnDisk::default() };
         Self { handed, limits, clock, disk: Mutex::new(disk) }
     }
@@ -142,7 +142,7 @@ impl Progress {
 
     /// Sets the disk's current step before the run has its file.
     pub fn opening(&self, what: &'static str) {
-        self.disk().opening = Opening { what, since: self.clock.now() };
+        self.disk().opening = OpeningStep { what, since: self.clock.now() };
     }
 
     /// The run's file is created.
@@ -324,7 +324,7 @@ mod tests {
             ring_cycles: 1000,
             cycle_waits: false,
         };
-        let progress = Progress::new(Arc::clone(&handed), limits, Clock::Real);
+        let progress = RunProgress::new(Arc::clone(&handed), limits, Clock::Real);
         let backlog = |due, lost, written, written_lost| {
             handed.due.store(due, Ordering::Relaxed);
             handed.lost.store(lost, Ordering::Relaxed);

@@ -16,7 +16,7 @@ use shared::recording::schema::{CycleRecord, Event, EventKind, PortCounts, Prove
 use shared::recording::{RecordingWriter, RunFile, TimingSummary, WriteError};
 use shared::time::{MonoNs, UtcNs};
 
-use super::progress::{Handed, Progress, Synced};
+use super::progress::{Handed, RunProgress, Synced};
 use super::storage::Storage;
 use super::synchroniser::Synchroniser;
 use crate::clock::Clock;
@@ -159,7 +159,7 @@ impl CycleSink {
 
 /// A marker that a person set.
 #[derive(Debug)]
-pub struct Mark {
+pub struct Marker {
     /// Time of the marker.
     pub at: MonoNs,
     /// Text of the marker.
@@ -169,9 +169,9 @@ pub struct Mark {
 /// Connections of a recorder while it runs.
 pub struct RunLink {
     /// Markers that people set.
-    pub marks: Receiver<Mark>,
+    pub marks: Receiver<Marker>,
     /// Progress of the run, for other threads.
-    pub progress: Arc<Progress>,
+    pub progress: Arc<RunProgress>,
     /// Provides another place if the run's own is lost.
     pub storage: Storage,
     /// Runs the synchronisations, which wait for the disk.
@@ -462,7 +462,7 @@ impl Recorder {
                 self.note(event.to_event(&self.names));
             }
         }
-        while let Ok(Mark { at, text }) = self.link.marks.try_recv() {
+        while let Ok(Marker { at, text }) = self.link.marks.try_recv() {
             let time = UtcNs(at.0 + self.utc_minus_monotonic_ns);
             let (cycle, code) = (self.cycle_at(time), String::new());
             self.note(Event { time, cycle, kind: EventKind::Marker, text, code });

@@ -10,7 +10,7 @@ use shared::config::DaemonConfig;
 use shared::recording::{Disk, Space, SystemDisk};
 use shared::time::MonoNs;
 
-use super::progress::Progress;
+use super::progress::RunProgress;
 use super::stop::Stop;
 use crate::clock::Clock;
 use crate::problem::{Fact, Problem};
@@ -23,10 +23,10 @@ const ANSWERS_WITHIN_NS: i64 = 400_000_000;
 
 /// The directories of recordings, and their current state. Clones share it.
 #[derive(Debug, Clone)]
-pub struct Storage(Arc<Shared>);
+pub struct Storage(Arc<StorageState>);
 
 #[derive(Debug)]
-struct Shared {
+struct StorageState {
     disk: Arc<dyn Disk>,
     clock: Clock,
     directory: PathBuf,
@@ -38,7 +38,7 @@ struct Shared {
 
 #[derive(Debug, Clone)]
 struct WatchedRun {
-    progress: Weak<Progress>,
+    progress: Weak<RunProgress>,
     stop: Stop,
 }
 
@@ -78,7 +78,7 @@ impl Storage {
             usable_bytes: None,
             problem: None,
         };
-        let storage = Self(Arc::new(Shared {
+        let storage = Self(Arc::new(StorageState {
             disk,
             clock,
             directory: daemon.directory.clone(),
@@ -88,7 +88,7 @@ impl Storage {
             run: Mutex::new(None),
         }));
         let mut logged = Vec::new();
-        storage.repeat("disk", scheduler, Shared::check)?;
+        storage.repeat("disk", scheduler, StorageState::check)?;
         storage.repeat("disk log", scheduler, move |shared| logged = shared.log(&logged))?;
         Ok(storage)
     }
@@ -98,7 +98,7 @@ impl Storage {
         &self,
         name: &str,
         scheduler: &dyn Scheduler,
-        work: impl FnMut(&Shared) + Send + 'static,
+        work: impl FnMut(&StorageState) + Send + 'static,
     ) -> std::io::Result<()> {
         let repeated = Repeated { shared: Arc::downgrade(&self.0), work };
         scheduler.start(name, Box::new(|| Box::new(repeated)))
@@ -120,7 +120,7 @@ impl Storage {
     }
 
     /// Watches a run's file until the run is over, and ends the run if the disk gets full.
-    pub fn watch(&self, progress: &Arc<Progress>, stop: &Stop) {
+    pub fn watch(&self, progress: &Arc<RunProgress>, stop: &Stop) {
         let run = WatchedRun { progress: Arc::downgrade(progress), stop: stop.clone() };
         *lock(&self.0.run) = Some(run);
     }
@@ -147,7 +147,7 @@ impl Storage {
     }
 }
 
-impl Shared {
+impl StorageState {
     fn check(&self) {
         let run = self.watched_run();
         let place = run.as_ref().and_then(|(progress, _)| progress.place());
@@ -196,7 +196,7 @@ impl Shared {
         Fact::DiskFull { directory: directory.to_owned(), floor_mb }.into()
     }
 
-    fn watched_run(&self) -> Option<(Arc<Progress>, Stop)> {
+    fn watched_run(&self) -> Option<(Arc<RunProgress>, Stop)> {
         lock(&self.run).as_ref().and_then(|run| Some((run.progress.upgrade()?, run.stop.clone())))
     }
 
@@ -230,11 +230,11 @@ impl Shared {
 
 /// Work that is repeated each period.
 struct Repeated<W> {
-    shared: Weak<Shared>,
+    shared: Weak<StorageState>,
     work: W,
 }
 
-impl<W: FnMut(&Shared)> Stepper for Repeated<W> {
+impl<W: FnMut(&StorageState)> Stepper for Repeated<W> {
     fn poll(&mut self, _: MonoNs) -> Option<Duration> {
         (self.work)(&*self.shared.upgrade()?);
         Some(Storage::CHECK_PERIOD)

@@ -1,5 +1,5 @@
 //! Synchronises the run's file with the disk (fsync) in a thread of its own, while the recorder writes more. The outcome goes
-//! to [`Progress`], which reports as safe only what is synchronised; a failure goes to the recorder.
+//! to [`RunProgress`], which reports as safe only what is synchronised; a failure goes to the recorder.
 
 use std::io;
 use std::sync::Arc;
@@ -10,7 +10,7 @@ use std::time::Duration;
 use shared::recording::RunSync;
 use shared::time::MonoNs;
 
-use super::progress::{Progress, Synced};
+use super::progress::{RunProgress, Synced};
 use crate::scheduler::{Died, Scheduler, Stepper, received};
 
 /// How long a recorder that ends waits for a current synchronisation.
@@ -30,7 +30,7 @@ pub(super) struct Synchroniser {
 struct SyncWork {
     jobs: Receiver<(RunSync, Synced)>,
     outcomes: SyncSender<io::Result<()>>,
-    progress: Arc<Progress>,
+    progress: Arc<RunProgress>,
     /// Distinguishes it from those of the run's earlier places, which may hang.
     number: u32,
     /// Job that [`Stepper::wait`] has received.
@@ -69,7 +69,7 @@ impl SyncWork {
 
 impl Synchroniser {
     /// If the other side gets no thread, each synchronisation fails.
-    pub fn new(progress: &Arc<Progress>, scheduler: &dyn Scheduler) -> Self {
+    pub fn new(progress: &Arc<RunProgress>, scheduler: &dyn Scheduler) -> Self {
         static NUMBER: AtomicU32 = AtomicU32::new(1);
         let number = NUMBER.fetch_add(1, Ordering::Relaxed);
         let (jobs, jobs_out) = sync_channel(1);

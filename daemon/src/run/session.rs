@@ -26,7 +26,7 @@ use crate::clock::Clock;
 use crate::cycle::RealtimeReport;
 use crate::problem::{Fact, Problem};
 use crate::record::{
-    self, CycleSink, CycleSource, FullRing, Limits, Mark, Progress, Recorder, RunLink, RunSummary, Stop,
+    self, CycleSink, CycleSource, FullRing, Limits, Marker, Recorder, RunLink, RunProgress, RunSummary, Stop,
     Storage,
 };
 use crate::scheduler::{Died, Scheduler, Stepper, received, until};
@@ -74,10 +74,10 @@ pub struct ActiveRun {
     /// Requests the end of the run.
     pub stop: Stop,
     /// Progress of the run, for other threads.
-    pub progress: Arc<Progress>,
+    pub progress: Arc<RunProgress>,
     /// Start of the run.
     pub started: UtcNs,
-    marks: SyncSender<Mark>,
+    marks: SyncSender<Marker>,
     outcome: Receiver<Result<RunSummary, RunError>>,
 }
 
@@ -127,8 +127,8 @@ impl Session {
     }
 
     /// Begins a run without waiting for the disk. Its recorder recovers crashed runs, then creates the run's file, while the
-    /// cycles wait in the ring; [`Progress::is_open`] once it exists. One run at a time: the previous one must have been joined.
-    /// `tap` receives the recorded messages.
+    /// cycles wait in the ring; [`RunProgress::is_open`] once it exists. One run at a time: the previous one must have been
+    /// joined. `tap` receives the recorded messages.
     pub fn begin(&self, details: &RunDetails, tap: Option<Tap>) -> Result<ActiveRun, RunError> {
         if let Some(problem) = self.storage.problem() {
             return Err(RunError::Disk(problem));
@@ -148,7 +148,7 @@ impl Session {
             ring_cycles,
             cycle_waits: self.pace == Pace::Fast,
         };
-        let progress = Arc::new(Progress::new(Arc::clone(ring.handed()), limits, self.clock().clone()));
+        let progress = Arc::new(RunProgress::new(Arc::clone(ring.handed()), limits, self.clock().clone()));
         let stop = Stop::default();
         self.storage.watch(&progress, &stop);
         let link = RunLink {
@@ -344,7 +344,7 @@ impl Session {
 impl ActiveRun {
     /// Queues a marker of this instant for the file; false if the queue is full.
     pub fn mark(&self, at: MonoNs, text: String) -> bool {
-        self.marks.try_send(Mark { at, text }).is_ok()
+        self.marks.try_send(Marker { at, text }).is_ok()
     }
 
     /// Result of the run, returned once: its finished file, or an error.
@@ -388,7 +388,7 @@ struct RunRecording {
     pending: Option<PendingRun>,
     recorder: Option<Recorder>,
     stop: Stop,
-    progress: Arc<Progress>,
+    progress: Arc<RunProgress>,
     disk: Arc<dyn Disk>,
     result: SyncSender<Result<RunSummary, RunError>>,
 }
@@ -445,7 +445,7 @@ fn create(link: &RunLink, run: &RunMetadata) -> Result<RecordingWriter<RunFile>,
 }
 
 /// Recovers the cycles that were written before a failure of the disk, and returns the error that describes them.
-fn salvage(source: WriteError, progress: &Progress, disk: &dyn Disk, cause: String) -> RunError {
+fn salvage(source: WriteError, progress: &RunProgress, disk: &dyn Disk, cause: String) -> RunError {
     let Some(place) = progress.place() else { return source.into() };
     let (file, content) = match recover_file_on(disk, place.path()) {
         Ok(Recovery::Recovered { file, content, .. } | Recovery::Renamed { file, content }) => {

@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use ballbard::control::status::{ServiceState, Status};
-use ballbard::record::{self, Limits, Progress, Stop, Storage};
+use ballbard::record::{self, Limits, RunProgress, Stop, Storage};
 use serde_json::{Value, json};
 use shared::config::DaemonConfig;
 use shared::recording::{Recording, RecordingWriter};
@@ -258,7 +258,7 @@ fn while_a_run_is_at_its_spare_place_the_disk_of_that_one_does_not_answer() {
             ring_cycles: 100,
             cycle_waits: false,
         };
-        let progress = Arc::new(Progress::new(Arc::clone(source.handed()), limits, world.clock.clone()));
+        let progress = Arc::new(RunProgress::new(Arc::clone(source.handed()), limits, world.clock.clone()));
         progress.opened(writer.sink().place().clone());
         storage.watch(&progress, &Stop::default());
         wall.strike_next(Call::Space, Fault::Hangs(HANG));

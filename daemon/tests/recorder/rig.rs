@@ -15,7 +15,7 @@ use ballbard::clock::Clock;
 use ballbard::cycle::CycleTiming;
 use ballbard::problem::Problem;
 use ballbard::record::{
-    self, Limits, Mark, Progress, Recorder, RunLink, RunSummary, Snapshot, Stop, Storage,
+    self, Limits, Marker, Recorder, RunLink, RunProgress, RunSummary, Snapshot, Stop, Storage,
 };
 use ballbard::scheduler::Stepper;
 use shared::recording::{RecordingWriter, WriteError, salvage};
@@ -156,7 +156,7 @@ fn record_in(world: &World, plan: &Plan, wall: impl FnOnce(&Path) -> Wall) -> Ou
         cycle_waits: false,
     };
     let place = writer.sink().place().clone();
-    let progress = Arc::new(Progress::new(Arc::clone(source.handed()), limits, clock.clone()));
+    let progress = Arc::new(RunProgress::new(Arc::clone(source.handed()), limits, clock.clone()));
     progress.opened(place);
     let stop = Stop::default();
     storage.watch(&progress, &stop);
@@ -217,7 +217,7 @@ struct Cycle {
     first: MonoNs,
     /// `None` after the last cycle.
     sink: Option<record::CycleSink>,
-    marks: SyncSender<Mark>,
+    marks: SyncSender<Marker>,
     stop: Stop,
     home: PathBuf,
     ended: Rc<RefCell<Ended>>,
@@ -240,7 +240,7 @@ impl Stepper for Cycle {
         if self.plan.marks.contains(&cycle) {
             // In the middle of the cycle.
             let at = at.plus_ns(period_ns / 2);
-            self.marks.send(Mark { at, text: format!("cycle {cycle}") }).unwrap();
+            self.marks.send(Marker { at, text: format!("cycle {cycle}") }).unwrap();
         }
         if let Some((after, interfere)) = self.plan.interfere
             && after == cycle
@@ -276,7 +276,7 @@ impl Stepper for Writing {
 /// Observes run and disk every 5 ms.
 struct Looker {
     storage: Storage,
-    progress: Arc<Progress>,
+    progress: Arc<RunProgress>,
     wall: Arc<Wall>,
     first: MonoNs,
     looks: Rc<RefCell<Vec<Look>>>,

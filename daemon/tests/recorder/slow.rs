@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use ballbard::clock::Clock;
 use ballbard::problem::Problem;
-use ballbard::record::{self, Limits, Progress, Recorder, Snapshot};
+use ballbard::record::{self, Limits, Recorder, RunProgress, Snapshot};
 use nix::fcntl::{AT_FDCWD, RenameFlags, renameat2};
 use shared::recording::schema::{EventKind, flags};
 use shared::recording::{Recording, RecordingWriter};
@@ -173,7 +173,7 @@ fn a_look_that_began_before_a_run_moved_reports_nothing_about_its_new_file() {
     let mut writer = RecordingWriter::create(directory.path(), &metadata(period)).unwrap();
     let (_sink, source) = record::ring(10, record::FullRing::Drops);
     let limits = Limits { cycle_period: period, sync_period: period, ring_cycles: 10, cycle_waits: false };
-    let progress = Progress::new(Arc::clone(source.handed()), limits, Clock::Real);
+    let progress = RunProgress::new(Arc::clone(source.handed()), limits, Clock::Real);
     let before = writer.sink().place().clone();
     progress.opened(before.clone());
     std::fs::remove_file(before.path()).unwrap();

@@ -69,7 +69,7 @@ fn rig(disk: Arc<dyn Disk>, source: CycleSource, daemon: &DaemonConfig, clock: &
         cycle_waits: false,
     };
     let place = writer.sink().place().clone();
-    let progress = Arc::new(Progress::new(Arc::clone(source.handed()), limits, clock.clone()));
+    let progress = Arc::new(RunProgress::new(Arc::clone(source.handed()), limits, clock.clone()));
     progress.opened(place);
     let stop = Stop::default();
     storage.watch(&progress, &stop);
