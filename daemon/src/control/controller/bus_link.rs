@@ -9,7 +9,7 @@ use std::time::Duration;
 use shared::recording::schema::MAX_ENCODERS;
 use shared::time::{MonoNs, NS_PER_S};
 
-use crate::control::machine::Event;
+use crate::control::machine::MachineEvent;
 use crate::control::settings::Connect;
 use crate::problem::{Fact, Problem};
 use crate::run::{BUS_FLAGS, Opening, RunError, Session};
@@ -104,7 +104,7 @@ impl BusLink {
     }
 
     /// The change of the bus' state since the last poll.
-    pub fn poll(&mut self, now: MonoNs) -> Option<Event> {
+    pub fn poll(&mut self, now: MonoNs) -> Option<MachineEvent> {
         match &mut self.state {
             State::Down { retry_at } => {
                 if now >= *retry_at {
@@ -134,7 +134,7 @@ impl BusLink {
                     *recent = RecentCounts::default();
                 }
                 trouble.clone_from(&current);
-                Some(current.map_or(Event::BusUp, Event::BusTroubled))
+                Some(current.map_or(MachineEvent::BusUp, MachineEvent::BusTroubled))
             }
         }
     }
@@ -167,23 +167,23 @@ impl BusLink {
         })
     }
 
-    fn connected(&mut self, outcome: Result<Session, RunError>, now: MonoNs) -> Event {
+    fn connected(&mut self, outcome: Result<Session, RunError>, now: MonoNs) -> MachineEvent {
         match outcome {
             Ok(session) => {
                 session.log();
                 self.pause = RETRY_FIRST;
                 let session = Box::new(session);
                 self.state = State::Up { session, trouble: None, recent: RecentCounts::default() };
-                Event::BusUp
+                MachineEvent::BusUp
             }
             Err(error) => self.failed(error.problem(), now),
         }
     }
 
-    fn failed(&mut self, problem: Problem, now: MonoNs) -> Event {
+    fn failed(&mut self, problem: Problem, now: MonoNs) -> MachineEvent {
         self.state = State::Down { retry_at: now.plus_ns(self.pause.as_nanos() as i64) };
         self.pause = (self.pause * 2).min(RETRY_LONGEST);
-        Event::BusDown(problem)
+        MachineEvent::BusDown(problem)
     }
 }
 

@@ -20,7 +20,7 @@ use tokio::sync::{oneshot, watch};
 
 use crate::claim::Claim;
 use crate::control::live_tap::LiveTap;
-use crate::control::machine::{Action, Answer, Event, Machine, State};
+use crate::control::machine::{Action, Answer, MachineEvent, State, StateMachine};
 use crate::control::recordings::runs;
 use crate::control::recordings::verdict::Verdict;
 use crate::control::settings::{Connect, Settings};
@@ -72,7 +72,7 @@ struct Counted {
 /// Executes what the machine decides.
 pub(super) struct Controller {
     settings: Arc<Settings>,
-    machine: Machine,
+    machine: StateMachine,
     status: watch::Sender<Status>,
     bus: BusLink,
     homing: Option<Homing>,
@@ -128,7 +128,7 @@ impl Controller {
             outcome: None,
             ending,
             settings,
-            machine: Machine::default(),
+            machine: StateMachine::default(),
             status,
             bus: BusLink::new(connect, Arc::clone(&scheduler)),
             scheduler,
@@ -219,7 +219,7 @@ impl Controller {
 
     fn shutdown(&mut self, cause: &str) {
         self.leaving_since.get_or_insert(self.now);
-        self.handle(Event::Shutdown(cause.to_owned()));
+        self.handle(MachineEvent::Shutdown(cause.to_owned()));
     }
 
     /// After a panic of this thread: decides nothing, but finishes the run's file with the cause.
@@ -245,7 +245,7 @@ impl Controller {
             Command::Start(details, named, reply) => {
                 // The cable may have been pulled since the last poll.
                 self.poll_bus();
-                let answer = self.handle(Event::Start { run: details, named }).unwrap_or(Answer::Idle);
+                let answer = self.handle(MachineEvent::Start { run: details, named }).unwrap_or(Answer::Idle);
                 self.publish();
                 if self.is_opening() && matches!(answer, Answer::Beginning | Answer::Running(_)) {
                     self.start_clients.push((reply, answer));
@@ -254,7 +254,7 @@ impl Controller {
                 }
             }
             Command::Stop(cause, reply) => {
-                let answer = self.handle(Event::Stop(cause)).unwrap_or(Answer::Idle);
+                let answer = self.handle(MachineEvent::Stop(cause)).unwrap_or(Answer::Idle);
                 let (over, last) = oneshot::channel();
                 if matches!(answer, Answer::Stopping(_)) {
                     self.stop_clients.push(over);
@@ -264,7 +264,7 @@ impl Controller {
             }
             Command::Home(reply) => {
                 self.poll_bus();
-                let answer = self.handle(Event::Home);
+                let answer = self.handle(MachineEvent::Home);
                 self.publish();
                 let _ = reply.send(answer.unwrap_or(Answer::Idle));
             }
@@ -282,7 +282,7 @@ impl Controller {
     }
 
     /// Lets the machine decide and executes its actions; events that result are handled in turn.
-    fn handle(&mut self, event: Event) -> Option<Answer> {
+    fn handle(&mut self, event: MachineEvent) -> Option<Answer> {
         let mut answer = None;
         for action in self.machine.handle(event) {
             match action {
@@ -309,7 +309,7 @@ impl Controller {
                 Action::BeginHoming => match self.bus.session() {
                     Some(session) => self.homing = Some(Homing::begin(session)),
                     None => {
-                        self.handle(Event::HomingOver);
+                        self.handle(MachineEvent::HomingOver);
                         answer = Some(Answer::Refused(self.no_bus()));
                     }
                 },
@@ -359,7 +359,7 @@ impl Controller {
                 Ok(())
             }
             Err(problem) => {
-                self.handle(Event::OpenFailed(problem.clone()));
+                self.handle(MachineEvent::OpenFailed(problem.clone()));
                 Err(problem)
             }
         }
@@ -368,8 +368,8 @@ impl Controller {
     /// Answers the clients that requested the run: it has its file, or gets none.
     fn answer_starts(&mut self, outcome: Result<(), Problem>) {
         self.handle(match &outcome {
-            Ok(()) => Event::Opened,
-            Err(problem) => Event::OpenFailed(problem.clone()),
+            Ok(()) => MachineEvent::Opened,
+            Err(problem) => MachineEvent::OpenFailed(problem.clone()),
         });
         self.publish();
         for (reply, answer) in std::mem::take(&mut self.start_clients) {
@@ -396,7 +396,7 @@ impl Controller {
         // If the task died, files that it did not finish are still there.
         let claim = outcome.unwrap_or(Ok(None))?;
         self.claim = self.claim.take().or(claim);
-        self.handle(Event::Recovered);
+        self.handle(MachineEvent::Recovered);
         Ok(())
     }
 
@@ -458,7 +458,7 @@ impl Controller {
     fn poll_homing(&mut self) {
         let Some(homing) = &mut self.homing else { return };
         if homing.poll(&self.settings.bar.encoders, &self.settings.marks_file) {
-            self.handle(Event::HomingOver);
+            self.handle(MachineEvent::HomingOver);
         }
     }
 
@@ -474,16 +474,16 @@ impl Controller {
         }
         if run.stop.is_stopped() {
             let cause = run.stop.cause();
-            self.handle(Event::Ended(cause));
+            self.handle(MachineEvent::Ended(cause));
             return;
         }
         let Snapshot { synced, sync_age, .. } = run.progress.get();
         let stalled_after = self.settings.daemon.sync_period() * STALLED_SYNC_PERIODS;
         if synced.cycles > self.cycles_synced {
             self.cycles_synced = synced.cycles;
-            self.handle(Event::Synced);
+            self.handle(MachineEvent::Synced);
         } else if sync_age.is_none_or(|age| age > stalled_after) {
-            self.handle(Event::Stalled);
+            self.handle(MachineEvent::Stalled);
         }
     }
 
@@ -494,9 +494,9 @@ impl Controller {
         }
         match outcome {
             Ok(summary) => {
-                self.handle(Event::Ended(summary.cause.clone()));
+                self.handle(MachineEvent::Ended(summary.cause.clone()));
                 self.summary = Some(summary);
-                self.handle(Event::Closed);
+                self.handle(MachineEvent::Closed);
             }
             Err(error) if self.is_opening() => self.answer_starts(Err(error.problem())),
             Err(error) => {
@@ -506,7 +506,7 @@ impl Controller {
                     self.summary = content.map(|summary| *summary);
                 }
                 self.failure = Some(problem.text.clone());
-                self.handle(Event::CloseFailed(problem));
+                self.handle(MachineEvent::CloseFailed(problem));
             }
         }
     }

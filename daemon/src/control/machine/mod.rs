@@ -24,7 +24,7 @@ mod transitions;
 #[cfg(test)]
 mod tests;
 
-pub use transitions::Machine;
+pub use transitions::StateMachine;
 
 pub use crate::control::status::ServiceState as State;
 use crate::problem::Problem;
@@ -32,7 +32,7 @@ use crate::run::RunDetails;
 
 /// Input of the state machine.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Event {
+pub enum MachineEvent {
     /// The bus is in operation.
     BusUp,
     /// The bus cannot be brought into operation, or the thread of its cycle has ended.

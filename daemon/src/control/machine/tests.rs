@@ -9,8 +9,8 @@ fn details(run: &str) -> Box<RunDetails> {
     Box::new(RunDetails { name: run.into(), ..RunDetails::default() })
 }
 
-fn started(run: &str) -> Event {
-    Event::Start { run: details(run), named: true }
+fn started(run: &str) -> MachineEvent {
+    MachineEvent::Start { run: details(run), named: true }
 }
 
 fn problem(error: &str) -> Problem {
@@ -18,31 +18,31 @@ fn problem(error: &str) -> Problem {
 }
 
 /// A machine whose disk is ready, after these events, and their actions.
-fn after(events: impl IntoIterator<Item = Event>) -> (Machine, Vec<Action>) {
-    let mut machine = Machine::default();
-    machine.handle(Event::Recovered);
+fn after(events: impl IntoIterator<Item = MachineEvent>) -> (StateMachine, Vec<Action>) {
+    let mut machine = StateMachine::default();
+    machine.handle(MachineEvent::Recovered);
     let actions = events.into_iter().flat_map(|event| machine.handle(event)).collect();
     (machine, actions)
 }
 
-fn any_event() -> impl Strategy<Value = Event> {
+fn any_event() -> impl Strategy<Value = MachineEvent> {
     let word = "[ab]";
     prop_oneof![
-        3 => Just(Event::BusUp),
-        1 => word.prop_map(|word| Event::BusDown(problem(&word))),
-        4 => (word, any::<bool>()).prop_map(|(run, named)| Event::Start { run: details(&run), named }),
-        3 => Just(Event::Opened),
-        1 => word.prop_map(|word| Event::OpenFailed(problem(&word))),
-        2 => Just(Event::Synced),
-        1 => Just(Event::Stalled),
-        2 => word.prop_map(Event::Stop),
-        1 => word.prop_map(Event::Ended),
-        3 => Just(Event::Closed),
-        1 => word.prop_map(|word| Event::CloseFailed(problem(&word))),
-        1 => Just(Event::Recovered),
-        2 => Just(Event::Home),
-        2 => Just(Event::HomingOver),
-        1 => word.prop_map(|word| Event::BusTroubled(problem(&word))),
+        3 => Just(MachineEvent::BusUp),
+        1 => word.prop_map(|word| MachineEvent::BusDown(problem(&word))),
+        4 => (word, any::<bool>()).prop_map(|(run, named)| MachineEvent::Start { run: details(&run), named }),
+        3 => Just(MachineEvent::Opened),
+        1 => word.prop_map(|word| MachineEvent::OpenFailed(problem(&word))),
+        2 => Just(MachineEvent::Synced),
+        1 => Just(MachineEvent::Stalled),
+        2 => word.prop_map(MachineEvent::Stop),
+        1 => word.prop_map(MachineEvent::Ended),
+        3 => Just(MachineEvent::Closed),
+        1 => word.prop_map(|word| MachineEvent::CloseFailed(problem(&word))),
+        1 => Just(MachineEvent::Recovered),
+        2 => Just(MachineEvent::Home),
+        2 => Just(MachineEvent::HomingOver),
+        1 => word.prop_map(|word| MachineEvent::BusTroubled(problem(&word))),
     ]
 }
 
@@ -86,11 +86,11 @@ proptest! {
         failing in any::<bool>(),
     ) {
         let (mut machine, mut actions) = after(events);
-        actions.extend(machine.handle(Event::Shutdown("SIGTERM".into())));
-        actions.extend(machine.handle(Event::Opened));
-        let last = if failing { Event::CloseFailed(problem("disk")) } else { Event::Closed };
+        actions.extend(machine.handle(MachineEvent::Shutdown("SIGTERM".into())));
+        actions.extend(machine.handle(MachineEvent::Opened));
+        let last = if failing { MachineEvent::CloseFailed(problem("disk")) } else { MachineEvent::Closed };
         actions.extend(machine.handle(last));
-        actions.extend(machine.handle(Event::HomingOver));
+        actions.extend(machine.handle(MachineEvent::HomingOver));
         prop_assert_eq!(check_runs(&actions)?, None);
         prop_assert_eq!(machine.run(), None);
         prop_assert_eq!(actions.iter().filter(|action| **action == Action::Exit).count(), 1);
@@ -100,8 +100,10 @@ proptest! {
     fn every_question_gets_one_answer(
         events in prop::collection::vec(any_event(), 0..60),
     ) {
-        let questions =
-            events.iter().filter(|event| matches!(event, Event::Start { .. } | Event::Stop(_) | Event::Home)).count();
+        let is_question = |event: &&MachineEvent| {
+            matches!(event, MachineEvent::Start { .. } | MachineEvent::Stop(_) | MachineEvent::Home)
+        };
+        let questions = events.iter().filter(is_question).count();
         let (_, actions) = after(events);
         let answers = actions.iter().filter(|action| matches!(action, Action::Answer(_))).count();
         prop_assert_eq!(questions, answers);
@@ -109,7 +111,7 @@ proptest! {
 
     #[test]
     fn a_lost_bus_is_always_being_brought_back(events in prop::collection::vec(any_event(), 0..60)) {
-        let downs = events.iter().filter(|event| matches!(event, Event::BusDown(_))).count();
+        let downs = events.iter().filter(|event| matches!(event, MachineEvent::BusDown(_))).count();
         let (_, actions) = after(events);
         prop_assert_eq!(actions.iter().filter(|action| **action == Action::Connect).count(), downs);
     }
@@ -117,90 +119,93 @@ proptest! {
 
 #[test]
 fn a_run_passes_through_the_five_states() {
-    let (mut machine, _) = after([Event::BusUp]);
+    let (mut machine, _) = after([MachineEvent::BusUp]);
     assert_eq!(machine.state(), State::Waiting);
     machine.handle(started("a"));
     assert_eq!((machine.state(), machine.run()), (State::Opening, Some("a")));
-    machine.handle(Event::Opened);
+    machine.handle(MachineEvent::Opened);
     assert_eq!((machine.state(), machine.run()), (State::Sampling, Some("a")));
-    machine.handle(Event::Synced);
+    machine.handle(MachineEvent::Synced);
     assert_eq!((machine.state(), machine.run()), (State::Writing, Some("a")));
-    machine.handle(Event::Stop("stopped".into()));
+    machine.handle(MachineEvent::Stop("stopped".into()));
     assert_eq!((machine.run(), machine.cause()), (Some("a"), Some("stopped")));
-    let actions = machine.handle(Event::Closed);
+    let actions = machine.handle(MachineEvent::Closed);
     assert_eq!(actions, [Action::Finished { run: "a".into(), cause: "stopped".into() }]);
     assert_eq!(machine.state(), State::Waiting);
 }
 
 #[test]
 fn starting_twice_and_stopping_twice_change_nothing() {
-    let (mut machine, _) = after([Event::BusUp, started("a"), Event::Opened]);
+    let (mut machine, _) = after([MachineEvent::BusUp, started("a"), MachineEvent::Opened]);
     assert_eq!(machine.handle(started("a")), [Action::Answer(Answer::Running("a".into()))]);
     assert_eq!(machine.handle(started("b")), [Action::Answer(Answer::Busy("a".into()))]);
-    machine.handle(Event::Stop("first".into()));
-    let second = machine.handle(Event::Stop("second".into()));
+    machine.handle(MachineEvent::Stop("first".into()));
+    let second = machine.handle(MachineEvent::Stop("second".into()));
     assert_eq!(second, [Action::Answer(Answer::Stopping("a".into()))]);
     assert_eq!(machine.cause(), Some("first"));
-    machine.handle(Event::Closed);
-    assert_eq!(machine.handle(Event::Stop("third".into())), [Action::Answer(Answer::Idle)]);
+    machine.handle(MachineEvent::Closed);
+    assert_eq!(machine.handle(MachineEvent::Stop("third".into())), [Action::Answer(Answer::Idle)]);
 }
 
 #[test]
 fn a_disk_that_fails_is_a_fault_until_it_is_looked_after() {
-    let (mut machine, _) = after([Event::BusUp, started("a"), Event::Opened, Event::Synced]);
-    let actions = machine.handle(Event::CloseFailed(problem("no space")));
+    let (mut machine, _) =
+        after([MachineEvent::BusUp, started("a"), MachineEvent::Opened, MachineEvent::Synced]);
+    let actions = machine.handle(MachineEvent::CloseFailed(problem("no space")));
     assert_eq!(actions, [Action::Finished { run: "a".into(), cause: "no space".into() }, Action::Recover]);
     assert_eq!(machine.handle(started("b")), [Action::Answer(Answer::Refused(problem("no space")))]);
-    machine.handle(Event::Recovered);
+    machine.handle(MachineEvent::Recovered);
     assert_eq!(machine.state(), State::Waiting);
 }
 
 #[test]
 fn nothing_begins_before_what_earlier_runs_left_is_looked_after() {
-    let mut machine = Machine::default();
-    machine.handle(Event::BusUp);
+    let mut machine = StateMachine::default();
+    machine.handle(MachineEvent::BusUp);
     assert!(matches!(machine.handle(started("a"))[..], [Action::Answer(Answer::Refused(_))]));
-    machine.handle(Event::Recovered);
+    machine.handle(MachineEvent::Recovered);
     assert_eq!(machine.state(), State::Waiting);
 }
 
 #[test]
 fn a_run_that_is_stopped_before_its_file_is_there_takes_no_more_cycles_and_ends_with_the_file() {
-    let (mut machine, _) = after([Event::BusUp, started("a")]);
-    let stopped = machine.handle(Event::Stop("enough".into()));
+    let (mut machine, _) = after([MachineEvent::BusUp, started("a")]);
+    let stopped = machine.handle(MachineEvent::Stop("enough".into()));
     assert_eq!(stopped, [Action::End("enough".into()), Action::Answer(Answer::Stopping("a".into()))]);
-    machine.handle(Event::Opened);
+    machine.handle(MachineEvent::Opened);
     assert_eq!((machine.run(), machine.cause()), (Some("a"), Some("enough")));
 }
 
 #[test]
 fn nothing_reaching_the_disk_is_shown() {
-    let (mut machine, _) = after([Event::BusUp, started("a"), Event::Opened, Event::Synced]);
-    machine.handle(Event::Stalled);
+    let (mut machine, _) =
+        after([MachineEvent::BusUp, started("a"), MachineEvent::Opened, MachineEvent::Synced]);
+    machine.handle(MachineEvent::Stalled);
     assert_eq!((machine.state(), machine.run()), (State::Sampling, Some("a")));
 }
 
 #[test]
 fn while_the_encoders_are_homed_no_run_begins_and_stop_ends_it() {
-    let (mut machine, actions) = after([Event::BusUp, Event::Home]);
+    let (mut machine, actions) = after([MachineEvent::BusUp, MachineEvent::Home]);
     assert_eq!(actions, [Action::BeginHoming, Action::Answer(Answer::Beginning)]);
-    assert_eq!(machine.handle(Event::Home), [Action::Answer(Answer::Homing)]);
+    assert_eq!(machine.handle(MachineEvent::Home), [Action::Answer(Answer::Homing)]);
     assert!(matches!(machine.handle(started("a"))[..], [Action::Answer(Answer::Refused(_))]));
-    let ended = machine.handle(Event::Stop("enough".into()));
+    let ended = machine.handle(MachineEvent::Stop("enough".into()));
     assert_eq!(ended, [Action::EndHoming("enough".into()), Action::Answer(Answer::Homing)]);
-    machine.handle(Event::HomingOver);
+    machine.handle(MachineEvent::HomingOver);
     assert_eq!(machine.state(), State::Waiting);
 }
 
 #[test]
 fn a_bus_in_trouble_lets_a_run_go_on_and_none_begin() {
-    let (mut machine, _) = after([Event::BusUp, started("a"), Event::Opened, Event::Synced]);
-    assert_eq!(machine.handle(Event::BusTroubled(problem("no cable"))), []);
+    let (mut machine, _) =
+        after([MachineEvent::BusUp, started("a"), MachineEvent::Opened, MachineEvent::Synced]);
+    assert_eq!(machine.handle(MachineEvent::BusTroubled(problem("no cable"))), []);
     assert_eq!((machine.state(), machine.run()), (State::Writing, Some("a")));
     assert_eq!(machine.bus_fault(), Some(&problem("no cable")));
-    machine.handle(Event::Ended("no valid samples".into()));
-    machine.handle(Event::Closed);
+    machine.handle(MachineEvent::Ended("no valid samples".into()));
+    machine.handle(MachineEvent::Closed);
     assert_eq!((machine.state(), machine.fault()), (State::Fault, Some(&problem("no cable"))));
-    machine.handle(Event::BusUp);
+    machine.handle(MachineEvent::BusUp);
     assert_eq!(machine.state(), State::Waiting);
 }

@@ -1,15 +1,15 @@
 //! Transitions of the state machine: one method per event, which gives the actions for the controller.
 
-use super::{Action, Answer, Event, State};
+use super::{Action, Answer, MachineEvent, State};
 use crate::problem::{Fact, Problem};
 use crate::run::RunDetails;
 
 /// State of the acquisition, with the faults that prevent a run.
 #[derive(Debug, Clone)]
-pub struct Machine {
+pub struct StateMachine {
     state: State,
     /// Present in the states `Opening`, `Sampling`, `Writing` and `Closing`.
-    run: Option<Run>,
+    run: Option<CurrentRun>,
     /// Why the bus is not in operation; `None` if it is.
     bus_fault: Option<Problem>,
     /// Why nothing can be recorded before the disk is ready.
@@ -20,13 +20,13 @@ pub struct Machine {
 
 /// Name and end of the current run.
 #[derive(Debug, Clone)]
-struct Run {
+struct CurrentRun {
     name: String,
     /// Cause of its end, once that is requested.
     cause: Option<String>,
 }
 
-impl Default for Machine {
+impl Default for StateMachine {
     fn default() -> Self {
         Self {
             state: State::Fault,
@@ -38,7 +38,7 @@ impl Default for Machine {
     }
 }
 
-impl Machine {
+impl StateMachine {
     pub fn state(&self) -> State {
         self.state
     }
@@ -65,24 +65,24 @@ impl Machine {
 
     /// Handles one event; the actions are to be executed in order. An event that has no meaning in the current state changes
     /// nothing.
-    pub fn handle(&mut self, event: Event) -> Vec<Action> {
+    pub fn handle(&mut self, event: MachineEvent) -> Vec<Action> {
         match event {
-            Event::BusUp => self.set_bus_fault(None),
-            Event::BusDown(problem) => self.set_bus_fault(Some(problem)),
-            Event::BusTroubled(problem) => self.bus_troubled(problem),
-            Event::Home => self.home(),
-            Event::HomingOver => self.homing_over(),
-            Event::Start { run, named } => self.start(run, named),
-            Event::Opened => self.opened(),
-            Event::OpenFailed(problem) => self.open_failed(problem),
-            Event::Synced => self.set_on_disk(true),
-            Event::Stalled => self.set_on_disk(false),
-            Event::Stop(cause) => self.stop(&cause),
-            Event::Ended(cause) => self.ended(&cause),
-            Event::Closed => self.closed(None),
-            Event::CloseFailed(problem) => self.closed(Some(problem)),
-            Event::Recovered => self.recovered(),
-            Event::Shutdown(cause) => self.shutdown(&cause),
+            MachineEvent::BusUp => self.set_bus_fault(None),
+            MachineEvent::BusDown(problem) => self.set_bus_fault(Some(problem)),
+            MachineEvent::BusTroubled(problem) => self.bus_troubled(problem),
+            MachineEvent::Home => self.home(),
+            MachineEvent::HomingOver => self.homing_over(),
+            MachineEvent::Start { run, named } => self.start(run, named),
+            MachineEvent::Opened => self.opened(),
+            MachineEvent::OpenFailed(problem) => self.open_failed(problem),
+            MachineEvent::Synced => self.set_on_disk(true),
+            MachineEvent::Stalled => self.set_on_disk(false),
+            MachineEvent::Stop(cause) => self.stop(&cause),
+            MachineEvent::Ended(cause) => self.ended(&cause),
+            MachineEvent::Closed => self.closed(None),
+            MachineEvent::CloseFailed(problem) => self.closed(Some(problem)),
+            MachineEvent::Recovered => self.recovered(),
+            MachineEvent::Shutdown(cause) => self.shutdown(&cause),
         }
     }
 
@@ -149,7 +149,7 @@ impl Machine {
             State::Homing => refused(Fact::HomingActive {}),
             State::Waiting => {
                 self.state = State::Opening;
-                self.run = Some(Run { name: details.name.clone(), cause: None });
+                self.run = Some(CurrentRun { name: details.name.clone(), cause: None });
                 return vec![Action::Open(details), Action::Answer(Answer::Beginning)];
             }
             State::Opening | State::Sampling | State::Writing if is_wanted => self.occupied(Answer::Running),
@@ -167,7 +167,7 @@ impl Machine {
     }
 
     fn open_failed(&mut self, problem: Problem) -> Vec<Action> {
-        let Some(Run { name: run, .. }) = self.run.take_if(|_| self.state == State::Opening) else {
+        let Some(CurrentRun { name: run, .. }) = self.run.take_if(|_| self.state == State::Opening) else {
             return Vec::new();
         };
         self.state = State::Waiting;
@@ -216,7 +216,7 @@ impl Machine {
         if let Some(problem) = &failure {
             self.end_run(&problem.text);
         }
-        let Some(Run { name: run, cause }) = self.run.take_if(|_| self.state == State::Closing) else {
+        let Some(CurrentRun { name: run, cause }) = self.run.take_if(|_| self.state == State::Closing) else {
             return Vec::new();
         };
         self.state = State::Waiting;
