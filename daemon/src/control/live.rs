@@ -19,7 +19,7 @@ use shared::time::{MonoNs, NS_PER_S};
 use tokio::sync::watch;
 
 use super::controller::preflight::hours_left;
-use super::recordings::verdict::{Content, Verdict};
+use super::recordings::verdict::{GradeInput, Verdict};
 use super::settings::Settings;
 use super::status::{EncoderStatus, Headline, RunStatus, Status};
 use crate::devices::el5021;
@@ -328,7 +328,7 @@ impl Observer {
         let has_had_time = run_s > MOVE_WITHIN_S;
         let turned = joints.iter().filter(|_| has_had_time).map(|joint| (joint.joint, joint.range_deg));
         (run.cycles > 0).then(|| {
-            Verdict::of(&Content {
+            Verdict::of(&GradeInput {
                 cycles: run.cycles,
                 cycles_valid: run.cycles_valid,
                 cycles_lost: run.cycles_lost,
@@ -659,14 +659,14 @@ mod tests {
     const START: i64 = 5_000_000;
 
     /// An observer of the shipped bar, and its time.
-    struct Bench {
+    struct ObservedBar {
         observer: Observer,
         now: MonoNs,
         origin: u32,
         latch: u32,
     }
 
-    impl Bench {
+    impl ObservedBar {
         fn new(change: impl FnOnce(&mut Settings)) -> Self {
             let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("../config");
             let bar: BallBarConfig = config::load(&shipped.join("ball_bar.toml")).unwrap();
@@ -728,7 +728,7 @@ mod tests {
 
     #[test]
     fn angles_and_speeds_are_those_of_the_joints_across_the_wrap_of_the_counter() {
-        let mut bench = Bench::new(|_| {});
+        let mut bench = ObservedBar::new(|_| {});
         let live = bench.turn(3, 300.0, 30.0);
         let joint = &live.joints[2];
         assert!((joint.angle_deg.unwrap() - 300.0).abs() < 1e-3, "{joint:?}");
@@ -738,7 +738,7 @@ mod tests {
 
     #[test]
     fn what_is_older_than_a_second_is_stale_and_shows_no_value() {
-        let mut bench = Bench::new(|_| {});
+        let mut bench = ObservedBar::new(|_| {});
         bench.at([Some(1.0); 5], None);
         for _ in 0..9 {
             let live = bench.at([Some(1.0), None, Some(1.0), Some(1.0), Some(1.0)], None);
@@ -755,7 +755,7 @@ mod tests {
 
     #[test]
     fn a_status_that_is_not_renewed_is_stale() {
-        let mut bench = Bench::new(|_| {});
+        let mut bench = ObservedBar::new(|_| {});
         bench.at([Some(1.0); 5], None);
         let old = Status { sampled: bench.now, ..Status::default() };
         let live = bench.observer.next(&old, bench.now.plus_ns(2 * NS_PER_S));
@@ -764,15 +764,15 @@ mod tests {
 
     #[test]
     fn a_wound_cable_and_a_fast_joint_are_warned_of() {
-        let mut bench = Bench::new(|_| {});
+        let mut bench = ObservedBar::new(|_| {});
         assert_eq!(subjects(&bench.turn(1, 365.0, 50.0)), [("joint_wound", 1)]);
-        let mut bench = Bench::new(|_| {});
+        let mut bench = ObservedBar::new(|_| {});
         assert_eq!(subjects(&bench.turn(2, 200.0, 80.0)), [("joint_fast", 2)]);
     }
 
     #[test]
     fn a_counter_that_begins_anew_turns_no_joint() {
-        let mut bench = Bench::new(|_| {});
+        let mut bench = ObservedBar::new(|_| {});
         bench.turn(1, 100.0, 50.0);
         bench.at([None; 5], None);
         bench.origin += 1;
@@ -787,7 +787,7 @@ mod tests {
 
     #[test]
     fn a_new_session_of_the_bus_turns_no_joint() {
-        let mut bench = Bench::new(|_| {});
+        let mut bench = ObservedBar::new(|_| {});
         bench.turn(1, 100.0, 50.0);
         // The cycle thread has died, and the next session begins with origin 0, too.
         bench.observer.next(&Status::default(), bench.now);
@@ -802,7 +802,8 @@ mod tests {
     #[test]
     fn a_run_without_distributed_clocks_has_the_grade_of_its_file() {
         let level = |distributed_clocks| {
-            let mut bench = Bench::new(|settings| settings.daemon.distributed_clocks = distributed_clocks);
+            let mut bench =
+                ObservedBar::new(|settings| settings.daemon.distributed_clocks = distributed_clocks);
             bench.at([Some(1.0); 5], Some("one")).verdict.unwrap().level
         };
         assert_eq!([true, false].map(level), [Level::Good, Level::Check]);
@@ -810,7 +811,7 @@ mod tests {
 
     #[test]
     fn a_joint_that_stands_still_in_a_run_is_warned_of_and_counts_from_its_beginning() {
-        let mut bench = Bench::new(|_| {});
+        let mut bench = ObservedBar::new(|_| {});
         bench.turn(1, 20.0, 20.0);
         let moving = |step: i32| [20.0, 0.2 * f64::from(step), 1.0, 1.0, 1.0].map(Some);
         let live = (0..160).map(|step| bench.at(moving(step), Some("one"))).last().unwrap();
@@ -824,7 +825,7 @@ mod tests {
 
     #[test]
     fn a_singular_pose_is_warned_of_if_the_angles_are_known() {
-        let mut bench = Bench::new(|settings| settings.bar.encoders[1].mark_deg = Some(170.0));
+        let mut bench = ObservedBar::new(|settings| settings.bar.encoders[1].mark_deg = Some(170.0));
         let encoders: Vec<_> = bench.observer.tracks.iter().map(|track| track.config.clone()).collect();
         bench.observer.homing = Some(HomingConfig::new(UtcNs(0), &encoders, &[START as u32; 5]));
         assert!(subjects(&bench.at([Some(0.0); 5], None)).is_empty());
@@ -842,7 +843,7 @@ mod tests {
 
     #[test]
     fn a_page_that_begins_gets_the_last_minute_and_no_more() {
-        let (mut bench, mut minute) = (Bench::new(|_| {}), Minute::default());
+        let (mut bench, mut minute) = (ObservedBar::new(|_| {}), Minute::default());
         for step in 0..700 {
             let angle_deg = (step != 650).then_some(f64::from(step) * 0.01);
             // An encoder is stale only after a second: one missing sample makes no gap.
@@ -856,7 +857,7 @@ mod tests {
 
     #[test]
     fn coverage_grows_with_the_directions_of_the_rod_and_begins_with_the_run() {
-        let mut bench = Bench::new(|_| {});
+        let mut bench = ObservedBar::new(|_| {});
         let live = bench.turn(1, 95.0, 50.0);
         assert_eq!(
             (live.coverage.visited, live.coverage.newest_s),

@@ -32,7 +32,7 @@ pub struct Verdict {
 
 /// Input of a grade.
 #[derive(Debug, Clone, Copy, Default)]
-pub struct Content<'a> {
+pub struct GradeInput<'a> {
     /// Bus cycles in the file.
     pub cycles: u64,
     /// Cycles in which every encoder is valid.
@@ -53,8 +53,8 @@ pub struct Content<'a> {
 
 impl Verdict {
     /// Grades a run with this content. A run that `identify calibrate` refuses by default is not good.
-    pub fn of(content: &Content<'_>) -> Self {
-        let Content { cycles, cycles_valid, cycles_lost, recovered, without_clocks, .. } = *content;
+    pub fn of(content: &GradeInput<'_>) -> Self {
+        let GradeInput { cycles, cycles_valid, cycles_lost, recovered, without_clocks, .. } = *content;
         let mut verdict = Self::default();
         if cycles == 0 {
             return Self::bad("it has no cycles");
@@ -110,7 +110,7 @@ impl Verdict {
     pub fn of_file(RunOverview { run, end }: &RunOverview) -> Self {
         let joints = run.encoders.iter().map(|encoder| encoder.joint);
         let turned_deg: Vec<_> = joints.zip(end.turned_deg.iter().copied()).collect();
-        Self::of(&Content {
+        Self::of(&GradeInput {
             cycles: end.cycles,
             cycles_valid: end.cycles_valid,
             cycles_lost: end.cycles_lost,
@@ -133,7 +133,7 @@ impl Verdict {
     }
 }
 
-impl Content<'_> {
+impl GradeInput<'_> {
     /// Joint, reason, duration and time of each cause, the longest first; such as `: joint 3 signal too low (2.0 s, first at 0:12)`.
     fn causes(&self) -> String {
         let mut flagged: Vec<_> = self.flagged.iter().collect();
@@ -171,7 +171,7 @@ mod tests {
     use super::*;
 
     const MOVED: [(u8, f64); 2] = [(1, 40.0), (2, 30.0)];
-    const WHOLE: Content<'_> = Content {
+    const WHOLE: GradeInput<'_> = GradeInput {
         cycles: 12_000,
         cycles_valid: 12_000,
         cycles_lost: 0,
@@ -182,46 +182,46 @@ mod tests {
         turned_deg: &MOVED,
     };
 
-    fn grade(content: &Content<'_>) -> String {
+    fn grade(content: &GradeInput<'_>) -> String {
         Verdict::of(content).to_string()
     }
 
     #[test]
     fn a_whole_run_is_good_and_a_few_flagged_cycles_cost_nothing() {
         assert_eq!(grade(&WHOLE), "GOOD");
-        assert_eq!(grade(&Content { cycles_valid: 11_881, ..WHOLE }), "GOOD");
+        assert_eq!(grade(&GradeInput { cycles_valid: 11_881, ..WHOLE }), "GOOD");
     }
 
     #[test]
     fn a_run_without_cycles_or_without_a_valid_one_is_bad() {
-        assert_eq!(grade(&Content::default()), "BAD: it has no cycles");
-        assert_eq!(grade(&Content { cycles_valid: 0, ..WHOLE }), "BAD: none of the 12000 cycles is valid");
-        assert!(grade(&Content { cycles_valid: 5_999, ..WHOLE }).starts_with("BAD: 6001 of 12000"));
+        assert_eq!(grade(&GradeInput::default()), "BAD: it has no cycles");
+        assert_eq!(grade(&GradeInput { cycles_valid: 0, ..WHOLE }), "BAD: none of the 12000 cycles is valid");
+        assert!(grade(&GradeInput { cycles_valid: 5_999, ..WHOLE }).starts_with("BAD: 6001 of 12000"));
     }
 
     #[test]
     fn what_a_person_should_check_is_named() {
         for (content, why) in [
-            (Content { cycles_valid: 11_000, ..WHOLE }, "1000 of 12000 cycles are flagged (8.3 %)"),
-            (Content { cycles_lost: 1, ..WHOLE }, "1 cycle was lost"),
-            (Content { recovered: true, ..WHOLE }, "recovered"),
-            (Content { without_clocks: true, ..WHOLE }, "distributed clocks"),
+            (GradeInput { cycles_valid: 11_000, ..WHOLE }, "1000 of 12000 cycles are flagged (8.3 %)"),
+            (GradeInput { cycles_lost: 1, ..WHOLE }, "1 cycle was lost"),
+            (GradeInput { recovered: true, ..WHOLE }, "recovered"),
+            (GradeInput { without_clocks: true, ..WHOLE }, "distributed clocks"),
             (
-                Content { turned_deg: &[(1, 40.0), (3, 0.2)], ..WHOLE },
+                GradeInput { turned_deg: &[(1, 40.0), (3, 0.2)], ..WHOLE },
                 "joint 3 turned by 0.2\u{b0}; `identify` needs",
             ),
-            (Content { turned_deg: &[(5, 2.9)], ..WHOLE }, "at least 3\u{b0} of each joint"),
+            (GradeInput { turned_deg: &[(5, 2.9)], ..WHOLE }, "at least 3\u{b0} of each joint"),
             (
-                Content { cycles: 990, cycles_valid: 990, ..WHOLE },
+                GradeInput { cycles: 990, cycles_valid: 990, ..WHOLE },
                 "it is 9.9 s long; record at least 11 s: `identify` needs 10 s of motion",
             ),
             // Ends and clocks differ: `identify` needs more than its overlap.
             (
-                Content { cycles: 1_000, cycles_valid: 1_000, ..WHOLE },
+                GradeInput { cycles: 1_000, cycles_valid: 1_000, ..WHOLE },
                 "it is 10.0 s long; record at least 11 s",
             ),
             (
-                Content { cycles: 1_099, cycles_valid: 1_099, ..WHOLE },
+                GradeInput { cycles: 1_099, cycles_valid: 1_099, ..WHOLE },
                 "it is 10.9 s long; record at least 11 s",
             ),
         ] {
@@ -246,12 +246,12 @@ mod tests {
             flagged(Some(2), "no new sample", 5, 1, 1),
         ];
         assert_eq!(
-            grade(&Content { cycles_valid: 10_000, flagged: &flagged, ..WHOLE }),
+            grade(&GradeInput { cycles_valid: 10_000, flagged: &flagged, ..WHOLE }),
             "CHECK: 2000 of 12000 cycles are flagged (16.7 %): all joints bus down (11.0 s, first at 0:12), \
              joint 3 signal too low (9.0 s in 2 periods, first at 1:05), joint 1 no new sample (0.0 s, first at 0:00), \
              1 more cause"
         );
-        let blind = grade(&Content { cycles_valid: 0, flagged: &flagged[..1], ..WHOLE });
+        let blind = grade(&GradeInput { cycles_valid: 0, flagged: &flagged[..1], ..WHOLE });
         assert!(
             blind.starts_with("BAD: none of the 12000 cycles is valid: joint 3 signal too low"),
             "{blind}"
@@ -260,7 +260,7 @@ mod tests {
 
     #[test]
     fn the_worst_reason_decides_and_all_are_listed() {
-        let grade = grade(&Content { cycles_valid: 1, recovered: true, ..WHOLE });
+        let grade = grade(&GradeInput { cycles_valid: 1, recovered: true, ..WHOLE });
         assert!(grade.starts_with("BAD: 11999 of 12000") && grade.ends_with("recovered"), "{grade}");
     }
 }
