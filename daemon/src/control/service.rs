@@ -13,8 +13,8 @@ use shared::recording::Disk;
 use shared::time::MonoNs;
 use tokio::sync::{Semaphore, oneshot, watch};
 
-use super::controller::preflight::Found;
-use super::controller::{Command, Controller};
+use super::controller::preflight::DiskFindings;
+use super::controller::{Controller, ServiceCommand};
 use super::live::{self, Minute, Moment, Watched};
 use super::machine::Answer;
 use super::recordings::runs;
@@ -27,18 +27,18 @@ use crate::run::{self, RunDetails, RunError, Stop, Storage};
 use crate::scheduler::{Pending, Scheduler, Stepper, Threads};
 
 /// Receives why the service has ended.
-type Outcome = Receiver<Result<(), ServiceError>>;
+type ServiceEnd = Receiver<Result<(), ServiceError>>;
 
 /// Handle of the service. Clones refer to the same service.
 #[derive(Clone)]
 pub struct Service {
-    commands: SyncSender<Command>,
+    commands: SyncSender<ServiceCommand>,
     ending: Stop,
     status: watch::Receiver<Status>,
     live: Watched,
     settings: Arc<Settings>,
     disk: Arc<dyn Disk>,
-    outcome: Arc<Mutex<Option<Outcome>>>,
+    outcome: Arc<Mutex<Option<ServiceEnd>>>,
     disk_tasks: Arc<Semaphore>,
     scheduler: Arc<dyn Scheduler>,
 }
@@ -158,18 +158,18 @@ impl Service {
             return Ok(disk_silent());
         };
         let details = Box::new(details?);
-        self.ask(|reply| Command::Start(details, named, reply)).await
+        self.ask(|reply| ServiceCommand::Start(details, named, reply)).await
     }
 
     /// Ends the run; also returns a channel that receives it once it is over.
     pub(super) async fn stop(&self, cause: String) -> Result<(Answer, oneshot::Receiver<LastRun>), Refusal> {
-        self.ask(|reply| Command::Stop(cause, reply)).await
+        self.ask(|reply| ServiceCommand::Stop(cause, reply)).await
     }
 
     /// Begins a homing; refused if the marks could not be saved, so that joints are not turned in vain.
     pub(super) async fn home(&self) -> Result<Answer, Refusal> {
         match self.ask_disk(DISK_TIMEOUT, |settings, disk| settings.marks_file.problem(disk)).await {
-            Some(None) => self.ask(Command::Home).await,
+            Some(None) => self.ask(ServiceCommand::Home).await,
             Some(Some(problem)) => Ok(Answer::Refused(problem)),
             None => Ok(disk_silent()),
         }
@@ -182,14 +182,14 @@ impl Service {
         ago_ms: u32,
     ) -> Result<Option<(String, String)>, Refusal> {
         let at = self.now().plus_ns(-1_000_000 * i64::from(ago_ms));
-        let marked = self.ask(|reply| Command::Mark(text, at, reply)).await?;
+        let marked = self.ask(|reply| ServiceCommand::Mark(text, at, reply)).await?;
         marked.map_err(Refusal::new)
     }
 
     /// Runs the pre-flight check.
     pub async fn check(&self) -> Result<Vec<CheckLine>, Refusal> {
-        let found = self.ask_disk(DISK_TIMEOUT, Found::now).await;
-        self.ask(|reply| Command::Check(found, reply)).await
+        let found = self.ask_disk(DISK_TIMEOUT, DiskFindings::now).await;
+        self.ask(|reply| ServiceCommand::Check(found, reply)).await
     }
 
     /// The name that a run would get; `None` if the disk does not answer.
@@ -267,11 +267,11 @@ impl Service {
     /// Ends the control's thread by a panic.
     #[cfg(test)]
     pub(crate) fn kill_control(&self) {
-        let _ = self.commands.try_send(Command::Panic);
+        let _ = self.commands.try_send(ServiceCommand::Panic);
     }
 
     /// Sends a command with a channel for its reply, and waits for that.
-    async fn ask<T>(&self, command: impl FnOnce(oneshot::Sender<T>) -> Command) -> Result<T, Refusal> {
+    async fn ask<T>(&self, command: impl FnOnce(oneshot::Sender<T>) -> ServiceCommand) -> Result<T, Refusal> {
         let ended = || Refusal::from(Problem::from(Fact::ServiceEnding {}));
         let (reply, answer) = oneshot::channel();
         self.commands.try_send(command(reply)).map_err(|error| match error {
@@ -286,9 +286,9 @@ impl Service {
 struct Control {
     /// `None` once the service has ended.
     controller: Option<Controller>,
-    commands: Receiver<Command>,
+    commands: Receiver<ServiceCommand>,
     /// Commands for the next step.
-    waiting: Vec<Command>,
+    waiting: Vec<ServiceCommand>,
     ended: SyncSender<Result<(), ServiceError>>,
 }
 

@@ -30,14 +30,14 @@ const SILENT_MIN: Duration = Duration::from_millis(50);
 pub(super) struct BusLink {
     connect: Arc<Connect>,
     scheduler: Arc<dyn Scheduler>,
-    state: State,
+    state: LinkState,
     /// Pause after the next failed attempt.
     pause: Duration,
     /// Connected until the cycle of a closed bus has ended.
     closing: Option<Receiver<()>>,
 }
 
-enum State {
+enum LinkState {
     Down {
         retry_at: MonoNs,
     },
@@ -87,42 +87,42 @@ impl RecentCounts {
 impl BusLink {
     /// The first attempt begins with the first poll.
     pub fn new(connect: Arc<Connect>, scheduler: Arc<dyn Scheduler>) -> Self {
-        let state = State::Down { retry_at: scheduler.clock().now() };
+        let state = LinkState::Down { retry_at: scheduler.clock().now() };
         Self { connect, scheduler, state, pause: RETRY_FIRST, closing: None }
     }
 
     /// The bus, while it is in operation.
     pub fn session(&self) -> Option<&Session> {
-        let State::Up { session, .. } = &self.state else { return None };
+        let LinkState::Up { session, .. } = &self.state else { return None };
         Some(session)
     }
 
     /// Share of valid cycles of each encoder in the last second, in bus order; `None` before the first cycle.
     pub fn valid_shares(&self) -> Option<[f64; MAX_ENCODERS]> {
-        let State::Up { recent, .. } = &self.state else { return None };
+        let LinkState::Up { recent, .. } = &self.state else { return None };
         recent.valid_shares()
     }
 
     /// The change of the bus' state since the last poll.
     pub fn poll(&mut self, now: MonoNs) -> Option<MachineEvent> {
         match &mut self.state {
-            State::Down { retry_at } => {
+            LinkState::Down { retry_at } => {
                 if now >= *retry_at {
-                    self.state = State::Connecting(self.attempt());
+                    self.state = LinkState::Connecting(self.attempt());
                 }
                 None
             }
-            State::Connecting(attempt) => {
+            LinkState::Connecting(attempt) => {
                 let outcome = attempt.poll()?;
                 Some(match outcome {
                     Ok(outcome) => self.connected(outcome, now),
                     Err(Died) => self.failed(Fact::ThreadEnded { thread: "bring-up".into() }.into(), now),
                 })
             }
-            State::Up { session, .. } if !session.is_alive() => {
+            LinkState::Up { session, .. } if !session.is_alive() => {
                 Some(self.failed(Fact::ThreadEnded { thread: "cycle".into() }.into(), now))
             }
-            State::Up { session, trouble, recent } => {
+            LinkState::Up { session, trouble, recent } => {
                 recent.add(now, session.live.counted());
                 let current = trouble_of(session, now);
                 let current_text = current.as_ref().map(|problem| &problem.text);
@@ -141,8 +141,8 @@ impl BusLink {
 
     /// Requests the end of the cycle, see [`is_closed`](Self::is_closed).
     pub fn close(&mut self) {
-        let down = State::Down { retry_at: MonoNs(i64::MAX) };
-        if let State::Up { session, .. } = std::mem::replace(&mut self.state, down) {
+        let down = LinkState::Down { retry_at: MonoNs(i64::MAX) };
+        if let LinkState::Up { session, .. } = std::mem::replace(&mut self.state, down) {
             self.closing = Some(session.begin_close());
         }
     }
@@ -173,7 +173,7 @@ impl BusLink {
                 session.log();
                 self.pause = RETRY_FIRST;
                 let session = Box::new(session);
-                self.state = State::Up { session, trouble: None, recent: RecentCounts::default() };
+                self.state = LinkState::Up { session, trouble: None, recent: RecentCounts::default() };
                 MachineEvent::BusUp
             }
             Err(error) => self.failed(error.problem(), now),
@@ -181,7 +181,7 @@ impl BusLink {
     }
 
     fn failed(&mut self, problem: Problem, now: MonoNs) -> MachineEvent {
-        self.state = State::Down { retry_at: now.plus_ns(self.pause.as_nanos() as i64) };
+        self.state = LinkState::Down { retry_at: now.plus_ns(self.pause.as_nanos() as i64) };
         self.pause = (self.pause * 2).min(RETRY_LONGEST);
         MachineEvent::BusDown(problem)
     }

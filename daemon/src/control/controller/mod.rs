@@ -32,7 +32,7 @@ use crate::scheduler::{Pending, Scheduler};
 use bus_link::BusLink;
 use homing::Homing;
 use marks::Marks;
-use preflight::Found;
+use preflight::DiskFindings;
 use problem_log::ProblemLog;
 
 /// How often bus and recorder are polled when no command arrives.
@@ -45,7 +45,7 @@ const CONTROL_DIED: &str = "the control thread has ended; the log shows why";
 const STALLED_SYNC_PERIODS: u32 = 3;
 
 /// A request to the service.
-pub(super) enum Command {
+pub(super) enum ServiceCommand {
     /// The flag: a person chose the name.
     Start(Box<RunDetails>, bool, oneshot::Sender<Answer>),
     /// The reply contains a channel that receives the run once it is over.
@@ -54,7 +54,7 @@ pub(super) enum Command {
     /// Text (absent: a number) and instant; the reply has run and text, or nothing without a run.
     Mark(Option<String>, MonoNs, oneshot::Sender<Result<Option<(String, String)>, String>>),
     /// With the findings on disk; `None` if the disk did not answer.
-    Check(Option<Found>, oneshot::Sender<Vec<CheckLine>>),
+    Check(Option<DiskFindings>, oneshot::Sender<Vec<CheckLine>>),
     /// Ends the thread by a panic.
     #[cfg(test)]
     Panic,
@@ -157,7 +157,7 @@ impl Controller {
 
     /// Handles the commands and polls bus, disk, homing and run. Returns the time until the next step, or `None` once the
     /// service has ended, on request or because it has no place to record to.
-    pub fn poll(&mut self, now: MonoNs, commands: Vec<Command>) -> Option<Duration> {
+    pub fn poll(&mut self, now: MonoNs, commands: Vec<ServiceCommand>) -> Option<Duration> {
         self.now = now;
         if self.outcome.is_some() {
             return (!self.bus.is_closed()).then_some(OPENING_POLL);
@@ -239,10 +239,10 @@ impl Controller {
         self.bus.close();
     }
 
-    fn execute(&mut self, command: Command) {
+    fn execute(&mut self, command: ServiceCommand) {
         // The client may have gone in the meantime; its command is executed regardless.
         match command {
-            Command::Start(details, named, reply) => {
+            ServiceCommand::Start(details, named, reply) => {
                 // The cable may have been pulled since the last poll.
                 self.poll_bus();
                 let answer = self.handle(MachineEvent::Start { run: details, named }).unwrap_or(Answer::Idle);
@@ -253,7 +253,7 @@ impl Controller {
                     let _ = reply.send(answer);
                 }
             }
-            Command::Stop(cause, reply) => {
+            ServiceCommand::Stop(cause, reply) => {
                 let answer = self.handle(MachineEvent::Stop(cause)).unwrap_or(Answer::Idle);
                 let (over, last) = oneshot::channel();
                 if matches!(answer, Answer::Stopping(_)) {
@@ -262,22 +262,22 @@ impl Controller {
                 self.publish();
                 let _ = reply.send((answer, last));
             }
-            Command::Home(reply) => {
+            ServiceCommand::Home(reply) => {
                 self.poll_bus();
                 let answer = self.handle(MachineEvent::Home);
                 self.publish();
                 let _ = reply.send(answer.unwrap_or(Answer::Idle));
             }
-            Command::Mark(text, at, reply) => {
+            ServiceCommand::Mark(text, at, reply) => {
                 let marked = self.mark(text, at);
                 self.publish();
                 let _ = reply.send(marked);
             }
-            Command::Check(found, reply) => {
+            ServiceCommand::Check(found, reply) => {
                 let _ = reply.send(preflight::check(self, &self.status(), found.as_ref()));
             }
             #[cfg(test)]
-            Command::Panic => panic!("the test ends this thread"),
+            ServiceCommand::Panic => panic!("the test ends this thread"),
         }
     }
 

@@ -20,14 +20,14 @@ use crate::run::Session;
 const SAMPLE_AGE_MS_MAX: i64 = 1000;
 
 /// Findings on disk, collected by a thread that may wait for it.
-pub(in crate::control) struct Found {
+pub(in crate::control) struct DiskFindings {
     homing: Result<Option<HomingConfig>, String>,
     left_behind: Result<Vec<PathBuf>, io::Error>,
     /// Why the marks of a homing could not be saved.
     unsavable: Option<Problem>,
 }
 
-impl Found {
+impl DiskFindings {
     /// Reads the disk now.
     pub fn now(settings: &Settings, disk: &dyn Disk) -> Self {
         Self {
@@ -39,7 +39,11 @@ impl Found {
 }
 
 /// All lines; each is independent of the others. `found` is `None` if the disk did not answer.
-pub(super) fn check(controller: &Controller, status: &Status, found: Option<&Found>) -> Vec<CheckLine> {
+pub(super) fn check(
+    controller: &Controller,
+    status: &Status,
+    found: Option<&DiskFindings>,
+) -> Vec<CheckLine> {
     let findings = [
         ("bus", bus(controller, status)),
         ("encoders", encoders(status)),
@@ -59,10 +63,10 @@ pub(super) fn check(controller: &Controller, status: &Status, found: Option<&Fou
 const DISK: &str = "disk";
 
 /// A text if all is well, otherwise the problems.
-type Finding = Result<String, Vec<Problem>>;
+type CheckResult = Result<String, Vec<Problem>>;
 
 /// A line stops a run if one of its problems is [`Level::Bad`]. That of the disk always does: a slow disk can cost the run.
-fn line(subject: &str, finding: Finding) -> CheckLine {
+fn line(subject: &str, finding: CheckResult) -> CheckLine {
     let problems = match finding {
         Ok(finding) => {
             let (subject, remedy, stops, problems) = (subject.into(), None, false, Vec::new());
@@ -84,14 +88,14 @@ fn line(subject: &str, finding: Finding) -> CheckLine {
     }
 }
 
-fn bus(controller: &Controller, status: &Status) -> Finding {
+fn bus(controller: &Controller, status: &Status) -> CheckResult {
     match controller.machine.bus_fault() {
         Some(problem) => Err(vec![problem.clone().with_severity(Level::Bad)]),
         None => Ok(format!("in operation on {}: {}", status.bus, status.devices.join(", "))),
     }
 }
 
-fn encoders(status: &Status) -> Finding {
+fn encoders(status: &Status) -> CheckResult {
     if status.sample_age_ms.is_none_or(|age| age > SAMPLE_AGE_MS_MAX) {
         return Err(vec![Fact::NoSamples {}.into()]);
     }
@@ -112,7 +116,7 @@ fn encoders(status: &Status) -> Finding {
     Err(problems)
 }
 
-fn cables(status: &Status) -> Finding {
+fn cables(status: &Status) -> CheckResult {
     if status.bad_cables.is_empty() {
         return Ok("no port has counted an error".into());
     }
@@ -120,7 +124,7 @@ fn cables(status: &Status) -> Finding {
 }
 
 /// A run needs no marks, because the calibration estimates the offsets. But invalid ones would remain unnoticed.
-fn reference_marks(controller: &Controller, found: Option<&Found>) -> Finding {
+fn reference_marks(controller: &Controller, found: Option<&DiskFindings>) -> CheckResult {
     let found = found.ok_or_else(unanswered)?;
     let homing = match &found.homing {
         Ok(None) => {
@@ -143,7 +147,7 @@ fn reference_marks(controller: &Controller, found: Option<&Found>) -> Finding {
 }
 
 /// A homing takes a person minutes: this reports beforehand whether its result can be saved.
-fn state(controller: &Controller, found: Option<&Found>) -> Finding {
+fn state(controller: &Controller, found: Option<&DiskFindings>) -> CheckResult {
     let found = found.ok_or_else(unanswered)?;
     match &found.unsavable {
         None => {
@@ -161,7 +165,7 @@ pub(in crate::control) fn hours_left(usable_bytes: u64, rate_hz: u32) -> f64 {
     usable_bytes as f64 / (BYTES_PER_CYCLE * f64::from(rate_hz.max(1)) * 3600.0)
 }
 
-fn disk(controller: &Controller) -> Finding {
+fn disk(controller: &Controller) -> CheckResult {
     let problems = controller.disk_problems();
     if !problems.is_empty() {
         return Err(problems);
@@ -177,14 +181,14 @@ fn disk(controller: &Controller) -> Finding {
     Ok(format!("{usable_mb} MB usable, about {hours:.0} hours at {rate_hz} Hz{waited}"))
 }
 
-fn realtime(controller: &Controller) -> Finding {
+fn realtime(controller: &Controller) -> CheckResult {
     match controller.bus.session().and_then(Session::realtime_problem) {
         Some(problem) => Err(vec![problem]),
         None => Ok("priority, core and memory as configured".into()),
     }
 }
 
-fn clock() -> Finding {
+fn clock() -> CheckResult {
     match clock_is_synchronised() {
         Ok(true) => Ok("synchronised".into()),
         Ok(false) => Err(vec![Fact::ClockUnsynchronised {}.into()]),
@@ -203,14 +207,14 @@ fn clock_is_synchronised() -> io::Result<bool> {
     if state < 0 { Err(io::Error::last_os_error()) } else { Ok(state != libc::TIME_ERROR) }
 }
 
-fn log() -> Finding {
+fn log() -> CheckResult {
     match log::lines_lost() {
         0 => Ok("every line was written".into()),
         lines => Err(vec![Fact::LogLinesLost { lines }.into()]),
     }
 }
 
-fn leftovers(found: Option<&Found>) -> Finding {
+fn leftovers(found: Option<&DiskFindings>) -> CheckResult {
     match &found.ok_or_else(unanswered)?.left_behind {
         Err(error) => {
             let (place, error) = ("the directory of the recordings".into(), error.to_string());
