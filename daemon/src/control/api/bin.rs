@@ -5,7 +5,7 @@ use axum::extract::{self, State};
 use axum::http::StatusCode;
 use axum::response::Response;
 
-use super::{Asked, found, on_disk, refusal, reply};
+use super::{JsonBody, found, on_disk, refusal, reply};
 use crate::control::recordings::bin;
 use crate::control::recordings::runs::RunLine;
 use crate::control::service::Service;
@@ -18,7 +18,7 @@ pub(super) async fn list(State(service): State<Service>) -> Result<Json<Vec<RunL
 
 pub(super) async fn delete(
     State(service): State<Service>,
-    Asked(DeleteRequest { name }): Asked<DeleteRequest>,
+    JsonBody(DeleteRequest { name }): JsonBody<DeleteRequest>,
 ) -> Result<Response, Response> {
     let (file, _) = found(&service, Ok(extract::Path(name))).await?;
     tracing::warn!(file = %file.display(), "recording moved into the bin on request");
@@ -28,7 +28,7 @@ pub(super) async fn delete(
 
 pub(super) async fn restore(
     State(service): State<Service>,
-    Asked(DeleteRequest { name }): Asked<DeleteRequest>,
+    JsonBody(DeleteRequest { name }): JsonBody<DeleteRequest>,
 ) -> Result<Response, Response> {
     let directories = service.settings().daemon.directories();
     match on_disk(&service, move |disk| bin::restore(disk, &directories, &name)).await? {
@@ -44,7 +44,7 @@ pub(super) async fn restore(
 
 pub(super) async fn empty(
     State(service): State<Service>,
-    Asked(EmptyBinRequest {}): Asked<EmptyBinRequest>,
+    JsonBody(EmptyBinRequest {}): JsonBody<EmptyBinRequest>,
 ) -> Result<Response, Response> {
     let directories = service.settings().daemon.directories();
     let removed = on_disk(&service, move |disk| bin::empty(disk, &directories)).await?;

@@ -19,7 +19,7 @@ use shared::recording::TOPICS;
 use tokio::sync::broadcast::error::RecvError;
 use tokio::time::MissedTickBehavior;
 
-use super::{Shared, refusal};
+use super::{ApiState, refusal};
 use crate::control::live_tap::{LiveTap, Message};
 use crate::control::service::Service;
 
@@ -41,7 +41,7 @@ const HEADER_BYTES: usize = 1 + 4 + 8;
 /// Messages of clients (protocol, "op").
 #[derive(Debug, Deserialize)]
 #[serde(tag = "op", rename_all = "camelCase", rename_all_fields = "camelCase")]
-enum Asked {
+enum ClientMessage {
     Subscribe {
         subscriptions: Vec<Subscription>,
     },
@@ -67,7 +67,7 @@ enum StatusLevel {
 }
 
 pub(super) async fn connect(
-    State(Shared { service, foxgloves, .. }): State<Shared>,
+    State(ApiState { service, foxgloves, .. }): State<ApiState>,
     upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
 ) -> Response {
     let Some(tap) = service.settings().live_tap.clone() else {
@@ -98,7 +98,7 @@ pub(super) async fn connect(
 /// Sends until the client or the service ends. A client that reads too slowly misses messages and is informed of that.
 async fn publish(mut socket: WebSocket, tap: &LiveTap, service: &Service) -> Result<(), axum::Error> {
     let mut messages = tap.listen();
-    let mut client = Client::default();
+    let mut client = FoxgloveClient::default();
     let mut pings = tokio::time::interval(PING_PERIOD);
     pings.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let server_info = json!({"op": "serverInfo", "name": "ballbard", "capabilities": []});
@@ -131,16 +131,16 @@ async fn publish(mut socket: WebSocket, tap: &LiveTap, service: &Service) -> Res
 
 /// Subscriptions of a client.
 #[derive(Debug, Default)]
-struct Client {
+struct FoxgloveClient {
     /// The numbers that the client has given to its subscriptions, by channel.
     subscriptions: BTreeMap<usize, u32>,
 }
 
-impl Client {
+impl FoxgloveClient {
     /// Executes a request; returns a status if that is impossible.
     fn handle(&mut self, asked: &str) -> Option<ws::Message> {
         match serde_json::from_str(asked) {
-            Ok(Asked::Subscribe { subscriptions }) => {
+            Ok(ClientMessage::Subscribe { subscriptions }) => {
                 let mut refused = Vec::new();
                 for subscription in &subscriptions {
                     if !self.subscribe(subscription) {
@@ -153,11 +153,11 @@ impl Client {
                 );
                 (!refused.is_empty()).then(|| status(StatusLevel::Error, &problem))
             }
-            Ok(Asked::Unsubscribe { subscription_ids }) => {
+            Ok(ClientMessage::Unsubscribe { subscription_ids }) => {
                 self.subscriptions.retain(|_, id| !subscription_ids.contains(id));
                 None
             }
-            Ok(Asked::Other) => {
+            Ok(ClientMessage::Other) => {
                 Some(status(StatusLevel::Error, "clients may subscribe and unsubscribe, nothing else"))
             }
             Err(error) => Some(status(StatusLevel::Error, &format!("invalid request: {error}"))),

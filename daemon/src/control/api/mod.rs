@@ -112,7 +112,7 @@ pub async fn serve(
 
 /// State shared by all requests.
 #[derive(Clone)]
-struct Shared {
+struct ApiState {
     service: Service,
     downloads: Downloads,
     /// Places for pages that receive every moment.
@@ -124,14 +124,14 @@ struct Shared {
     pairing: Option<Pairing>,
 }
 
-impl FromRef<Shared> for Service {
-    fn from_ref(shared: &Shared) -> Self {
+impl FromRef<ApiState> for Service {
+    fn from_ref(shared: &ApiState) -> Self {
         shared.service.clone()
     }
 }
 
 /// The routes below `/api` with their descriptions.
-fn operations() -> Vec<(Operation, MethodRouter<Shared>)> {
+fn operations() -> Vec<(Operation, MethodRouter<ApiState>)> {
     vec![
         (
             Operation::get::<Status>("/status", "State of the service; a run counts as far as it is on disk."),
@@ -251,7 +251,7 @@ fn routes(service: Service, gate: Option<Gate>, remote: Option<String>) -> Route
     let origins = service.settings().live_tap.as_ref().map_or_else(Vec::new, |tap| tap.origins().to_vec());
     let admission = Arc::new(Admission { gate, service: service.clone(), origins });
     let page = page::routes(&service.settings().bar);
-    let shared = Shared { service, downloads: Downloads::default(), viewers, foxgloves, remote, pairing };
+    let shared = ApiState { service, downloads: Downloads::default(), viewers, foxgloves, remote, pairing };
     let operations = operations();
     let (described, handlers): (Vec<_>, Vec<_>) = operations.into_iter().unzip();
     let document = openapi::document(&described);
@@ -274,9 +274,9 @@ fn routes(service: Service, gate: Option<Gate>, remote: Option<String>) -> Route
 }
 
 /// The body of a request, as JSON of type `T`.
-struct Asked<T>(T);
+struct JsonBody<T>(T);
 
-impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for Asked<T> {
+impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for JsonBody<T> {
     type Rejection = Response;
 
     async fn from_request(request: Request, state: &S) -> Result<Self, Response> {
@@ -287,7 +287,7 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for Asked<T> {
     }
 }
 
-async fn status(State(Shared { service, remote, .. }): State<Shared>) -> Json<Status> {
+async fn status(State(ApiState { service, remote, .. }): State<ApiState>) -> Json<Status> {
     Json(Status { remote, ..service.status() })
 }
 
@@ -310,7 +310,7 @@ async fn prometheus(State(service): State<Service>) -> Response {
 }
 
 /// The last minute, then every moment. A slow client misses some and delays no other.
-async fn events(State(Shared { service, viewers, .. }): State<Shared>) -> Response {
+async fn events(State(ApiState { service, viewers, .. }): State<ApiState>) -> Response {
     let Ok(permit) = viewers.try_acquire_owned() else {
         return refusal(
             StatusCode::SERVICE_UNAVAILABLE,
@@ -366,7 +366,7 @@ async fn found(service: &Service, name: Name) -> Result<(PathBuf, String), Respo
 }
 
 async fn download_mcap(
-    State(Shared { service, downloads, .. }): State<Shared>,
+    State(ApiState { service, downloads, .. }): State<ApiState>,
     name: Name,
 ) -> Result<Response, Response> {
     let (file, name) = found(&service, name).await?;
@@ -379,7 +379,7 @@ async fn download_mcap(
 }
 
 async fn download_csv(
-    State(Shared { service, downloads, .. }): State<Shared>,
+    State(ApiState { service, downloads, .. }): State<ApiState>,
     name: Name,
     RawQuery(query): RawQuery,
 ) -> Result<Response, Response> {
@@ -393,7 +393,7 @@ async fn download_csv(
 }
 
 async fn curves(
-    State(Shared { service, downloads, .. }): State<Shared>,
+    State(ApiState { service, downloads, .. }): State<ApiState>,
     name: Name,
 ) -> Result<Response, Response> {
     let (file, name) = found(&service, name).await?;
@@ -404,7 +404,7 @@ async fn curves(
 
 async fn change_note(
     State(service): State<Service>,
-    Asked(NoteRequest { name, note }): Asked<NoteRequest>,
+    JsonBody(NoteRequest { name, note }): JsonBody<NoteRequest>,
 ) -> Result<Response, Response> {
     check_text(&note).map_err(unusable)?;
     let (file, name) = found(&service, Ok(extract::Path(name))).await?;
@@ -420,14 +420,14 @@ async fn stopping_lines(service: &Service) -> Result<Vec<CheckLine>, Refusal> {
 
 async fn name(
     State(service): State<Service>,
-    Asked(request): Asked<NameRequest>,
+    JsonBody(request): JsonBody<NameRequest>,
 ) -> Result<Json<NameReply>, Response> {
     service.name(request).await.map(Json).ok_or_else(disk_silent)
 }
 
 async fn start(
     State(service): State<Service>,
-    Asked(request): Asked<StartRequest>,
+    JsonBody(request): JsonBody<StartRequest>,
 ) -> Result<Response, Response> {
     request.about().check().map_err(unusable)?;
     request.reason.as_deref().map_or(Ok(()), check_some_text).map_err(unusable)?;
@@ -476,7 +476,7 @@ async fn start(
 
 async fn stop(
     State(service): State<Service>,
-    Asked(StopRequest { cause }): Asked<StopRequest>,
+    JsonBody(StopRequest { cause }): JsonBody<StopRequest>,
 ) -> Result<Response, Response> {
     let cause = cause.unwrap_or_else(|| "stopped".into());
     check_some_text(&cause).map_err(unusable)?;
@@ -509,7 +509,7 @@ async fn stop(
 
 async fn home(
     State(service): State<Service>,
-    Asked(HomeRequest {}): Asked<HomeRequest>,
+    JsonBody(HomeRequest {}): JsonBody<HomeRequest>,
 ) -> Result<Response, Response> {
     let answer = match service.home().await.map_err(unavailable)? {
         Answer::Beginning => Granted::Begun,
@@ -530,7 +530,7 @@ fn not_granted(answer: Answer, while_busy: &str) -> Response {
 
 async fn mark(
     State(service): State<Service>,
-    Asked(MarkRequest { text, ago_ms }): Asked<MarkRequest>,
+    JsonBody(MarkRequest { text, ago_ms }): JsonBody<MarkRequest>,
 ) -> Result<Response, Response> {
     text.as_deref().map_or(Ok(()), check_some_text).map_err(unusable)?;
     if ago_ms > AGO_MS_MAX {

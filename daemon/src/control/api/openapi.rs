@@ -51,13 +51,13 @@ pub(super) struct Operation {
     body: Option<Describe>,
     /// Name and meaning of each query parameter.
     options: &'static [(&'static str, &'static str)],
-    answer: Answer,
+    answer: ReplyContent,
 }
 
 /// Gives the schema of a body or reply, and adds those that it refers to.
 type Describe = fn(&mut SchemaGenerator) -> Schema;
 
-enum Answer {
+enum ReplyContent {
     Json(Describe),
     /// Another media type, or JSON that is sent piece by piece.
     Other(&'static str),
@@ -66,13 +66,14 @@ enum Answer {
 impl Operation {
     /// Replies with JSON of type `A`.
     pub fn get<A: JsonSchema>(path: &'static str, summary: &'static str) -> Self {
-        let answer = Answer::Json(SchemaGenerator::subschema_for::<A>);
+        let answer = ReplyContent::Json(SchemaGenerator::subschema_for::<A>);
         Self { path, summary, method: "get", body: None, options: &[], answer }
     }
 
     /// Replies with another media type.
     pub fn get_other(path: &'static str, media_type: &'static str, summary: &'static str) -> Self {
-        Self { path, summary, method: "get", body: None, options: &[], answer: Answer::Other(media_type) }
+        let answer = ReplyContent::Other(media_type);
+        Self { path, summary, method: "get", body: None, options: &[], answer }
     }
 
     /// With these query parameters, each `true` or absent.
@@ -89,8 +90,8 @@ impl Operation {
     /// Its description in the document; the schemas that it refers to are added to the generators.
     fn describe(&self, request_schemas: &mut SchemaGenerator, reply_schemas: &mut SchemaGenerator) -> Value {
         let content = match &self.answer {
-            Answer::Json(describe) => json!({"application/json": {"schema": describe(reply_schemas)}}),
-            Answer::Other(media_type) => json!({*media_type: {}}),
+            ReplyContent::Json(describe) => json!({"application/json": {"schema": describe(reply_schemas)}}),
+            ReplyContent::Other(media_type) => json!({*media_type: {}}),
         };
         let refusal = reply_schemas.subschema_for::<Refusal>();
         let mut described = json!({

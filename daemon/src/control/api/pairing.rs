@@ -20,7 +20,7 @@ use shared::time::MonoNs;
 use subtle::ConstantTimeEq;
 
 use super::fingerprint::{Fingerprint, hex};
-use super::{Asked, Shared, refusal};
+use super::{ApiState, JsonBody, refusal};
 use crate::control::status::{PairReply, PairRequest, PairingLink};
 
 /// Enough time to open the link on a phone and accept the certificate.
@@ -132,8 +132,8 @@ fn machine_addresses() -> Vec<IpAddr> {
 }
 
 pub(super) async fn pair(
-    State(Shared { service, pairing, .. }): State<Shared>,
-    Asked(PairRequest {}): Asked<PairRequest>,
+    State(ApiState { service, pairing, .. }): State<ApiState>,
+    JsonBody(PairRequest {}): JsonBody<PairRequest>,
 ) -> Result<Json<PairReply>, Response> {
     let Some(pairing) = pairing else {
         return Err(refusal(
