@@ -16,14 +16,14 @@ const DAEMON: &str = "daemon";
 const BALL_BAR: &str = "ball_bar";
 
 #[derive(Debug, Clone, Args)]
-pub struct Configuration {
+pub struct ConfigurationFiles {
     /// Directory with daemon.toml and ball_bar.toml; default: `config` in this directory, then /etc/ballbard, then the
     /// built-in configuration
     #[arg(long, help_heading = "Input", value_name = "DIR")]
     config: Option<PathBuf>,
 }
 
-impl Configuration {
+impl ConfigurationFiles {
     /// `daemon.toml`.
     pub fn daemon(&self) -> Result<DaemonConfig, ConfigError> {
         self.load(DAEMON)
@@ -36,7 +36,7 @@ impl Configuration {
 
     /// The file of reference marks. An older one is read where earlier versions kept it: beside `ball_bar.toml`, or with the
     /// recordings if there is no `ball_bar.toml`.
-    pub fn marks_file(&self, state: &State, daemon: &DaemonConfig) -> MarksFile {
+    pub fn marks_file(&self, state: &StateDirectory, daemon: &DaemonConfig) -> MarksFile {
         let beside = self.find(BALL_BAR).and_then(|file| file.parent().map(Path::to_owned));
         let older = beside.unwrap_or_else(|| daemon.directory.clone()).join(HomingConfig::FILE_NAME);
         MarksFile::new(state.directory(), Some(older))
@@ -77,14 +77,14 @@ impl Configuration {
 
 /// Directory of the program's state.
 #[derive(Debug, Clone, Args)]
-pub struct State {
+pub struct StateDirectory {
     /// Directory for reference marks, token and certificate; default: $STATE_DIRECTORY as systemd sets it,
     /// /var/lib/ballbard if it exists, else `ballbard` in $XDG_STATE_HOME or ~/.local/state
     #[arg(long = "state", help_heading = "Input", value_name = "DIR")]
     directory: Option<PathBuf>,
 }
 
-impl State {
+impl StateDirectory {
     /// Whether the directory is named on the command line.
     pub fn is_given(&self) -> bool {
         self.directory.is_some()

@@ -10,7 +10,7 @@ use shared::recording::SystemDisk;
 
 use super::client::text::SIMULATED;
 use super::client::{NoService, ServiceArguments};
-use super::configuration::State;
+use super::configuration::StateDirectory;
 use super::{Format, bus_choice, on_signal};
 use crate::clock::Clock;
 use crate::control::controller::homing::Homing;
@@ -28,7 +28,7 @@ pub struct HomeArguments {
     #[arg(long, help_heading = "Connection", value_name = "INTERFACE", conflicts_with = "service")]
     bus: Option<String>,
     #[command(flatten)]
-    state: State,
+    state: StateDirectory,
     #[command(flatten)]
     service: ServiceArguments,
 }
@@ -93,7 +93,7 @@ async fn on_own_bus(
     scheduler: &Arc<dyn Scheduler>,
     bus: &str,
     service: &ServiceArguments,
-    state: &State,
+    state: &StateDirectory,
     stop: &Stop,
 ) -> anyhow::Result<()> {
     let configuration = service.configuration();

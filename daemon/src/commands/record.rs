@@ -10,7 +10,7 @@ use shared::recording::SystemDisk;
 use shared::recording::schema::SIMULATED_BUS;
 
 use super::client::text::{ensure_usable, last_run};
-use super::configuration::{Configuration, State};
+use super::configuration::{ConfigurationFiles, StateDirectory};
 use super::{Format, bus_choice, on_signal};
 use crate::clock::Clock;
 use crate::control::recordings::runs;
@@ -48,11 +48,11 @@ pub struct RecordArguments {
     #[arg(long, help_heading = "Output", value_name = "DIR")]
     out: Option<PathBuf>,
     #[command(flatten)]
-    state: State,
+    state: StateDirectory,
     #[command(flatten)]
     format: Format,
     #[command(flatten)]
-    configuration: Configuration,
+    configuration: ConfigurationFiles,
 }
 
 pub fn run(arguments: &RecordArguments) -> anyhow::Result<()> {

@@ -19,7 +19,7 @@ pub struct RecoverArguments {
 
 /// Result of a repair as JSON.
 #[derive(Serialize)]
-struct Outcome<'a> {
+struct RecoveryReport<'a> {
     /// `whole`, `renamed` or `recovered`.
     outcome: &'static str,
     /// Path of the finished recording.
@@ -36,7 +36,7 @@ struct Outcome<'a> {
     timing: Option<&'a TimingSummary>,
 }
 
-impl<'a> Outcome<'a> {
+impl<'a> RecoveryReport<'a> {
     fn of(recovery: &'a Recovery, asked: &Path) -> Self {
         let (outcome, file, torn, content) = match recovery {
             Recovery::Whole { content } => ("whole", asked, None, content),
@@ -61,11 +61,11 @@ impl<'a> Outcome<'a> {
 
 pub fn run(arguments: &RecoverArguments) -> anyhow::Result<()> {
     let recovery = recover_file(&arguments.file)?;
-    let outcome = Outcome::of(&recovery, &arguments.file);
+    let outcome = RecoveryReport::of(&recovery, &arguments.file);
     if arguments.format.prints(&outcome)? {
         return Ok(());
     }
-    let Outcome { file, torn, cycles, damage, timing, .. } = &outcome;
+    let RecoveryReport { file, torn, cycles, damage, timing, .. } = &outcome;
     match &recovery {
         Recovery::Whole { .. } => say(format_args!("{file}: intact, {cycles} cycles; nothing to recover"))?,
         Recovery::Renamed { .. } => say(format_args!("{file}: complete, {cycles} cycles; only renamed"))?,

@@ -12,7 +12,7 @@ use shared::output::say;
 use tokio::net::TcpListener;
 
 use super::bus_choice;
-use super::configuration::{Configuration, State};
+use super::configuration::{ConfigurationFiles, StateDirectory};
 use super::signals::Signals;
 use crate::control::api::{self, Remote, RemoteSettings};
 use crate::control::live_tap::LiveTap;
@@ -62,9 +62,9 @@ pub struct RunArguments {
     #[arg(long, help_heading = "Connection", value_name = "ORIGIN", requires = "foxglove")]
     foxglove_origin: Vec<String>,
     #[command(flatten)]
-    state: State,
+    state: StateDirectory,
     #[command(flatten)]
-    configuration: Configuration,
+    configuration: ConfigurationFiles,
 }
 
 pub fn run(arguments: &RunArguments) -> anyhow::Result<()> {

@@ -9,7 +9,7 @@ use shared::config;
 use shared::output::{explained, say, show};
 use shared::recording::SystemDisk;
 
-use super::configuration::Configuration;
+use super::configuration::ConfigurationFiles;
 use super::{Format, UsageError, bus_choice, on_signal};
 use crate::clock::Clock;
 use crate::run::{BusChoice, RunRequest, Stop};
@@ -38,7 +38,7 @@ pub struct SmokeArguments {
     #[command(flatten)]
     format: Format,
     #[command(flatten)]
-    configuration: Configuration,
+    configuration: ConfigurationFiles,
 }
 
 pub fn run(arguments: SmokeArguments) -> anyhow::Result<()> {

@@ -7,7 +7,7 @@ use clap::Args;
 use shared::output::say;
 
 use super::Format;
-use super::configuration::Configuration;
+use super::configuration::ConfigurationFiles;
 use crate::segment::interface_index;
 use crate::tuning::{self, Machine, Verdict};
 
@@ -19,7 +19,7 @@ pub struct TuneArguments {
     #[command(flatten)]
     format: Format,
     #[command(flatten)]
-    configuration: Configuration,
+    configuration: ConfigurationFiles,
 }
 
 pub fn run(arguments: &TuneArguments) -> anyhow::Result<()> {

@@ -80,13 +80,13 @@ pub fn run(arguments: &ExportArguments) -> anyhow::Result<()> {
 }
 
 /// Location of the recording.
-enum Source {
+enum RecordingLocation {
     File(PathBuf),
     /// At the service of another machine, which makes the table.
     Elsewhere(Box<RunLine>),
 }
 
-impl Source {
+impl RecordingLocation {
     /// Returns the number of rows.
     fn write_csv(
         &self,
@@ -108,11 +108,11 @@ impl Source {
 }
 
 /// The recording, and the path of its table except for the ending.
-fn find(recording: &Path, service: &ServiceArguments) -> anyhow::Result<(Source, PathBuf)> {
+fn find(recording: &Path, service: &ServiceArguments) -> anyhow::Result<(RecordingLocation, PathBuf)> {
     let is_name = recording.components().count() == 1 && recording.extension().is_none();
     // Local files do not belong to the service of another machine.
     if (recording.exists() || !is_name) && !service.is_elsewhere() {
-        return Ok((Source::File(recording.to_owned()), recording.to_owned()));
+        return Ok((RecordingLocation::File(recording.to_owned()), recording.to_owned()));
     }
     let name = recording.to_string_lossy();
     let Some(line) = service.runs()?.into_iter().find(|line| line.name == name && line.verdict.is_some())
@@ -120,7 +120,10 @@ fn find(recording: &Path, service: &ServiceArguments) -> anyhow::Result<(Source,
         bail!("no file and no finished run is called `{name}`; `ballbard runs` lists them")
     };
     let path_here = PathBuf::from(format!("{name}.mcap"));
-    let source =
-        if service.is_elsewhere() { Source::Elsewhere(Box::new(line)) } else { Source::File(line.file) };
+    let source = if service.is_elsewhere() {
+        RecordingLocation::Elsewhere(Box::new(line))
+    } else {
+        RecordingLocation::File(line.file)
+    };
     Ok((source, path_here))
 }

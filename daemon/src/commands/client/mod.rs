@@ -19,7 +19,7 @@ use shared::recording::SystemDisk;
 use ureq::http::StatusCode;
 
 use super::Format;
-use super::configuration::Configuration;
+use super::configuration::ConfigurationFiles;
 use crate::control::recordings::runs::{self, RunLine};
 use crate::control::status::Refusal;
 use elsewhere::ElsewhereArguments;
@@ -31,7 +31,7 @@ const TIMEOUT: Duration = Duration::from_secs(30);
 #[derive(Debug, Args)]
 pub struct ServiceArguments {
     #[command(flatten)]
-    configuration: Configuration,
+    configuration: ConfigurationFiles,
     /// Port of the service; default: `port` of daemon.toml
     #[arg(long, help_heading = "Connection")]
     port: Option<u16>,
@@ -60,7 +60,7 @@ pub struct NoService {
 
 impl ServiceArguments {
     /// Origin of the configuration.
-    pub fn configuration(&self) -> &Configuration {
+    pub fn configuration(&self) -> &ConfigurationFiles {
         &self.configuration
     }
 
