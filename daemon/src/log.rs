@@ -141,7 +141,7 @@ impl Alike {
 }
 
 /// One event on its way through a [`Sink`].
-struct Event {
+struct LogEvent {
     lines: Lines,
     /// Severity, if the journal needs it.
     priority: Option<Level>,
@@ -150,24 +150,24 @@ struct Event {
 }
 
 impl<'a> MakeWriter<'a> for Sink {
-    type Writer = Event;
+    type Writer = LogEvent;
 
-    fn make_writer(&'a self) -> Event {
-        Event { lines: self.lines.clone(), priority: None, alike: 0 }
+    fn make_writer(&'a self) -> LogEvent {
+        LogEvent { lines: self.lines.clone(), priority: None, alike: 0 }
     }
 
-    fn make_writer_for(&'a self, event: &Metadata<'_>) -> Event {
+    fn make_writer_for(&'a self, event: &Metadata<'_>) -> LogEvent {
         let now = Instant::now();
         // Logging never waits, not even for this lock.
         let alike = self.alike.try_lock().map_or(0, |mut alike| {
             alike.entry(event.callsite()).or_insert(Alike { since: now, lines: 0 }).count(now)
         });
-        Event { lines: self.lines.clone(), priority: self.is_journal.then_some(*event.level()), alike }
+        LogEvent { lines: self.lines.clone(), priority: self.is_journal.then_some(*event.level()), alike }
     }
 }
 
 /// Each call has one complete event.
-impl Write for Event {
+impl Write for LogEvent {
     fn write(&mut self, event: &[u8]) -> io::Result<usize> {
         if self.alike <= ALIKE_MAX {
             let mut text = String::from_utf8_lossy(event).trim_end().to_owned();
