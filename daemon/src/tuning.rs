@@ -14,7 +14,7 @@ use serde::Serialize;
 /// Grade of one setting.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Verdict {
+pub enum SettingGrade {
     /// As it should be.
     Fine,
     /// It delays the cycle by less than a frame may be late.
@@ -31,7 +31,7 @@ pub struct Finding {
     /// Name of the setting.
     pub subject: &'static str,
     /// Grade of the setting.
-    pub verdict: Verdict,
+    pub verdict: SettingGrade,
     /// Value of the setting and its effect.
     pub says: String,
     /// Command that corrects it; empty if nothing is to be done.
@@ -176,29 +176,33 @@ pub fn findings(machine: &Machine) -> Vec<Finding> {
     ];
     let has_time = machine.slack() > KERNEL_DELAY;
     let named = |(subject, is_bounded, finding): (_, _, Finding)| {
-        let is_slight = finding.verdict == Verdict::Problem && is_bounded && has_time;
-        Finding { subject, verdict: if is_slight { Verdict::Slight } else { finding.verdict }, ..finding }
+        let is_slight = finding.verdict == SettingGrade::Problem && is_bounded && has_time;
+        Finding {
+            subject,
+            verdict: if is_slight { SettingGrade::Slight } else { finding.verdict },
+            ..finding
+        }
     };
     settings.into_iter().map(named).collect()
 }
 
 impl Finding {
     /// A result that [`findings`] names.
-    fn new(verdict: Verdict, says: impl Into<String>, remedy: impl Into<String>) -> Self {
+    fn new(verdict: SettingGrade, says: impl Into<String>, remedy: impl Into<String>) -> Self {
         Self { subject: "", verdict, says: says.into(), remedy: remedy.into() }
     }
 }
 
 fn fine(says: impl Into<String>) -> Finding {
-    Finding::new(Verdict::Fine, says, "")
+    Finding::new(SettingGrade::Fine, says, "")
 }
 
 fn problem(says: impl Into<String>, remedy: impl Into<String>) -> Finding {
-    Finding::new(Verdict::Problem, says, remedy)
+    Finding::new(SettingGrade::Problem, says, remedy)
 }
 
 fn unknown(says: impl Into<String>, remedy: impl Into<String>) -> Finding {
-    Finding::new(Verdict::Unknown, says, remedy)
+    Finding::new(SettingGrade::Unknown, says, remedy)
 }
 
 /// Longest delay of a real-time thread by a kernel without PREEMPT_RT, in sections without preemption. Cores, clocks and
@@ -450,10 +454,10 @@ fn cores(list: &str) -> Vec<usize> {
 impl fmt::Display for Finding {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let verdict = match self.verdict {
-            Verdict::Fine => "ok",
-            Verdict::Slight => "slight",
-            Verdict::Problem => "PROBLEM",
-            Verdict::Unknown => "unknown",
+            SettingGrade::Fine => "ok",
+            SettingGrade::Slight => "slight",
+            SettingGrade::Problem => "PROBLEM",
+            SettingGrade::Unknown => "unknown",
         };
         write!(f, "{verdict:8} {:21} {}", self.subject, self.says)?;
         if self.remedy.is_empty() { Ok(()) } else { write!(f, "\n{:31}type: {}", "", self.remedy) }

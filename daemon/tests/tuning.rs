@@ -5,7 +5,7 @@ use std::fs;
 use std::ops::Deref;
 use std::time::Duration;
 
-use ballbard::tuning::{Finding, Machine, Verdict, findings};
+use ballbard::tuning::{Finding, Machine, SettingGrade, findings};
 
 const LIMITS: &str = "Limit                     Soft Limit           Hard Limit           Units     \n\
     Max locked memory         8388608              8388608              bytes     \n\
@@ -104,7 +104,7 @@ fn find(machine: &Machine, subject: &str) -> Finding {
 #[test]
 fn a_tuned_machine_has_nothing_to_type() {
     for finding in findings(&tuned()) {
-        assert_eq!((finding.verdict, finding.remedy.as_str()), (Verdict::Fine, ""), "{finding}");
+        assert_eq!((finding.verdict, finding.remedy.as_str()), (SettingGrade::Fine, ""), "{finding}");
     }
 }
 
@@ -124,7 +124,7 @@ fn every_problem_of_an_untuned_machine_says_what_to_type() {
         ("interrupt coalescing", "ethtool -C eth1"),
     ] {
         let finding = find(&untuned(), subject);
-        assert_eq!(finding.verdict, Verdict::Problem, "{finding}");
+        assert_eq!(finding.verdict, SettingGrade::Problem, "{finding}");
         assert!(finding.remedy.contains(types), "{finding}");
     }
 }
@@ -135,7 +135,7 @@ fn the_program_of_the_package_is_given_no_capabilities() {
     let installed = untuned().but(|machine| machine.is_package = true);
     for subject in ["priority", "locked memory"] {
         let finding = find(&installed, subject);
-        assert_eq!(finding.verdict, Verdict::Problem, "{finding}");
+        assert_eq!(finding.verdict, SettingGrade::Problem, "{finding}");
         assert!(finding.remedy.starts_with("sudo systemctl stop ballbard && sudo ballbard"), "{finding}");
     }
 }
@@ -143,7 +143,7 @@ fn the_program_of_the_package_is_given_no_capabilities() {
 #[test]
 fn a_usual_kernel_is_good_enough_for_a_usual_cycle() {
     let finding = find(&untuned().but(|machine| machine.cycle_period = PERIOD), "kernel");
-    assert_eq!((finding.verdict, finding.remedy.as_str()), (Verdict::Fine, ""), "{finding}");
+    assert_eq!((finding.verdict, finding.remedy.as_str()), (SettingGrade::Fine, ""), "{finding}");
 }
 
 #[test]
@@ -151,10 +151,10 @@ fn what_costs_less_than_a_frame_may_be_late_is_no_problem_of_a_usual_cycle() {
     let usual = untuned().but(|machine| machine.cycle_period = PERIOD);
     for finding in findings(&usual) {
         let unbounded = ["priority", "locked memory", "swap"].contains(&finding.subject);
-        assert_eq!(finding.verdict == Verdict::Problem, unbounded, "{finding}");
+        assert_eq!(finding.verdict == SettingGrade::Problem, unbounded, "{finding}");
     }
     let finding = find(&usual, "isolated core");
-    assert!(finding.verdict == Verdict::Slight && finding.remedy.contains("isolcpus=3"), "{finding}");
+    assert!(finding.verdict == SettingGrade::Slight && finding.remedy.contains("isolcpus=3"), "{finding}");
 }
 
 #[test]
@@ -164,7 +164,7 @@ fn no_machine_is_told_to_isolate_its_only_core_or_its_first() {
         one.machine.core = core;
         for subject in ["isolated core", "timer tick"] {
             let finding = find(&one, subject);
-            assert_eq!((finding.verdict, finding.remedy.as_str()), (Verdict::Fine, ""), "{finding}");
+            assert_eq!((finding.verdict, finding.remedy.as_str()), (SettingGrade::Fine, ""), "{finding}");
         }
     }
     let first = untuned().but(|machine| machine.core = Some(0));
@@ -178,7 +178,7 @@ fn no_machine_is_told_to_isolate_its_only_core_or_its_first() {
 #[test]
 fn a_machine_that_says_nothing_is_unknown_not_fine() {
     for finding in findings(&Machine::default()) {
-        assert_eq!(finding.verdict, Verdict::Unknown, "{finding}");
+        assert_eq!(finding.verdict, SettingGrade::Unknown, "{finding}");
     }
 }
 
@@ -187,7 +187,7 @@ fn a_core_of_the_configuration_is_checked_against_the_kernel() {
     let elsewhere =
         tuned().but(|machine| (machine.core, machine.cycle_period) = (Some(1), Duration::from_millis(1)));
     let finding = find(&elsewhere, "isolated core");
-    assert!(finding.verdict == Verdict::Problem && finding.remedy.contains("isolcpus=1"), "{finding}");
+    assert!(finding.verdict == SettingGrade::Problem && finding.remedy.contains("isolcpus=1"), "{finding}");
     let unused = tuned().but(|machine| machine.core = None);
     assert!(find(&unused, "isolated core").remedy.contains("core = 2"));
     let paired = tuned().with(&[("sys/devices/system/cpu/cpu3/topology/thread_siblings_list", "1,3\n")]);
@@ -198,15 +198,15 @@ fn a_core_of_the_configuration_is_checked_against_the_kernel() {
 fn limits_without_capabilities_count() {
     let limits = LIMITS.replace("priority     0 ", "priority     95").replace("8388608  ", "unlimited");
     let machine = untuned().with(&[(LIMITS_FILE, &limits)]);
-    assert_eq!(find(&machine, "priority").verdict, Verdict::Fine);
-    assert_eq!(find(&machine, "locked memory").verdict, Verdict::Fine);
+    assert_eq!(find(&machine, "priority").verdict, SettingGrade::Fine);
+    assert_eq!(find(&machine, "locked memory").verdict, SettingGrade::Fine);
 }
 
 #[test]
 fn any_limit_of_locked_memory_is_too_low() {
     let limits = LIMITS.replace("8388608  ", "68719476736");
     let finding = find(&untuned().with(&[(LIMITS_FILE, &limits)]), "locked memory");
-    assert!(finding.verdict == Verdict::Problem && finding.says.contains("65536 MiB"), "{finding}");
+    assert!(finding.verdict == SettingGrade::Problem && finding.says.contains("65536 MiB"), "{finding}");
 }
 
 #[test]
@@ -215,6 +215,6 @@ fn adaptive_coalescing_and_throttling_are_problems() {
     let machine = tuned().with(&[("proc/sys/kernel/sched_rt_runtime_us", "500000")]).but(|machine| {
         (machine.coalescing, machine.cycle_period) = (Some(adaptive), Duration::from_millis(1));
     });
-    assert_eq!(find(&machine, "interrupt coalescing").verdict, Verdict::Problem);
-    assert_eq!(find(&machine, "throttling").verdict, Verdict::Problem);
+    assert_eq!(find(&machine, "interrupt coalescing").verdict, SettingGrade::Problem);
+    assert_eq!(find(&machine, "throttling").verdict, SettingGrade::Problem);
 }

@@ -9,7 +9,7 @@ use shared::output::say;
 use super::Format;
 use super::configuration::ConfigurationFiles;
 use crate::segment::interface_index;
-use crate::tuning::{self, Machine, Verdict};
+use crate::tuning::{self, Machine, SettingGrade};
 
 #[derive(Debug, Args)]
 pub struct TuneArguments {
@@ -32,7 +32,7 @@ pub fn run(arguments: &TuneArguments) -> anyhow::Result<()> {
         findings.iter().try_for_each(say)?;
     }
     let count = |verdict| findings.iter().filter(|finding| finding.verdict == verdict).count();
-    let (problems, unknown) = (count(Verdict::Problem), count(Verdict::Unknown));
+    let (problems, unknown) = (count(SettingGrade::Problem), count(SettingGrade::Unknown));
     if problems > 0 {
         bail!("{problems} of {} settings delay the cycle, {unknown} are unknown", findings.len());
     }
