@@ -52,7 +52,7 @@ impl Sub for Vector {
 }
 
 /// A point of the SVG, right and down \[px\].
-type Place = [f64; 2];
+type PointPx = [f64; 2];
 
 /// A coordinate of the SVG, to a tenth of a pixel.
 fn px(value: f64) -> f64 {
@@ -61,7 +61,7 @@ fn px(value: f64) -> f64 {
 }
 
 /// Unit vector from one point to another.
-fn unit(from: Place, to: Place) -> Place {
+fn unit(from: PointPx, to: PointPx) -> PointPx {
     let [x, y] = [to[0] - from[0], to[1] - from[1]];
     [x, y].map(|part| part / x.hypot(y).max(f64::MIN_POSITIVE))
 }
@@ -74,8 +74,8 @@ pub struct Pen {
     /// From the drawing to the observer.
     towards: Vector,
     elements: String,
-    low: Place,
-    high: Place,
+    low: PointPx,
+    high: PointPx,
 }
 
 impl Pen {
@@ -89,12 +89,12 @@ impl Pen {
         Self { right, up: towards.cross(right), towards, elements: String::new(), low, high }
     }
 
-    fn project(&self, point: Vector) -> Place {
+    fn project(&self, point: Vector) -> PointPx {
         [point.dot(self.right), -point.dot(self.up)]
     }
 
     /// Extends the bounds of the drawing to a point.
-    fn include(&mut self, place: Place) {
+    fn include(&mut self, place: PointPx) {
         for (i, value) in place.into_iter().enumerate() {
             (self.low[i], self.high[i]) = (self.low[i].min(value), self.high[i].max(value));
         }
@@ -105,14 +105,14 @@ impl Pen {
     }
 
     /// A path through corners; with `end` `Z` it is closed.
-    fn corners(&mut self, class: &str, corners: &[Place], end: &str) {
+    fn corners(&mut self, class: &str, corners: &[PointPx], end: &str) {
         corners.iter().for_each(|corner| self.include(*corner));
         let points: Vec<String> = corners.iter().map(|[x, y]| format!("{} {}", px(*x), px(*y))).collect();
         self.path(class, &format!("M{}{end}", points.join("L")));
     }
 
     /// The tip of an arrow at `to`.
-    fn tip(&mut self, from: Place, to: Place) {
+    fn tip(&mut self, from: PointPx, to: PointPx) {
         let [x, y] = unit(from, to);
         let side = |half: f64| [to[0] - 10.0 * x - half * y, to[1] - 10.0 * y + half * x];
         self.corners("tip", &[to, side(3.5), side(-3.5)], "Z");
@@ -127,7 +127,7 @@ impl Pen {
 
     /// A line through points.
     pub fn line(&mut self, class: &str, points: &[Vector]) {
-        let points: Vec<Place> = points.iter().map(|point| self.project(*point)).collect();
+        let points: Vec<PointPx> = points.iter().map(|point| self.project(*point)).collect();
         self.corners(class, &points, "");
     }
 
@@ -160,7 +160,7 @@ impl Pen {
     }
 
     /// An axis of a frame, with its name at the tip.
-    pub fn axis(&mut self, from: Vector, to: Vector, beside: Place, name: &str) {
+    pub fn axis(&mut self, from: Vector, to: Vector, beside: PointPx, name: &str) {
         self.line("thin", &[from, to - (to - from).unit() * 6.0]);
         self.tip(self.project(from), self.project(to));
         self.label(to, beside, name);
@@ -199,9 +199,9 @@ impl Pen {
     }
 
     /// A text beside a point: it begins at `beside` if that is to the right, and ends there otherwise.
-    pub fn label(&mut self, point: Vector, beside: Place, text: &str) {
+    pub fn label(&mut self, point: Vector, beside: PointPx, text: &str) {
         /// Width of a character, and height of a line.
-        const CHARACTER_PX: Place = [7.5, 14.0];
+        const CHARACTER_PX: PointPx = [7.5, 14.0];
         let point = self.project(point);
         let [x, y] = [0, 1].map(|i| px(point[i] + beside[i]));
         self.include([x + CHARACTER_PX[0] * text.len() as f64 * beside[0].signum(), y - CHARACTER_PX[1]]);

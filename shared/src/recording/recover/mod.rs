@@ -116,7 +116,7 @@ pub fn salvage<W: Write + Seek>(
     let mut decoder = Decoder::with_usual_channels(layout);
     let mut rewriting = Rewriting {
         writer: RecordingWriter::begin(sink, &run)?,
-        seen: Seen { run: Some(run.clone()), ..Seen::default() },
+        seen: OrderedContent { run: Some(run.clone()), ..OrderedContent::default() },
         run,
         last: None,
         damaged_bytes: 0,
@@ -171,7 +171,7 @@ pub fn verify(source: impl Read, salvaged: &Salvaged) -> Result<(), SalvageError
 
 /// Reads a file through without keeping it: it is finished and whole, or the error has the reason.
 pub(super) fn check(source: impl Read) -> Result<Salvaged, ReadErrorKind> {
-    let (mut decoder, mut seen) = (Decoder::default(), Seen::default());
+    let (mut decoder, mut seen) = (Decoder::default(), OrderedContent::default());
     for_each_record(source, &mut |record| {
         decoder.decode(record)?.map_or(Ok(()), |item| seen.take(item).map(drop))
     })?;
@@ -182,7 +182,7 @@ pub(super) fn check(source: impl Read) -> Result<Salvaged, ReadErrorKind> {
 /// Writes undamaged items into the new file.
 struct Rewriting<W: Write + Seek> {
     writer: RecordingWriter<W>,
-    seen: Seen,
+    seen: OrderedContent,
     run: RunMetadata,
     /// The last cycle that is whole.
     last: Option<CycleRecord>,
@@ -304,7 +304,7 @@ impl<W: Write + Seek> Rewriting<W> {
 
 /// Content read so far, in order.
 #[derive(Default)]
-struct Seen {
+struct OrderedContent {
     run: Option<RunMetadata>,
     end: Option<RunEnd>,
     timing: Option<TimingSummary>,
@@ -315,7 +315,7 @@ struct Seen {
     hasher: Hasher,
 }
 
-impl Seen {
+impl OrderedContent {
     /// Records an item and returns it, or why it cannot be there.
     fn take(&mut self, item: Item) -> Result<Item, ReadErrorKind> {
         let misplaced = |what: &str| Err(ReadErrorKind::Misplaced(what.to_owned()));

@@ -63,12 +63,12 @@ impl<E> From<ReadErrorKind> for Refused<E> {
 }
 
 /// Takes a record, and what was damaged before it.
-type Sink<'a, E> = dyn FnMut(Record<'_>, &Damage) -> Result<(), Refused<E>> + 'a;
+type RecordSink<'a, E> = dyn FnMut(Record<'_>, &Damage) -> Result<(), Refused<E>> + 'a;
 
 /// Passes every record of the data section with a valid checksum to `sink`, chunks unpacked, and returns the damage.
 pub(super) fn for_each_proven_record<E: From<io::Error>>(
     source: impl Read + Seek,
-    sink: &mut Sink<'_, E>,
+    sink: &mut RecordSink<'_, E>,
 ) -> Result<Damage, E> {
     let mut file = Window::new(source)?;
     let mut around = Surroundings::default();
@@ -136,7 +136,7 @@ fn take_proven<E>(
     length: usize,
     around: &mut Surroundings,
     damage: &Damage,
-    sink: &mut Sink<'_, E>,
+    sink: &mut RecordSink<'_, E>,
 ) -> Result<Option<usize>, E> {
     let Some((opcode, _, content)) = split_prefix(bytes) else { return Ok(None) };
     if bytes.len() != length {
