@@ -230,33 +230,34 @@ fn what_the_service_knows_is_asked_for_by_name_and_as_json(service: &Running) {
         serde_json::from_slice(&output.stdout).map_err(|_| text(&output)).unwrap()
     };
     service.wait_until_ready();
-    assert_eq!(json(&["start", "--name", "asked"])["answer"], "begun");
+    assert_eq!(json(&["start", "--name", "asked.v2"])["answer"], "begun");
     service.wait_for("writing");
     let status = json(&["status"]);
-    assert_eq!((&status["run"]["name"], &status["simulated"]), (&"asked".into(), &true.into()));
+    assert_eq!((&status["run"]["name"], &status["simulated"]), (&"asked.v2".into(), &true.into()));
     assert_eq!(json(&["mark", "here"])["answer"], "marked");
     let (stopped, listed) = (json(&["stop"]), json(&["runs"]));
     assert!(stopped["verdict"]["level"].is_string(), "{stopped}");
-    assert_eq!((&listed[0]["name"], &listed[0]["verdict"]), (&"asked".into(), &stopped["verdict"]));
+    assert_eq!((&listed[0]["name"], &listed[0]["verdict"]), (&"asked.v2".into(), &stopped["verdict"]));
     let last = service.get::<Status>("status").last.unwrap();
     assert_eq!(json!(last.verdict), stopped["verdict"]);
     let told = text(&service.command(&["status"]));
     assert!(told.contains(&last.verdict.unwrap().to_string()), "{told}");
     assert!(stopped["last"]["simulated"] == true && listed[0]["simulated"] == true, "{stopped} {listed}");
     assert!(json(&["check"]).as_array().unwrap().len() > 5);
-    // By its name alone, from any directory.
+    // By its name alone, which has a dot, from any directory.
     let elsewhere = tempfile::tempdir().unwrap();
     let mut export = ballbard();
-    export.current_dir(&elsewhere).args(["export", "--csv", "asked", "--port", &service.port]);
+    export.current_dir(&elsewhere).args(["export", "--csv", "asked.v2", "--port", &service.port]);
     let output = export.output().unwrap();
     assert!(output.status.success(), "{}", text(&output));
-    let table = std::fs::read_to_string(elsewhere.path().join("asked.csv")).unwrap();
+    let table = std::fs::read_to_string(elsewhere.path().join("asked.v2.csv")).unwrap();
     assert!(table.contains("mark: here"));
     // For spreadsheets: by the link of the page and by the command.
-    let fetched = |query: &str| agent().get(&service.url(&format!("runs/asked/csv?{query}"))).call().unwrap();
+    let fetched =
+        |query: &str| agent().get(&service.url(&format!("runs/asked.v2/csv?{query}"))).call().unwrap();
     let excel = fetched("excel=true&relative").body_mut().read_to_string().unwrap();
     assert!(excel.contains(";angle1_rad;") && excel.contains("mark: here"), "{excel:.300}");
-    let typed = service.command(&["export", "asked", "--excel", "--relative", "--out", "-"]);
+    let typed = service.command(&["export", "asked.v2", "--excel", "--relative", "--out", "-"]);
     assert_eq!(String::from_utf8(typed.stdout).unwrap(), excel);
     assert_eq!(fetched("").body_mut().read_to_string().unwrap(), table);
     assert_eq!(fetched("xlsx").status(), 400);

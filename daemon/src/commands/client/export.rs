@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use clap::Args;
 use shared::output::{say, unless_gone};
-use shared::recording::SystemDisk;
+use shared::recording::{FINISHED_ENDING, SystemDisk};
 
 use super::ServiceArguments;
 use crate::control::recordings::runs::RunLine;
@@ -109,7 +109,9 @@ impl RecordingLocation {
 
 /// The recording, and the path of its table except for the ending.
 fn find(recording: &Path, service: &ServiceArguments) -> anyhow::Result<(RecordingLocation, PathBuf)> {
-    let is_name = recording.components().count() == 1 && recording.extension().is_none();
+    // The name of a run may have dots, but it does not end like a file.
+    let is_name = recording.components().count() == 1
+        && recording.extension().is_none_or(|ending| ending != FINISHED_ENDING);
     // Local files do not belong to the service of another machine.
     if (recording.exists() || !is_name) && !service.is_elsewhere() {
         return Ok((RecordingLocation::File(recording.to_owned()), recording.to_owned()));
