@@ -4,6 +4,7 @@ use axum::Json;
 use axum::extract::{self, State};
 use axum::http::StatusCode;
 use axum::response::Response;
+use shared::recording::Disk;
 
 use super::{JsonBody, found, on_disk, refusal, reply};
 use crate::control::recordings::bin;
@@ -21,8 +22,12 @@ pub(super) async fn delete(
     JsonBody(DeleteRequest { name }): JsonBody<DeleteRequest>,
 ) -> Result<Response, Response> {
     let (file, _) = found(&service, Ok(extract::Path(name))).await?;
-    tracing::warn!(file = %file.display(), "recording moved into the bin on request");
-    let name = on_disk(&service, move |disk| bin::put(disk, &file)).await?;
+    let put = move |disk: &dyn Disk| {
+        let name = bin::put(disk, &file)?;
+        tracing::warn!(file = %file.display(), "recording moved into the bin on request");
+        Ok(name)
+    };
+    let name = on_disk(&service, put).await?;
     Ok(reply(&service, Reply { answer: Granted::Deleted, run: Some(name), ..Reply::default() }))
 }
 
