@@ -7,6 +7,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 
+use anyhow::bail;
 use clap::Args;
 use shared::output::say;
 use shared::time::{MonoNs, NS_PER_S};
@@ -14,7 +15,7 @@ use shared::time::{MonoNs, NS_PER_S};
 use super::on_signal;
 use crate::clock::Clock;
 use crate::run::{open_replay, replaying_segment};
-use crate::segment::faults::{FaultHandle, FaultSwitch, FaultWindow, FaultySegment};
+use crate::segment::faults::{FAULT_BEHIND, FaultHandle, FaultSwitch, FaultWindow, FaultySegment};
 use crate::segment::simulated::{
     EncoderSource, ReplayHandle, Revision, SegmentConfig, SimulatedSegment, SmoothMotion, TERMINALS_MAX,
 };
@@ -62,24 +63,30 @@ pub fn run(arguments: &SegmentArguments) -> anyhow::Result<()> {
         }
         None => (Box::new(SmoothMotion::new(config.terminals, arguments.lines, config.seed)), None),
     };
+    let terminals = config.terminals;
+    if arguments.faults.iter().any(|window| window.fault.is_behind(terminals)) {
+        bail!(FAULT_BEHIND);
+    }
     let segment = SimulatedSegment::new(&config, source);
     let (mut segment, faults) = FaultySegment::new(segment, config.seed);
     segment.schedule(&arguments.faults);
     let wire = EthernetWire::open(&arguments.interface)?;
     let stop = Arc::new(AtomicBool::new(false));
     let stop_serving = Arc::clone(&stop);
-    say(format_args!("serving an EK1100 with {} EL5021 on {}", config.terminals, arguments.interface))?;
+    say(format_args!("serving an EK1100 with {terminals} EL5021 on {}", arguments.interface))?;
     if let Some(file) = &arguments.replay {
         say(format_args!("type `play` to start the motion of {}", file.display()))?;
     }
     // The thread ends with its input or with this program, whichever is first.
-    thread::Builder::new().name("switches".into()).spawn(move || handle_lines(&faults, replay.as_ref()))?;
+    thread::Builder::new()
+        .name("switches".into())
+        .spawn(move || handle_lines(&faults, terminals, replay.as_ref()))?;
     let work = async { tokio::task::spawn_blocking(move || serve(segment, wire, &stop_serving)).await? };
     on_signal(work, |_| stop.store(true, Ordering::Release))
 }
 
 /// Switches faults by lines such as `on gone:3`, `off gone:3`; `play` starts the replay from its beginning.
-fn handle_lines(faults: &FaultHandle, replay: Option<&ReplayHandle>) {
+fn handle_lines(faults: &FaultHandle, terminals: usize, replay: Option<&ReplayHandle>) {
     for line in io::stdin().lock().lines().map_while(Result::ok).filter(|line| !line.trim().is_empty()) {
         let line = line.trim();
         match (line, replay) {
@@ -89,6 +96,10 @@ fn handle_lines(faults: &FaultHandle, replay: Option<&ReplayHandle>) {
                 continue;
             }
             _ => match line.parse() {
+                Ok(FaultSwitch { fault, .. }) if fault.is_behind(terminals) => {
+                    tracing::warn!("`{line}`: {FAULT_BEHIND}");
+                    continue;
+                }
                 Ok(FaultSwitch { fault, on: true }) => faults.begin(fault),
                 Ok(FaultSwitch { fault, on: false }) => faults.end(fault),
                 Err(error) => {

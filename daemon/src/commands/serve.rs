@@ -20,7 +20,7 @@ use crate::control::service::{Service, ServiceError, Settings};
 use crate::control::status::Status;
 use crate::run::BusChoice;
 use crate::scheduler::STACK_BYTES;
-use crate::segment::faults::FaultWindow;
+use crate::segment::faults::{FAULT_BEHIND, FaultWindow};
 
 /// An end of the service that takes longer is explained in the log, and again after each such time.
 const PATIENCE: Duration = Duration::from_secs(2);
@@ -83,6 +83,9 @@ pub fn run(arguments: &RunArguments) -> anyhow::Result<()> {
     let faults = arguments.faults.clone();
     if let (BusChoice::Interface(name), false) = (&bus, faults.is_empty()) {
         bail!("--fault needs the simulated bus, not {name}; omit it, or use `ballbard segment --fault`");
+    }
+    if faults.iter().any(|window| window.fault.is_behind(bar.encoders.len())) {
+        bail!(FAULT_BEHIND);
     }
     let live_tap = arguments.foxglove.then(|| LiveTap::new(arguments.foxglove_origin.clone()));
     let settings = Settings { bus, faults, daemon, bar, marks_file, live_tap };

@@ -13,7 +13,7 @@ use super::error::RunError;
 use super::request::{BusChoice, RunRequest};
 use crate::bus::BusPlan;
 use crate::clock::Clock;
-use crate::segment::faults::{FaultHandle, FaultWindow, FaultySegment};
+use crate::segment::faults::{FAULT_BEHIND, FaultHandle, FaultWindow, FaultySegment};
 use crate::segment::simulated::{
     EncoderSource, Hand, HandTurned, Replay, ReplayHandle, SegmentConfig, SimulatedSegment, SmoothMotion,
 };
@@ -55,7 +55,7 @@ pub(super) fn prepare(
             let lines = bar.encoders.first().map_or(0, |encoder| encoder.lines);
             let config = SegmentConfig { terminals: bar.encoders.len(), ..SegmentConfig::default() };
             let (source, hand) = HandTurned::new(SmoothMotion::new(bar.encoders.len(), lines, config.seed));
-            let (wire, faults) = in_process(&config, Box::new(source), &clock, &request.faults);
+            let (wire, faults) = in_process(&config, Box::new(source), &clock, &request.faults)?;
             let prepared = PreparedBus::from_config(wire, clock, SIMULATED_BUS, daemon, bar);
             PreparedBus { hand: Some(hand), faults: Some(faults), ..prepared }
         }
@@ -122,10 +122,13 @@ fn in_process(
     source: Box<dyn EncoderSource>,
     clock: &Clock,
     faults: &[FaultWindow],
-) -> (Box<dyn FrameWire>, FaultHandle) {
+) -> Result<(Box<dyn FrameWire>, FaultHandle), RunError> {
+    if faults.iter().any(|window| window.fault.is_behind(config.terminals)) {
+        return Err(RunError::Request(FAULT_BEHIND));
+    }
     let (mut segment, handle) = FaultySegment::new(SimulatedSegment::new(config, source), config.seed);
     segment.schedule(faults);
-    (Box::new(InProcessWire::with_faults(segment, clock.clone())), handle)
+    Ok((Box::new(InProcessWire::with_faults(segment, clock.clone())), handle))
 }
 
 /// A recording with the source of encoders that follow it.
@@ -157,7 +160,7 @@ fn prepare_replay(
     // A replay has at least one row.
     let first_sample = recording.cycles.first().map(|record| record.sample_time);
     let segment = replaying_segment(SegmentConfig::default(), &recording);
-    let (wire, _) = in_process(&segment, Box::new(source), &clock, faults);
+    let (wire, _) = in_process(&segment, Box::new(source), &clock, faults)?;
     let mut prepared = PreparedBus::from_config(wire, clock, SIMULATED_BUS, daemon, bar);
     prepared.plan.encoders = encoders
         .iter()

@@ -108,7 +108,27 @@ pub enum Fault {
     },
 }
 
+/// Message about a fault for which [`Fault::is_behind`] holds.
+pub const FAULT_BEHIND: &str = "a fault is at a position behind the last device of the simulated bus; \
+                                the coupler is 0, its terminals follow from 1";
+
 impl Fault {
+    /// Whether it is behind the last of these terminals, where it has no effect.
+    pub fn is_behind(self, terminals: usize) -> bool {
+        let position = match self {
+            Self::DevicesGone { from } => from,
+            Self::NoisyCable { position, .. }
+            | Self::FallToSafeOp { position, .. }
+            | Self::SignalLost { position }
+            | Self::SignalTooFast { position }
+            | Self::MailboxAbort { position, .. }
+            | Self::MailboxSilent { position }
+            | Self::MailboxEmergency { position, .. } => position,
+            _ => return false,
+        };
+        position > terminals
+    }
+
     /// The fault of the encoder signal of the terminal at `position`, if it is one.
     fn signal_at(self, position: usize) -> Option<SignalFault> {
         match self {

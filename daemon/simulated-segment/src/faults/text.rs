@@ -172,6 +172,13 @@ mod tests {
     }
 
     #[test]
+    fn a_fault_behind_the_last_device_is_detected() {
+        let is_behind = |text: &str| text.parse::<FaultWindow>().unwrap().fault.is_behind(5);
+        assert!(is_behind("gone:6") && is_behind("noise:6,0.1"));
+        assert!(!is_behind("gone:5") && !is_behind("lost:1"));
+    }
+
+    #[test]
     fn a_line_switches_a_fault_on_and_off() {
         let fault = Fault::DevicesGone { from: 3 };
         assert_eq!("on gone:3".parse(), Ok(FaultSwitch { fault, on: true }));
