@@ -239,7 +239,7 @@ facts! {
             "{} cannot be written: it is not a directory, is read-only, or belongs to another user",
             directory.display()
         ),
-        "correct that, or `directory` in daemon.toml";
+        "correct that, or choose another directory with --out or `directory` in daemon.toml";
     /// Less space than the floor.
     DiskFull = "disk_full", Bad { directory: PathBuf, floor_mb: u64 } =>
         format!("less than {floor_mb} MB are free on the disk of {} (disk floor)", directory.display()),
