@@ -159,11 +159,14 @@ impl ServiceArguments {
                     network in between"
                 .into();
         }
-        let from = self.port.map_or_else(|| self.configuration.origin(), |_| "--port".into());
-        format!(
-            "is the service running? start it with `ballbard run --bus INTERFACE` (port of {from}; --port sets another, --service \
-             another machine)"
-        )
+        let start = "is the service running? start it with `ballbard run --bus INTERFACE";
+        match self.port {
+            Some(port) => format!("{start} --port {port}`, or correct --port"),
+            None => format!(
+                "{start}` (port of {}; --port sets another, --service another machine)",
+                self.configuration.origin()
+            ),
+        }
     }
 }
 
