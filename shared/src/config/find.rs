@@ -37,7 +37,7 @@ pub enum Kind {
 const KINDS: [(Kind, &str, &str, &[&str]); 8] = [
     (Kind::Robot, "robot", "--robot", &["links", "log"]),
     (Kind::BallBar, "ball-bar", "--bar", &["links", "encoders"]),
-    (Kind::Daemon, "daemon", "`ballbard --config` with its directory", &["rate_hz"]),
+    (Kind::Daemon, "daemon", "`ballbard run --config`, which takes its directory", &["rate_hz"]),
     (Kind::Smoke, "smoke test", "`ballbard smoke --checks`", &["cycles", "terminal_revisions"]),
     (Kind::TrackerMapping, "tracker's table", "`identify calibrate tracker --mapping`", &["position"]),
     (Kind::WireMapping, "wire's table", "`identify calibrate wire --mapping`", &["length"]),
