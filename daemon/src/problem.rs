@@ -220,7 +220,7 @@ facts! {
     /// Encoders give too few valid samples. Status word and share of the last second are those of the first.
     EncoderInvalid = "encoder_invalid", Bad { joints: Vec<u8>, status: Option<u16>, valid_share: f64 } =>
         invalid_encoders(joints, *status, *valid_share),
-        encoder_remedy(*status);
+        encoder_remedy(*status, *valid_share);
     /// Counts may have a new origin.
     CountsRestarted = "counts_restarted", Check { joint: Option<u8>, because: String } =>
         format!("counts may have a new origin: {because}"),
@@ -515,9 +515,13 @@ fn is_only_unsynchronised(status: Option<u16>) -> bool {
     status.map(StatusWord).is_some_and(is_only)
 }
 
-fn encoder_remedy(status: Option<u16>) -> &'static str {
+fn encoder_remedy(status: Option<u16>, valid_share: f64) -> &'static str {
+    // A terminal that is not in operation reports no error. After the bus was restored, no encoder is valid before all are.
+    let is_without_error = status.map(StatusWord).is_some_and(|status| !status.has_error());
     if is_only_unsynchronised(status) {
         REDUCE_LOAD
+    } else if is_without_error && valid_share <= 0.0 {
+        "its terminal reports no error: correct the bus and the other encoders first"
     } else {
         "check the encoder's cable and plug, and its signal amplitude"
     }
@@ -625,6 +629,17 @@ mod tests {
         );
         // With a low signal the cable is the cause.
         assert!(text(0x2010).contains("check the encoder's cable"), "{}", text(0x2010));
+    }
+
+    #[test]
+    fn an_encoder_without_an_error_is_not_the_cause() {
+        let text = |status, valid_share| {
+            Problem::from(Fact::EncoderInvalid { joints: vec![1], status: Some(status), valid_share })
+                .to_string()
+        };
+        assert!(text(0x8000, 0.0).contains("correct the bus"), "{}", text(0x8000, 0.0));
+        // A loose contact: this sample has no error, others have.
+        assert!(text(0x8000, 0.5).contains("check the encoder's cable"), "{}", text(0x8000, 0.5));
     }
 
     #[test]

@@ -315,7 +315,9 @@ impl Figures {
         };
         let found = bad.iter().map(describe).collect::<Vec<_>>().join("; ");
         let joints = bad.iter().map(|encoder| encoder.joint).collect();
-        let problem = Fact::EncoderInvalid { joints, status: Some(first.status), valid_share: 0.0 }.into();
+        // The last status may be without an error, which is not that of the counted cycles.
+        let status = Some(first.status).filter(|status| StatusWord(*status).has_error());
+        let problem = Fact::EncoderInvalid { joints, status, valid_share: 0.0 }.into();
         Outcome::failed(
             format!("at most {allowed} cycles with an error of an encoder"),
             &problem,
