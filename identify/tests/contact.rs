@@ -289,6 +289,24 @@ fn inspected(at: &Path, rows: &str) {
     assert_eq!(names(&proposed), names(&written));
 }
 
+/// An exact nominal robot is predicted worse by any calibration.
+#[test]
+fn a_red_verdict_leaves_its_page_also_in_a_new_directory() {
+    let directory = tempfile::tempdir().unwrap();
+    let at = directory.path();
+    let mut exact = vec!["simulate", "contact"];
+    for option in ["--errors-mm-mrad", "--robot-noise-urad", "--gear-sine-urad", "--seating-um"] {
+        exact.extend([option, "0"]);
+    }
+    assert!(identify(&exact, "irb120_3.toml", at).status.success());
+    let (done, text) = told(at, "contacts.csv", "sockets.toml");
+    assert!(
+        !done && text.contains("verdict red") && text.contains("report.html shows what was found"),
+        "{text}"
+    );
+    assert!(at.join("out/report.html").exists() && at.join("out/experiment.toml").exists());
+}
+
 #[test]
 fn a_person_simulates_calibrates_and_repeats_it() {
     let directory = tempfile::tempdir().unwrap();

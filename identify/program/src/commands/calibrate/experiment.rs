@@ -263,6 +263,8 @@ impl ExperimentFile {
     /// data and the result can be moved or copied.
     pub(super) fn write(&self, directory: &Path) -> anyhow::Result<String> {
         let mut moved = self.clone();
+        // A red verdict has written no other file before.
+        std::fs::create_dir_all(directory).with_context(|| directory.display().to_string())?;
         // Without links, as `..` is resolved there.
         let canonical_directory =
             directory.canonicalize().with_context(|| directory.display().to_string())?;
