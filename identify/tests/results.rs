@@ -100,7 +100,8 @@ fn a_joint_has_one_offset_in_the_table_and_in_what_a_controller_takes() {
     }
     let links = Deployed { deployment: Deployment::Dh, model: alone, solution };
     written.deployments = vec![DeploymentEntry::from(&links)];
-    let (text, rows) = (table::calibration(&written), corrections(&written, Deployment::Dh));
+    let (text, rows) =
+        (table::calibration(&written), corrections(&written, &crate::support::irb2400(), Deployment::Dh));
     for joint in 2..6 {
         let row = rows.iter().find(|row| row.what == format!("joint {joint}")).unwrap();
         assert_eq!(row.add, offset_deg(&text, joint), "{joint}: {text}");

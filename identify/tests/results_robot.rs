@@ -15,7 +15,7 @@ use identify::report::result::robot_files::urdf;
 use identify::report::{CalibratedRobot, CalibratedRobotError};
 use identify::solver::{Identifiability, Summary, Termination};
 use nalgebra::{DMatrix, Vector3};
-use shared::config::RobotConfig;
+use shared::config::{AngleUnit, JointKind, LogConversion, RobotConfig};
 
 /// A different error in every parameter of the robot, also in Hayati's rotation of link 2.
 fn identified(robot: &RobotConfig) -> Chain {
@@ -147,7 +147,7 @@ fn corrected_links(nominal: &Chain, rows: &[Correction]) -> Chain {
 fn corrections_read_back_and_applied_to_joints_or_to_the_log_give_the_identified_poses() {
     for config in robots() {
         let chain = identified(&config);
-        let rows = read_back(&csv(&corrections(&file(&config), Deployment::Dh)).unwrap());
+        let rows = read_back(&csv(&corrections(&file(&config), &config, Deployment::Dh)).unwrap());
         let of_log = log_corrections(&file(&config), &config, None, Deployment::Dh).unwrap();
         let of_log = read_back(&csv(&of_log).unwrap());
         let links = corrected_links(&robot_chain(&config, &crate::support::bar()), &rows);
@@ -183,6 +183,24 @@ fn corrections_read_back_and_applied_to_joints_or_to_the_log_give_the_identified
             }
         }
     }
+}
+
+#[test]
+fn the_offset_of_a_prismatic_joint_is_its_d_and_its_theta_belongs_to_the_link() {
+    let mut config = crate::support::irb2400();
+    config.links[1].joint = JointKind::Prismatic;
+    config.log = LogConversion::direct(AngleUnit::Rad, 6);
+    let nominal = robot_chain(&config, &crate::support::bar()).links[1];
+    let link = identified(&config).links[1];
+    let (d_m, theta_deg) = (link.d_m - nominal.d_m, (link.theta_rad - nominal.theta_rad).to_degrees());
+    let rows = corrections(&file(&config), &config, Deployment::Dh);
+    let row = |what: &str| rows.iter().find(|row| row.what == what).unwrap();
+    let (offset, theta) = (row("joint 2"), row("link 2 theta"));
+    assert!(offset.unit == "mm" && (offset.add - d_m * 1e3).abs() < 1e-4, "{offset:?}");
+    assert!(theta.unit == "deg" && (theta.add - theta_deg).abs() < 1e-5, "{theta:?}");
+    assert!(rows.iter().all(|row| row.what != "link 2 d"), "{rows:?}");
+    let of_log = log_corrections(&file(&config), &config, None, Deployment::Dh).unwrap();
+    assert!(of_log[1].unit == "m" && (of_log[1].add - d_m).abs() < 1e-6, "{:?}", of_log[1]);
 }
 
 #[test]

@@ -119,6 +119,14 @@ impl LinkParameter {
     /// Parameters of the standard convention, in the order of the thesis' tables.
     pub const STANDARD: [Self; 4] = [Self::A, Self::D, Self::Alpha, Self::Theta];
 
+    /// The parameter that the variable of a joint is added to: the joint's offset.
+    pub const fn offset_of(joint: JointKind) -> Self {
+        match joint {
+            JointKind::Revolute => Self::Theta,
+            JointKind::Prismatic => Self::D,
+        }
+    }
+
     /// `a`, `d`, `alpha`, `theta` or `beta`.
     pub const fn name(self) -> &'static str {
         match self {

@@ -5,6 +5,7 @@
 //! the nominal one. Therefore each deployment has its own fit, of the robot parameters that it applies and no others.
 
 use serde::{Deserialize, Serialize};
+use shared::config::JointKind;
 
 use crate::calibrate::pipeline::{Solved, refit};
 use crate::calibrate::{CalibrateError, Calibration};
@@ -29,10 +30,12 @@ impl Deployment {
     /// The deployments that apply only part of the model.
     pub const PARTIAL: [Self; 2] = [Self::Offsets, Self::Dh];
 
-    fn leaves_out(self, id: ParameterId) -> bool {
+    /// `joints` are the joints of the robot, base to flange.
+    fn leaves_out(self, id: ParameterId, joints: &[JointKind]) -> bool {
         match id {
-            ParameterId::Robot { parameter, .. } => {
-                self == Self::Offsets && parameter != LinkParameter::Theta
+            ParameterId::Robot { link, parameter } => {
+                let is_offset = |joint: &JointKind| parameter == LinkParameter::offset_of(*joint);
+                self == Self::Offsets && !joints.get(link).is_some_and(is_offset)
             }
             _ => id.owner() == Owner::Robot && self != Self::Full,
         }
@@ -40,8 +43,9 @@ impl Deployment {
 
     /// Sets the parameters that the deployment does not apply to nominal and fixes them.
     fn restrict(self, model: &mut Model) -> Result<(), ModelError> {
-        model.reset_to_nominal(|id| self.leaves_out(id));
-        model.set_roles(model.ids().into_iter().filter(|id| self.leaves_out(*id)), Role::Fixed)
+        let joints: Vec<JointKind> = model.geometry(&[]).robot.links.iter().map(|link| link.joint).collect();
+        model.reset_to_nominal(|id| self.leaves_out(id, &joints));
+        model.set_roles(model.ids().into_iter().filter(|id| self.leaves_out(*id, &joints)), Role::Fixed)
     }
 }
 

@@ -32,6 +32,8 @@ pub struct Correction {
 /// The one rule for the sign of a joint's offset.
 pub(in crate::report) const TO_JOINT: &str =
     "the joint angle of the model (log converted as the robot's file says, nominal theta)";
+const TO_PRISMATIC_JOINT: &str =
+    "the joint variable of the model (log converted as the robot's file says, nominal d)";
 const TO_LOG: &str = "the logged value before it is converted, in the log's own unit and sign";
 const TO_LINK: &str = "the nominal Denavit-Hartenberg number of the link";
 
@@ -65,15 +67,21 @@ fn row_of(
 }
 
 /// Corrections of a deployment: offsets of the model's joints, then every other correction of a link that is not zero.
-pub fn corrections(file: &CalibrationFile, deployment: Deployment) -> Vec<Correction> {
+pub fn corrections(file: &CalibrationFile, robot: &RobotConfig, deployment: Deployment) -> Vec<Correction> {
     let row = row_of(file, deployment);
+    let kinds: Vec<JointKind> = robot.joint_kinds().collect();
     let (mut joints, mut links) = (Vec::new(), Vec::new());
     for entry in &file.deployed(deployment).parameters {
         let Ok(ParameterId::Robot { link, parameter }) = entry.name.parse() else { continue };
         let ReadIn { factor, unit, .. } = entry.read_in();
         let (add, sigma) = (entry.correction * factor, entry.sigma.map(|sigma| sigma * factor));
-        if parameter == LinkParameter::Theta {
-            joints.push(row(format!("joint {}", link + 1), unit, add, TO_JOINT, sigma));
+        let kind = kinds.get(link).copied().unwrap_or_default();
+        if parameter == LinkParameter::offset_of(kind) {
+            let to = match kind {
+                JointKind::Revolute => TO_JOINT,
+                JointKind::Prismatic => TO_PRISMATIC_JOINT,
+            };
+            joints.push(row(format!("joint {}", link + 1), unit, add, to, sigma));
         } else {
             links.push(row(format!("link {} {}", link + 1, parameter.name()), unit, add, TO_LINK, sigma));
         }
@@ -99,7 +107,9 @@ pub fn log_corrections(
     let zeros = Joints::zeros(robot.axes());
     let mut offsets = zeros;
     for entry in &file.deployed(deployment).parameters {
-        if let Ok(ParameterId::Robot { link, parameter: LinkParameter::Theta }) = entry.name.parse()
+        if let Ok(ParameterId::Robot { link, parameter }) = entry.name.parse()
+            && let Some(kind) = robot.joint_kinds().nth(link)
+            && parameter == LinkParameter::offset_of(kind)
             && let Some(offset) = offsets.get_mut(link)
         {
             *offset = entry.correction;

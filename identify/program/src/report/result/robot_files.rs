@@ -74,7 +74,7 @@ impl CalibrationFile {
                 continue;
             }
             let tables = [
-                ("", corrections(self, deployment)),
+                ("", corrections(self, robot, deployment)),
                 ("_log", log_corrections(self, robot, log_mapping, deployment)?),
             ];
             for (ending, rows) in tables {
