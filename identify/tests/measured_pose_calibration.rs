@@ -284,6 +284,9 @@ fn the_command_calibrates_validates_and_writes_what_it_took() {
     let (offsets, links) = (corrections("offsets.csv"), corrections("corrections.csv"));
     assert!(offsets.iter().all(|row| row.deployment == Deployment::Offsets && !row.what.starts_with("link")));
     assert!(links.iter().any(|row| row.what == "link 2 a") && links[0].held_out_mm < offsets[0].held_out_mm);
+    // Without a log the controller's joints are the columns of the table.
+    let of_table = corrections("corrections_log.csv");
+    assert!(of_table[1].what == "shoulder_lift_joint" && of_table[1].unit == "rad", "{of_table:?}");
     // A row with a joint angle outside the measured range is reported.
     let mut beyond = rows[400..].to_vec();
     beyond[6].joints_rad[3] = 2.2;

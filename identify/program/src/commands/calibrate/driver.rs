@@ -20,7 +20,7 @@ use crate::commands::{ensure_can_write, load_log_mapping};
 use crate::evaluate::{Evidence, Limit, Validity, evidence, scale_sentence};
 use crate::instrument::{Rows, Run};
 use crate::kinematics::flange_chain;
-use crate::logs::LogOptions;
+use crate::logs::{LogOptions, RobotLogMapping};
 use crate::report::page::Page;
 use crate::report::result::clocks::ClockEntry;
 use crate::report::result::file::{CalibrationFile, InputFile, MeasurementEntry, ParameterEntry, SolveEntry};
@@ -87,7 +87,11 @@ pub(super) fn calibrate(
     let line_numbers: Vec<&[u64]> = beside.iter().map(|beside| beside.lines.as_slice()).collect();
     let residuals = residuals_csv(&calibration, &line_numbers)?;
     let bar = bars.first().map(|run| &run.bar);
-    let written = write_files(&file, &residuals, robot, bar, experiment, logs.mapping.as_ref(), directory)?;
+    // Without a log, the controller's joints are those of the first table.
+    let table = beside.first().filter(|_| bars.is_empty());
+    let table = table.map(|beside| RobotLogMapping { joints: beside.joints.clone(), ..Default::default() });
+    let log_mapping = logs.mapping.as_ref().or(table.as_ref());
+    let written = write_files(&file, &residuals, robot, bar, experiment, log_mapping, directory)?;
     let page = Page {
         file: &file,
         calibration: &calibration,

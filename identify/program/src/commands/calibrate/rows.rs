@@ -21,9 +21,9 @@ use crate::evaluate::Validity;
 use crate::instrument::{Contact, FaceTable, HoldOut, Instrument, Rows, SocketTable, Touch, Tracker, Wire};
 use crate::kinematics::flange_chain;
 use crate::logs::{
-    ContactMapping, LogFormat, LogOptions, MeasuredLengthMapping, MeasuredLengths, MeasuredPoseMapping,
-    MeasuredPoses, PoseRow, TimedPoses, TipRow, TouchMapping, Touches, drop_copies, is_simulated,
-    joints_of_robot,
+    ContactMapping, JointColumn, LogFormat, LogOptions, MeasuredLengthMapping, MeasuredLengths,
+    MeasuredPoseMapping, MeasuredPoses, PoseRow, TimedPoses, TipRow, TouchMapping, Touches, drop_copies,
+    is_simulated, joints_of_robot,
 };
 use crate::model::{JointState, Model, Waves, further};
 use crate::prepare::{AlignedPoses, Alignment, PrepareOptions, align_poses};
@@ -157,6 +157,8 @@ impl RowInstrument {
 pub(super) struct Beside {
     /// Line number of each row.
     pub(super) lines: Vec<u64>,
+    /// Columns of the joints; empty where the rows have times.
+    pub(super) joints: Vec<JointColumn>,
     /// Names that the file gives to stations of the instrument and to targets on the flange, by the prefix of their parameters:
     /// `tracker` has `tracker_x` for the first name, `tracker2_x` for the second and so on.
     pub(super) names: BTreeMap<String, Vec<String>>,
@@ -239,7 +241,7 @@ fn rows_with_joints(
             let lines = read.rows.iter().map(|row| row.line).collect();
             let names = names_by_prefix([("tracker", read.stations), ("probe", read.targets)]);
             let tracker = Tracker::new(&read.rows).with_scale_u_ppm(mapping.scale_u_ppm);
-            (tracker.into(), Beside { lines, names, ..Beside::default() })
+            (tracker.into(), Beside { lines, joints: mapping.joints, names, ..Beside::default() })
         }
         RowInstrument::Wire => {
             let mapping: MeasuredLengthMapping = config::load(mapping_file)?;
@@ -249,7 +251,7 @@ fn rows_with_joints(
             let lines = read.rows.iter().map(|row| row.line).collect();
             let names = names_by_prefix([("anchor", read.anchors), ("attachment", read.attachments)]);
             let wire = Wire::new(&read.rows).with_scale_u_ppm(mapping.scale_u_ppm);
-            (wire.into(), Beside { lines, names, ..Beside::default() })
+            (wire.into(), Beside { lines, joints: mapping.joints, names, ..Beside::default() })
         }
         RowInstrument::Contact => {
             let sockets = options.sockets.as_deref().context("a table of sockets is missing")?;
@@ -260,7 +262,7 @@ fn rows_with_joints(
             warn_of(file, drop_copies(&mut rows, |row| &mut row.line));
             let contact =
                 Contact::new(&rows, &table).map_err(|error| CalibrateError::Rows { data_set, error })?;
-            (contact.into(), Beside { lines: lines(&rows), ..Beside::default() })
+            (contact.into(), Beside { lines: lines(&rows), joints: mapping.joints, ..Beside::default() })
         }
         RowInstrument::Touch => {
             let table = options.faces.as_deref().map_or_else(|| Ok(FaceTable::default()), config::load)?;
@@ -276,7 +278,7 @@ fn rows_with_joints(
                 );
             }
             let touch = Touch::new(&read.rows, &read.faces, &table, &flange_chain(robot));
-            (touch.into(), Beside { lines: lines(&read.rows), ..Beside::default() })
+            (touch.into(), Beside { lines: lines(&read.rows), joints: mapping.joints, ..Beside::default() })
         }
     })
 }
