@@ -333,16 +333,22 @@ impl Measures for Tracker {
     }
 
     fn causes(&self, Geometry { tracker, .. }: &Geometry) -> Vec<Cause> {
+        // A displacement without a rotation is a cause of its own: rotations are measured so well that a test of all six
+        // coordinates of few poses does not detect it.
         let station = |station| {
             let name = format!("the place of the tracker{}", numbered(" in station", station));
-            Cause::new(name, Coordinate::ALL.map(|coordinate| ParameterId::Tracker { station, coordinate }))
+            let cause = |coordinates: &[Coordinate]| {
+                let id = |coordinate: &Coordinate| ParameterId::Tracker { station, coordinate: *coordinate };
+                Cause::new(name.clone(), coordinates.iter().map(id).collect::<Vec<_>>())
+            };
+            [cause(&Axis::ALL.map(Coordinate::Position)), cause(&Coordinate::ALL)]
         };
         let target = |target| {
             let name = format!("the place of the tracker's target{} on the flange", numbered("", target));
             let position = Axis::ALL.map(Coordinate::Position);
             Cause::new(name, position.map(|coordinate| ParameterId::Probe { target, coordinate }))
         };
-        let stations = (0..tracker.places.len()).map(station);
+        let stations = (0..tracker.places.len()).flat_map(station);
         stations.chain((0..tracker.probes.len()).map(target)).chain([Cause::clock()]).collect()
     }
 
