@@ -359,6 +359,9 @@ fn the_command_calibrates_validates_and_writes_what_it_took() {
         assert!(said.contains("unexpected argument") && said.contains(bar_only[0]), "{said}");
     }
     assert!(refused(&[&mapping[..2], &["--fix", "bd3"]].concat()).contains("bd3"));
+    // The fitted rows do not check their own fit.
+    let said = refused(&[&mapping[..2], &["--validate", "poses.csv"]].concat());
+    assert!(said.contains("poses.csv of --validate contains the rows of poses.csv"), "{said}");
     // A missing file is reported before the fit, and nothing is written.
     std::fs::remove_dir_all(folder.path().join("out")).unwrap();
     assert!(refused(&[&mapping[..2], &["--validate", "missing.csv"]].concat()).contains("missing.csv"));

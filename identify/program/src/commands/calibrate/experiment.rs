@@ -233,7 +233,8 @@ impl ExperimentFile {
         files
     }
 
-    /// Refuses a data set that is given twice: its measurements would count twice, and intervals would be too narrow.
+    /// Refuses a data set that is given twice: its measurements would count twice, and intervals would be too narrow. Refuses to
+    /// validate with the rows that are fitted.
     /// `inputs` are the files of the experiment with their checksums.
     pub(super) fn ensure_distinct(&self, inputs: &[InputFile]) -> anyhow::Result<()> {
         let bars = self.bars.iter().map(|run| [&run.recording, &run.robot_log]);
@@ -253,6 +254,16 @@ impl ExperimentFile {
                     number + 1,
                     sets[first][0].display(),
                     sets[number][0].display()
+                );
+            }
+        }
+        for (_, RowFile { file, validate, .. }) in self.rows() {
+            let is_fitted = |path: &&PathBuf| checksum(path).is_some() && checksum(path) == checksum(file);
+            if let Some(path) = validate.iter().find(is_fitted) {
+                anyhow::bail!(
+                    "{} of --validate contains the rows of {}, which are fitted; give a file with other rows",
+                    path.display(),
+                    file.display()
                 );
             }
         }
