@@ -675,6 +675,19 @@ fn milliseconds_under_a_header_of_seconds_and_decimal_commas_are_refused_with_wh
     fails(&inspected(&edited_log(inputs.path(), in_ms)), &["`t_s` counts ms", "--propose FILE writes"]);
     let commas = |_: usize, line: &str| line.replace(',', ";").replace('.', ",");
     refused_log(commas, &["has a decimal comma", "decimal_comma = true", "--log-mapping", "--propose"]);
+    let with_time = |row: usize, line: &str, change: fn(&str) -> String| match line.split_once(',') {
+        Some((time, joints)) if row > 0 => format!("{},{joints}", change(time)),
+        _ => line.to_owned(),
+    };
+    let dates = |row: usize, line: &str| with_time(row, line, |_| "2026-11-22 10:15:00.25".into());
+    refused_log(dates, &["is not a number", "[time] unit = \"date_time\""]);
+    let thousands = |row: usize, line: &str| with_time(row, line, |time| format!("\"1,{time}\""));
+    refused_log(thousands, &["has a comma and a point"]);
+    let units = |row: usize, line: &str| match row {
+        0 => format!("{line}\ns,rad,rad,rad,rad,rad,rad"),
+        _ => line.to_owned(),
+    };
+    refused_log(units, &["`s` is not a number", "unit_lines = 1"]);
     // The proposed mapping reads them: the columns are those of the robot's own log, motor angles with their gear ratios.
     for (number, edit) in [&in_ms as &dyn Fn(usize, &str) -> String, &commas].into_iter().enumerate() {
         let log = edited_log(inputs.path(), edit);

@@ -236,7 +236,13 @@ impl<'a> CsvTable<'a> {
                 format!("`{text}` is not a finite number"),
                 "remove the row: its value is missing",
             )),
-            Err(_) if text.contains(',') => Err(self.bad(
+            Err(_) if text.contains(',') && text.contains('.') => Err(self.bad(
+                row,
+                column,
+                format!("`{text}` has a comma and a point"),
+                "export numbers without separators of thousands",
+            )),
+            Err(_) if text.contains(',') && !self.decimal_comma => Err(self.bad(
                 row,
                 column,
                 format!("`{text}` has a decimal comma"),
@@ -244,7 +250,15 @@ impl<'a> CsvTable<'a> {
                  writes one)",
             )),
             Err(_) => {
-                Err(self.bad(row, column, format!("`{text}` is not a number"), "correct or remove the row"))
+                let has_digit = |cell: &str| cell.contains(|letter: char| letter.is_ascii_digit());
+                let remedy = if !row.cells().any(has_digit) {
+                    "unit_lines = 1 under [csv] of a mapping skips a line of units"
+                } else if text.contains(':') {
+                    "[time] unit = \"date_time\" of a mapping reads stamps such as 2026-11-22 10:15:00.25"
+                } else {
+                    "correct or remove the row"
+                };
+                Err(self.bad(row, column, format!("`{text}` is not a number"), remedy))
             }
         }
     }
