@@ -115,6 +115,15 @@ fn rows_that_are_shifted_against_the_measurements_are_named() {
 }
 
 #[test]
+fn positions_in_metres_that_are_read_as_millimetres_are_named() {
+    let read = |mut rows: Vec<PoseRow>| {
+        rows.iter_mut().for_each(|row| row.position_m *= 1e-3);
+        rows
+    };
+    all_say(&said(read), "the true lengths are 1000 times the lengths as read");
+}
+
+#[test]
 fn exchanged_axes_of_the_positions_are_named() {
     for (one, other) in [(0, 1), (1, 2)] {
         let exchanged = |mut rows: Vec<PoseRow>| {

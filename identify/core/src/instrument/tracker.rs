@@ -293,6 +293,7 @@ impl Measures for Tracker {
         const PLACES: usize = 40;
         let others = [Mistake::RowsShifted, Mistake::Mirrored, Mistake::ModifiedTable];
         let moved = (1..PLACES).map(|place| Mistake::Moved(place * self.samples() / PLACES));
+        let others = others.into_iter().chain(Mistake::LENGTH_UNITS);
         Mistake::of_joints(axes).into_iter().chain(others).chain(moved).collect()
     }
 
@@ -309,6 +310,13 @@ impl Measures for Tracker {
                     row.rotation = None;
                 }
                 vec![self.at_rest(mirrored)]
+            }
+            Mistake::LengthUnit(thousandths) => {
+                let mut scaled = rows.clone();
+                for row in &mut scaled.rows {
+                    row.position_m *= f64::from(thousandths) * 1e-3;
+                }
+                vec![self.at_rest(scaled)]
             }
             // Displacements and other tables are not corrected in the rows.
             _ => Vec::new(),

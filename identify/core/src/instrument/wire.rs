@@ -277,10 +277,8 @@ impl Measures for Wire {
     }
 
     fn mistakes(&self, axes: usize) -> Vec<Mistake> {
-        /// True length over the length as read \[1/1000\]: m read as mm, cm as mm, inches as mm, and each the other way round.
-        const THOUSANDTHS: [u32; 6] = [1_000_000, 10_000, 25_400, 100, 39, 1];
-        let units = THOUSANDTHS.into_iter().map(Mistake::LengthUnit);
-        Mistake::of_joints(axes).into_iter().chain([Mistake::ModifiedTable]).chain(units).collect()
+        let others = [Mistake::ModifiedTable].into_iter().chain(Mistake::LENGTH_UNITS);
+        Mistake::of_joints(axes).into_iter().chain(others).collect()
     }
 
     fn undone(&self, mistake: Mistake, robot: &Chain) -> Vec<Instrument> {

@@ -15,13 +15,23 @@ pub enum Mistake {
     Mirrored,
     /// The instrument, its target or the robot was displaced at this row, from 0.
     Moved(usize),
-    /// True length over the length as read \[1/1000\].
+    /// True length, or distance of positions, over that as read \[1/1000\].
     LengthUnit(u32),
     /// The table of the robot's file uses Craig's modified convention and is read as the standard one.
     ModifiedTable,
 }
 
 impl Mistake {
+    /// Usual wrong units: m read as mm, cm as mm, inches as mm, and each the other way round.
+    pub const LENGTH_UNITS: [Self; 6] = [
+        Self::LengthUnit(1_000_000),
+        Self::LengthUnit(10_000),
+        Self::LengthUnit(25_400),
+        Self::LengthUnit(100),
+        Self::LengthUnit(39),
+        Self::LengthUnit(1),
+    ];
+
     /// All mistakes of the joint columns of an arm with `axes` axes.
     pub fn of_joints(axes: usize) -> Vec<Self> {
         JointMistake::all(axes).into_iter().map(Self::Joints).collect()
