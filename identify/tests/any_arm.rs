@@ -897,4 +897,20 @@ fn import_and_check_on_the_command_line() {
     let bar = repository("config/ball_bar.toml");
     let (done, told) = identify(&["examine", "--robot", "seven_axes.toml", "--bar", bar.to_str().unwrap()]);
     assert!(done && told.contains("300 random poses"), "{told}");
+    let two_axes = r#"
+        name = "two axes"
+        joint_limits_deg = [[-90, 90], [-90, 90]]
+        links = [
+            { a_m = 0.4, alpha_deg = 0, d_m = 0.3, theta_deg = 0 },
+            { a_m = 0.3, alpha_deg = 0, d_m = 0, theta_deg = 0 },
+        ]
+        [log]
+        column = "joint"
+        unit = "rad"
+        raw_offset_rad = [0, 0]
+        raw_to_joint = [[1, 0], [0, 1]]
+    "#;
+    std::fs::write(directory.path().join("two.toml"), two_axes).unwrap();
+    let (done, told) = identify(&["examine", "--robot", "two.toml"]);
+    assert!(!done && told.contains("two axes has 2 axes; an arm needs 6 to follow the bar"), "{told}");
 }

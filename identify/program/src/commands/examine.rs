@@ -6,6 +6,7 @@ use clap::Args;
 use shared::config::{self, BallBarConfig, RobotConfig};
 use shared::output::{say, show};
 
+use super::ensure_follows_bar;
 use crate::examine::examine;
 use crate::instrument::CostName;
 use crate::report::examination::examinations;
@@ -35,6 +36,7 @@ const ALL: [CostName; 5] =
 
 pub fn run(arguments: &ExamineArguments) -> anyhow::Result<()> {
     let robot: RobotConfig = config::load(&arguments.robot)?;
+    ensure_follows_bar(&robot)?;
     let bar: BallBarConfig = config::load(&arguments.bar)?;
     let costs = if arguments.cost.is_empty() { &ALL[..] } else { &arguments.cost };
     let examined = |&cost: &CostName| examine(&robot, &bar, cost, arguments.poses, arguments.seed);

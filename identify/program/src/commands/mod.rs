@@ -118,6 +118,18 @@ fn load_log_mapping(path: &Path, robot: &RobotConfig) -> anyhow::Result<RobotLog
     Ok(mapping)
 }
 
+/// Checks that an arm can follow the bar in all its directions.
+fn ensure_follows_bar(robot: &RobotConfig) -> anyhow::Result<()> {
+    const AXES_MIN: usize = 6;
+    anyhow::ensure!(
+        robot.axes() >= AXES_MIN,
+        "{} has {} axes; an arm needs {AXES_MIN} to follow the bar",
+        robot.name,
+        robot.axes()
+    );
+    Ok(())
+}
+
 /// Checks before any work that files can be created in a directory, or in its nearest parent if it does not exist yet.
 fn ensure_can_write(directory: &Path) -> anyhow::Result<()> {
     let parents = directory.ancestors();

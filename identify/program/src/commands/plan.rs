@@ -13,7 +13,7 @@ use shared::time::parse_duration;
 
 use super::on_terminal::OnTerminal;
 use super::simulate::numbers;
-use super::{ensure_can_write, load_log_mapping};
+use super::{ensure_can_write, ensure_follows_bar, load_log_mapping};
 use crate::cost::PoseNoise;
 use crate::kinematics::{Chain, Joints, ball_bar_chain, flange_chain, robot_chain};
 use crate::logs::{self, JointTableMapping, LogOptions, joints_of_robot};
@@ -25,9 +25,6 @@ use crate::plan::{
 use crate::report::page::{PathPage, PosesPage};
 use crate::report::path;
 use crate::report::result::file::CalibrationFile;
-
-/// Axes without which an arm cannot follow the bar in all its directions.
-const AXES_MIN: usize = 6;
 
 #[derive(Debug, Args)]
 pub struct PlanArguments {
@@ -291,12 +288,7 @@ struct Loaded {
 impl CellArguments {
     fn load(&self, criterion: Criterion) -> anyhow::Result<Loaded> {
         let robot: RobotConfig = config::load(&self.robot)?;
-        anyhow::ensure!(
-            robot.axes() >= AXES_MIN,
-            "{} has {} axes; an arm needs {AXES_MIN} to follow the bar",
-            robot.name,
-            robot.axes()
-        );
+        ensure_follows_bar(&robot)?;
         let bar: BallBarConfig = config::load(&self.bar)?;
         above_zero("speed", self.speed)?;
         above_zero("acceleration", self.acceleration)?;
