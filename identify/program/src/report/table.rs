@@ -165,7 +165,7 @@ pub(in crate::report) fn about_links(file: &CalibrationFile) -> String {
     } else {
         "Links of the full model, valid only together with its terms"
     };
-    format!("{use_of_links}. A joint's offset, rtheta, is added to {TO_JOINT}.")
+    format!("{use_of_links}. A joint's offset, rtheta (rd of a prismatic one), is added to {TO_JOINT}.")
 }
 
 /// True and identified parameters of a simulated experiment, with the two measures of error of the thesis.
