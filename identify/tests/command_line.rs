@@ -464,7 +464,11 @@ fn the_part_of_a_recording_that_a_shorter_robot_log_covers_is_printed() {
     let text = String::from_utf8_lossy(&output.stdout);
     // Lines are wrapped to the width of a terminal.
     let words = text.split_whitespace().collect::<Vec<_>>().join(" ");
-    for part in ["short.csv covers 0.0 s to ", "s of the recording: ", "cycles are outside it and not used"] {
+    for part in [
+        "short.csv covers 0.0 s to ",
+        "s of the recording: ",
+        "cycles are outside it, or in its gaps, and not used",
+    ] {
         assert!(words.contains(part), "{part}: {text}");
     }
 }

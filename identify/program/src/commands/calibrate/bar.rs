@@ -173,7 +173,7 @@ impl RunFiles<'_> {
         let from_s = (prepared.t_ref.seconds_since(first) - 0.5 * overlap_s).max(0.0);
         (outside_robot_log > 0).then(|| {
             format!(
-                "{} covers {from_s:.1} s to {:.1} s of the recording: {outside_robot_log} of {recorded} cycles are outside it and not used\n",
+                "{} covers {from_s:.1} s to {:.1} s of the recording: {outside_robot_log} of {recorded} cycles are outside it, or in its gaps, and not used\n",
                 self.log_path.display(),
                 from_s + overlap_s
             )
