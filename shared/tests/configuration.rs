@@ -122,6 +122,8 @@ fn text_that_is_no_toml_is_reported_with_its_line() {
     let refusal = message::<BallBarConfig>("length_m = 0.6\nplate_m 0.1\n");
     assert!(refusal.starts_with("cell.toml, line 2: this is not TOML: "), "{refusal}");
     assert!(!refusal.contains("quotes"), "{refusal}");
+    let refusal = message::<RobotConfig>("<?xml version=\"1.0\"?>\n<robot name=\"arm\"/>\n");
+    assert!(refusal.contains("`identify robot import`"), "{refusal}");
     for value in ["arm", "../arm.toml"] {
         let refusal = message::<RobotConfig>(&format!("name = {value}\n"));
         assert!(refusal.starts_with("cell.toml, line 1: this is not TOML: "), "{refusal}");

@@ -21,7 +21,13 @@ pub(super) fn syntax_message(text: &str, line: Option<usize>, error: &toml::de::
     // Names and paths, such as arm or ../run.mcap.
     let is_unquoted =
         value().is_some_and(|value| value.starts_with(|c: char| c.is_alphabetic() || "./~".contains(c)));
-    let hint = if is_unquoted { "; text needs quotes, such as \"arm\"" } else { "" };
+    let hint = if text.trim_start().starts_with('<') {
+        "; if it is a URDF, `identify robot import` makes a robot's file from it"
+    } else if is_unquoted {
+        "; text needs quotes, such as \"arm\""
+    } else {
+        ""
+    };
     format!("this is not TOML: {}{hint}", error.message().trim_end())
 }
 
