@@ -343,6 +343,9 @@ fn columns_that_are_exchanged_or_reversed_or_in_another_unit_are_named_by_trying
         let rows = MeasuredPoses::read(text.as_bytes(), Path::new("table.txt"), mapping).unwrap().rows;
         same(&rows[7].joints_rad, &joints_rad(7), 0);
     }
+    let of_other = propose(text.as_bytes(), Path::new("table.txt"), &crate::support::ur10()).unwrap();
+    let doubts = of_other.notes.doubts.join("; ");
+    assert!(doubts.contains("mm from the positions: check the zeros"), "{doubts}");
     let radians = Style { degrees: false, ..USUAL }.written(Beside::Tracker);
     let doubts = proposed(&radians).notes.doubts;
     assert!(

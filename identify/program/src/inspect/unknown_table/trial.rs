@@ -15,6 +15,7 @@ use crate::logs::{
     EulerFrame, FlangeColumns, JointColumn, JointMistake, JointUnit, MeasuredLengthMapping, MeasuredLengths,
     MeasuredPoseMapping, MeasuredPoses, RotationColumns, RotationForm,
 };
+use crate::report::rows::OTHER_ROBOT_M;
 
 /// Determines by residuals of the nominal robot what the names of the columns leave open.
 pub(super) struct ResidualTrial<'a> {
@@ -55,9 +56,19 @@ impl ResidualTrial<'_> {
                     }
                     notes.doubt(format!("{likely}; it is written so"));
                 }
-                None => notes.reasons.extend(self.misfit(&mapping).map(|nominal| {
-                    format!("the nominal robot is {:.1} mm from the positions", nominal.position_m * 1e3)
-                })),
+                None => {
+                    if let Some(PoseError { position_m, .. }) = self.misfit(&mapping) {
+                        let distance =
+                            format!("the nominal robot is {:.1} mm from the positions", position_m * 1e3);
+                        if position_m > OTHER_ROBOT_M {
+                            notes.doubt(format!(
+                                "{distance}: check the zeros of its joints, and that the table is of this robot"
+                            ));
+                        } else {
+                            notes.reason(distance);
+                        }
+                    }
+                }
             }
         }
         let with =
