@@ -7,6 +7,7 @@ use std::fmt;
 
 use crate::calibrate::CalibrateError;
 use crate::instrument::{Cause, Instrument, Run};
+use crate::kinematics::{DhLink, LinkParameter};
 use crate::model::{ParameterId, Role, Unit};
 use crate::prepare::{Deviations, PoorFit, PrepareError, PrepareOptions};
 use crate::solver::{Change, Course, LossName, change_point};
@@ -85,7 +86,8 @@ fn change_of_run(Run { instrument, model }: &Run, sigma: f64) -> Result<Option<C
         &model.with_considered(|parameter, sigma| Some(Role::Prior { value: parameter.value, sigma }));
     let can_change =
         |id: &ParameterId| instrument.identifies(*id, model.robot()) && model.parameter(*id).is_some();
-    let joints = (0..model.axes()).map(Cause::joint);
+    let joints = model.robot().links.iter().enumerate();
+    let joints = joints.map(|(link, DhLink { joint, .. })| Cause::joint(link, *joint));
     let mut causes: Vec<Cause> = joints.chain(instrument.causes(&model.geometry(&[]))).collect();
     causes.iter_mut().for_each(|cause| cause.ids.retain(can_change));
     causes.retain(|cause| !cause.ids.is_empty());
@@ -158,7 +160,8 @@ impl Changed {
             ParameterId::Bar { link, .. } => {
                 (PrepareError::EncoderSlip { joint: *link as u8 + 1, at_s, by_mrad }, slip_min_rad)
             }
-            ParameterId::Robot { link, .. } => {
+            // The limit is an angle, so a prismatic joint is not refused.
+            ParameterId::Robot { link, parameter: LinkParameter::Theta } => {
                 (PrepareError::JointStep { joint: *link as u8 + 1, at_s, by_mrad }, slip_min_rad)
             }
             ParameterId::Base { .. } => {

@@ -1,5 +1,7 @@
 //! Causes of a change (a step or a drift) during a measurement: a part of an instrument or of the robot, or a clock.
 
+use shared::config::JointKind;
+
 use crate::kinematics::LinkParameter;
 use crate::model::{ParameterId, Unit};
 
@@ -18,9 +20,9 @@ impl Cause {
         Self { name: name.into(), ids: ids.into() }
     }
 
-    /// Zero position of a robot joint, from 0.
-    pub(crate) fn joint(link: usize) -> Self {
-        let id = ParameterId::Robot { link, parameter: LinkParameter::Theta };
+    /// Zero position of a robot joint, from 0, of this kind.
+    pub(crate) fn joint(link: usize, joint: JointKind) -> Self {
+        let id = ParameterId::Robot { link, parameter: LinkParameter::offset_of(joint) };
         Self::new(format!("the zero of joint {}", link + 1), [id])
     }
 
