@@ -44,7 +44,9 @@ pub fn calibrate(
         let found = error.to_string().split("; ").take(1).collect();
         return Err(CalibrateError::Implausible { found, likely: Some(likely) });
     }
-    // Rows of another robot are refused again.
+    if !error.is_of_solve() {
+        return Err(error);
+    }
     let calibration = calibrate_in_stages(data, robot, config, false, watch)?;
     tracing::warn!("errors on held-out rows are not determined: {error}");
     Ok(calibration)
