@@ -64,7 +64,7 @@ pub fn is_surely_worse(n: usize, [nominal, calibrated]: [f64; 2]) -> bool {
     calibrated > nominal * ratio_by_chance(n, 1.0 - WORSE_BY_CHANCE)
 }
 
-/// Results for the same rows after successive fits to the fitting rows, of an instrument whose offset drifts with the drift.
+/// Results for the same rows after successive fits to the fitting rows. A drift of the instrument's offset is removed from each.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct Stages<T = PoseFigures> {
     /// Fit of tracker and probe, or wire; robot nominal.
