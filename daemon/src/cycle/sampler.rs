@@ -258,27 +258,16 @@ mod tests {
             record.encoders().iter().map(|encoder| encoder.valid).collect::<Vec<_>>()
         };
         assert_eq!(valid(rest), [true, false]);
-        assert_eq!(
-            valid(CyclicReply { working_counter: 2, ..rest }),
-            [false, false],
-            "another terminal is short"
-        );
-        assert_eq!(valid(CyclicReply { working_counter: 6, ..rest }), [false, false], "a contradiction");
-        assert_eq!(
-            valid(CyclicReply { working_counter: u16::MAX, ..rest }),
-            [false, false],
-            "a damaged counter"
-        );
-        assert_eq!(
-            valid(CyclicReply { not_operational: 6, ..rest }),
-            [false, false],
-            "the other is not in OP"
-        );
-        assert_eq!(
-            valid(CyclicReply { silent: 5, not_operational: 5, ..rest }),
-            [false, false],
-            "no coupler"
-        );
+        let refused = [
+            ("another terminal is short", CyclicReply { working_counter: 2, ..rest }),
+            ("a contradiction", CyclicReply { working_counter: 6, ..rest }),
+            ("a damaged counter", CyclicReply { working_counter: u16::MAX, ..rest }),
+            ("the other is not in OP", CyclicReply { not_operational: 6, ..rest }),
+            ("no coupler", CyclicReply { silent: 5, not_operational: 5, ..rest }),
+        ];
+        for (case, reply) in refused {
+            assert_eq!(valid(reply), [false, false], "{case}");
+        }
     }
 
     #[test]
