@@ -55,8 +55,8 @@ impl Offered {
         (0..self.ids.len()).filter(|column| wanted.contains(&self.ids[*column]))
     }
 
-    /// Verdicts on the offers; empty if residuals are not finite.
-    fn verdicts(&self, select: fn(&Normals, &[usize], &[Offer]) -> Vec<OfferResult>) -> Vec<OfferResult> {
+    /// Results for the offers; empty if residuals are not finite.
+    fn results(&self, select: fn(&Normals, &[usize], &[Offer]) -> Vec<OfferResult>) -> Vec<OfferResult> {
         let normals = self.normals.as_ref();
         normals.map_or_else(Vec::new, |normals| select(normals, &self.always, &self.offers))
     }
@@ -73,15 +73,15 @@ impl Solver<'_> {
         let mut groups = self.plan.groups.clone();
         self.add_detected_waves(&mut groups, &solution.sample_weights)?;
         let offered = self.offer(&mut groups, solution.loss, HELD_OUT)?;
-        let verdicts = offered.verdicts(select);
+        let results = offered.results(select);
         self.leave_out(&self.waves.only_without_a_fold())?;
         let mut report = Vec::new();
-        let mut accepted = self.apply(&groups, &offered, &verdicts, &mut report)?;
+        let mut accepted = self.apply(&groups, &offered, &results, &mut report)?;
         // The orders of a line spectrum were detected in these samples: no test of the same samples can confirm them.
-        let rejected: Vec<&CandidateGroup> = verdicts
+        let rejected: Vec<&CandidateGroup> = results
             .iter()
-            .filter(|verdict| !verdict.accepted)
-            .map(|verdict| &groups[verdict.offer])
+            .filter(|result| !result.accepted)
+            .map(|result| &groups[result.offer])
             .filter(|group| group.group != TermGroup::LineSpectrum)
             .collect();
         accepted.extend(self.choose_axes(&rejected, solution.loss, &mut report)?);
@@ -123,7 +123,7 @@ impl Solver<'_> {
             return Ok(Vec::new());
         }
         let offered = self.offer(&mut axes, loss, LEFT_OUT)?;
-        self.apply(&axes, &offered, &offered.verdicts(select_axes), report)
+        self.apply(&axes, &offered, &offered.results(select_axes), report)
     }
 
     /// Includes rejected terms in the uncertainty of solves with other instruments than ball-bars.
@@ -230,29 +230,29 @@ impl Solver<'_> {
         &mut self,
         groups: &[CandidateGroup],
         offered: &Offered,
-        verdicts: &[OfferResult],
+        results: &[OfferResult],
         report: &mut Vec<Candidate>,
     ) -> Result<Vec<ParameterId>, CalibrateError> {
         let mut accepted = Vec::new();
         for (number, group) in groups.iter().enumerate() {
-            let verdict = verdicts.iter().find(|verdict| verdict.offer == number && verdict.accepted);
-            let Some(OfferResult { scale, .. }) = verdict else {
+            let result = results.iter().find(|result| result.offer == number && result.accepted);
+            let Some(OfferResult { scale, .. }) = result else {
                 self.leave_out(&group.ids)?;
                 continue;
             };
             self.set_roles(&group.ids, Role::Prior { value: 0.0, sigma: group.sigma * scale })?;
             accepted.extend(&group.ids);
         }
-        report.extend(verdicts.iter().map(|verdict| {
-            let group = &groups[verdict.offer];
+        report.extend(results.iter().map(|result| {
+            let group = &groups[result.offer];
             Candidate {
                 group: group.group,
                 name: group.name.clone(),
-                parameters: offered.offers[verdict.offer].columns.len(),
-                sigma: verdict.accepted.then_some(group.sigma * verdict.scale),
-                held_out_before: verdict.before.sqrt(),
-                held_out_after: verdict.after.sqrt(),
-                accepted: verdict.accepted,
+                parameters: offered.offers[result.offer].columns.len(),
+                sigma: result.accepted.then_some(group.sigma * result.scale),
+                held_out_before: result.before.sqrt(),
+                held_out_after: result.after.sqrt(),
+                accepted: result.accepted,
             }
         }));
         Ok(accepted)

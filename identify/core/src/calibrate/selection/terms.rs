@@ -1,5 +1,5 @@
-//! Selection of optional terms: a group is accepted only if it improves the prediction of left-out folds. Works on the normal
-//! equations of the folds, without a new solve: from columns to accept or reject to verdicts. `choose` applies these.
+//! Selection of optional terms: a group is accepted only if it improves the prediction of left-out folds. It works on the
+//! normal equations of the folds, without a new solve: from the columns of each offer to its result. `choose` applies these.
 
 use std::collections::BTreeSet;
 
@@ -137,18 +137,18 @@ pub fn select(normals: &Normals, always: &[usize], offers: &[Offer]) -> Vec<Offe
     let Some(mut before) = selection.predicted() else { return Vec::new() };
     loop {
         let tried = selection.open().into_iter().filter_map(|offer| {
-            let (verdict, after) = selection.try_offer(offer, &before)?;
-            Some((OfferResult { accepted: falls(&before, &after), ..verdict }, after))
+            let (result, after) = selection.try_offer(offer, &before)?;
+            Some((OfferResult { accepted: falls(&before, &after), ..result }, after))
         });
         let mut tried: Vec<(OfferResult, Vec<f64>)> = tried.collect();
         tried.sort_by(|a, b| a.0.after.total_cmp(&b.0.after));
-        let Some(best) = tried.iter().position(|(verdict, _)| verdict.accepted) else {
+        let Some(best) = tried.iter().position(|(result, _)| result.accepted) else {
             selection.rescale();
-            selection.accepted.extend(tried.into_iter().map(|(verdict, _)| verdict));
+            selection.accepted.extend(tried.into_iter().map(|(result, _)| result));
             return selection.accepted;
         };
-        let (verdict, after) = tried.swap_remove(best);
-        selection.accepted.push(verdict);
+        let (result, after) = tried.swap_remove(best);
+        selection.accepted.push(result);
         before = after;
     }
 }
@@ -165,11 +165,11 @@ pub fn select_axes(normals: &Normals, always: &[usize], offers: &[Offer]) -> Vec
         let chances = open.filter_map(|axis| Some((axis, scores.chance(&offers[axis].columns)?)));
         let least = chances.min_by(|a, b| a.1.total_cmp(&b.1)).filter(|(_, chance)| *chance < level);
         let Some((axis, _)) = least else { break };
-        let Some((verdict, _)) = selection.predicted().and_then(|before| selection.try_offer(axis, &before))
+        let Some((result, _)) = selection.predicted().and_then(|before| selection.try_offer(axis, &before))
         else {
             break;
         };
-        selection.accepted.push(OfferResult { accepted: true, ..verdict });
+        selection.accepted.push(OfferResult { accepted: true, ..result });
     }
     selection.accepted
 }
@@ -186,13 +186,13 @@ struct ForwardSelection<'a> {
 impl ForwardSelection<'_> {
     /// Offers that are not accepted.
     fn open(&self) -> Vec<usize> {
-        let is_open = |offer: &usize| self.accepted.iter().all(|verdict| verdict.offer != *offer);
+        let is_open = |offer: &usize| self.accepted.iter().all(|result| result.offer != *offer);
         (0..self.offers.len()).filter(is_open).collect()
     }
 
     /// Gradients of the folds at the solution with all accepted offers.
     fn scores(&self) -> Option<Scores> {
-        let accepted = self.accepted.iter().flat_map(|verdict| &self.offers[verdict.offer].columns);
+        let accepted = self.accepted.iter().flat_map(|result| &self.offers[result.offer].columns);
         let kept: Vec<usize> = self.always.iter().chain(accepted).copied().collect();
         self.normals.scores(&kept, &self.priors())
     }
@@ -213,7 +213,7 @@ impl ForwardSelection<'_> {
 
     /// Chooses the scale of each accepted offer again.
     fn rescale(&mut self) {
-        if self.accepted.iter().any(|verdict| self.offers[verdict.offer].scales.len() > 1) {
+        if self.accepted.iter().any(|result| self.offers[result.offer].scales.len() > 1) {
             for _ in 0..self.accepted.len() {
                 // `choose_scale` acts on the last offer: after all rotations the order is the same.
                 let first = self.accepted.remove(0);
@@ -240,7 +240,7 @@ impl ForwardSelection<'_> {
     /// Mean squared residual of each left-out fold.
     fn predicted(&self) -> Option<Vec<f64>> {
         let columns = |fold: usize| -> Vec<usize> {
-            let of_offer = |verdict: &OfferResult| self.offers[verdict.offer].columns(fold).iter().copied();
+            let of_offer = |result: &OfferResult| self.offers[result.offer].columns(fold).iter().copied();
             self.always.iter().copied().chain(self.accepted.iter().flat_map(of_offer)).collect()
         };
         self.normals.held_out_each(columns, &self.priors())
@@ -248,9 +248,9 @@ impl ForwardSelection<'_> {
 
     /// Priors at the scales of the accepted offers.
     fn priors(&self) -> Vec<Prior> {
-        let verdict_on =
-            |column: usize| self.accepted.iter().find(|verdict| self.offers[verdict.offer].has(column));
-        scaled(self.normals.priors(), |column| verdict_on(column).map_or(1.0, |verdict| verdict.scale))
+        let result_on =
+            |column: usize| self.accepted.iter().find(|result| self.offers[result.offer].has(column));
+        scaled(self.normals.priors(), |column| result_on(column).map_or(1.0, |result| result.scale))
     }
 }
 
@@ -301,8 +301,8 @@ mod tests {
             Self { t, noise, wave, priors }
         }
 
-        /// Verdicts on the absent wave and on the other one.
-        fn verdicts(&self) -> Vec<OfferResult> {
+        /// Results for the absent wave and the other one.
+        fn results(&self) -> Vec<OfferResult> {
             self.selected(8, select)
         }
 
@@ -355,8 +355,8 @@ mod tests {
 
     #[test]
     fn a_term_that_is_in_the_data_is_taken_with_the_scale_that_fits_and_one_that_is_not_is_left() {
-        let verdicts = WaveRows::new(3, -0.5).verdicts();
-        let [present, absent] = &verdicts[..] else { panic!("{verdicts:?}") };
+        let results = WaveRows::new(3, -0.5).results();
+        let [present, absent] = &results[..] else { panic!("{results:?}") };
         assert_eq!((present.offer, present.scale, present.accepted), (1, 100.0, true));
         assert!(present.before.sqrt() > 0.3 && (present.after.sqrt() - 0.1).abs() < 0.02, "{present:?}");
         assert!(!absent.accepted);
@@ -365,7 +365,7 @@ mod tests {
     #[test]
     fn of_a_hundred_terms_that_are_not_there_fewer_than_five_are_taken() {
         let trials = 400;
-        let taken = |seed| WaveRows::new(seed, 0.0).verdicts().iter().filter(|one| one.accepted).count();
+        let taken = |seed| WaveRows::new(seed, 0.0).results().iter().filter(|one| one.accepted).count();
         let rate = (0..trials).map(taken).sum::<usize>() as f64 / (2.0 * trials as f64);
         assert!(rate < 0.05, "{rate}");
     }
@@ -375,8 +375,8 @@ mod tests {
         let trials = 1000;
         let taken = |wave: f64, offer: Option<usize>| {
             let is_taken = |seed: &u64| {
-                let verdicts = WaveRows::new(*seed, wave).selected(32, select_axes);
-                verdicts.iter().any(|one| offer.is_none_or(|offer| one.offer == offer))
+                let results = WaveRows::new(*seed, wave).selected(32, select_axes);
+                results.iter().any(|one| offer.is_none_or(|offer| one.offer == offer))
             };
             (0..trials).filter(is_taken).count() as f64 / trials as f64
         };
