@@ -44,7 +44,7 @@ pub struct RowsEntry {
     pub fitted: Stages,
     /// Held-out rows.
     pub held_out: Stages,
-    /// Number of independent errors among the held-out rows; files of earlier versions lack it, which count all rows.
+    /// Number of independent errors among the held-out rows. Files of earlier versions lack it: all their rows are counted.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub independent: Option<usize>,
 }
