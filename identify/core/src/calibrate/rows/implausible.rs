@@ -150,7 +150,8 @@ fn too_far(errors: &[PoseError], robot: &Chain) -> Option<String> {
 fn worse_than_nominal(set: &RowSet) -> Option<String> {
     let held_out = set.held_out();
     let [nominal_m, calibrated_m] = [held_out.nominal.position_m.rms, held_out.joints.position_m.rms];
-    is_surely_worse(set.independent_held_out(), [nominal_m, calibrated_m]).then(|| {
+    let independent = set.independent_held_out().min(held_out.nominal.rows);
+    is_surely_worse(independent, [nominal_m, calibrated_m]).then(|| {
         format!(
             "held-out rows are {:.3} mm from the calibrated robot and {:.3} mm from the nominal one",
             calibrated_m * 1e3,
