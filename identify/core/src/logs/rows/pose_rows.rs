@@ -250,8 +250,9 @@ pub(in crate::logs) fn rows<C, R>(
     Ok(rows)
 }
 
-/// Removes rows that differ from an earlier one by their `line` only, and returns a remark if there are any. A pose that is
-/// measured again has other noise, but a copy adds no information and would make the uncertainties too small.
+/// Removes rows that differ from an earlier one by their `line` only, and returns a remark if there are any. A copy adds no
+/// information and would make the uncertainties too small. A pose that is measured again has other noise, unless its joints are
+/// commanded and the reading is coarse; without such a repetition the uncertainties are at most too large.
 pub fn drop_copies<R: Clone + Debug>(rows: &mut Vec<R>, line: impl Fn(&mut R) -> &mut u64) -> Option<String> {
     /// Largest number of lines that the remark names.
     const NAMED: usize = 8;
