@@ -181,7 +181,13 @@ fn tolerances(runs: &[Run], config: &IdentifyConfig) -> Vec<ParameterId> {
 
 /// Priors of the encoders' harmonics and of the joints' zeros; the samples determine one scale for each of the two.
 fn common_priors(runs: &[Run], tolerances: &[ParameterId], config: &IdentifyConfig) -> Vec<CommonPrior> {
-    let is_zero = |id: &ParameterId| matches!(id, ParameterId::Robot { parameter: LinkParameter::Theta, .. });
+    let links = runs.first().map_or(&[][..], |run| &run.model.robot().links);
+    let is_zero = |id: &ParameterId| match id {
+        ParameterId::Robot { link, parameter } => {
+            links.get(*link).is_some_and(|link| *parameter == LinkParameter::offset_of(link.joint))
+        }
+        _ => false,
+    };
     let zeros = tolerances.iter().copied().filter(is_zero);
     let priors = [
         CommonPrior::new(runs, config.harmonics(), CommonPrior::HARMONICS),
