@@ -7,7 +7,6 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 
-use anyhow::bail;
 use clap::Args;
 use shared::output::say;
 use shared::time::{MonoNs, NS_PER_S};
@@ -15,7 +14,7 @@ use shared::time::{MonoNs, NS_PER_S};
 use super::on_signal;
 use crate::clock::Clock;
 use crate::run::{open_replay, replaying_segment};
-use crate::segment::faults::{FAULT_BEHIND, FaultHandle, FaultSwitch, FaultWindow, FaultySegment};
+use crate::segment::faults::{FaultBehind, FaultHandle, FaultSwitch, FaultWindow, FaultySegment};
 use crate::segment::simulated::{
     EncoderSource, ReplayHandle, Revision, SegmentConfig, SimulatedSegment, SmoothMotion, TERMINALS_MAX,
 };
@@ -64,9 +63,7 @@ pub fn run(arguments: &SegmentArguments) -> anyhow::Result<()> {
         None => (Box::new(SmoothMotion::new(config.terminals, arguments.lines, config.seed)), None),
     };
     let terminals = config.terminals;
-    if arguments.faults.iter().any(|window| window.fault.is_behind(terminals)) {
-        bail!(FAULT_BEHIND);
-    }
+    FaultWindow::ensure_effective(&arguments.faults, terminals)?;
     let segment = SimulatedSegment::new(&config, source);
     let (mut segment, faults) = FaultySegment::new(segment, config.seed);
     segment.schedule(&arguments.faults);
@@ -97,7 +94,7 @@ fn handle_lines(faults: &FaultHandle, terminals: usize, replay: Option<&ReplayHa
             }
             _ => match line.parse() {
                 Ok(FaultSwitch { fault, .. }) if fault.is_behind(terminals) => {
-                    tracing::warn!("`{line}`: {FAULT_BEHIND}");
+                    tracing::warn!("`{line}`: {FaultBehind}");
                     continue;
                 }
                 Ok(FaultSwitch { fault, on: true }) => faults.begin(fault),

@@ -20,7 +20,7 @@ use crate::control::service::{Service, ServiceError, Settings};
 use crate::control::status::Status;
 use crate::run::BusChoice;
 use crate::scheduler::STACK_BYTES;
-use crate::segment::faults::{FAULT_BEHIND, FaultWindow};
+use crate::segment::faults::FaultWindow;
 
 /// An end of the service that takes longer is explained in the log, and again after each such time.
 const PATIENCE: Duration = Duration::from_secs(2);
@@ -84,9 +84,7 @@ pub fn run(arguments: &RunArguments) -> anyhow::Result<()> {
     if let (BusChoice::Interface(name), false) = (&bus, faults.is_empty()) {
         bail!("--fault needs the simulated bus, not {name}; omit it, or use `ballbard segment --fault`");
     }
-    if faults.iter().any(|window| window.fault.is_behind(bar.encoders.len())) {
-        bail!(FAULT_BEHIND);
-    }
+    FaultWindow::ensure_effective(&faults, bar.encoders.len())?;
     let live_tap = arguments.foxglove.then(|| LiveTap::new(arguments.foxglove_origin.clone()));
     let settings = Settings { bus, faults, daemon, bar, marks_file, live_tap };
     let runtime = tokio::runtime::Builder::new_current_thread()

@@ -10,6 +10,7 @@ use crate::claim::Holder;
 use crate::problem::{Fact, Problem};
 use crate::record::RunSummary;
 use crate::segment::OpenError;
+use crate::segment::faults::FaultBehind;
 
 /// Why a run failed.
 #[derive(Debug, thiserror::Error)]
@@ -17,6 +18,9 @@ pub enum RunError {
     /// Invalid request, such as virtual time on a real bus.
     #[error("{0}")]
     Request(&'static str),
+    /// A fault to be simulated has no device.
+    #[error(transparent)]
+    Fault(#[from] FaultBehind),
     /// The interface cannot be opened.
     #[error(transparent)]
     Open(#[from] OpenError),

@@ -13,7 +13,7 @@ use super::error::RunError;
 use super::request::{BusChoice, RunRequest};
 use crate::bus::BusPlan;
 use crate::clock::Clock;
-use crate::segment::faults::{FAULT_BEHIND, FaultHandle, FaultWindow, FaultySegment};
+use crate::segment::faults::{FaultHandle, FaultWindow, FaultySegment};
 use crate::segment::simulated::{
     EncoderSource, Hand, HandTurned, Replay, ReplayHandle, SegmentConfig, SimulatedSegment, SmoothMotion,
 };
@@ -123,9 +123,7 @@ fn in_process(
     clock: &Clock,
     faults: &[FaultWindow],
 ) -> Result<(Box<dyn FrameWire>, FaultHandle), RunError> {
-    if faults.iter().any(|window| window.fault.is_behind(config.terminals)) {
-        return Err(RunError::Request(FAULT_BEHIND));
-    }
+    FaultWindow::ensure_effective(faults, config.terminals)?;
     let (mut segment, handle) = FaultySegment::new(SimulatedSegment::new(config, source), config.seed);
     segment.schedule(faults);
     Ok((Box::new(InProcessWire::with_faults(segment, clock.clone())), handle))

@@ -108,9 +108,12 @@ pub enum Fault {
     },
 }
 
-/// Message about a fault for which [`Fault::is_behind`] holds.
-pub const FAULT_BEHIND: &str = "a fault is at a position behind the last device of the simulated bus; \
-                                the coupler is 0, its terminals follow from 1";
+/// A fault for which [`Fault::is_behind`] holds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "a fault is at a position behind the last device of the simulated bus; the coupler is 0, its terminals follow from 1"
+)]
+pub struct FaultBehind;
 
 impl Fault {
     /// Whether it is behind the last of these terminals, where it has no effect.

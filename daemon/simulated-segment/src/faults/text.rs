@@ -4,7 +4,7 @@
 use std::str::FromStr;
 use std::time::Duration;
 
-use super::Fault;
+use super::{Fault, FaultBehind};
 
 /// A fault and its interval, counted from the first frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -15,6 +15,17 @@ pub struct FaultWindow {
     pub from_ns: i64,
     /// End \[ns\]; `None`: permanent.
     pub until_ns: Option<i64>,
+}
+
+impl FaultWindow {
+    /// Refuses faults behind the last of these terminals.
+    ///
+    /// # Errors
+    /// [`FaultBehind`].
+    pub fn ensure_effective(windows: &[Self], terminals: usize) -> Result<(), FaultBehind> {
+        let is_behind = windows.iter().any(|window| window.fault.is_behind(terminals));
+        if is_behind { Err(FaultBehind) } else { Ok(()) }
+    }
 }
 
 /// A fault that begins or ends now.
