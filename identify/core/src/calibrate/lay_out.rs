@@ -181,13 +181,9 @@ fn tolerances(runs: &[Run], config: &IdentifyConfig) -> Vec<ParameterId> {
 
 /// Priors of the encoders' harmonics and of the joints' zeros; the samples determine one scale for each of the two.
 fn common_priors(runs: &[Run], tolerances: &[ParameterId], config: &IdentifyConfig) -> Vec<CommonPrior> {
-    let links = runs.first().map_or(&[][..], |run| &run.model.robot().links);
-    let is_zero = |id: &ParameterId| match id {
-        ParameterId::Robot { link, parameter } => {
-            links.get(*link).is_some_and(|link| *parameter == LinkParameter::offset_of(link.joint))
-        }
-        _ => false,
-    };
+    let is_offset =
+        |link, parameter| runs.first().is_some_and(|run| run.model.robot().is_offset(link, parameter));
+    let is_zero = |id: &ParameterId| matches!(*id, ParameterId::Robot { link, parameter } if is_offset(link, parameter));
     let zeros = tolerances.iter().copied().filter(is_zero);
     let priors = [
         CommonPrior::new(runs, config.harmonics(), CommonPrior::HARMONICS),

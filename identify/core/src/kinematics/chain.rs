@@ -95,6 +95,11 @@ impl Chain {
         link + 1 == self.links.len() && matches!(parameter, LinkParameter::Alpha | LinkParameter::Beta)
     }
 
+    /// Whether a parameter of a link (from 0) is the offset of its joint.
+    pub fn is_offset(&self, link: usize, parameter: LinkParameter) -> bool {
+        self.links.get(link).is_some_and(|link| parameter == LinkParameter::offset_of(link.joint))
+    }
+
     /// Whether a parameter of a link (from 0) rotates the end about its own origin only: a last rotation, if the chain ends at its
     /// last link.
     pub fn only_turns_end(&self, link: usize, parameter: LinkParameter) -> bool {

@@ -5,12 +5,11 @@
 //! the nominal one. Therefore each deployment has its own fit, of the robot parameters that it applies and no others.
 
 use serde::{Deserialize, Serialize};
-use shared::config::JointKind;
 
 use crate::calibrate::pipeline::{Solved, refit};
 use crate::calibrate::{CalibrateError, Calibration};
 use crate::instrument::Run;
-use crate::kinematics::LinkParameter;
+use crate::kinematics::Chain;
 use crate::model::{Model, ModelError, Owner, ParameterId, Role};
 use crate::solver::{LossName, Solution, Watch};
 
@@ -30,12 +29,10 @@ impl Deployment {
     /// The deployments that apply only part of the model.
     pub const PARTIAL: [Self; 2] = [Self::Offsets, Self::Dh];
 
-    /// `joints` are the joints of the robot, base to flange.
-    fn leaves_out(self, id: ParameterId, joints: &[JointKind]) -> bool {
+    fn leaves_out(self, id: ParameterId, robot: &Chain) -> bool {
         match id {
             ParameterId::Robot { link, parameter } => {
-                let is_offset = |joint: &JointKind| parameter == LinkParameter::offset_of(*joint);
-                self == Self::Offsets && !joints.get(link).is_some_and(is_offset)
+                self == Self::Offsets && !robot.is_offset(link, parameter)
             }
             _ => id.owner() == Owner::Robot && self != Self::Full,
         }
@@ -43,9 +40,9 @@ impl Deployment {
 
     /// Sets the parameters that the deployment does not apply to nominal and fixes them.
     fn restrict(self, model: &mut Model) -> Result<(), ModelError> {
-        let joints: Vec<JointKind> = model.geometry(&[]).robot.links.iter().map(|link| link.joint).collect();
-        model.reset_to_nominal(|id| self.leaves_out(id, &joints));
-        model.set_roles(model.ids().into_iter().filter(|id| self.leaves_out(*id, &joints)), Role::Fixed)
+        let robot = model.robot().clone();
+        model.reset_to_nominal(|id| self.leaves_out(id, &robot));
+        model.set_roles(model.ids().into_iter().filter(|id| self.leaves_out(*id, &robot)), Role::Fixed)
     }
 }
 
