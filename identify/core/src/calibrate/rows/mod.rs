@@ -32,7 +32,7 @@ pub use validate::{Validated, validate};
 /// Default maximum order of joint waves: strain wave gears have no finer teeth near their output.
 pub const WAVES_PER_TURN_MAX: u8 = 64;
 
-/// Number of parts of a file, of which one is held out.
+/// Number of parts of a file, of which one is held out, in a validation each in turn.
 const PARTS: usize = 5;
 
 /// Fewest rows of a file from which a robot can be calibrated without other data, of which a part is held out.

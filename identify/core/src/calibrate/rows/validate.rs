@@ -2,15 +2,12 @@
 
 use shared::config::RobotConfig;
 
-use super::PoseFigures;
 use super::likely::placed;
+use super::{PARTS, PoseFigures, rows_min};
 use crate::calibrate::CalibrateError;
 use crate::instrument::{HoldOut, Instrument, PoseError, RowError, Rows, gross_rows};
 use crate::kinematics::flange_chain;
 use crate::model::Model;
-
-/// Number of folds; each is predicted with the instrument placed by the others.
-const FOLDS: usize = 5;
 
 /// Errors of a nominal and a calibrated robot for validation rows.
 #[derive(Debug, Clone, PartialEq)]
@@ -37,7 +34,7 @@ pub fn validate(
     let rows_error = |error| CalibrateError::Rows { data_set: 1, error };
     let nominal = flange_chain(robot);
     instrument.contradicting(&nominal).map_err(rows_error)?;
-    let (rows, needed) = (instrument.samples(), (instrument.samples_min() * FOLDS).div_ceil(FOLDS - 1));
+    let (rows, needed) = (instrument.samples(), rows_min(instrument));
     if rows < needed {
         return Err(rows_error(RowError::TooFewRows { rows, needed }));
     }
@@ -52,10 +49,10 @@ pub fn validate(
     Ok(Validated { figures, gross })
 }
 
-/// Errors of each row for a robot, with the instrument placed by the other folds.
+/// Errors of each row for a robot, with the instrument placed by the other parts.
 fn predicted(instrument: &Instrument, robot: &Model) -> Result<Vec<PoseError>, CalibrateError> {
     let mut errors = vec![PoseError::default(); instrument.samples()];
-    for left_out in instrument.independent(FOLDS) {
+    for left_out in instrument.independent(PARTS) {
         let fitting: Vec<usize> = (0..instrument.samples()).filter(|row| !left_out.contains(row)).collect();
         let model = placed(instrument.part(&fitting), robot.clone())?;
         let model = model.ok_or(CalibrateError::NoPlace { data_set: 1 })?;
