@@ -38,6 +38,8 @@ impl PoseFigures {
     }
 }
 
+/// Number of independent errors of samples that share theirs, such as those of a segment: one along each axis.
+pub const INDEPENDENT_OF_GROUP: usize = 3;
 /// Probability that a geometry no better than the nominal one is classified as better.
 const BETTER_BY_CHANCE: f64 = 0.05;
 /// Probability that a calibration no worse than the nominal robot is classified as worse.

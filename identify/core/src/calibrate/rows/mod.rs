@@ -22,7 +22,7 @@ use crate::statistics::rms;
 
 pub use drift::Drift;
 pub use faulty_runs::{FaultyRun, RunCause};
-pub use figures::{PoseFigures, Stages, is_surely_better, is_surely_worse};
+pub use figures::{INDEPENDENT_OF_GROUP, PoseFigures, Stages, is_surely_better, is_surely_worse};
 use implausible::Step;
 pub(super) use implausible::unless_implausible;
 pub use likely::{Likely, likely, misfit, some_of};
@@ -156,7 +156,7 @@ impl RowSet {
 
     /// Rejects rows that are far from both the nominal and the calibrated robot, fitted or held out: a broken beam, a wrong
     /// target, a misread length. If a calibration predicts poorly, its held-out rows are still near the nominal robot and are
-    /// kept. The nominal robot has no drift here: in a segment that is held out a drift is unknown, which is no fault of a row.
+    /// kept. The nominal robot has no drift here: the drift of a held-out segment is unknown, so its rows would be far from both.
     pub(super) fn leave_out_gross(&mut self, model: &Model) {
         let mut whole = self.whole.clone();
         whole.adapt(model);
@@ -330,9 +330,9 @@ impl RowSet {
     /// direction.
     pub fn independent_held_out(&self) -> usize {
         let rows = self.whole.part(&self.held_out_rows);
-        let directions = if rows.lengths_m().is_empty() { 3 } else { 1 };
+        let of_group = if rows.lengths_m().is_empty() { INDEPENDENT_OF_GROUP } else { 1 };
         let groups = rows.independent(rows.samples());
-        (directions * groups.len()).min(rows.samples())
+        (of_group * groups.len()).min(rows.samples())
     }
 
     /// Errors of all held-out rows.

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::deployments::DeploymentEntry;
 use super::file::CalibrationFile;
-use crate::calibrate::rows::{PoseFigures, Stages};
+use crate::calibrate::rows::{INDEPENDENT_OF_GROUP, PoseFigures, Stages};
 use crate::calibrate::validation::deployment::Deployment;
 use crate::calibrate::validation::unseen::UnseenPart;
 use crate::evaluate::{Evidence, HeldOut};
@@ -85,9 +85,6 @@ pub struct ValidationEntry {
     pub left_out: usize,
 }
 
-/// Samples of a segment or part share their errors: it counts as one independent error along each axis.
-const INDEPENDENT_OF_SEGMENT: usize = 3;
-
 /// Root mean square errors on held-out data of one kind.
 pub(in crate::report) struct HeldOutErrors {
     pub what: String,
@@ -127,7 +124,7 @@ impl CalibrationFile {
     pub(in crate::report) fn held_out_with(&self, deployment: Deployment) -> Vec<HeldOutErrors> {
         let segments = self.held_out.map(|all| HeldOutErrors {
             what: "held-out segments".to_owned(),
-            independent: INDEPENDENT_OF_SEGMENT * all.segments,
+            independent: INDEPENDENT_OF_GROUP * all.segments,
             nominal: all.nominal,
             calibrated: match deployment {
                 Deployment::Full => Some(all.calibrated),
@@ -163,7 +160,7 @@ impl CalibrationFile {
                 pooled_rms(parts().map(errors).map(|figures| (figures.rows, figures.position_m.rms)));
             PoseError { position_m, rotation_rad: None }
         };
-        let independent = INDEPENDENT_OF_SEGMENT * parts().count();
+        let independent = INDEPENDENT_OF_GROUP * parts().count();
         (independent > 0).then(|| HeldOutErrors {
             what: format!("rows at unseen parts of data set {}", rows.data_set),
             independent,
