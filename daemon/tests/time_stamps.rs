@@ -183,6 +183,25 @@ fn sample_times_are_right_within_their_uncertainty_on_quiet_and_loaded_hosts() {
 }
 
 #[test]
+fn a_frame_that_meets_the_conversion_of_the_next_sample_is_flagged_as_late() {
+    let mut experiment = Experiment::new(&plan(100), QUIET, 5);
+    let mut cycles = 0;
+    // Each fifth frame passes around the next SYNC0, half a period after its deadline, or the end of its conversion.
+    let late_ns = || {
+        cycles += 1;
+        if cycles % 5 == 0 { 4_960_000 + 100 * cycles } else { 0 }
+    };
+    let records = experiment.cycles_woken_late(1_000, late_ns);
+    let is_late = |record: &CycleRecord| record.flags & flags::DEADLINE_MISSED != 0;
+    for pair in records.windows(2) {
+        assert!(is_late(&pair[0]) || is_late(&pair[1]) || pair[1].is_valid(), "{pair:?}");
+    }
+    let late = records.iter().filter(|record| is_late(record)).count();
+    assert!((50..200).contains(&late), "{late}");
+    assert_within(&experiment.judge(&records), 3);
+}
+
+#[test]
 fn at_250_hz_and_1_khz_every_cycle_is_sampled_and_stamped_like_at_100() {
     for rate_hz in [250, 1000] {
         let mut experiment = Experiment::new(&plan(rate_hz), QUIET, 7);

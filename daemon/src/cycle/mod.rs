@@ -234,6 +234,8 @@ impl Acquisition {
         }
         if misread {
             Sampler::invalidate(&mut record, flags::NO_DC);
+        } else if record.flags & flags::STALE_INPUT != 0 && self.is_past_next_sample(exchange) {
+            record.flags |= flags::DEADLINE_MISSED;
         }
         self.emit(record, sink);
         self.react(&record, exchange, seen);
@@ -283,6 +285,15 @@ impl Acquisition {
                 (since_origin_ns.div_euclid(self.period_ns).max(0) as u64).max(self.next_cycle)
             }
         }
+    }
+
+    /// Whether the frame of the cycle passed after the next SYNC0. While the terminals convert, it finds the old sample in some
+    /// and the new one in others.
+    fn is_past_next_sample(&self, exchange: &CyclicExchange) -> bool {
+        exchange
+            .reply
+            .and_then(|reply| reply.dc_time)
+            .is_some_and(|dc| dc.0 >= self.instant_ns(self.next_cycle + 1))
     }
 
     /// SYNC0 of a cycle on the clock of [`Self::origin_ns`] \[ns\]. A damaged frame can contain any bus time: sums wrap.
