@@ -1,26 +1,28 @@
-//! From counts of a SinCos terminal to radians and back.
+//! Converts counts of a SinCos terminal to radians and back.
 //!
-//! An EL5021 counts signal periods (lines) and interpolates each into `2^N` steps; its counter is the
-//! low 32 bits of `periods << N | fraction` and wraps silently. With the ERN 1080's 3600 lines and
-//! N = 12 a revolution has 14 745 600 counts and the counter wraps after 291.27 revolutions.
+//! An EL5021 counts signal periods (lines) and divides each into `2^N` steps by interpolation. Its counter is the low 32
+//! bits of `periods << N | fraction`. It wraps without any message. With the 3600 lines of the ERN 1080 and N = 12, one
+//! revolution has 14 745 600 counts, and the counter wraps after 291.27 revolutions.
+//!
+//! In this file, a *counter* is the wrapped 32-bit value, and *counts* are unwrapped: 64 bits, continuous over wraps.
 
 use std::f64::consts::TAU;
 
 use serde::{Deserialize, Serialize};
 
-/// Which way a positive count turns the joint.
+/// Whether counts rise or fall when the joint turns in its positive direction.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Direction {
-    /// Counts rise with the joint's positive direction.
+    /// Counts rise when the joint turns in its positive direction.
     #[default]
     Positive,
-    /// Counts fall with the joint's positive direction.
+    /// Counts fall when the joint turns in its positive direction.
     Negative,
 }
 
 impl Direction {
-    /// +1 or -1.
+    /// +1 for `Positive`, -1 for `Negative`.
     pub const fn sign(self) -> i64 {
         match self {
             Self::Positive => 1,
@@ -29,10 +31,10 @@ impl Direction {
     }
 }
 
-/// Smallest and largest interpolation that an EL5021 offers, bits per signal period (object 0x8001:11).
+/// Interpolation that an EL5021 offers, from smallest to largest, bits per signal period (object 0x8001:11).
 pub const INTERPOLATION_BITS: std::ops::RangeInclusive<u8> = 8..=13;
 
-/// How counts of one encoder relate to its joint's angle:
+/// Relation between the counts of an encoder and its joint's angle:
 /// `angle = sign * 2 pi / (lines * 2^bits) * (counts - reference_counts) + offset`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct EncoderScale {
@@ -40,12 +42,12 @@ pub struct EncoderScale {
     pub lines: u32,
     /// Interpolation, bits per signal period.
     pub interpolation_bits: u8,
-    /// Which way the counts run.
+    /// Whether counts rise or fall with the joint's angle.
     pub direction: Direction,
     /// Joint angle at `reference_counts` \[rad\].
     pub offset_rad: f64,
-    /// Count at the reference mark (latched on C, see [`HomingConfig`](crate::config::HomingConfig)), or 0 where none
-    /// was taken: angles then begin at an arbitrary count of this power cycle.
+    /// Count at the reference mark, latched on C, see [`HomingConfig`](crate::config::HomingConfig). 0 if no mark is known;
+    /// angles then begin at an arbitrary count of this power cycle.
     pub reference_counts: u32,
 }
 
@@ -73,36 +75,36 @@ impl EncoderScale {
         TAU / self.counts_per_revolution() as f64
     }
 
-    /// Unwrapped counts to the joint's angle \[rad\].
+    /// Converts unwrapped counts to the joint's angle \[rad\].
     ///
-    /// Feed it counts from [`EncoderScale::unwrapper`], which begins at the reference mark.
+    /// The counts must come from [`EncoderScale::unwrapper`], which starts at the reference mark.
     pub fn counts_to_rad(&self, counts: i64) -> f64 {
         let from_reference = counts - i64::from(self.reference_counts);
-        // The product is formed in integers: exact, whatever number of revolutions has passed.
+        // Exact for any number of revolutions, because the product is formed in integers.
         (self.direction.sign() * from_reference) as f64 * self.rad_per_count() + self.offset_rad
     }
 
-    /// Follows this encoder's counter; the first count is taken as less than half a wrap (146 revolutions at 12
-    /// bits) away from the reference mark.
+    /// An unwrapper that starts at the reference mark. The first count is assumed to be less than half a wrap away from the
+    /// mark (146 revolutions at 12 bits).
     pub const fn unwrapper(&self) -> Unwrapper {
         Unwrapper { last: self.reference_counts, unwrapped: self.reference_counts as i64 }
     }
 
-    /// Nearest unwrapped count to an angle \[rad\].
+    /// Converts an angle \[rad\] to the nearest unwrapped count.
     pub fn rad_to_counts(&self, angle_rad: f64) -> i64 {
         let from_reference = ((angle_rad - self.offset_rad) / self.rad_per_count()).round() as i64;
         self.direction.sign() * from_reference + i64::from(self.reference_counts)
     }
 }
 
-/// The low 32 bits that a terminal's counter shows of an unwrapped count.
+/// Wraps a count: the low 32 bits that a terminal's counter shows.
 pub const fn wrap(counts: i64) -> u32 {
     counts as u32
 }
 
-/// Follows a wrapping 32-bit counter.
+/// Unwraps a 32-bit counter.
 ///
-/// The difference of two successive counts is taken modulo 2^32 as a signed number: right as long as the
+/// The difference of two successive counter values is taken modulo 2^32 as a signed number. This is correct as long as the
 /// joint turns less than half a wrap (146 revolutions at 12 bits) between two samples.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Unwrapper {
@@ -111,12 +113,12 @@ pub struct Unwrapper {
 }
 
 impl Unwrapper {
-    /// Counts from the last counter value to this one.
+    /// Signed distance from the last counter value to this one \[counts\].
     pub const fn distance(&self, counter: u32) -> i32 {
         counter.wrapping_sub(self.last) as i32
     }
 
-    /// Next counter value to unwrapped counts.
+    /// Takes the next counter value and returns the unwrapped counts.
     pub fn next(&mut self, counter: u32) -> i64 {
         self.unwrapped += i64::from(self.distance(counter));
         self.last = counter;

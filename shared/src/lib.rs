@@ -1,5 +1,5 @@
-//! Common to the acquisition daemon and the identifier: conversion of counts to angles, the format of recordings, time,
-//! configuration files, the drawing of the bar, and output.
+//! What the acquisition daemon and the identifier have in common: the conversion of counts to angles, the format of
+//! recordings, time, configuration files, the drawing of the bar, and output.
 //!
 //! This crate depends on neither the bus nor the estimator.
 

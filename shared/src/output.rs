@@ -1,4 +1,4 @@
-//! Standard output of both programs.
+//! Prints to standard output, for both programs. The output of a thread can be captured instead, see [`captured`].
 
 use std::cell::RefCell;
 use std::error::Error;
@@ -6,11 +6,11 @@ use std::fmt::{self, Write as _};
 use std::io::{self, Write as _};
 
 thread_local! {
-    /// Output of this thread that is captured instead of printed.
+    /// Output of this thread while it is captured. `None` if output is printed.
     static CAPTURED: RefCell<Option<String>> = const { RefCell::new(None) };
 }
 
-/// Result of `work`, and its standard output in this thread as text: nothing is printed.
+/// Runs `work` and captures what it prints in this thread. Returns its result and the captured text; nothing is printed.
 pub fn captured<T>(work: impl FnOnce() -> T) -> (T, String) {
     let before = CAPTURED.replace(Some(String::new()));
     let result = work();
@@ -20,15 +20,15 @@ pub fn captured<T>(work: impl FnOnce() -> T) -> (T, String) {
 /// Prints a line.
 ///
 /// # Errors
-/// If the output cannot be written, such as on a full disk; see [`unless_gone`].
+/// If the output cannot be written, for example because the disk is full. A closed pipe is not an error, see [`unless_gone`].
 pub fn say(line: impl fmt::Display) -> io::Result<()> {
     show(format_args!("{line}\n"))
 }
 
-/// Prints text that ends its own lines.
+/// Prints a text that contains its own line breaks.
 ///
 /// # Errors
-/// As [`say`].
+/// The same as those of [`say`].
 pub fn show(text: impl fmt::Display) -> io::Result<()> {
     let written = CAPTURED.with_borrow_mut(|output| output.as_mut().map(|output| write!(output, "{text}")));
     if written.is_some() {
@@ -37,10 +37,10 @@ pub fn show(text: impl fmt::Display) -> io::Result<()> {
     unless_gone(write!(io::stdout().lock(), "{text}"))
 }
 
-/// Accepts an output whose reader has closed it (`| head`).
+/// Ignores the error of a closed pipe: the program that reads the output may end first, such as `head`.
 ///
 /// # Errors
-/// Any other error, with its context.
+/// Any other error, with a text that names standard output.
 pub fn unless_gone(written: io::Result<()>) -> io::Result<()> {
     written.or_else(|error| match error.kind() {
         io::ErrorKind::BrokenPipe => Ok(()),
@@ -48,7 +48,7 @@ pub fn unless_gone(written: io::Result<()>) -> io::Result<()> {
     })
 }
 
-/// The names of the first `most` things, and the number of the others.
+/// The first `most` names, separated by commas, and the number of the remaining ones.
 pub fn named(things: &[impl fmt::Display], most: usize) -> String {
     let shown = things.iter().take(most).map(ToString::to_string).collect::<Vec<_>>().join(", ");
     match things.len().checked_sub(most) {
@@ -57,7 +57,8 @@ pub fn named(things: &[impl fmt::Display], most: usize) -> String {
     }
 }
 
-/// An error with its causes, each once: most of our errors contain their causes.
+/// The text of an error and of its causes. A cause is left out if the text already contains it, which is the case
+/// for most of our errors.
 pub fn explained(error: &(dyn Error + 'static)) -> String {
     let (mut text, mut next) = (error.to_string(), error.source());
     while let Some(error) = next {

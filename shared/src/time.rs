@@ -1,4 +1,4 @@
-//! Integer time. Each clock has its own type, so that bus time, host time and UTC cannot mix.
+//! Time in integer nanoseconds. Each clock has its own type, so that bus time, host time and UTC cannot be mixed.
 
 use std::fmt;
 use std::time::Duration;
@@ -10,10 +10,10 @@ use serde::{Deserialize, Serialize};
 /// Nanoseconds in one second.
 pub const NS_PER_S: i64 = 1_000_000_000;
 
-/// A duration as a person types it: `90` and `90s` are seconds, `2m` minutes.
+/// Parses a duration that a person typed. A number without unit is in seconds: `90` equals `90s`; `2m` are minutes.
 ///
 /// # Errors
-/// A sentence that lists the units.
+/// If the text is not a duration. The message lists the units.
 pub fn parse_duration(text: &str) -> Result<Duration, String> {
     let without_unit =
         text.trim().parse::<f64>().ok().map(|seconds| Duration::try_from_secs_f64(seconds).ok());
@@ -69,7 +69,7 @@ impl UtcNs {
         DateTime::from_timestamp_nanos(self.0)
     }
 
-    /// From a calendar date; saturates outside the years 1677 to 2262 that fit 64-bit ns.
+    /// Converts a calendar date. Dates outside the years 1677 to 2262 do not fit into 64-bit ns and saturate.
     pub fn from_datetime(when: DateTime<Utc>) -> Self {
         Self(when.timestamp_nanos_opt().unwrap_or(if when.timestamp() < 0 { i64::MIN } else { i64::MAX }))
     }

@@ -1,4 +1,5 @@
-//! `generate` of both programs: completions and man pages from the tree of their commands; and the page of the book on them.
+//! The command `generate` of both programs. It writes shell completions and man pages from the command tree of the program.
+//! The module [`page`] writes the book's page about the commands.
 
 pub mod page;
 
@@ -11,7 +12,7 @@ use clap_complete::Shell;
 
 use shared::output::show;
 
-/// Adds to each command below `generate` its example for a program.
+/// Returns a function that adds the example to the help of a command below `generate`. `program` is the name in the example.
 pub fn with_example(program: &str) -> impl Fn(Command) -> Command {
     move |command| {
         let value = if command.get_name() == "man" { "man1" } else { "bash" };
@@ -45,7 +46,7 @@ impl GenerateArguments {
     /// Writes the requested completions or man pages of this program.
     ///
     /// # Errors
-    /// If they cannot be written; the text has the directory.
+    /// If the pages cannot be written. The message contains the directory.
     pub fn run(&self, mut program: Command) -> io::Result<()> {
         match &self.what {
             What::Completions { shell } => {

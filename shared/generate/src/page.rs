@@ -1,52 +1,54 @@
-//! Commands as a page of Markdown, from the tree that makes their help.
+//! Writes the commands of a program as a page of Markdown, from the command tree that also produces their help.
 
 use std::fmt::Write;
 use std::iter;
 
 use clap::{Arg, Command};
 
-/// Headings of options in `--help`, the same in both programs.
+/// Headings that group the options in `--help`. Both programs use the same headings.
 pub const HEADINGS: [&str; 7] =
     ["Connection", "Input", "Recording", "Estimation", "Planning", "Simulation", "Output"];
 
-/// Begins the line of a command's help that contains its example.
+/// Beginning of the line with the example in a command's help.
 pub(crate) const EXAMPLE: &str = "Example: ";
 
-/// The program and all commands below it, each after the one that contains it; `help` is omitted.
+/// The program and all its commands, each after the command that contains it. The command `help` is omitted.
 pub fn commands(command: &Command) -> Vec<&Command> {
     let below = command.get_subcommands().filter(|below| below.get_name() != "help");
     iter::once(command).chain(below.flat_map(commands)).collect()
 }
 
-/// The words that call a command, such as `identify robot check`, after [`Command::build`] of its program.
+/// The words that call a command, such as `identify robot check`. [`Command::build`] of the program
+/// must have been called before.
 pub fn name(command: &Command) -> &str {
     command.get_bin_name().unwrap_or_else(|| command.get_name())
 }
 
-/// The command line in the help of a command.
+/// The example in the help of a command, without its prefix.
 pub fn example(command: &Command) -> Option<String> {
     let help = end_of_help(command);
     help.lines().find_map(|line| line.strip_prefix(EXAMPLE)).map(str::to_owned)
 }
 
-/// Options and positional arguments of a command, without `--help` and `--version`.
+/// Options and positional arguments of a command. `--help` and `--version` are omitted.
 pub fn arguments(command: &Command) -> impl Iterator<Item = &Arg> {
     command.get_arguments().filter(|argument| !["help", "version"].contains(&argument.get_id().as_str()))
 }
 
-/// Usage, example and options of a program and its commands.
+/// The page: usage, example and options of a program and of all its commands.
 pub fn page(mut program: Command) -> String {
     program.build();
     commands(&program).into_iter().map(section).collect()
 }
 
-/// The text after the options in `--help`.
+/// The text that follows the options in `--help`; empty if there is none.
 fn end_of_help(command: &Command) -> String {
     let text = command.get_after_long_help().or_else(|| command.get_after_help());
     text.map(ToString::to_string).unwrap_or_default()
 }
 
-/// Heading, description, usage with the example, a table of arguments for each heading, and the other text after the help.
+/// The section of one command: heading, description, usage with the example, a table of arguments for each heading of
+/// options, and the remaining text after the help.
 fn section(command: &Command) -> String {
     let name = name(command);
     let about = command.get_long_about().or_else(|| command.get_about());
@@ -77,7 +79,7 @@ fn section(command: &Command) -> String {
     text + "\n"
 }
 
-/// A row of the table: argument, default, and meaning with the possible values.
+/// A row of the table of arguments: argument, default, and meaning with the possible values.
 fn row(argument: &Arg) -> String {
     let has_value = argument.get_action().takes_values() && !argument.is_hide_default_value_set();
     let values = argument.get_default_values().iter().map(|value| value.to_string_lossy());
@@ -96,7 +98,7 @@ fn row(argument: &Arg) -> String {
     format!("| `{}` | {default} | {meaning} |\n", argument.to_string().replace('|', "\\|"))
 }
 
-/// Text as the content of a cell: on one line, without bars, and with `<` outside of code as an entity.
+/// Converts a text to the content of a table cell: on one line, with `|` escaped, and outside of code with `<` as an entity.
 pub fn cell(text: &str) -> String {
     let parts = text.split('`').enumerate();
     let escaped = parts.map(|(n, part)| if n % 2 == 0 { part.replace('<', "&lt;") } else { part.to_owned() });

@@ -7,10 +7,10 @@ use super::{JointKind, Kind, LinkConfig, Validate, Violation};
 use crate::encoder::{Direction, EncoderScale, INTERPOLATION_BITS};
 use crate::recording::schema::MAX_ENCODERS;
 
-/// Joints of the bar: three of the gimbal at the base, two of the cardan at the flange.
+/// Number of joints of the bar: three in the gimbal at the base, two in the cardan at the flange.
 pub const BAR_JOINTS: usize = 5;
 
-/// Name of a joint of the bar in messages.
+/// Description of a joint of the bar for messages. Joints are numbered from 1.
 pub const fn bar_joint_name(joint: u8) -> &'static str {
     match joint {
         1 => "gimbal, about the axis of its base",
@@ -22,7 +22,7 @@ pub const fn bar_joint_name(joint: u8) -> &'static str {
     }
 }
 
-/// One encoder, in the order of the terminals on the bus.
+/// One encoder. Encoders are listed in the order of their terminals on the bus.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct EncoderConfig {
@@ -32,22 +32,22 @@ pub struct EncoderConfig {
     pub lines: u32,
     /// Interpolation in the terminal, bits per signal period.
     pub interpolation_bits: u8,
-    /// Direction of its counts.
+    /// Whether counts rise or fall when the joint turns in its positive direction.
     pub direction: Direction,
-    /// Joint angle at the reference mark, roughly, as an earlier calibration found it: with it a homed encoder shows how near
-    /// the bar is to a singular pose. Changes no angle that is recorded \[deg\].
+    /// Approximate joint angle at the reference mark, from an earlier calibration \[deg\]. Together with homing it shows the
+    /// operator how close the bar is to a singular pose. It does not change any recorded angle.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mark_deg: Option<f64>,
 }
 
 impl EncoderConfig {
-    /// A Heidenhain ERN 1080 on an EL5021, as `config/ball_bar.toml` has them.
+    /// A Heidenhain ERN 1080 on an EL5021, with the values of `config/ball_bar.toml`.
     pub fn ern_1080(joint: u8) -> Self {
         let EncoderScale { lines, interpolation_bits, direction, .. } = EncoderScale::default();
         Self { joint, lines, interpolation_bits, direction, mark_deg: None }
     }
 
-    /// Counts to angle with unknown zero: offset and reference mark are found later.
+    /// The conversion from counts to an angle. Offset and reference mark are 0, because they are determined later.
     pub fn scale(&self) -> EncoderScale {
         EncoderScale {
             lines: self.lines,
@@ -64,21 +64,21 @@ impl EncoderConfig {
 pub struct BallBarConfig {
     /// Name of the bar and its rod.
     pub name: String,
-    /// Centre of the gimbal to centre of the cardan \[m\]; it is `d` of link 3.
+    /// Distance from the centre of the gimbal to the centre of the cardan \[m\]. It is `d` of link 3.
     pub length_m: f64,
-    /// Standard uncertainty of `length_m`; absent: the length is found from the run alone \[um\].
+    /// Standard uncertainty of `length_m` \[um\]. If absent, the length is estimated from the run alone.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub length_u_um: Option<f64>,
-    /// Last axis of the robot to axis 5 of the bar, along the offset plate \[m\]; it is added to `a` of the robot's last link.
-    /// It fixes the scale.
+    /// Distance from the last axis of the robot to axis 5 of the bar, along the offset plate \[m\]. It is added to `a` of
+    /// the robot's last link, and determines the scale of the result.
     pub plate_m: f64,
-    /// Standard uncertainty of `plate_m`; 0 takes it as exact \[um\].
+    /// Standard uncertainty of `plate_m` \[um\]. With 0, the plate is taken as exact.
     #[serde(default = "plate_u_um")]
     pub plate_u_um: f64,
-    /// Face of the robot's flange to the centre of the cardan, along the last axis \[m\]: tool changer, adapters, part of the
-    /// plate and the cardan; added to `d` of the robot's last link.
+    /// Distance from the face of the robot's flange to the centre of the cardan, along the last axis \[m\]. It includes the
+    /// tool changer, adapters, part of the plate and the cardan, and is added to `d` of the robot's last link.
     pub tool_m: f64,
-    /// Links 1 to 5, without `length_m`.
+    /// Links 1 to 5. The length of the bar is not repeated here, it is in `length_m`.
     pub links: Vec<LinkConfig>,
     /// Encoders in bus order: the first is on the first EL5021 after the coupler.
     pub encoders: Vec<EncoderConfig>,
@@ -89,7 +89,7 @@ const fn plate_u_um() -> f64 {
 }
 
 impl BallBarConfig {
-    /// Standard uncertainty of a plate of which the file states none: a calliper's \[um\].
+    /// Standard uncertainty of `plate_m` if the file has none: that of a calliper \[um\].
     pub const PLATE_U_UM: f64 = 50.0;
 
     fn validate_encoder(&self, index: usize, encoder: &EncoderConfig) -> Result<(), Violation> {

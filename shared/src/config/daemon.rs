@@ -7,11 +7,12 @@ use serde::{Deserialize, Serialize};
 
 use super::{Kind, Validate, Violation};
 
-/// The cycle's thread.
+/// Scheduling of the thread that runs the bus cycle.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RealtimeConfig {
-    /// Core of its own (isolate it on the kernel's command line); absent: any core.
+    /// CPU core on which the thread runs alone; isolate it on the kernel's command line. If absent, the thread
+    /// may run on any core.
     pub core: Option<usize>,
     /// Priority under SCHED_FIFO, 1 to 99.
     pub fifo_priority: i32,
@@ -21,37 +22,40 @@ pub struct RealtimeConfig {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DaemonConfig {
-    /// Cycles per second, 10 or more: a terminal gives up before the first SYNC0 of a slower bus \[Hz\].
+    /// Cycles per second \[Hz\]. At least 10: at a lower rate a terminal times out before its first SYNC0.
     pub rate_hz: u32,
-    /// Sample on SYNC0 of the distributed clocks: one instant for all encoders, known to microseconds.
+    /// Whether encoders are sampled on SYNC0 of the distributed clocks. All encoders are then sampled at the same instant,
+    /// which is known to microseconds.
     pub distributed_clocks: bool,
-    /// How long to wait for the reply to a cyclic frame; absent: 4/10 of a cycle, 4 ms at most \[us\].
+    /// How long to wait for the reply to a cyclic frame \[us\]. If absent, 4/10 of a cycle, at most 4 ms.
     pub reply_timeout_us: Option<u32>,
-    /// Seconds of cycles that fit between bus and disk before any is lost \[s\]; see [`DaemonConfig::ring_cycles`].
+    /// Capacity of the ring between bus and disk, as time \[s\]. Cycles are lost if the disk blocks for longer. See
+    /// [`DaemonConfig::ring_cycles`].
     pub ring_s: u32,
-    /// How often the recording is written and synchronised: a kill of the program loses at most this much, and as long
-    /// as the disk lets a write wait; a power cut what was not synchronised yet. 100 or more: cycles wait up to 20 ms in
-    /// the ring before they are written \[ms\].
+    /// How often the recording is written and synchronised to disk \[ms\]. A kill of the program loses at most the cycles of
+    /// one period, and those of the time that the disk keeps a write waiting. A power cut loses all cycles that are not
+    /// synchronised yet. At least 100, because cycles wait up to 20 ms in the ring before they are written.
     pub sync_period_ms: u32,
-    /// Space that recordings leave free on their file system: below it none begins, and a running one ends \[MB\].
+    /// Free space that recordings leave on their file system \[MB\]. With less free space no run starts,
+    /// and a running one ends.
     #[serde(default = "default_disk_floor_mb")]
     pub disk_floor_mb: u32,
-    /// Full fault: a run in which no encoder gives a valid sample for this long ends, its file finished \[s\].
+    /// A run ends if no encoder delivers a valid sample for this time \[s\]. Its file is finished.
     #[serde(default = "default_full_fault_s")]
     pub full_fault_s: u32,
     /// Port of the service on 127.0.0.1.
     #[serde(default = "default_port")]
     pub port: u16,
-    /// Where recordings go; relative to the working directory.
+    /// Directory of the recordings. A relative path is relative to the working directory.
     pub directory: PathBuf,
-    /// Directory in which a run continues if its directory or disk is lost or refuses; best on another disk.
+    /// Directory in which a run continues if its own directory or disk is lost or refuses writes. Best on another disk.
     #[serde(default = "default_spare_directory")]
     pub spare_directory: PathBuf,
-    /// The cycle's thread.
+    /// Scheduling of the thread that runs the bus cycle.
     pub realtime: RealtimeConfig,
 }
 
-/// Smallest ring: a slow bus has few cycles in a second.
+/// Minimum capacity of the ring \[cycles\]. On a slow bus, `ring_s` seconds may have too few cycles.
 const RING_CYCLES_MIN: usize = 64;
 
 const fn default_disk_floor_mb() -> u32 {
@@ -66,34 +70,34 @@ const fn default_port() -> u16 {
     7311
 }
 
-/// A directory that survives a restart and is writable for users.
+/// A directory that survives a restart and in which users may write.
 fn default_spare_directory() -> PathBuf {
     "/var/tmp/ballbard".into()
 }
 
 impl DaemonConfig {
-    /// The directories in which recordings may be: that of the service, and the spare one.
+    /// The directories that may contain recordings: the service's own and the spare one.
     pub fn directories(&self) -> [PathBuf; 2] {
         [&self.directory, &self.spare_directory].map(PathBuf::clone)
     }
 
-    /// Time between two cycles.
+    /// Time from one cycle to the next.
     pub fn cycle_period(&self) -> Duration {
         Duration::from_nanos(1_000_000_000 / u64::from(self.rate_hz.max(1)))
     }
 
-    /// How often the recording is written and synchronised.
+    /// How often the recording is written and synchronised to disk.
     pub fn sync_period(&self) -> Duration {
         Duration::from_millis(self.sync_period_ms.into())
     }
 
-    /// How long to wait for a reply.
+    /// How long to wait for the reply to a cyclic frame.
     pub fn reply_timeout(&self) -> Duration {
         let usual = || (self.cycle_period() * 4 / 10).min(Duration::from_millis(4));
         self.reply_timeout_us.map_or_else(usual, |timeout_us| Duration::from_micros(timeout_us.into()))
     }
 
-    /// Cycles that fit between bus and disk, of this period.
+    /// Capacity of the ring between bus and disk \[cycles\], at this cycle period.
     pub fn ring_cycles(&self, cycle_period: Duration) -> usize {
         let cycles = u128::from(self.ring_s) * 1_000_000_000 / cycle_period.as_nanos().max(1);
         usize::try_from(cycles).unwrap_or(usize::MAX).max(RING_CYCLES_MIN)

@@ -1,17 +1,18 @@
-//! Finds a configuration by a path, by a name in one of the usual directories, or built into the programs.
+//! Finds a configuration. It is given by the path of a file or by a name. A name is searched in the usual directories
+//! ([`PLACES`]), then among the configurations that are built into the programs.
 
 use std::borrow::Cow;
 use std::path::{Component, Path, PathBuf};
 
 use super::ConfigError;
 
-/// Directories with configuration, of the working directory and of the machine; the first that has a name counts.
+/// Directories that are searched for a name, in this order: one relative to the working directory, one of the machine.
 pub const PLACES: [&str; 2] = ["config", "/etc/ballbard"];
-/// Directory of robots in each of [`PLACES`].
+/// Subdirectory of each of [`PLACES`] that contains the robots.
 const ROBOTS: &str = "robots";
 const ENDING: &str = "toml";
 
-/// A kind of configuration that has a name, and is built into the programs.
+/// The kinds of configuration that can be found by name. A default of each is built into the programs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
     /// `robots/*.toml`.
@@ -32,8 +33,8 @@ pub enum Kind {
     TouchMapping,
 }
 
-/// Each kind in the order of [`Kind`]: its name in messages, the option that takes it, and keys that together identify it: no other
-/// kind has all of them.
+/// For each kind, in the order of [`Kind`]: its name in messages, the option that accepts it, and the keys that identify it.
+/// A file is of this kind if it has all these keys; no file of another kind has all of them.
 const KINDS: [(Kind, &str, &str, &[&str]); 8] = [
     (Kind::Robot, "robot", "--robot", &["links", "log"]),
     (Kind::BallBar, "ball-bar", "--bar", &["links", "encoders"]),
@@ -55,7 +56,7 @@ const KINDS: [(Kind, &str, &str, &[&str]); 8] = [
     ),
 ];
 
-/// Kind, name and text of all that is built in.
+/// Kind, name and text of each built-in configuration.
 const BUILT_IN: [(Kind, &str, &str); 11] = [
     (Kind::Robot, "irb120_3", include_str!("../../../config/robots/irb120_3.toml")),
     (Kind::Robot, "irb2400_16", include_str!("../../../config/robots/irb2400_16.toml")),
@@ -70,7 +71,7 @@ const BUILT_IN: [(Kind, &str, &str); 11] = [
     (Kind::TouchMapping, "touch", include_str!("../../../config/touch.toml")),
 ];
 
-/// A configuration that was found.
+/// Where a configuration was found.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Source {
     /// A file with this path.
@@ -80,8 +81,9 @@ pub enum Source {
 }
 
 impl Source {
-    /// The file at a path; if there is none, the configuration of that name ([`Source::named`]), or else the path itself. A name of
-    /// a file, with its ending, never means what is built in: a bar's lengths set the scale of all results.
+    /// The file at the given path if it exists. Otherwise the configuration of that name ([`Source::named`]). If there is
+    /// none either, the path itself, which then fails when it is read. A file name with the ending `.toml` never selects a
+    /// built-in configuration, because the lengths of the wrong bar would scale all results.
     pub fn find(given: &Path) -> Self {
         let is_file_name = given.extension().is_some_and(|ending| ending == ENDING);
         let is_meant = |found: &Self| !is_file_name || matches!(found, Self::File(_));
@@ -90,7 +92,7 @@ impl Source {
         found.unwrap_or_else(|| Self::File(given.to_owned()))
     }
 
-    /// The first configuration of a name, without `.toml`: in [`PLACES`], or built in.
+    /// The first configuration of a name, given without `.toml`. [`PLACES`] are searched before the built-in configurations.
     pub fn named(name: &str) -> Option<Self> {
         let file = format!("{name}.{ENDING}");
         let below = |place| [Path::new(place).join(&file), Path::new(place).join(ROBOTS).join(&file)];
@@ -102,14 +104,16 @@ impl Source {
         in_directory.or_else(built_in)
     }
 
-    /// A path in a file of `directory`: relative to it, unless it is a name that is found elsewhere.
+    /// Resolves a path that is written in a file of `directory`. The path is relative to `directory`, unless it does not
+    /// exist there and is a name that [`Source::find`] finds elsewhere.
     pub fn beside(directory: &Path, given: &Path) -> PathBuf {
         let beside = directory.join(given);
         let is_elsewhere = !beside.exists() && Self::find(given) != Self::File(given.to_owned());
         if is_elsewhere { given.to_owned() } else { beside }
     }
 
-    /// All robots that have a name, in the order of [`PLACES`]; each name once.
+    /// All robots that can be found by name, in the order of [`PLACES`], then the built-in ones. Of robots with the same
+    /// name only the first is returned.
     pub fn robots() -> Vec<(String, Self)> {
         let mut robots: Vec<(String, Self)> = Vec::new();
         for place in PLACES {
@@ -127,7 +131,7 @@ impl Source {
         robots
     }
 
-    /// Path or name for errors.
+    /// Path of the file or name of the built-in configuration, for messages.
     pub fn path(&self) -> &Path {
         match self {
             Self::File(path) => path,
@@ -135,10 +139,9 @@ impl Source {
         }
     }
 
-    /// Its text.
+    /// The text of the configuration.
     ///
-    /// # Errors
-    /// [`ConfigError::Unreadable`], and [`ConfigError::Malformed`] if it is not UTF-8.
+    /// # Errors [`ConfigError::Unreadable`] if the file cannot be read, and [`ConfigError::Malformed`] if it is not UTF-8.
     pub fn text(&self) -> Result<Cow<'static, str>, ConfigError> {
         let path = match self {
             Self::BuiltIn(_, text) => return Ok(Cow::Borrowed(text)),
@@ -168,7 +171,7 @@ fn not_utf8(path: &Path, bytes: &[u8], valid_to: usize) -> ConfigError {
     ConfigError::Malformed { path: path.to_owned(), line: line.filter(|_| !bytes.contains(&0)), message }
 }
 
-/// The name that was given instead of a path.
+/// The configuration's name, if `given` has a single component and so can be a name. The ending `.toml` is removed.
 fn name(given: &Path) -> Option<&str> {
     let is_name = matches!(given.components().collect::<Vec<_>>()[..], [Component::Normal(_)]);
     let name = given.to_str().filter(|_| is_name)?;
@@ -176,30 +179,30 @@ fn name(given: &Path) -> Option<&str> {
 }
 
 impl Kind {
-    /// Names of what is built in.
+    /// Names of the built-in configurations of this kind.
     pub fn names(self) -> Vec<&'static str> {
         BUILT_IN.iter().filter(|(kind, ..)| *kind == self).map(|&(_, name, _)| name).collect()
     }
 
-    /// The text that is built in, independent of the machine; empty for an unknown name.
+    /// The text of a built-in configuration. Files of the machine are not searched. Empty for an unknown name.
     pub fn built_in(self, name: &str) -> &'static str {
         BUILT_IN.iter().find(|(kind, other, _)| *kind == self && *other == name).map_or("", |(.., text)| text)
     }
 
-    /// Kind of a configuration's text, by its keys.
+    /// Determines the kind of a configuration from the keys in its text.
     pub(super) fn recognise(text: &str) -> Option<Self> {
         let table: toml::Table = text.parse().ok()?;
         let has_all = |keys: &[&str]| keys.iter().all(|key| table.contains_key(*key));
         KINDS.into_iter().find(|(.., keys)| has_all(keys)).map(|(kind, ..)| kind)
     }
 
-    /// What messages call it.
+    /// Name of the kind in messages.
     pub(super) fn noun(self) -> &'static str {
         let (_, noun, ..) = KINDS[self as usize];
         noun
     }
 
-    /// The option that takes it.
+    /// The option that accepts a configuration of this kind, for messages.
     pub(super) fn option(self) -> &'static str {
         let (_, _, option, _) = KINDS[self as usize];
         option

@@ -1,11 +1,13 @@
-//! `homing.toml`, written by `ballbard home` into the state directory: the count of each encoder's reference mark on its
-//! terminal.
+//! `homing.toml` contains, for each encoder, the count of its reference mark on its terminal. `ballbard home` writes
+//! it into the state directory.
 //!
-//! A counter restarts when its terminal loses power, but the mark on the encoder's disc is fixed: angles are counted from it, so
-//! the offset that a calibration finds is valid as long as the encoder is not removed from its joint. Homing again gives the counts
-//! of this power cycle. A terminal that still has the count it latched has not lost power since, so its mark is still valid. A mark
-//! without it is not used, and angles then begin at an arbitrary count. The revolution of the mark does not matter: angles are the
-//! same except for whole turns.
+//! A terminal's counter restarts when the terminal loses power, but the mark on the encoder's disc is fixed. Angles are
+//! therefore counted from the mark. The offset that a calibration estimates stays valid as long as the encoder is not
+//! removed from its joint. Homing determines the count of the mark in the current power cycle.
+//!
+//! The terminal latches its counter at the mark. As long as the latch still shows the count in this file, the terminal has
+//! had power since homing, so the mark is valid. Otherwise the mark is not used, and angles begin at an arbitrary count. It
+//! does not matter in which revolution the mark was passed: angles then differ by whole turns only.
 
 use serde::{Deserialize, Serialize};
 
@@ -21,9 +23,10 @@ use crate::time::UtcNs;
 pub struct HomedEncoder {
     /// Bar joint that it measures, 1 to 5.
     pub joint: u8,
-    /// Signal periods per revolution, as configured then.
+    /// Signal periods per revolution, as configured at the time of homing.
     pub lines: u32,
-    /// Interpolation as configured then; with another one the counts mean something else.
+    /// Interpolation as configured at the time of homing \[bits per signal period\]. With another interpolation
+    /// the counts do not apply.
     pub interpolation_bits: u8,
     /// Count at the reference mark, latched by the terminal.
     pub reference_counts: u32,
@@ -33,17 +36,17 @@ pub struct HomedEncoder {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct HomingConfig {
-    /// Time of homing, UTC as RFC 3339; for people.
+    /// Time of homing, UTC in RFC 3339. It is not used by the programs.
     pub homed: String,
     /// The encoders in bus order.
     pub encoders: Vec<HomedEncoder>,
 }
 
 impl HomingConfig {
-    /// The file's name.
+    /// Name of the file in the state directory.
     pub const FILE_NAME: &'static str = "homing.toml";
 
-    /// Reference marks found at `homed`, in the order of the encoders.
+    /// The reference marks that were found at `homed`. `reference_counts` are in the order of `encoders`.
     pub fn new(homed: UtcNs, encoders: &[EncoderConfig], reference_counts: &[u32]) -> Self {
         let homed_encoder = |(encoder, counts): (&EncoderConfig, &u32)| HomedEncoder {
             joint: encoder.joint,
@@ -57,9 +60,9 @@ impl HomingConfig {
         }
     }
 
-    /// Puts the reference marks into a run's encoders where they still hold: the same encoder, and a terminal whose
-    /// latch shows them. `latches` are those of the terminals now, in bus order. Returns the joints whose mark is not
-    /// known any more.
+    /// Copies the reference marks that are still valid into the encoders of a run. A mark is valid if joint and settings of
+    /// the encoder are unchanged, and the terminal's latch still shows the count of the mark. `latches` are the present
+    /// latches, in bus order. Returns the joints whose mark is not valid any more.
     pub fn apply(&self, encoders: &mut [EncoderInfo], latches: &[u32]) -> Vec<u8> {
         let mut stale = Vec::new();
         for (index, info) in encoders.iter_mut().enumerate() {

@@ -1,24 +1,25 @@
-//! Messages on keys that cannot be read, and the lines of keys.
+//! Messages about keys that cannot be parsed, and line numbers of keys. The input is a message of serde or of the TOML
+//! parser; the output is a message that names the key, a suggestion, and the allowed keys or values.
 
 use toml::de::{DeTable, DeValue};
 
-/// Similarity from which an unknown name is taken as a typing error (Jaro and Winkler; 1 is the same).
+/// Smallest similarity of a wrong name to a known one at which a typing error is assumed (Jaro-Winkler; 1 for equal names).
 const ALIKE: f64 = 0.8;
 
-/// The line of a place in a text, from 1.
+/// Line number of a position in a text, from 1. `place` is the position \[bytes\].
 fn line_at(text: &str, place: usize) -> Option<usize> {
     Some(text.get(..place)?.matches('\n').count() + 1)
 }
 
-/// The line where a text stops being TOML, from 1.
+/// Number of the line at which a text stops being valid TOML, from 1.
 pub(super) fn line_of_syntax(text: &str, error: &toml::de::Error) -> Option<usize> {
     line_at(text, error.span()?.start)
 }
 
-/// The message on a text that is not TOML at `line`, from 1.
+/// The message about a text that is not valid TOML. `line` is the number of the line with the error, from 1.
 pub(super) fn syntax_message(text: &str, line: Option<usize>, error: &toml::de::Error) -> String {
     let value = || Some(text.lines().nth(line?.checked_sub(1)?)?.split_once('=')?.1.trim_start());
-    // Names and paths, such as arm or ../run.mcap.
+    // An unquoted value that starts like a name or path, such as arm or ../run.mcap.
     let is_unquoted =
         value().is_some_and(|value| value.starts_with(|c: char| c.is_alphabetic() || "./~".contains(c)));
     let hint = if text.trim_start().starts_with('<') {
@@ -31,8 +32,8 @@ pub(super) fn syntax_message(text: &str, line: Option<usize>, error: &toml::de::
     format!("this is not TOML: {}{hint}", error.message().trim_end())
 }
 
-/// The line that a message of serde on `key` is about, from 1: of an unknown key its own, of a missing key that of its table;
-/// `None` if it concerns the whole file.
+/// Number of the line that a message of serde about `key` refers to, from 1. For an unknown key, this is the line of the
+/// unknown key; for a missing key, that of its table. `None` if the message refers to the whole file.
 pub(super) fn line(text: &str, key: &str, original: &str) -> Option<usize> {
     match names(original)[..] {
         [wrong, ..] if original.starts_with("unknown field") => line_of(text, &in_table(key, wrong)),
@@ -40,12 +41,13 @@ pub(super) fn line(text: &str, key: &str, original: &str) -> Option<usize> {
     }
 }
 
-/// The names between backquotes in a message of serde.
+/// The names between backquotes in a message of serde: first the wrong or missing name, then the allowed names.
 fn names(original: &str) -> Vec<&str> {
     original.split('`').skip(1).step_by(2).collect()
 }
 
-/// The dotted path of a name in a message on `key`, which is the table of the name or the name itself.
+/// The dotted path of a name in a message about `key`. `key` is either the table that contains the name,
+/// or the name's own path.
 fn in_table(key: &str, name: &str) -> String {
     match key.rsplit_once('.') {
         Some((table, last)) if last == name => format!("{table}.{name}"),
@@ -54,7 +56,8 @@ fn in_table(key: &str, name: &str) -> String {
     }
 }
 
-/// The line of a key by its dotted path, from 1, or of the part of the path that is there; `None` if no part is.
+/// Line number of a key given by its dotted path, from 1. If the path exists only in part, the line of its last existing
+/// key; `None` if not even the first exists.
 pub(super) fn line_of(text: &str, key: &str) -> Option<usize> {
     let root = DeValue::Table(DeTable::parse(text).ok()?.into_inner());
     let (mut value, mut place) = (&root, None);
@@ -76,7 +79,7 @@ pub(super) fn line_of(text: &str, key: &str) -> Option<usize> {
     line_at(text, place?)
 }
 
-/// The known name that was probably meant by a wrong one.
+/// The known name that is most similar to a wrong one, if it is similar enough for a typing error.
 pub fn nearest<'a>(wrong: &str, known: impl Iterator<Item = &'a str>) -> Option<&'a str> {
     let wrong = wrong.to_lowercase();
     let similarities = known.map(|name| (strsim::jaro_winkler(&wrong, &name.to_lowercase()), name));
@@ -84,7 +87,8 @@ pub fn nearest<'a>(wrong: &str, known: impl Iterator<Item = &'a str>) -> Option<
     nearest.filter(|(similarity, _)| *similarity >= ALIKE).map(|(_, name)| name)
 }
 
-/// The sentence about `key`, its dotted path, from a message of serde or toml, which puts names between backquotes.
+/// Converts a message of serde or toml into a sentence about `key`, a dotted path. Those
+/// messages put names between backquotes.
 pub(super) fn message(key: &str, original: &str) -> String {
     let meant = |wrong: &str, known: &[&str]| super::did_you_mean(wrong, known.iter().copied());
     match names(original).as_slice() {
@@ -99,7 +103,7 @@ pub(super) fn message(key: &str, original: &str) -> String {
         [missing] if original.starts_with("missing field") => {
             format!("key `{}` is missing; add it", in_table(key, missing))
         }
-        // The text of serde has a name of the program.
+        // The message of serde contains the name of a type in this program, so it is replaced.
         _ if original.starts_with("data did not match any variant") => format!(
             "key `{key}`: its value has an unknown form; the comment above it in the shipped file (config/) lists the forms"
         ),

@@ -1,4 +1,7 @@
-//! Configuration from TOML files. An error names the file, the line, the key, what is wrong and what to do.
+//! Reads configuration from TOML files. An error names the file, the line, the key, what is wrong and what to do.
+//!
+//! A file is parsed into a type with serde, then its values are checked ([`Validate`]). [`load`] also accepts the name of a
+//! configuration instead of a path, if its type has a [`Kind`].
 
 mod ball_bar;
 mod daemon;
@@ -35,26 +38,26 @@ pub enum ConfigError {
         /// Error of the system call.
         source: std::io::Error,
     },
-    /// The path is neither a file nor a known name.
+    /// The path is not that of a file, and no configuration has this name.
     #[error("there is no file {} and no {} of that name{nearest} Known by name: {known}", path.display(), kind.noun())]
     Unknown {
         /// The path or name that was given.
         path: PathBuf,
         /// Kind of configuration that is needed.
         kind: Kind,
-        /// End of a sentence: the name that was probably meant, or a full stop.
+        /// End of the message's sentence: a suggestion of the known name that is most similar, or a full stop.
         nearest: String,
         /// Names of all configurations of this kind.
         known: String,
     },
-    /// The text is not TOML, a key has the wrong name or type, or the file is one of another kind.
+    /// The text is not TOML, a key has the wrong name or type, or the text is a configuration of another kind.
     #[error("{}: {message}", place(path, *line))]
     Malformed {
         /// Path of the file concerned.
         path: PathBuf,
-        /// From 1; `None` if the error has no line, such as an absent key.
+        /// Line number, from 1. `None` if the error has no line, such as an absent key.
         line: Option<usize>,
-        /// What is wrong and what was expected; of a key, its name.
+        /// What is wrong and what was expected. If a key is wrong, the message contains its name.
         message: String,
     },
     /// The value of a key is invalid.
@@ -62,7 +65,7 @@ pub enum ConfigError {
     Invalid {
         /// Path of the file concerned.
         path: PathBuf,
-        /// From 1; `None` if the key is absent.
+        /// Line number, from 1. `None` if the key is absent.
         line: Option<usize>,
         /// Dotted path of the key.
         key: String,
@@ -78,7 +81,7 @@ fn place(path: &Path, line: Option<usize>) -> String {
     format!("{}{line}", path.display())
 }
 
-/// A value that breaks a rule, named by its key; [`load`] adds the file.
+/// A value that breaks a rule. It is identified by its key; [`load`] adds path and line of the file.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Violation {
     /// Dotted path of the key.
@@ -90,12 +93,12 @@ pub struct Violation {
 }
 
 impl Violation {
-    /// The problem with the value of a key, and what to do about it.
+    /// A violation from the key, what is wrong with its value, and what to do about it.
     pub fn new(key: impl Into<String>, problem: impl Into<String>, remedy: impl Into<String>) -> Self {
         Self { key: key.into(), problem: problem.into(), remedy: remedy.into() }
     }
 
-    /// A violation of `key` unless a rule holds.
+    /// Returns a violation of `key` unless `holds` is true.
     pub fn unless(
         holds: bool,
         key: impl Into<String>,
@@ -105,7 +108,7 @@ impl Violation {
         if holds { Ok(()) } else { Err(Self::new(key, problem, remedy)) }
     }
 
-    /// A violation of `key` unless its value is a number from `low` to `high`.
+    /// Returns a violation of `key` unless its value is from `low` to `high`, both included.
     pub fn unless_within<N: PartialOrd + fmt::Display>(
         key: impl Into<String>,
         value: N,
@@ -117,16 +120,16 @@ impl Violation {
     }
 }
 
-/// Rules of a configuration that its types cannot express; they are checked after reading.
+/// Rules of a configuration that its types cannot express. They are checked after parsing.
 pub trait Validate {
-    /// The kind, if a configuration may be given by its name instead of its path.
+    /// The kind of this configuration, if it may be given by name. `None` if only a path is accepted.
     const KIND: Option<Kind> = None;
 
-    /// The first broken rule, if any.
+    /// Checks all rules, and returns the first that is broken.
     fn validate(&self) -> Result<(), Violation>;
 }
 
-/// Reads and validates a configuration file. If `T` has a [`Kind`], `path` may be a name, see [`Source::find`].
+/// Reads and validates a configuration file. If `T` has a [`Kind`], `path` may also be a name, see [`Source::find`].
 pub fn load<T: DeserializeOwned + Validate>(path: &Path) -> Result<T, ConfigError> {
     let Some(kind) = T::KIND else {
         return parse(&Source::File(path.to_owned()).text()?, path);
@@ -159,12 +162,12 @@ fn unknown(path: &Path, kind: Kind) -> ConfigError {
     }
 }
 
-/// The end of a sentence on a wrong name: the known name that is most like it, or a full stop.
+/// The end of a message about a wrong name: a suggestion of the most similar known name, or a full stop.
 fn did_you_mean<'a>(wrong: &str, known: impl Iterator<Item = &'a str>) -> String {
     nearest(wrong, known).map_or_else(|| ".".to_owned(), |name| format!("; did you mean `{name}`?"))
 }
 
-/// [`load`] on text already in memory; `path` is only named in errors.
+/// Parses and validates a text that is already in memory. `path` is used in messages only.
 pub fn parse<T: DeserializeOwned + Validate>(text: &str, path: &Path) -> Result<T, ConfigError> {
     let mut keys = Track::new();
     let value: Result<T, _> = erased_serde::deserialize(&mut *reader(text, path, &mut keys)?);
@@ -179,8 +182,8 @@ pub fn parse<T: DeserializeOwned + Validate>(text: &str, path: &Path) -> Result<
     Ok(value)
 }
 
-/// A deserializer of TOML with one type for all configurations, so that it is compiled once. It stores the path of the current
-/// key in `keys`.
+/// A deserializer for a TOML text. Its type is the same for all configurations, so that it is compiled once. It stores the
+/// path of the current key in `keys`.
 fn reader<'a>(
     text: &'a str,
     path: &Path,
@@ -191,13 +194,14 @@ fn reader<'a>(
         let message = malformed::syntax_message(text, line, &error);
         ConfigError::Malformed { path: path.to_owned(), line, message }
     })?;
-    // Given the table alone: with the text, its errors would quote the text.
+    // Only the table is passed on. If the deserializer had the text, too, its errors would quote the text.
     let toml = toml::Deserializer::from(table);
     let tracked = serde_path_to_error::Deserializer::new(toml, keys);
     Ok(Box::new(<dyn erased_serde::Deserializer>::erase(tracked)))
 }
 
-/// The error for a text that cannot be read at `key`, or that is a configuration of another kind than `kind`.
+/// The error for a text that could not be parsed at `key`. If the text is a configuration of another kind than `kind`, the
+/// message names that kind.
 fn malformed(
     text: &str,
     path: &Path,
@@ -205,7 +209,7 @@ fn malformed(
     key: &str,
     error: &erased_serde::Error,
 ) -> ConfigError {
-    // The first line has the reason; the others repeat the keys.
+    // The first line has the reason, the other lines repeat the keys.
     let error = error.to_string();
     let original = error.lines().next().unwrap_or_default();
     let (line, message) = match Kind::recognise(text).filter(|other| kind != Some(*other)) {
@@ -218,10 +222,10 @@ fn malformed(
     ConfigError::Malformed { path: path.to_owned(), line, message }
 }
 
-/// A value as the text of a TOML file. Not generic, so that the writer is compiled once.
+/// Converts a value to the text of a TOML file. Not generic, so that the serializer is compiled once.
 ///
 /// # Errors
-/// The value has a form that TOML lacks.
+/// If the value has a form that TOML cannot represent.
 pub fn to_toml(value: &dyn erased_serde::Serialize) -> Result<String, toml::ser::Error> {
     toml::to_string(value)
 }

@@ -1,4 +1,4 @@
-//! `config/robots/*.toml`: a robot's nominal geometry and how its log becomes joint angles.
+//! `config/robots/*.toml`: the nominal geometry of a robot, and the conversion of its log to joint angles.
 
 use serde::{Deserialize, Serialize};
 
@@ -6,17 +6,17 @@ use super::{Kind, Validate, Violation};
 
 /// Smallest number of axes of a robot.
 pub const AXES_MIN: usize = 2;
-/// Largest number of axes: seven of an arm and a track or turntable before it.
+/// Largest number of axes: an arm with seven axes on a track or turntable.
 pub const AXES_MAX: usize = 8;
 
 /// How an axis moves.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum JointKind {
-    /// About z: the joint variable is added to `theta`.
+    /// The axis rotates about z. The joint variable is added to `theta`.
     #[default]
     Revolute,
-    /// Along z: the joint variable is added to `d`.
+    /// The axis moves along z. The joint variable is added to `d`.
     Prismatic,
 }
 
@@ -41,7 +41,7 @@ impl JointKind {
         }
     }
 
-    /// Number of these units in the SI unit.
+    /// Conversion factor from the SI unit to the displayed unit.
     pub fn display_factor(self) -> f64 {
         match self {
             Self::Revolute => 1f64.to_degrees(),
@@ -50,18 +50,20 @@ impl JointKind {
     }
 }
 
-/// Which way the rows of a Denavit-Hartenberg table are read.
+/// Convention of a Denavit-Hartenberg table: the order of the four transforms in a row.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Convention {
-    /// `Rz(theta) Tz(d) Tx(a) Rx(alpha)`: a row ends with the way to the next axis.
+    /// `Rz(theta) Tz(d) Tx(a) Rx(alpha)`: the row starts with the motion of the axis and ends with the
+    /// transform to the next axis.
     #[default]
     Standard,
-    /// `Rx(alpha) Tx(a) Rz(theta) Tz(d)` (Craig): a row begins with the way from the axis before.
+    /// `Rx(alpha) Tx(a) Rz(theta) Tz(d)` (Craig): the row starts with the transform from the axis before
+    /// and ends with the motion.
     Modified,
 }
 
-/// A fixed transform, `T(xyz) Rz(yaw) Ry(pitch) Rx(roll)` as URDF has it.
+/// A fixed transform, `T(xyz) Rz(yaw) Ry(pitch) Rx(roll)` as in URDF.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TransformConfig {
@@ -86,16 +88,16 @@ impl TransformConfig {
     }
 }
 
-/// Longest length of a link or transform \[m\].
+/// Largest length in a link or transform \[m\].
 const LENGTH_M_MAX: f64 = 10.0;
-/// Largest angle of one \[deg\].
+/// Largest angle in a link or transform \[deg\].
 const ANGLE_DEG_MAX: f64 = 360.0;
 
 /// One link, a row of a Denavit-Hartenberg table ([`Convention`]).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LinkConfig {
-    /// How its axis moves.
+    /// Whether the axis rotates or moves along a line.
     #[serde(default, skip_serializing_if = "JointKind::is_revolute")]
     pub joint: JointKind,
     /// Length along x \[m\].
@@ -104,9 +106,9 @@ pub struct LinkConfig {
     pub alpha_deg: f64,
     /// Offset along z \[m\].
     pub d_m: f64,
-    /// Joint angle at which the model's joint variable is zero \[deg\].
+    /// Value of `theta` when the joint variable is zero \[deg\].
     pub theta_deg: f64,
-    /// Hayati's rotation about y after `alpha` \[deg\], for an axis nearly parallel to the one before.
+    /// Hayati's rotation about y after `alpha` \[deg\]. Used if the axis is nearly parallel to the axis before.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub beta_deg: f64,
 }
@@ -126,7 +128,7 @@ pub enum AngleUnit {
 }
 
 impl AngleUnit {
-    /// Radians in one unit.
+    /// Number of radians in this unit.
     pub fn to_rad(self) -> f64 {
         match self {
             Self::Rad => 1.0,
@@ -134,7 +136,7 @@ impl AngleUnit {
         }
     }
 
-    /// The name that column headers carry.
+    /// Suffix of the column headers in a log, such as `rad` in `joint1_rad`.
     pub const fn suffix(self) -> &'static str {
         match self {
             Self::Rad => "rad",
@@ -143,26 +145,27 @@ impl AngleUnit {
     }
 }
 
-/// From what the robot logs to the joint variables of the model:
-/// `q = (raw * unit - raw_offset_rad) * raw_to_joint`, row vector times matrix.
+/// Converts what the robot logs to the joint variables of the model:
+/// `q = (raw * unit - raw_offset_rad) * raw_to_joint`, with row vectors.
 ///
-/// It covers motor logs (gear ratios and wrist coupling) as well as joint logs with other signs and a
-/// parallel rod between joints 2 and 3.
+/// It covers logs of motor angles (with gear ratios and wrist coupling) as well as logs of joint angles with other signs,
+/// and robots with a parallel rod between joints 2 and 3.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LogConversion {
-    /// Prefix of the columns in the log, so that `motor` reads `motor1_rad` to `motor6_rad`.
+    /// Prefix of the columns in the log. With `motor`, the columns `motor1_rad` to `motor6_rad` are read.
     pub column: String,
     /// Unit of the log's angles; columns of prismatic axes are in metres (`joint1_m`).
     pub unit: AngleUnit,
-    /// Value of each column where the robot is at its mechanical zero \[rad, m\].
+    /// Value of each column when the robot is at its mechanical zero \[rad, m\].
     pub raw_offset_rad: Vec<f64>,
-    /// Square, with a row for each axis: row i has the contributions of column i of the log to all joints.
+    /// Square matrix with one row for each axis. Row i contains the contributions of column i of the log to all joints.
     pub raw_to_joint: Vec<Vec<f64>>,
 }
 
 impl LogConversion {
-    /// For a log with the joint variables of the model: offsets of zero and the unit matrix.
+    /// The conversion of a log that already contains the joint variables of the model: offsets are zero,
+    /// the matrix is the identity.
     pub fn direct(unit: AngleUnit, axes: usize) -> Self {
         let row = |i: usize| (0..axes).map(|j| f64::from(u8::from(i == j))).collect();
         let raw_to_joint = (0..axes).map(row).collect();
@@ -192,15 +195,16 @@ impl LogConversion {
     }
 }
 
-/// Known facts on a robot's gears. Everything may be absent.
+/// What is known about a robot's gears. Every field may be absent.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DrivesConfig {
-    /// Lobes of the cycloid gear of each axis: periods of its error in one turn; 0 if it has none or they are unknown.
+    /// Number of lobes of the cycloid gear of each axis, which is the number of periods of its error in one turn. 0 if the
+    /// axis has no such gear, or if the number is unknown.
     pub cycloid_lobes: Vec<f64>,
-    /// Turns of the motor for one turn of each axis; 0 if unknown. Motor logs need none.
+    /// Turns of the motor for one turn of each axis, 0 if unknown. Not needed if the log contains motor angles.
     pub motor_turns: Vec<f64>,
-    /// Direction of gravity in the robot's base, of any length; absent: a robot that stands upright.
+    /// Direction of gravity in the robot's base frame, of any length. If absent, the robot stands upright.
     pub gravity: Option<[f64; 3]>,
 }
 
@@ -239,12 +243,12 @@ impl DrivesConfig {
     }
 }
 
-/// Makers whose controllers differ in their programming language and joint definitions.
+/// Robot makers whose controllers differ in their programming language and in their definition of joint angles.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Maker {
     /// ABB: RAPID.
     Abb,
-    /// FANUC: TP; joint 3 of the controller is measured from the horizontal, not from the upper arm.
+    /// FANUC: TP. The controller measures joint 3 from the horizontal, not from the upper arm.
     Fanuc,
     /// KUKA: KRL.
     Kuka,
@@ -253,8 +257,8 @@ pub enum Maker {
 }
 
 impl Maker {
-    /// The maker in a robot's name: any of its words, in upper or lower case, separated by anything but letters and digits,
-    /// such as `ABB IRB 2400/16`, `kuka_kr6r700sixx` or `ur5e_robot`.
+    /// Determines the maker from a robot's name. The name is split into words at every character that is neither a letter
+    /// nor a digit; upper and lower case do not matter. Examples: `ABB IRB 2400/16`, `kuka_kr6r700sixx`, `ur5e_robot`.
     pub fn in_name(name: &str) -> Option<Self> {
         let mut words = name.split(|letter: char| !letter.is_alphanumeric()).map(str::to_lowercase);
         words.find_map(|word| match word.as_str() {
@@ -279,49 +283,50 @@ impl Maker {
     }
 }
 
-/// A robot: two to eight axes in a row, nominal values from its data sheet.
+/// A robot: a serial chain of two to eight axes, with the nominal values of its data sheet.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RobotConfig {
     /// Maker and model of the robot.
     pub name: String,
-    /// How the links are read.
+    /// Convention of the table in `links`.
     #[serde(default)]
     pub convention: Convention,
-    /// From the robot's base frame to where link 1 begins.
+    /// Transform from the robot's base frame to the beginning of link 1.
     #[serde(default, skip_serializing_if = "TransformConfig::is_identity")]
     pub base: TransformConfig,
-    /// From where the last link ends to the flange.
+    /// Transform from the end of the last link to the flange.
     #[serde(default, skip_serializing_if = "TransformConfig::is_identity")]
     pub flange: TransformConfig,
-    /// Base to flange, one for each axis; plate and tool of the ball-bar follow after the flange.
+    /// One link for each axis, from base to flange. The plate and tool of the ball-bar are added after the flange.
     pub links: Vec<LinkConfig>,
     /// Lower and upper limit of each revolute joint variable of the model \[deg\].
     #[serde(default)]
     pub joint_limits_deg: Vec<[f64; 2]>,
-    /// Of each prismatic one \[m\].
+    /// Lower and upper limit of each prismatic joint variable of the model \[m\].
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub joint_limits_m: Vec<[f64; 2]>,
-    /// How the log becomes joint variables.
+    /// Conversion of the robot's log to joint variables.
     pub log: LogConversion,
-    /// Gears and gravity of the robot.
+    /// Gears of the robot and direction of gravity.
     #[serde(default)]
     pub drives: DrivesConfig,
 }
 
 impl RobotConfig {
-    /// Number of axes, which is that of the links.
+    /// Number of axes, which equals the number of links.
     pub fn axes(&self) -> usize {
         self.links.len()
     }
 
-    /// The maker by the robot's name; `None` for any other.
+    /// The maker according to the robot's name; `None` if the name contains none of the known makers.
     pub fn maker(&self) -> Option<Maker> {
         Maker::in_name(&self.name)
     }
 
-    /// Whether the controller counts joint 3 from the horizontal, as its maker and model do: its value stays the same when joint 2
-    /// alone turns. FANUC counts so; on some arms of ABB a parallel rod keeps the direction of the forearm.
+    /// Whether the controller measures joint 3 from the horizontal. Its value then does not change when joint 2 alone turns.
+    /// This is the case for FANUC, and for some ABB arms, whose parallel rod keeps the direction of the forearm. Decided by
+    /// the robot's name.
     pub fn counts_joint_3_from_horizontal(&self) -> bool {
         const WITH_PARALLEL_ROD: [&str; 7] = ["1400", "1410", "2400", "4400", "6400", "6660", "8700"];
         match self.maker() {
@@ -334,7 +339,7 @@ impl RobotConfig {
         }
     }
 
-    /// How each axis moves.
+    /// Whether each axis rotates or moves along a line, from base to flange.
     pub fn joint_kinds(&self) -> impl Iterator<Item = JointKind> + Clone + '_ {
         self.links.iter().map(|link| link.joint)
     }
@@ -392,7 +397,7 @@ impl Validate for RobotConfig {
     }
 }
 
-/// Every number of every link is finite, and every length and angle is plausible for a robot.
+/// Checks that every number of every link is finite, and that every length and angle is plausible for a robot.
 pub(super) fn validate_links(key: &str, links: &[LinkConfig]) -> Result<(), Violation> {
     for (index, link) in links.iter().enumerate() {
         let lengths = [("a_m", link.a_m), ("d_m", link.d_m)];
@@ -409,7 +414,7 @@ pub(super) fn validate_links(key: &str, links: &[LinkConfig]) -> Result<(), Viol
     Ok(())
 }
 
-/// Determinant by elimination with row pivoting, to test whether it is zero.
+/// Determinant by elimination with row pivoting. Used only to test whether it is zero.
 fn determinant(matrix: &[Vec<f64>]) -> f64 {
     let mut m = matrix.to_vec();
     let mut determinant = 1.0;

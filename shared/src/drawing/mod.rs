@@ -1,24 +1,25 @@
-//! The double ball-bar as an SVG: lengths to scale, joints as symbols. The book, the technician's page and the report show it.
+//! Draws the double ball-bar as an SVG. Lengths are to scale, joints are drawn as symbols of fixed size. The book, the
+//! technician's page and the report contain the drawing.
 
 mod pen;
 
 use self::pen::{Pen, Vector};
 use crate::config::BallBarConfig;
 
-/// Width of bar and plate \[px\].
+/// Horizontal extent of rod and plate together \[px\].
 const WIDTH_PX: f64 = 560.0;
 /// Angle of the rod from the axis of its base \[deg\].
 const TILT_DEG: f64 = 60.0;
 /// Azimuth and elevation of the observer \[deg\].
 const OBSERVER_DEG: [f64; 2] = [-22.0, 22.0];
-/// From the bar to the robot.
+/// Direction from the bar to the robot.
 const X: Vector = Vector([1.0, 0.0, 0.0]);
-/// Away from the observer.
+/// Direction away from the observer.
 const Y: Vector = Vector([0.0, 1.0, 0.0]);
-/// Up.
+/// Direction upward, against gravity.
 const Z: Vector = Vector([0.0, 0.0, 1.0]);
 
-/// Lines and letters. `--ink`, `--paper` and `--accent` are colours of the page around the drawing.
+/// Style of lines and text. The page around the drawing defines the colours `--ink`, `--paper` and `--accent`.
 const STYLE: &str = "<style>
 .bar-drawing{color:var(--ink);font:15px system-ui,sans-serif}
 .bar-drawing path{fill:none;stroke:currentColor;stroke-width:1.5;stroke-linejoin:round;stroke-linecap:round}
@@ -31,20 +32,20 @@ const STYLE: &str = "<style>
 </style>
 ";
 
-/// Colours of a drawing that is a file of its own.
+/// Colours for a drawing in a file of its own.
 const COLOURS: &str = "<style>
 svg{--ink:#1b2430;--paper:#fff;--accent:#9cc3e6;background:var(--paper)}
 @media(prefers-color-scheme:dark){svg{--ink:#e6eaef;--paper:#1b1f24;--accent:#2f6ea8}}
 </style>
 ";
 
-/// The drawing for a page that has the colours `--ink`, `--paper` and `--accent`. Joint `n` is the element `bar-joint-n`, of the
-/// class `bar-joint`.
+/// The drawing for a page that defines the colours `--ink`, `--paper` and `--accent`. Joint `n` is the SVG element with the
+/// identifier `bar-joint-n` and the class `bar-joint`.
 pub fn ball_bar(bar: &BallBarConfig) -> String {
     svg(bar, STYLE)
 }
 
-/// The drawing as a file of its own.
+/// The drawing as an SVG file with colours of its own.
 pub fn ball_bar_file(bar: &BallBarConfig) -> String {
     svg(bar, &[COLOURS, STYLE].concat())
 }
@@ -63,12 +64,13 @@ fn svg(bar: &BallBarConfig, style: &str) -> String {
     pen.finish("class=\"bar-drawing\" role=\"img\" aria-labelledby=\"bar-title bar-desc\"", &head)
 }
 
-/// A length for a person, to the micrometre.
+/// Text of a length for people \[mm\], rounded to a micrometre.
 fn mm(length_m: f64) -> String {
     format!("{} mm", (length_m * 1e6).round() / 1e3)
 }
 
-/// All parts from back to front: the rod is tilted towards the robot, whose flange looks down. Numbers are sizes of symbols \[px\].
+/// Draws all components from back to front. The rod is tilted towards the robot, whose flange faces down. Constants are the
+/// sizes of symbols \[px\].
 fn draw(pen: &mut Pen, bar: &BallBarConfig) {
     let (sin, cos) = TILT_DEG.to_radians().sin_cos();
     let px_per_m = WIDTH_PX / (bar.length_m * sin + bar.plate_m);
@@ -77,9 +79,11 @@ fn draw(pen: &mut Pen, bar: &BallBarConfig) {
     let (rod, across) = (X * sin + Z * cos, Z * sin - X * cos);
     let (gimbal, cardan) = (Vector([0.0; 3]), rod * length);
     let axis6 = cardan + X * plate;
-    // Links 1 to 3 turn the axis by a quarter to one or the other side, which gives the sense of axes 2 and 4.
+    // The twist of links 1 to 3 is a quarter turn to either side. Its sign determines the positive direction
+    // of axes 2 and 4.
     let twist = |link: usize| bar.links.get(link).map_or(1.0, |link| link.alpha_deg.signum());
     let axes = [Z, Y * -twist(0), rod, Y * (twist(0) * twist(1) * twist(2)), -Z];
+    // Draws a joint: its encoder if it has one, an arrow for its positive direction, and its name.
     let joint = |pen: &mut Pen, number: usize, ends: [Vector; 2], beside: [f64; 2]| {
         pen.group(&format!("class=\"bar-joint\" id=\"bar-joint-{number}\""), |pen| {
             if bar.encoders.iter().any(|encoder| usize::from(encoder.joint) == number) {
@@ -144,13 +148,13 @@ fn draw(pen: &mut Pen, bar: &BallBarConfig) {
     pen.dimension(ends, Z * 30.0, &format!("plate {}", mm(bar.plate_m)));
 }
 
-/// The arm of a fork behind its pin, and the piece between the arms; `back` points from the pin to that piece.
+/// The rear arm of a fork, and the crosspiece between its arms. `back` is the direction from the pin to the crosspiece.
 fn fork_behind(pen: &mut Pen, centre: Vector, back: Vector) {
     fork_arm(pen, centre + Y * 36.0, back);
     pen.block("body", centre + back * 66.0, [Y * 41.0, back * 6.0, Y.cross(back) * 11.0]);
 }
 
-/// One arm of a fork from its pin, `end`, backwards.
+/// One arm of a fork. It begins at the pin, `end`, and extends in the direction `back`.
 fn fork_arm(pen: &mut Pen, end: Vector, back: Vector) {
     pen.block("body", end + back * 23.0, [Y * 5.0, back * 37.0, Y.cross(back) * 11.0]);
 }

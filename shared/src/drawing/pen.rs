@@ -1,4 +1,4 @@
-//! Solids, arrows and lengths in parallel projection, as elements of an SVG.
+//! Projects solids, arrows and dimensions in parallel and writes them as elements of an SVG.
 
 use std::fmt::Write;
 use std::ops::{Add, Mul, Neg, Sub};
@@ -51,12 +51,12 @@ impl Sub for Vector {
     }
 }
 
-/// A point of the SVG, right and down \[px\].
+/// A point of the SVG \[px\]. The first coordinate points right, the second down.
 type PointPx = [f64; 2];
 
-/// A coordinate of the SVG, to a tenth of a pixel.
+/// Rounds a coordinate of the SVG to a tenth of a pixel.
 fn px(value: f64) -> f64 {
-    // The sum has no negative zero.
+    // Adding 0.0 turns a negative zero into a positive one.
     (value * 10.0).round() / 10.0 + 0.0
 }
 
@@ -66,12 +66,12 @@ fn unit(from: PointPx, to: PointPx) -> PointPx {
     [x, y].map(|part| part / x.hypot(y).max(f64::MIN_POSITIVE))
 }
 
-/// Draws from back to front: an element covers those before it.
+/// Collects the elements of a drawing from back to front: each element covers those before it.
 #[derive(Debug)]
 pub struct Pen {
     right: Vector,
     up: Vector,
-    /// From the drawing to the observer.
+    /// Direction from the drawing to the observer.
     towards: Vector,
     elements: String,
     low: PointPx,
@@ -79,7 +79,8 @@ pub struct Pen {
 }
 
 impl Pen {
-    /// For an observer in the direction of `-y`, turned about z, then raised \[deg\].
+    /// A pen for an observer looking along `+y`. The observer is first turned about z by the azimuth, then raised by the
+    /// elevation \[deg\].
     pub fn new([azimuth_deg, elevation_deg]: [f64; 2]) -> Self {
         let (sin, cos) = azimuth_deg.to_radians().sin_cos();
         let (sin_elevation, cos_elevation) = elevation_deg.to_radians().sin_cos();
@@ -93,7 +94,7 @@ impl Pen {
         [point.dot(self.right), -point.dot(self.up)]
     }
 
-    /// Extends the bounds of the drawing to a point.
+    /// Enlarges the bounds of the drawing so that they contain a point.
     fn include(&mut self, place: PointPx) {
         for (i, value) in place.into_iter().enumerate() {
             (self.low[i], self.high[i]) = (self.low[i].min(value), self.high[i].max(value));
@@ -104,21 +105,21 @@ impl Pen {
         _ = writeln!(self.elements, "<path class=\"{class}\" d=\"{data}\"/>");
     }
 
-    /// A path through corners; with `end` `Z` it is closed.
+    /// A path along corners. It is closed if `end` is `Z`, open if `end` is empty.
     fn corners(&mut self, class: &str, corners: &[PointPx], end: &str) {
         corners.iter().for_each(|corner| self.include(*corner));
         let points: Vec<String> = corners.iter().map(|[x, y]| format!("{} {}", px(*x), px(*y))).collect();
         self.path(class, &format!("M{}{end}", points.join("L")));
     }
 
-    /// The tip of an arrow at `to`.
+    /// The tip of an arrow that points from `from` to `to`; the tip is at `to`.
     fn tip(&mut self, from: PointPx, to: PointPx) {
         let [x, y] = unit(from, to);
         let side = |half: f64| [to[0] - 10.0 * x - half * y, to[1] - 10.0 * y + half * x];
         self.corners("tip", &[to, side(3.5), side(-3.5)], "Z");
     }
 
-    /// A group of the elements that `draw` makes.
+    /// Puts the elements that `draw` adds into a group with these attributes.
     pub fn group(&mut self, attributes: &str, draw: impl FnOnce(&mut Self)) {
         _ = writeln!(self.elements, "<g {attributes}>");
         draw(self);
@@ -131,9 +132,10 @@ impl Pen {
         self.corners(class, &points, "");
     }
 
-    /// A cylinder between the centres of its ends: its outline, then the end that the observer sees.
+    /// A cylinder, given by the centres of its ends. First its outline is drawn, then the end that faces the observer.
     pub fn cylinder(&mut self, class: &str, ends: [Vector; 2], radius: f64) {
-        // Its ends are ellipses; this is the ratio of their axes, below zero if the observer sees the first end.
+        // The ends appear as ellipses. `ratio` is that of minor to major axis; it is negative if the
+        // first end faces the observer.
         let ratio = (ends[1] - ends[0]).unit().dot(self.towards);
         let [near, far] = if ratio < 0.0 { ends } else { [ends[1], ends[0]] }.map(|end| self.project(end));
         let [x, y] = unit(far, near).map(|part| part * radius);
@@ -148,9 +150,9 @@ impl Pen {
         self.path(class, &format!("M{right}{arc} {left}{arc} {right}Z"));
     }
 
-    /// A block around its centre, by its half edges.
+    /// A block, given by its centre and three half edges.
     pub fn block(&mut self, class: &str, centre: Vector, halves: [Vector; 3]) {
-        // The observer sees three faces: of each opposite pair the one that is nearer.
+        // The observer sees three faces: the nearer one of each opposite pair.
         for turn in 0..3 {
             let [normal, a, b] = [0, 1, 2].map(|i| halves[(turn + i) % 3]);
             let face_centre = centre + normal * normal.dot(self.towards).signum();
@@ -159,14 +161,14 @@ impl Pen {
         }
     }
 
-    /// An axis of a frame, with its name at the tip.
+    /// An axis of a coordinate frame, with its name at the tip.
     pub fn axis(&mut self, from: Vector, to: Vector, beside: PointPx, name: &str) {
         self.line("thin", &[from, to - (to - from).unit() * 6.0]);
         self.tip(self.project(from), self.project(to));
         self.label(to, beside, name);
     }
 
-    /// An arrow about an axis, in the direction of the right-hand rule, on the observer's side.
+    /// A curved arrow about an axis, in the direction of the right-hand rule, on the side that faces the observer.
     pub fn turn(&mut self, centre: Vector, axis: Vector, radius: f64) {
         let front = (self.towards - axis * self.towards.dot(axis)).unit();
         let side = axis.cross(front);
@@ -179,7 +181,8 @@ impl Pen {
         self.tip(self.project(point_at(100)), self.project(point_at(116)));
     }
 
-    /// A dimension beside the line between two points, from left to right, with a text above it.
+    /// A dimension line parallel to the line between two points, at the distance `beside`. `ends` are in order from left to
+    /// right. `text` is written above the line.
     pub fn dimension(&mut self, ends: [Vector; 2], beside: Vector, text: &str) {
         for end in ends {
             self.line("thin", &[end, end + beside + beside.unit() * 6.0]);
@@ -198,9 +201,9 @@ impl Pen {
         );
     }
 
-    /// A text beside a point: it begins at `beside` if that is to the right, and ends there otherwise.
+    /// A text next to a point. If `beside` points right, the text begins there; otherwise it ends there.
     pub fn label(&mut self, point: Vector, beside: PointPx, text: &str) {
-        /// Width of a character, and height of a line.
+        /// Width of a character and height of a line \[px\].
         const CHARACTER_PX: PointPx = [7.5, 14.0];
         let point = self.project(point);
         let [x, y] = [0, 1].map(|i| px(point[i] + beside[i]));
@@ -210,7 +213,7 @@ impl Pen {
         _ = writeln!(self.elements, "<text x=\"{x}\" y=\"{y}\" text-anchor=\"{anchor}\">{text}</text>");
     }
 
-    /// The SVG of all elements; `head` is its content before them.
+    /// The SVG with all elements. `head` is inserted before them.
     pub fn finish(self, attributes: &str, head: &str) -> String {
         const MARGIN_PX: f64 = 12.0;
         let [left, top] = self.low.map(|low| (low - MARGIN_PX).floor());
