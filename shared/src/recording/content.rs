@@ -1,5 +1,8 @@
-//! From MCAP records to the content of a recording ([`Item`]): metadata with their own checksums, cycles, events. The reader and
-//! the recovery decode with it; the writer makes its metadata records here.
+//! Converts MCAP records to the content of a recording ([`Item`]): metadata, cycles, events. Reader and recovery use the
+//! [`Decoder`] for this; the writer builds its metadata records here. Our metadata records have a checksum of their own.
+//!
+//! Counts of an encoder are relative to an *origin*, which changes when the counter restarts. Files of older programs only
+//! flag the first cycle of a new origin; new files have a number in each cycle ([`CycleLayout`]).
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -13,28 +16,28 @@ use super::schema::{CycleRecord, EncoderInfo, Event, MAX_ENCODERS, RunEnd, RunMe
 use super::timing::TimingSummary;
 use crate::encoder::{EncoderScale, INTERPOLATION_BITS};
 
-/// Name of the writing library in a recording, before its version.
+/// Name of the library in the MCAP header of a recording. The version follows it.
 pub(super) const LIBRARY_NAME: &str = "ballbard ";
 
-/// Numbers that a recording's channels of cycles and of events have: they are the first that the writer adds.
+/// Channel numbers of the cycles and the events. They are the first two that the writer adds.
 pub(super) const USUAL_CHANNELS: [u16; 2] = [1, 2];
 
-/// Names of the metadata records at the beginning and the end of a run.
+/// Names of the metadata records at the beginning and at the end of a run.
 pub(super) const RUN_METADATA: &str = "ballbard.run";
 pub(super) const END_METADATA: &str = "ballbard.end";
-/// Name of the metadata records of the loop's timing; each replaces those before it.
+/// Name of the metadata records with the loop's timing. Each record replaces the records before it.
 pub(super) const TIMING_METADATA: &str = "ballbard.timing";
 
-/// Names of all metadata records with a checksum of their own.
+/// Names of all metadata records that have a checksum of their own.
 pub(super) const OUR_METADATA: [&str; 3] = [RUN_METADATA, END_METADATA, TIMING_METADATA];
 
-/// Key under which those records hold their content as JSON.
+/// Key of the content in those metadata records. The content is JSON.
 const CONTENT_KEY: &str = "json";
-/// Key of the CRC-32 of that JSON, in hexadecimal. MCAP protects metadata only by the checksum at the end of
-/// the file, which a run that was cut short does not have.
+/// Key of the CRC-32 of that JSON, in hexadecimal. MCAP itself protects metadata only by a checksum at the end of the file,
+/// and the file of an interrupted run has no such end.
 const CHECKSUM_KEY: &str = "crc32";
 
-/// A metadata record with `content` and its checksum.
+/// Builds a metadata record from `content`, with its checksum.
 pub(super) fn metadata_of(name: &str, content: &impl Serialize) -> Result<Metadata, serde_json::Error> {
     let json = serde_json::to_string(content)?;
     let checksum = checksum_of(&json);
@@ -42,32 +45,33 @@ pub(super) fn metadata_of(name: &str, content: &impl Serialize) -> Result<Metada
     Ok(Metadata { name: name.to_owned(), metadata })
 }
 
-/// The run's metadata as they lie in the file.
+/// The metadata of a run as stored in the file.
 #[derive(Serialize, Deserialize)]
 struct StoredRun<Run> {
     #[serde(flatten)]
     run: Run,
-    /// Each cycle has the number of its origin, as in the schema, which a damaged file may have lost.
+    /// Whether each cycle contains the number of its origin. The schema has the same information, but a damaged
+    /// file may have lost it.
     #[serde(default)]
     origin_numbers: bool,
-    /// [`RunMetadata::is_simulated`] for other readers of the file.
+    /// The value of [`RunMetadata::is_simulated`], for other programs that read the file.
     #[serde(default)]
     simulated: bool,
 }
 
-/// The metadata record of a run.
+/// Builds the metadata record of a run.
 pub(super) fn metadata_of_run(run: &RunMetadata) -> Result<Metadata, serde_json::Error> {
     metadata_of(RUN_METADATA, &StoredRun { run, origin_numbers: true, simulated: run.is_simulated() })
 }
 
-/// The run that a metadata record is about, and how its cycles are laid out.
+/// Parses the metadata record of a run. Returns the run and the layout of its cycles.
 pub(super) fn run_of(metadata: &Metadata) -> Result<(RunMetadata, CycleLayout), ReadErrorKind> {
     let StoredRun { run, origin_numbers, simulated: _ } = content_of(RUN_METADATA, metadata)?;
     check_encoders(&run)?;
     Ok((run, if origin_numbers { CycleLayout::OriginNumber } else { CycleLayout::OriginFlag }))
 }
 
-/// The content of a metadata record, if it is what was written.
+/// Parses the content of a metadata record. Fails if its checksum is wrong or missing.
 pub(super) fn content_of<T: DeserializeOwned>(
     name: &'static str,
     metadata: &Metadata,
@@ -81,13 +85,13 @@ pub(super) fn content_of<T: DeserializeOwned>(
     serde_json::from_str(json).map_err(|error| problem(error.to_string()))
 }
 
-/// Whether a metadata record has its own checksum, and that is right.
+/// Whether a metadata record has a checksum of its own and the checksum is correct.
 pub(super) fn is_proven(metadata: &Metadata) -> bool {
     let value = |key| metadata.metadata.get(key);
     value(CONTENT_KEY).zip(value(CHECKSUM_KEY)).is_some_and(|(json, checksum)| *checksum == checksum_of(json))
 }
 
-/// Refuses encoders that no configuration allows.
+/// Refuses encoder settings that no configuration allows.
 fn check_encoders(run: &RunMetadata) -> Result<(), ReadErrorKind> {
     let possible = |encoder: &EncoderInfo| {
         encoder.scale.lines > 0 && INTERPOLATION_BITS.contains(&encoder.scale.interpolation_bits)
@@ -106,7 +110,7 @@ fn checksum_of(json: &str) -> String {
     format!("{:08x}", crc32fast::hash(json.as_bytes()))
 }
 
-/// Content of one of our records.
+/// Decoded content of one of our records.
 #[derive(Debug)]
 pub(super) enum Item {
     Run(Box<RunMetadata>),
@@ -116,28 +120,28 @@ pub(super) enum Item {
     End(RunEnd),
 }
 
-/// A channel of ours.
+/// A channel whose messages are decoded. Our other channels only repeat their content for other programs.
 #[derive(Debug, Clone, Copy)]
 enum OurChannel {
     Cycles(CycleLayout),
     Events,
 }
 
-/// Understands the records of one recording, in the order in which they come.
+/// Decodes the records of one recording. They must be passed in the order of the file.
 #[derive(Default)]
 pub(super) struct Decoder {
-    /// Name of each schema, and how it marks a new origin of the counts.
+    /// For each schema, by its number: its name, and how its cycles mark a new origin.
     schemas: HashMap<u16, (String, CycleLayout)>,
-    /// Every channel that is declared; none for those that are not ours (added by another tool).
+    /// All declared channels, by number. The value is `None` for channels whose messages are not decoded.
     channels: HashMap<u16, Option<OurChannel>>,
-    /// Messages may be on channels whose declaration is lost.
+    /// Whether messages are accepted on undeclared channels, because the declaration may be lost.
     beginning_may_be_lost: bool,
     origins: FlaggedOrigins,
 }
 
 impl Decoder {
-    /// For files whose beginning may be lost: channels that are not declared yet have the numbers that
-    /// [`RecordingWriter`](super::RecordingWriter) gives them.
+    /// A decoder for files whose beginning may be lost. An undeclared channel is assumed to have the number that
+    /// [`RecordingWriter`](super::RecordingWriter) assigns to it.
     pub fn with_usual_channels(layout: CycleLayout) -> Self {
         let [cycles, events] = USUAL_CHANNELS;
         let channels =
@@ -145,7 +149,7 @@ impl Decoder {
         Self { channels, beginning_may_be_lost: true, ..Self::default() }
     }
 
-    /// Content of the record; `None` if it is not ours or only declares others.
+    /// Decodes a record. `None` if the record is not ours, or only declares a schema or channel.
     pub fn decode(&mut self, record: Record<'_>) -> Result<Option<Item>, ReadErrorKind> {
         Ok(match record {
             Record::Metadata(metadata) if metadata.name == RUN_METADATA => {
@@ -172,7 +176,7 @@ impl Decoder {
         })
     }
 
-    /// Remembers a channel, and which of ours it is.
+    /// Stores a channel and whether it is one of our channels.
     fn take_channel(&mut self, channel: &Channel) {
         let ours = self.schemas.get(&channel.schema_id).and_then(|(name, layout)| {
             let is = |topic: &messages::Topic| channel.topic == topic.topic && name == topic.schema_name;
@@ -214,13 +218,14 @@ impl Decoder {
     }
 }
 
-/// Numbers the origins of a file that only flags the first record of each. A lost record may have had such a flag, so the records
-/// after it get a new origin: a needless one costs a few parameters, a missed one corrupts the calibration.
+/// Numbers the origins of a file that only flags the first record of each. If a record was lost, it may have had
+/// that flag. Therefore the records after it get a new origin. An unnecessary origin costs a few parameters, a
+/// missed one corrupts the calibration.
 #[derive(Default)]
 struct FlaggedOrigins {
     origin: u32,
     next_cycle: u64,
-    /// Whether a record was lost since the last whole one.
+    /// Whether a record was lost since the last record that is not lost.
     is_after_loss: bool,
 }
 

@@ -1,5 +1,5 @@
-//! Summary at the end of a recording, so that a list of hundreds of recordings reads none of them whole: the markers, and the
-//! invalid cycles with their reasons.
+//! Collects the summary that is stored at the end of a recording: its markers, and its invalid cycles with their reasons.
+//! With it, hundreds of recordings can be listed without reading any of them completely.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -7,9 +7,9 @@ use serde::{Deserialize, Serialize};
 use super::schema::{CycleRecord, EncoderSample, Event, EventKind, flags};
 use crate::time::UtcNs;
 
-/// Markers that the end of a recording repeats; all of them are among its events.
+/// Largest number of markers in the summary. All markers are among the recording's events.
 const MARKS_MAX: usize = 50;
-/// Longest text of a marker there; longer ones are cut.
+/// Longest text of a marker in the summary \[characters\]. Longer texts are cut.
 const MARK_CHARS_MAX: usize = 300;
 
 /// A marker of a run.
@@ -40,7 +40,7 @@ pub struct Flagged {
 #[derive(Debug, Default)]
 pub(super) struct Digest {
     marks: Vec<RunMark>,
-    /// Each with the number of its last cycle.
+    /// Each entry with the number of its last cycle.
     flagged: Vec<(Flagged, u64)>,
 }
 
@@ -70,6 +70,7 @@ impl Digest {
     }
 
     fn count(&mut self, joint: Option<u8>, reason: &str, cycle: u64) {
+        // Whether an entry has this joint and this reason.
         let same = |(flagged, _): &&mut (Flagged, u64)| flagged.joint == joint && flagged.reason == reason;
         if let Some((flagged, last)) = self.flagged.iter_mut().find(same) {
             flagged.periods += u64::from(cycle > *last + 1);
@@ -90,10 +91,11 @@ impl Digest {
     }
 }
 
-/// Bits of an EL5021's status word (Beckhoff, index 0x6000), which are more specific than the flags of their cycle.
+/// Bits of an EL5021's status word (Beckhoff, index 0x6000) with their meaning. They are more specific than
+/// the flags of a cycle.
 const STATUS_REASONS: [(u16, &str); 2] = [(1 << 4, "signal too low"), (1 << 3, "turned too fast")];
 
-/// Flags in the order in which they explain a missing sample.
+/// Flags of a cycle with their meaning, in order of precedence as the reason of an invalid sample.
 const FLAG_REASONS: [(u32, &str); 9] = [
     (flags::LOST, "lost before the file"),
     (flags::BUS_DOWN, "bus down"),
@@ -106,10 +108,11 @@ const FLAG_REASONS: [(u32, &str); 9] = [
     (flags::NO_DC, "no distributed clock"),
 ];
 
-/// Flags of cycles whose status words may be old, because the bus did not reply.
+/// In cycles with one of these flags, the status words may be old, because the bus did not reply.
 const NO_STATUS: u32 = flags::LOST | flags::BUS_DOWN | flags::NO_REPLY;
 
-/// Why a sample is not valid: by the status word of its terminal, unless that may be old, otherwise by the flags of its cycle.
+/// The reason why a sample is not valid. The status word of the terminal is used first, unless it may be old; then
+/// the flags of the cycle.
 fn reason(encoder: Option<&EncoderSample>, flags: u32) -> &'static str {
     let status = encoder.filter(|_| flags & NO_STATUS == 0).map_or(0, |encoder| encoder.status);
     let by_status = STATUS_REASONS.iter().find(|(bit, _)| status & bit != 0).map(|(_, reason)| *reason);

@@ -1,6 +1,6 @@
-//! Every call to the disk for recordings, their recovery and lists, claims, reference marks and the log.
+//! Every call to the disk: for recordings, their recovery and lists, claims, reference marks and the log.
 //!
-//! The methods are the system's own; a test overrides them to refuse, delay or cut short any call.
+//! The default methods of [`Disk`] call the operating system. A test overrides them to refuse, delay or cut short any call.
 
 use std::fmt::{self, Debug};
 use std::fs::{File, Metadata, OpenOptions};
@@ -15,13 +15,13 @@ use nix::fcntl::{AT_FDCWD, Flock, FlockArg, RenameFlags, renameat2};
 use nix::sys::statvfs::statvfs;
 use nix::unistd::{AccessFlags, access, write};
 
-/// Device, inode and time of creation: which file it is, whatever its name. The time is needed because a new file may get the
-/// inode of a removed one.
+/// Identifies a file independently of its name: by device, inode and time of creation. The time is needed because a new file
+/// may get the inode of a removed file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FileId {
     device: u64,
     inode: u64,
-    /// `None` if the file system does not record it.
+    /// Time of creation. `None` if the file system does not record it.
     made: Option<SystemTime>,
 }
 
@@ -43,38 +43,40 @@ impl fmt::Display for FileId {
 pub struct Space {
     /// Bytes that this user may still write.
     pub free_bytes: u64,
-    /// The directory takes files: it is one, this user may, and its file system is not read-only.
+    /// Whether files can be created there: the path is a directory, this user may write, and its file system is not
+    /// read-only.
     pub is_writable: bool,
 }
 
-/// The disk, call by call. Each may block for as long as the disk likes.
+/// Operations on a disk. Each call may block for any time.
 pub trait Disk: Debug + Send + Sync {
-    /// Makes a directory and those above it; one that is there is fine.
+    /// Creates a directory and its missing parents. Succeeds if the directory exists.
     fn make_directory(&self, directory: &Path) -> io::Result<()> {
         std::fs::create_dir_all(directory)
     }
 
-    /// A new file, empty.
+    /// Opens a new file for reading and writing. An existing file is emptied.
     fn create(&self, path: &Path) -> io::Result<File> {
         OpenOptions::new().read(true).write(true).create(true).truncate(true).open(path)
     }
 
-    /// A file that is there, for reading.
+    /// Opens an existing file for reading.
     fn open(&self, path: &Path) -> io::Result<File> {
         File::open(path)
     }
 
-    /// What is in a directory, in no order.
+    /// Paths of the entries of a directory, in no particular order.
     fn list(&self, directory: &Path) -> io::Result<Vec<PathBuf>> {
         std::fs::read_dir(directory)?.map(|entry| Ok(entry?.path())).collect()
     }
 
-    /// Locks a file against every other process; `WouldBlock` if one has locked it.
+    /// Locks a file exclusively. Fails with `WouldBlock` if another process has locked it.
     fn lock(&self, file: File) -> io::Result<Flock<File>> {
         Flock::lock(file, FlockArg::LockExclusiveNonblock).map_err(|(_, error)| error.into())
     }
 
-    /// Whether another process has locked the file with [`lock`](Self::lock). Any number of processes may test it at a time.
+    /// Whether another process has locked the file with [`lock`](Self::lock). Several processes may test
+    /// this at the same time.
     fn is_locked(&self, file: File) -> io::Result<bool> {
         match Flock::lock(file, FlockArg::LockSharedNonblock) {
             Ok(_) => Ok(false),
@@ -83,21 +85,22 @@ pub trait Disk: Debug + Send + Sync {
         }
     }
 
-    /// Renames without replacing another file.
+    /// Renames a file, and fails if a file with the new name exists.
     fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {
         match renameat2(AT_FDCWD, from, AT_FDCWD, to, RenameFlags::RENAME_NOREPLACE) {
-            // Some file systems lack such a rename; the name was free when the run began.
+            // Some file systems do not support this flag. The name is then tested just before the rename; it was
+            // free when the run began.
             Err(Errno::EINVAL | Errno::ENOSYS) if !to.exists() => std::fs::rename(from, to),
             result => result.map_err(io::Error::from),
         }
     }
 
-    /// Renames and replaces a file of that name.
+    /// Renames a file, and replaces any file with the new name.
     fn replace(&self, from: &Path, to: &Path) -> io::Result<()> {
         std::fs::rename(from, to)
     }
 
-    /// Gives a file a second name, which no other may have.
+    /// Gives a file a second name, and fails if a file with that name exists.
     fn link(&self, path: &Path, name: &Path) -> io::Result<()> {
         std::fs::hard_link(path, name)
     }
@@ -107,23 +110,23 @@ pub trait Disk: Debug + Send + Sync {
         std::fs::remove_file(path)
     }
 
-    /// Returns when names in the directory survive a power cut.
+    /// Synchronises a directory: after the return, the names in it survive a power cut.
     fn sync_directory(&self, directory: &Path) -> io::Result<()> {
         let directory = if directory.as_os_str().is_empty() { Path::new(".") } else { directory };
         File::open(directory)?.sync_all()
     }
 
-    /// Writes at a place of the file; how many bytes it took.
+    /// Writes at an offset in the file. Returns the number of bytes that were written, which may be smaller than requested.
     fn write_at(&self, file: &File, bytes: &[u8], offset: u64) -> io::Result<usize> {
         file.write_at(bytes, offset)
     }
 
-    /// Reads from a place of the file; how many bytes it gave.
+    /// Reads from an offset in the file. Returns the number of bytes that were read, 0 at the end of the file.
     fn read_at(&self, file: &File, buffer: &mut [u8], offset: u64) -> io::Result<usize> {
         file.read_at(buffer, offset)
     }
 
-    /// Returns when what was written before survives a power cut.
+    /// Synchronises a file: after the return, all data written before survive a power cut.
     fn sync(&self, file: &File) -> io::Result<()> {
         file.sync_data()
     }
@@ -133,22 +136,22 @@ pub trait Disk: Debug + Send + Sync {
         file.metadata().map(|found| found.len())
     }
 
-    /// Appends to a stream, such as the log's; how many bytes it took.
+    /// Appends to a stream, such as that of the log. Returns the number of bytes that were written.
     fn append(&self, stream: BorrowedFd<'_>, bytes: &[u8]) -> io::Result<usize> {
         Ok(write(stream, bytes)?)
     }
 
-    /// Which file an open one is.
+    /// Identity of an open file.
     fn id_of(&self, file: &File) -> io::Result<FileId> {
         file.metadata().map(FileId::from)
     }
 
-    /// Which file has this name.
+    /// Identity of the file with this name.
     fn id_at(&self, path: &Path) -> io::Result<FileId> {
         std::fs::metadata(path).map(FileId::from)
     }
 
-    /// Whether anything has this name.
+    /// Whether a file or directory with this name exists.
     fn has(&self, path: &Path) -> io::Result<bool> {
         match self.id_at(path) {
             Ok(_) => Ok(true),
@@ -157,9 +160,9 @@ pub trait Disk: Debug + Send + Sync {
         }
     }
 
-    /// Free space at a directory that exists or will be created.
+    /// Free space of the file system of a directory. The directory may be missing if it will be created later.
     fn space(&self, directory: &Path) -> io::Result<Space> {
-        // One that is not there yet will be made on the file system of the nearest one that is.
+        // A missing directory will be created on the file system of its nearest existing parent.
         let existing = directory.ancestors().find(|path| path.exists()).unwrap_or(Path::new("."));
         let existing = if existing.as_os_str().is_empty() { Path::new(".") } else { existing };
         let system = statvfs(existing)?;
@@ -175,7 +178,7 @@ pub fn is_absent(error: &io::Error) -> bool {
     matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory)
 }
 
-/// An open file from its beginning, each call through its disk.
+/// Reads and writes an open file sequentially, starting at its beginning. Each call is passed to the disk.
 #[derive(Debug)]
 pub struct OpenFile<'a> {
     disk: &'a dyn Disk,
@@ -184,7 +187,7 @@ pub struct OpenFile<'a> {
 }
 
 impl<'a> OpenFile<'a> {
-    /// An open file at its beginning.
+    /// Starts at the beginning of an open file.
     pub fn new(disk: &'a dyn Disk, file: &'a File) -> Self {
         Self { disk, file, position: 0 }
     }
@@ -205,7 +208,7 @@ impl Write for OpenFile<'_> {
         Ok(count)
     }
 
-    /// Returns when everything written so far survives a power cut.
+    /// Synchronises the file: after the return, everything written so far survives a power cut.
     fn flush(&mut self) -> io::Result<()> {
         self.disk.sync(self.file)
     }
@@ -223,7 +226,7 @@ impl Seek for OpenFile<'_> {
     }
 }
 
-/// The system's disk.
+/// The disk of the operating system.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct SystemDisk;
 

@@ -1,9 +1,10 @@
-//! The recording: an MCAP file with one record per bus cycle, valid or not, and what other programs
-//! show of them: joint states, a log, diagnostics.
+//! The recording of a run: an MCAP file with one record for each bus cycle, valid or not. It also contains messages for
+//! other programs, derived from the cycles: joint states, a log, diagnostics.
 //!
-//! Profile `ros2`, CDR messages with `ros2msg` schemas, so that Foxglove, PlotJuggler, `ros2 bag` and
-//! Python read it without our software. During a run its file ends in `.mcap.active` and is locked; only a file that was
-//! finished and synchronised to disk has the ending `.mcap`. [`recover_leftovers`] finishes files that a crash left.
+//! The profile is `ros2`: messages in CDR with `ros2msg` schemas. Foxglove, PlotJuggler, `ros2 bag` and Python can therefore
+//! read a recording without our software. During a run the file has the ending `.mcap.active` and is locked. It gets the
+//! ending `.mcap` only when it is complete and synchronised to disk. After a crash, [`recover_leftovers`] completes the
+//! files that were still being written.
 
 mod content;
 mod digest;

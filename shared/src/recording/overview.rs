@@ -1,4 +1,8 @@
-//! Overview of a finished recording from its beginning and end, so that many are listed quickly.
+//! Overview of a finished recording. Only its beginning and end are read, so that a list of
+//! many recordings is built quickly.
+//!
+//! The end of an MCAP file is a summary, followed by a footer. The footer contains the offset of the summary. The summary
+//! contains the offsets of the metadata records.
 
 use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
@@ -14,22 +18,22 @@ use super::records::RECORD_LENGTH_BYTES_MAX;
 use super::records::lengths::{PREFIX_BYTES, parse_record, split_prefix};
 use super::schema::{RunEnd, RunMetadata};
 
-/// The footer: two offsets and a checksum behind its prefix.
+/// Length of the footer: its prefix, two offsets and a checksum \[bytes\].
 const FOOTER_BYTES: usize = PREFIX_BYTES + 20;
-/// Length of that checksum \[bytes\].
+/// Length of the checksum at the end of the footer \[bytes\].
 const CHECKSUM_BYTES: usize = 4;
 
-/// Beginning and end of a finished recording. The data in between are not checked.
+/// Metadata from the beginning and the end of a finished recording. The data in between are not checked.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RunOverview {
-    /// Who, what, with which settings.
+    /// Names and settings of the run.
     pub run: RunMetadata,
     /// How the run ended.
     pub end: RunEnd,
 }
 
 impl RunOverview {
-    /// Reads the two metadata records that the file's summary points at.
+    /// Reads the metadata records of the run and of its end, at the offsets in the file's summary.
     pub fn open(path: &Path) -> Result<Self, ReadError> {
         Self::open_on(&SystemDisk, path)
     }
@@ -49,8 +53,8 @@ impl RunOverview {
     }
 }
 
-/// Places of the metadata by the summary. Read here and not by the MCAP library, which checks lengths too late (see
-/// [`parse_record`]).
+/// Offsets and lengths of the metadata records, from the summary. The summary is parsed here and not by the MCAP library,
+/// because the library checks lengths too late (see [`parse_record`]).
 fn metadata_indexes(file: &mut OpenFile<'_>) -> Result<Vec<MetadataIndex>, ReadErrorKind> {
     let summary = summary_of(file)?;
     let mut rest = &summary[..];
@@ -65,7 +69,7 @@ fn metadata_indexes(file: &mut OpenFile<'_>) -> Result<Vec<MetadataIndex>, ReadE
     Ok(indexes)
 }
 
-/// The bytes of the summary, whose checksum is right.
+/// Reads the summary and checks its checksum.
 fn summary_of(file: &mut OpenFile<'_>) -> Result<Vec<u8>, ReadErrorKind> {
     let end = file.seek(SeekFrom::End(0))?;
     let footer_at = end.checked_sub((FOOTER_BYTES + MAGIC.len()) as u64).ok_or(McapError::UnexpectedEof)?;
@@ -100,7 +104,7 @@ fn summary_of(file: &mut OpenFile<'_>) -> Result<Vec<u8>, ReadErrorKind> {
     Ok(summary)
 }
 
-/// The metadata record of this name, from the place that the summary gives.
+/// Reads the metadata record with this name at the offset given by the summary.
 fn metadata(
     file: &mut OpenFile<'_>,
     indexes: &[MetadataIndex],

@@ -1,8 +1,8 @@
-//! Reads a whole recording, or returns why it cannot.
+//! Reads a complete recording, or returns why it cannot be read.
 //!
-//! A damaged file must never give a wrong number: CRCs are checked before a chunk is unpacked, record lengths
-//! are bounded (a flipped bit in a length would otherwise request the whole address space), the CRC over the
-//! data section and cycle numbers without a hole prove that nothing was skipped.
+//! A damaged file must never yield a wrong number. Therefore checksums are tested before a chunk is unpacked, and record
+//! lengths are limited, because a flipped bit in a length could otherwise request the whole address space. The checksum over
+//! the data section and the consecutive cycle numbers prove that no data are missing.
 
 use std::io::{self, BufReader, Read};
 use std::path::{Path, PathBuf};
@@ -22,28 +22,28 @@ use super::timing::TimingSummary;
 pub struct ReadError {
     /// Path of the file concerned.
     pub path: PathBuf,
-    /// What is wrong with it.
+    /// What is wrong with the file.
     pub kind: ReadErrorKind,
 }
 
 /// What is wrong with a recording.
 #[derive(Debug, thiserror::Error)]
 pub enum ReadErrorKind {
-    /// The system could not read it.
+    /// The file could not be read.
     #[error("cannot be read: {0}; check the path and its permissions")]
     Io(#[from] io::Error),
     /// The MCAP structure is broken.
     #[error("damaged or not an MCAP file: {0}; if a run was cut short, run `ballbard recover` on the file")]
     Container(#[from] McapError),
-    /// A chunk has no checksum, so nothing in it can be trusted.
+    /// A chunk has no checksum, so that its content cannot be verified.
     #[error(
         "damaged: a chunk without a checksum; if a run was cut short, run `ballbard recover` on the file"
     )]
     NoChecksum,
-    /// A record is at a place where it is not allowed.
+    /// A record is at a position in the file where it is not allowed.
     #[error("damaged: {0}; if a run was cut short, run `ballbard recover` on the file")]
     Misplaced(String),
-    /// A message is broken though its chunk's checksum is right.
+    /// A message cannot be decoded although the checksum of its chunk is correct.
     #[error(
         "message {sequence} on {topic}: {source}; the file was not written by this software or is damaged"
     )]
@@ -52,15 +52,15 @@ pub enum ReadErrorKind {
         topic: &'static str,
         /// Number of the broken message.
         sequence: u32,
-        /// What is wrong with it.
+        /// Why the message cannot be decoded.
         source: MessageError,
     },
-    /// An MCAP file of another program, or the metadata record is broken.
+    /// A metadata record is missing or damaged, or the MCAP file is from another program.
     #[error("no valid `{name}` record ({problem}); give a recording of `ballbard`")]
     Metadata {
         /// Name of the record.
         name: &'static str,
-        /// What is wrong with it.
+        /// What is wrong with the record.
         problem: String,
     },
     /// The run has no end record.
@@ -74,7 +74,7 @@ pub enum ReadErrorKind {
         /// Number that the file has instead.
         found: u64,
     },
-    /// The end record counts another number of cycles.
+    /// The end record contains another number of cycles than the file.
     #[error("{read} cycles, but the run's end counts {counted}; run `ballbard recover` on the file")]
     CycleCount {
         /// Number of cycles in the file.
@@ -84,26 +84,28 @@ pub enum ReadErrorKind {
     },
 }
 
-/// A whole, finished recording.
+/// A complete recording, whose run has ended.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Recording {
     /// Names and settings of the run.
     pub run: RunMetadata,
-    /// Every bus cycle, numbered without a hole.
+    /// Every bus cycle, numbered consecutively.
     pub cycles: Vec<CycleRecord>,
     /// Events of the run, in order.
     pub events: Vec<Event>,
-    /// Timing of the loop; `None` on virtual time. If the run was cut short, it may cover fewer cycles: see [`TimingSummary::cycles`].
+    /// Timing of the loop; `None` on virtual time. In a recovered recording it may cover only part of the cycles, see
+    /// [`TimingSummary::cycles`].
     pub timing: Option<TimingSummary>,
     /// How the run ended.
     pub end: RunEnd,
 }
 
 impl Recording {
-    /// Whether the first bytes of a file are those of a recording, be it damaged, cut short or still growing. Other MCAP
-    /// files, such as bags of ROS 2, are not.
+    /// Whether the first bytes of a file are those of a recording. The recording may be damaged, cut short or still being
+    /// written. Other MCAP files, such as ROS 2 bags, are not recordings.
     pub fn is_begun_by(beginning: &[u8]) -> bool {
-        // The library's name is followed by the run's metadata: one of them is found even if the other is damaged.
+        // The name of the library is near the metadata of the run, so that one of both is found even
+        // if the other is damaged.
         let has = |name: &[u8]| beginning.windows(name.len()).any(|window| window == name);
         beginning.starts_with(mcap::MAGIC) && (has(LIBRARY_NAME.as_bytes()) || has(RUN_METADATA.as_bytes()))
     }
@@ -132,7 +134,8 @@ impl Recording {
     }
 }
 
-/// A whole, finished recording without its cycles. They were passed on one by one, so that memory does not grow with the run.
+/// A complete recording without its cycles. They are passed on one by one while reading, so that memory does
+/// not grow with the run.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Outline {
     /// As in [`Recording`].
@@ -146,8 +149,8 @@ pub struct Outline {
 }
 
 impl Outline {
-    /// Reads a finished recording from any source of bytes and gives each cycle to `take`, in order and without a hole. The
-    /// recording is known to be whole only when this returns.
+    /// Reads a finished recording from any source of bytes, and passes each cycle to `take`, consecutively. The caller must
+    /// not rely on the cycles before this returns `Ok`, because only then is the recording known to be complete.
     pub fn read<E: From<ReadErrorKind>>(
         source: impl Read,
         take: &mut dyn FnMut(CycleRecord) -> Result<(), E>,
@@ -161,13 +164,13 @@ impl Outline {
     }
 }
 
-/// The end record must count as many cycles as were read.
+/// Checks that the end record contains the number of cycles that were read.
 pub(super) fn check_count(end: &RunEnd, read: u64) -> Result<(), ReadErrorKind> {
     let counted = end.cycles;
     if counted == read { Ok(()) } else { Err(ReadErrorKind::CycleCount { read, counted }) }
 }
 
-/// The run's metadata are in a file twice, and must be equal.
+/// Stores the metadata of the run. A file contains them twice, and both copies must be equal.
 pub(super) fn take_run(known: &mut Option<RunMetadata>, run: RunMetadata) -> Result<(), ReadErrorKind> {
     match known {
         Some(known) if *known != run => {
@@ -181,7 +184,7 @@ pub(super) fn take_run(known: &mut Option<RunMetadata>, run: RunMetadata) -> Res
     }
 }
 
-/// What has been read so far.
+/// The content that has been read so far.
 #[derive(Default)]
 struct Content {
     run: Option<RunMetadata>,
@@ -192,7 +195,7 @@ struct Content {
 }
 
 impl Content {
-    /// Stores an item; a cycle is only counted and returned, if it is the next one.
+    /// Stores an item. A cycle is not stored: it is counted and returned if it is the next in order.
     fn take(&mut self, item: Item) -> Result<Option<CycleRecord>, ReadErrorKind> {
         match item {
             Item::Run(run) => take_run(&mut self.run, *run)?,

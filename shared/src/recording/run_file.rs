@@ -1,4 +1,5 @@
-//! A run's file on disk: created locked, published by a rename, never replacing another.
+//! The file of a run on disk. It is created under a temporary name and locked before it gets its name. At the end of the run
+//! it is renamed to its final name. No step replaces an existing file.
 
 use std::fs::File;
 use std::io::{self, Write};
@@ -12,34 +13,36 @@ use nix::fcntl::Flock;
 use super::disk::{Disk, FileId, is_absent};
 use super::writer::WriteError;
 
-/// Ending of a finished recording.
+/// Ending of a complete recording.
 pub const FINISHED_ENDING: &str = "mcap";
-/// Ending of a recording that is being written, or that was left by a crash.
+/// Ending of a recording that is being written, or that a crash left incomplete.
 pub const ACTIVE_ENDING: &str = "mcap.active";
-/// Ending of the original of a recovered recording, kept where a part of it could not be read.
+/// Ending of the original of a recovered recording. The original is kept if some of its bytes could not be recovered.
 pub const TORN_ENDING: &str = "mcap.torn";
 
-/// Longest name: with the longest ending it fits into the 143 bytes that encrypted file systems leave of 255.
+/// Longest name of a run \[bytes\]. With the longest ending, the file name fits into 143 bytes, the limit of encrypted file
+/// systems (others allow 255).
 const NAME_BYTES_MAX: usize = 120;
-/// Bytes that are copied at once.
+/// Number of bytes that are copied at a time.
 const COPY_BYTES: usize = 1 << 20;
-/// The copy of a run in another directory gets the first free name, with a number below this.
+/// If a run continues in another directory where its name is taken, a number below this is added to the name.
 const COPY_NAMES: u32 = 100;
 
-/// A run's file on disk, `.mcap.active` until it is finished. Its owner has the lock on the file, which
-/// ends with the process however it ends: a file without the lock has been left behind.
+/// The file of a run on disk, with the ending `.mcap.active` until it is complete. The process that writes the file holds a
+/// lock on it. The kernel releases the lock when that process ends, even by a crash. A file without a lock therefore belongs
+/// to no running process.
 #[derive(Debug)]
 pub struct RunFile {
     place: RunPlace,
     file: Arc<Flock<File>>,
     finished: PathBuf,
-    /// Bytes that the disk has taken.
+    /// Number of bytes that were written to the file.
     length: u64,
-    /// Checksum over all these bytes.
+    /// Checksum over all bytes that were written.
     checksum: Hasher,
 }
 
-/// Path and identity of a run's file, to check whether it still exists.
+/// Path and identity of a run's file. Used to check whether the file still exists under its path.
 #[derive(Debug, Clone)]
 pub struct RunPlace {
     disk: Arc<dyn Disk>,
@@ -47,7 +50,7 @@ pub struct RunPlace {
     id: FileId,
 }
 
-/// Synchronises a run's file from another thread while more is written to it.
+/// Synchronises a run's file from another thread while more data are written to it.
 #[derive(Debug, Clone)]
 pub struct RunSync {
     place: RunPlace,
@@ -55,8 +58,7 @@ pub struct RunSync {
 }
 
 impl RunFile {
-    /// Creates `<directory>/<name>.mcap.active`; the directory is made where it is missing. Leaves nothing where it
-    /// fails.
+    /// Creates `<directory>/<name>.mcap.active`. A missing directory is created. After an error no file is left.
     pub fn create(disk: Arc<dyn Disk>, directory: &Path, name: &str) -> Result<Self, WriteError> {
         check_name(name)?;
         disk.make_directory(directory).map_err(io_error(directory))?;
@@ -68,7 +70,7 @@ impl RunFile {
         let file = create_locked(&*disk, directory, &path)?;
         let named = disk.sync_directory(directory).and_then(|()| disk.id_of(&file));
         let id = named.map_err(|source| {
-            // It is empty; what went wrong is reported, not this.
+            // The file is empty. The caller gets the original error, not that of the removal.
             let _ = disk.remove(&path);
             io_error(directory)(source)
         })?;
@@ -81,18 +83,18 @@ impl RunFile {
         &self.place
     }
 
-    /// Bytes that the disk has taken.
+    /// Number of bytes that were written to the file.
     pub fn length(&self) -> u64 {
         self.length
     }
 
-    /// A handle for the thread that synchronises it.
+    /// A handle for the thread that synchronises the file.
     pub fn synchroniser(&self) -> RunSync {
         RunSync { place: self.place.clone(), file: Arc::clone(&self.file) }
     }
 
-    /// Continues in a copy of itself in `directory`, under its name or, if that is taken, a numbered one. The old file is removed if
-    /// it still exists: the copy has all of it. After an error nothing is changed.
+    /// Copies the file into `directory` and continues to write the copy. If its name is taken there, a number is added. The
+    /// old file is removed if it still exists, because the copy is complete. After an error nothing is changed.
     pub fn move_to(&mut self, directory: &Path) -> Result<(), WriteError> {
         let stem = self.finished.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
         let numbered = (2..COPY_NAMES).map(|number| format!("{stem}-{number}"));
@@ -115,7 +117,7 @@ impl RunFile {
         Ok(())
     }
 
-    /// Copies another file and verifies the copy against what was written.
+    /// Copies the content of another file into this one, and checks the copy against the checksum of what was written.
     fn take_over(&mut self, other: &Self) -> Result<(), WriteError> {
         let disk = Arc::clone(&self.place.disk);
         let unreadable = io_error(&other.place.path);
@@ -135,14 +137,14 @@ impl RunFile {
         disk.sync(&self.file).map_err(io_error(&self.place.path))
     }
 
-    /// Gives the file its final name, without ever replacing another. It is on disk under that name when this
-    /// returns it.
+    /// Gives the file its final name, and fails if a file with that name exists. When this returns, the file is on disk
+    /// under the returned path.
     pub fn publish(&mut self) -> Result<PathBuf, WriteError> {
         let disk = Arc::clone(&self.place.disk);
         disk.sync(&self.file).map_err(io_error(&self.place.path))?;
         self.place.check()?;
         disk.rename(&self.place.path, &self.finished).map_err(exists_or_io(&self.finished))?;
-        // A later `move_to` looks for the old file under this name.
+        // From now on the file is known under its final name; `move_to` needs the current path to remove the old file.
         self.place.path.clone_from(&self.finished);
         sync_parent(&*disk, &self.finished)?;
         self.place.check()?;
@@ -156,12 +158,13 @@ impl RunPlace {
         &self.path
     }
 
-    /// Whether both are the same file under the same path: another run, or a copy, may have taken the path.
+    /// Whether both refer to the same file under the same path. Paths alone are not enough: another run, or a copy,
+    /// may have got the path.
     pub fn is_same(&self, other: &Self) -> bool {
         self.path == other.path && self.id == other.id
     }
 
-    /// Whether the file of this path is still the run's.
+    /// Checks that the path still leads to the run's file, and returns [`WriteError::Lost`] otherwise.
     pub fn check(&self) -> Result<(), WriteError> {
         match self.disk.id_at(&self.path) {
             Ok(id) if id == self.id => Ok(()),
@@ -171,36 +174,38 @@ impl RunPlace {
         }
     }
 
-    /// An error with the path of the file.
+    /// Adds the path of the file to an error.
     fn named(&self, error: &io::Error) -> io::Error {
         io::Error::new(error.kind(), format!("{}: {error}", self.path.display()))
     }
 
-    /// Removes the file: nothing of it is needed.
+    /// Removes the file, whose content is not needed.
     pub(super) fn remove(&self) {
-        // What led here is reported; a superfluous file more or less changes nothing.
+        // The reason for the removal is reported elsewhere. If the removal fails, too, an unused file stays
+        // behind, which does no harm.
         let _ = self.disk.remove(&self.path);
     }
 }
 
 impl RunSync {
-    /// Returns when everything written before survives a power cut.
+    /// Synchronises the file: after the return, all data written before survive a power cut.
     pub fn sync(&self) -> io::Result<()> {
         self.place.disk.sync(&self.file).map_err(|error| self.place.named(&error))
     }
 }
 
-/// Endings that mark the state of a file.
+/// Endings that mark the state of a file. A run's name must not contain them.
 const RESERVED_ENDINGS: [&str; 4] = [FINISHED_ENDING, "active", "torn", "recovering"];
 
 fn is_plain(c: char) -> bool {
     c.is_alphanumeric() || "-_.+".contains(c)
 }
 
-/// Turns typed text into the name of a run: letters, digits, `-`, `_`, `+` and `.` stay, anything else becomes `-`. Absent if
-/// no letter or digit is left.
+/// Turns typed text into a valid name for a run. Letters, digits, `-`, `_`, `+` and `.` are kept, other characters become
+/// `-`.
+/// `None` if the result has no letter or digit.
 pub fn run_name(typed: &str) -> Option<String> {
-    // Combining characters: accents apart from their letters, as some keyboards send them.
+    // Combining characters: some keyboards send accents separately from their letters.
     let is_accent = |c: &char| ('\u{300}'..='\u{36f}').contains(c);
     let mut plain = String::new();
     for c in typed.trim().chars().filter(|c| !is_accent(c)) {
@@ -224,8 +229,8 @@ pub fn run_name(typed: &str) -> Option<String> {
     (has_content && check_name(name).is_ok()).then(|| name.to_owned())
 }
 
-/// Refuses names that are not plain file names, that a command would take as an option, or that have an ending for the state of a
-/// file.
+/// Refuses a name that is not a plain file name, that a command line would read as an option, or that contains an ending for
+/// the state of a file.
 fn check_name(name: &str) -> Result<(), WriteError> {
     let has_ending = name.split('.').skip(1).any(|part| RESERVED_ENDINGS.contains(&part));
     if name.is_empty()
@@ -239,7 +244,8 @@ fn check_name(name: &str) -> Result<(), WriteError> {
     Ok(())
 }
 
-/// A new file that gets its name only once it is locked, so that it is not taken as one left behind.
+/// Creates a file under a hidden name, locks it, and only then gives it its name. Otherwise another process could take the
+/// file, not locked yet, for one that a crash left.
 fn create_locked(disk: &dyn Disk, directory: &Path, active: &Path) -> Result<Flock<File>, WriteError> {
     static NUMBER: AtomicU32 = AtomicU32::new(0);
     let number = NUMBER.fetch_add(1, Ordering::Relaxed);
@@ -250,22 +256,22 @@ fn create_locked(disk: &dyn Disk, directory: &Path, active: &Path) -> Result<Flo
         Ok(file)
     });
     if named.is_err() {
-        // It is empty; what went wrong is reported, not this.
+        // The file is empty. The caller gets the original error, not that of the removal.
         let _ = disk.remove(&hidden);
     }
     named
 }
 
-/// Ending of a file that is not locked yet, and so not named; its name begins with a dot.
+/// Ending of a file that is not locked yet and therefore does not have its name. The temporary name begins with a dot.
 pub(super) const UNNAMED_ENDING: &str = ".new";
 
-/// Renames without replacing, and makes the new name survive a power cut.
+/// Renames a file and fails if the new name exists. When this returns, the new name survives a power cut.
 pub(super) fn rename(disk: &dyn Disk, from: &Path, to: &Path) -> Result<(), WriteError> {
     disk.rename(from, to).map_err(exists_or_io(to))?;
     sync_parent(disk, to)
 }
 
-/// Makes a name survive a power cut.
+/// Synchronises the directory of `path`, so that its name survives a power cut.
 pub(super) fn sync_parent(disk: &dyn Disk, path: &Path) -> Result<(), WriteError> {
     let directory = path.parent().unwrap_or(Path::new("."));
     disk.sync_directory(directory).map_err(io_error(directory))
@@ -296,7 +302,7 @@ impl Write for RunFile {
         Ok(count)
     }
 
-    /// Returns when everything written so far survives a power cut.
+    /// Synchronises the file: after the return, everything written so far survives a power cut.
     fn flush(&mut self) -> io::Result<()> {
         self.synchroniser().sync()
     }

@@ -1,4 +1,4 @@
-//! The content of a recording: bus cycles, events, metadata and the end of the run.
+//! The content of a recording as types: bus cycles, events, metadata and the end of the run.
 
 use std::fmt;
 
@@ -9,33 +9,33 @@ use super::digest::{Flagged, RunMark};
 use crate::encoder::EncoderScale;
 use crate::time::{DcNs, MonoNs, UtcNs};
 
-/// Most encoders that a bar has: three of the gimbal, two of the cardan.
+/// Largest number of encoders on a bar: three in the gimbal, two in the cardan.
 pub const MAX_ENCODERS: usize = 5;
 
-/// What one encoder's terminal gave in one cycle. The fields are in the order of the message.
+/// Data of one encoder's terminal in one cycle. The fields have the same order as in the message.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct EncoderSample {
-    /// Bar joint that the encoder sits on, 1 to 5.
+    /// Bar joint of the encoder, 1 to 5.
     pub joint: u8,
-    /// The count is fresh, in operation and free of terminal errors.
+    /// Whether the count is new, the terminal in operation, and the terminal without errors.
     pub valid: bool,
-    /// Status word of the terminal's TxPDO, raw.
+    /// Status word in the terminal's TxPDO, unchanged.
     pub status: u16,
-    /// 32-bit counter as the terminal gave it, wrapping.
+    /// The terminal's 32-bit counter, which wraps.
     pub count: u32,
-    /// Counter at the last reference mark (C), valid if the status has its bit.
+    /// Counter at the last reference mark (C). Valid only if the status word reports a latch.
     pub latch: u32,
 }
 
-/// Why a cycle, or a part of it, cannot be used. Bits of [`CycleRecord::flags`].
+/// Bits of [`CycleRecord::flags`]: why a cycle, or some of its encoders, cannot be used.
 pub mod flags {
     /// No reply came within the time-out.
     pub const NO_REPLY: u32 = 1 << 0;
-    /// Working counter differs from what the bus should give.
+    /// The working counter differs from its expected value.
     pub const WORKING_COUNTER: u32 = 1 << 1;
     /// A device is not in OP.
     pub const NOT_OPERATIONAL: u32 = 1 << 2;
-    /// A terminal's toggle did not flip: its input is that of an earlier cycle.
+    /// A terminal's toggle bit did not change: its input is that of an earlier cycle.
     pub const STALE_INPUT: u32 = 1 << 3;
     /// A terminal reports frequency, amplitude or synchronisation error.
     pub const TERMINAL_ERROR: u32 = 1 << 4;
@@ -43,15 +43,15 @@ pub mod flags {
     pub const DEADLINE_MISSED: u32 = 1 << 5;
     /// The bus is being initialised.
     pub const BUS_DOWN: u32 = 1 << 6;
-    /// No distributed clock: the sample's age is only bounded.
+    /// Without a distributed clock, only bounds of the sample time are known.
     pub const NO_DC: u32 = 1 << 7;
-    /// The cycle was lost between bus and file (ring overflow) or in a damaged file; only its number is known.
+    /// The cycle was lost, by an overflow of the ring between bus and file, or in a damaged file. Only its number is known.
     pub const LOST: u32 = 1 << 8;
-    /// Counters may have a new origin since the cycle before: in tables, and in files whose records had no number of their
-    /// origin. A [`CycleRecord`](super::CycleRecord) never has it.
+    /// The counters may have a new origin since the cycle before. Used in exported tables, and in files of older programs,
+    /// whose records have no origin number. A decoded [`CycleRecord`](super::CycleRecord) never has this flag.
     pub const ORIGIN_CHANGED: u32 = 1 << 9;
 
-    /// Each bit and its name, as reports and exports show it.
+    /// Each flag with its name in reports and exports.
     pub const NAMES: [(u32, &str); 10] = [
         (NO_REPLY, "no_reply"),
         (WORKING_COUNTER, "working_counter"),
@@ -66,38 +66,38 @@ pub mod flags {
     ];
 }
 
-/// One bus cycle. Fixed size and `Copy`: it crosses the ring from the real-time thread.
+/// One bus cycle. It has a fixed size and is `Copy`, because it passes through the ring from the real-time thread.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct CycleRecord {
-    /// Number of the cycle since the run began; without holes.
+    /// Number of the cycle in the run. Numbers are consecutive.
     pub cycle: u64,
-    /// When the encoders were sampled, UTC estimate.
+    /// Estimated time at which the encoders were sampled, UTC.
     pub sample_time: UtcNs,
-    /// One standard deviation of `sample_time`'s error against the host's UTC \[ns\].
+    /// Standard deviation of the error of `sample_time`, against the host's UTC \[ns\].
     pub sample_time_uncertainty_ns: u32,
-    /// The sampling instant on the bus' clock; 0 without distributed clocks.
+    /// Sample time on the clock of the bus. 0 without distributed clocks.
     pub dc_time: DcNs,
-    /// When the frame was handed to the wire.
+    /// Time at which the frame was passed to the network interface.
     pub send_time: MonoNs,
-    /// When its reply was there; equal to `send_time` when none came.
+    /// Time at which the reply arrived. Equal to `send_time` if no reply arrived.
     pub receive_time: MonoNs,
     /// Working counter of the process data datagram.
     pub working_counter: u16,
-    /// What it must be for a whole bus.
+    /// Expected working counter, if every device takes part.
     pub working_counter_expected: u16,
-    /// Reasons, see [`flags`]; 0 for a good cycle.
+    /// Why the cycle cannot be used, see [`flags`]. 0 if there is no such reason.
     pub flags: u32,
-    /// Number of the counters' origin in this run: counts of two cycles belong together where it is the same.
+    /// Number of the counters' origin in this run. Counts of two cycles can be subtracted only if their origins are equal.
     pub origin: u32,
-    /// How many of `encoders` are used.
+    /// Number of elements of `encoders` in use.
     pub encoder_count: u8,
     /// The encoders, in bus order.
     pub encoders: [EncoderSample; MAX_ENCODERS],
 }
 
 impl CycleRecord {
-    /// What is known of a cycle whose record was lost: its number, about when it was due, and that it was. Encoders and origin
-    /// are those of `near`, a record of the same run.
+    /// The record for a cycle that was lost. Only its number and approximate time are known. Joints and origin are copied
+    /// from `near`, another record of the same run.
     pub fn lost(cycle: u64, sample_time: UtcNs, near: &Self) -> Self {
         let mut record = Self {
             cycle,
@@ -115,22 +115,22 @@ impl CycleRecord {
         record
     }
 
-    /// The encoders of this bus, in bus order.
+    /// The encoders in use, in bus order.
     pub fn encoders(&self) -> &[EncoderSample] {
         &self.encoders[..usize::from(self.encoder_count).min(MAX_ENCODERS)]
     }
 
-    /// Every encoder of the bus gave a fresh, trustworthy count.
+    /// Whether every encoder of the bus has a valid sample.
     pub fn is_valid(&self) -> bool {
         self.encoder_count > 0 && self.encoders().iter().all(|encoder| encoder.valid)
     }
 }
 
-/// What kind of thing happened.
+/// Kind of an event.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u8)]
 pub enum EventKind {
-    /// Set by a person.
+    /// A marker set by a person.
     Marker = 1,
     /// Cycles without valid samples.
     Gap = 2,
@@ -138,12 +138,12 @@ pub enum EventKind {
     Bus = 3,
     /// A clock was stepped or lost.
     Clock = 4,
-    /// The run's file continued in another place.
+    /// The run's file was continued in another directory.
     Disk = 5,
 }
 
 impl EventKind {
-    /// From its number in the file.
+    /// Converts the number in the file; `None` if it is unknown.
     pub(super) fn from_u8(number: u8) -> Option<Self> {
         [Self::Marker, Self::Gap, Self::Bus, Self::Clock, Self::Disk]
             .into_iter()
@@ -158,11 +158,11 @@ pub struct Event {
     pub time: UtcNs,
     /// Number of the cycle during which it happened.
     pub cycle: u64,
-    /// What kind of thing.
+    /// Kind of the event.
     pub kind: EventKind,
     /// Description in words for people.
     pub text: String,
-    /// Stable code of what was wrong, as status and log have it; empty for a marker, and in files of older programs.
+    /// Stable code of the problem, the same as in status and log. Empty for a marker, and in files of older programs.
     pub code: String,
 }
 
@@ -171,11 +171,11 @@ pub struct Event {
 pub struct EncoderInfo {
     /// Bar joint, 1 to 5.
     pub joint: u8,
-    /// Counts to angle; offset and reference mark are 0 where they are not known.
+    /// Conversion of counts to an angle. Offset and reference mark are 0 if they are unknown.
     pub scale: EncoderScale,
 }
 
-/// One device on the bus as it identified itself.
+/// Identification of one device on the bus, as read from the device.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct DeviceInfo {
     /// Position on the bus, the coupler is 0.
@@ -188,12 +188,12 @@ pub struct DeviceInfo {
     pub product_code: u32,
     /// Revision number of the device.
     pub revision: u32,
-    /// Serial number, 0 where the maker gives none.
+    /// Serial number, 0 if the maker assigns none.
     pub serial: u32,
 }
 
 impl DeviceInfo {
-    /// Revision of Beckhoff's type designation: the upper half of the number.
+    /// Revision in Beckhoff's type designation: the upper 16 bits of the revision number.
     pub fn type_revision(&self) -> u16 {
         (self.revision >> 16) as u16
     }
@@ -211,25 +211,25 @@ pub struct RunMetadata {
     /// Name or serial number of the bar.
     #[serde(default)]
     pub bar: String,
-    /// Payload of the robot beside the bar.
+    /// Payload of the robot in addition to the bar.
     #[serde(default)]
     pub payload: String,
     /// Free text of the operator.
     pub note: String,
     /// Beginning of the run, UTC.
     pub started: UtcNs,
-    /// Program and version that wrote it.
+    /// Name and version of the program that wrote the recording.
     pub software: String,
     /// Network interface, or [`SIMULATED_BUS`].
     pub bus: String,
-    /// The recording that a replay played. Files of older programs do not have it.
+    /// The recording that was replayed, if the run is a replay. Absent in files of older programs.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub replay_of: Option<ReplayOrigin>,
     /// Time between two cycles \[ns\].
     pub cycle_period_ns: u64,
-    /// Whether the terminals sample on distributed clocks. Without them a sample may be one period old.
+    /// Whether the terminals sample on distributed clocks. Otherwise a sample may be as old as one period.
     pub distributed_clocks: bool,
-    /// `UTC = CLOCK_MONOTONIC + this` for the whole run \[ns\], so that time stamps never run backwards.
+    /// Difference `UTC - CLOCK_MONOTONIC` \[ns\]. It is constant for the whole run, so that time stamps never decrease.
     pub utc_minus_monotonic_ns: i64,
     /// Encoders in bus order.
     pub encoders: Vec<EncoderInfo>,
@@ -267,19 +267,19 @@ pub struct Provenance {
 }
 
 impl Provenance {
-    /// Of a run on `bus`. A replay is as its origin.
+    /// Provenance of a run on `bus`. A replay has the provenance of the recording that it plays.
     pub fn new(bus: &str, replay_of: Option<ReplayOrigin>) -> Self {
         let simulated = replay_of.as_ref().map_or(bus, |origin| &origin.bus) == SIMULATED_BUS;
         Self { simulated, replay_of }
     }
 
-    /// Counts of a real bus, as it gave them.
+    /// Whether the counts were measured on a real bus, and not by a replay.
     pub fn is_measured(&self) -> bool {
         *self == Self::default()
     }
 }
 
-/// Such as `SIMULATED, replay of ..`; empty for measured data.
+/// A text such as `SIMULATED, replay of ..`. Empty for measured data.
 impl fmt::Display for Provenance {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let simulated = self.simulated.then(|| "SIMULATED".to_owned());
@@ -292,8 +292,8 @@ impl fmt::Display for Provenance {
 }
 
 impl RunMetadata {
-    /// Whether the encoder counts were made up by a program. A replay is as its origin; a file of an older program, which
-    /// names no origin, is as its bus.
+    /// Whether the encoder counts were simulated. For a replay, this is decided by the bus of the original recording; for a
+    /// replay by an older program, which stored no origin, by the bus of the replay itself.
     pub fn is_simulated(&self) -> bool {
         self.provenance().simulated
     }
@@ -303,7 +303,7 @@ impl RunMetadata {
         Provenance::new(&self.bus, self.replay_of.clone())
     }
 
-    /// The origin of a replay of this recording.
+    /// Identifies this recording as the origin of a replay. If it is a replay itself, the first origin is returned.
     pub fn origin(&self) -> ReplayOrigin {
         let Self { name, started, bus, .. } = self;
         let this = || ReplayOrigin { name: name.clone(), started: *started, bus: bus.clone() };
@@ -311,12 +311,12 @@ impl RunMetadata {
     }
 }
 
-/// What a port of a device has counted since the run began.
+/// Error counts of one port of a device since the run began.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
 pub struct PortCounts {
     /// Position of the device on the bus.
     pub position: u8,
-    /// Which of its ports: 0 leads to the device before.
+    /// Number of the port on its device. Port 0 leads to the device before.
     pub port: u8,
     /// Frames with a wrong check sequence.
     pub invalid_frames: u32,
@@ -344,28 +344,29 @@ pub struct RunEnd {
     pub cycles: u64,
     /// Cycles in which every encoder is valid.
     pub cycles_valid: u64,
-    /// Cycles that are in the file without their content: [`flags::LOST`].
+    /// Number of lost cycles, of which only the number in the run is known: [`flags::LOST`].
     pub cycles_lost: u64,
-    /// The run was cut short, and this file holds what was whole of it.
+    /// Whether the recording was recovered: the run was cut short or its file damaged, and the undamaged cycles were kept.
     #[serde(default)]
     pub recovered: bool,
-    /// How far each encoder turned, in bus order: the widest range of its angle while its counter kept one origin. Empty
-    /// where an older program wrote the file \[deg\].
+    /// Travel of each encoder in bus order \[deg\]: the largest range of its angle while its counter kept one origin. Empty
+    /// in files of older programs.
     #[serde(default)]
     pub turned_deg: Vec<f64>,
-    /// The first markers. Empty where an older program wrote the file.
+    /// The first markers of the run. Empty in files of older programs.
     #[serde(default)]
     pub marks: Vec<RunMark>,
-    /// The cycles that are not valid, by joint and reason. Empty where an older program wrote the file.
+    /// The cycles that are not valid, grouped by joint and reason. Empty in files of older programs.
     #[serde(default)]
     pub flagged: Vec<Flagged>,
 }
 
-/// The shortest run, and the least travel of each measured joint, that `identify calibrate` uses by default. The recorder
-/// grades runs by the same limits.
+/// Minimum duration of a run, and minimum travel of each measured joint, for `identify calibrate` with default settings. The
+/// recorder grades runs by the same limits.
 pub mod required {
-    /// Robot log and recording must overlap at least this long \[s\]: a shorter motion matches at more than one place.
+    /// Minimum overlap of robot log and recording \[s\]. A shorter motion can match at several time offsets.
     pub const OVERLAP_MIN_S: f64 = 10.0;
-    /// A joint with less travel does not separate its encoder's offset from the robot's geometry \[deg\].
+    /// Minimum travel of a joint \[deg\]. With less travel, the encoder's offset cannot be
+    /// separated from the robot's geometry.
     pub const TRAVEL_MIN_DEG: f64 = 3.0;
 }

@@ -1,4 +1,4 @@
-//! Messages for other programs, derived from the records of a run: joint states to plot, and diagnostics once a second.
+//! Derives messages for other programs from the records of a run: joint states for plots, and diagnostics once per second.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -14,7 +14,7 @@ const OK: u8 = 0;
 const WARN: u8 = 1;
 const ERROR: u8 = 2;
 
-/// What is derived from the cycles so far. [`RecordingWriter`](super::RecordingWriter) gives it each cycle.
+/// State derived from the cycles so far. [`RecordingWriter`](super::RecordingWriter) passes each cycle to it.
 pub(super) struct Shown {
     encoders: Vec<EncoderInfo>,
     names: Vec<String>,
@@ -25,11 +25,11 @@ pub(super) struct Shown {
     cycles_per_second: u64,
     second: Second,
     devices: Vec<DeviceInfo>,
-    /// By position and port, those that have counted anything.
+    /// Error counts by position and port. Ports that have counted no error are absent.
     ports: BTreeMap<(u8, u8), PortCounts>,
 }
 
-/// Cycles since the last diagnostics.
+/// Statistics of the cycles since the last diagnostics message.
 #[derive(Default)]
 struct Second {
     cycles: u64,
@@ -37,7 +37,7 @@ struct Second {
     flagged: [u64; flags::NAMES.len()],
     encoders_valid: [u64; MAX_ENCODERS],
     uncertainty_ns_max: u32,
-    /// Positions of devices whose ports have counted.
+    /// Positions of devices whose ports have counted an error in this time.
     counted: BTreeSet<u8>,
 }
 
@@ -57,13 +57,13 @@ impl Shown {
         }
     }
 
-    /// What a port has counted by now.
+    /// Stores the error counts of a port.
     pub fn set_port_counts(&mut self, counts: PortCounts) {
         self.ports.insert((counts.position, counts.port), counts);
         self.second.counted.insert(counts.position);
     }
 
-    /// The joint states of the next cycle.
+    /// The joint states of the next cycle, as CDR.
     pub fn joint_state(&mut self, record: &CycleRecord) -> Result<Vec<u8>, MessageError> {
         let velocity_rad_s = self.velocities_rad_s(record);
         let joints = self.encoders.iter().zip(&mut self.unwrappers).zip(&mut self.travels);
@@ -84,8 +84,9 @@ impl Shown {
         messages::encode_joint_state(record.sample_time, names, position_rad, velocity_rad_s)
     }
 
-    /// Speed of each joint: counts since the cycle before, over the time on the bus' clock, which has both sampling times to some
-    /// ns. Unknown (NaN) without that clock, over a hole, or from one origin to another.
+    /// Velocity of each joint \[rad/s\]: difference of the counts since the last cycle, divided by the time between the two
+    /// samples. The time is taken from the clock of the bus, which is accurate to some ns. NaN without that clock, after a
+    /// missing cycle, and if the origin has changed.
     fn velocities_rad_s(&self, record: &CycleRecord) -> Vec<f64> {
         let before = self.last.as_ref().filter(|last| {
             last.cycle + 1 == record.cycle && last.origin == record.origin && last.dc_time.0 != 0
@@ -103,12 +104,13 @@ impl Shown {
         self.encoders.iter().zip(record.encoders()).enumerate().map(velocity_rad_s).collect()
     }
 
-    /// How far each joint has turned, see `RunEnd`.
+    /// Travel of each joint \[deg\], see `RunEnd`.
     pub fn turned_deg(&self) -> Vec<f64> {
         self.travels.iter().map(|travel| travel.widest_rad.to_degrees()).collect()
     }
 
-    /// After the last cycle of each second: how many cycles and samples of it were valid, with the reasons why others were not.
+    /// The diagnostics, as CDR, after the last cycle of each second; otherwise `None`. They contain the number of valid
+    /// cycles and samples, and the number of cycles with each flag.
     pub fn diagnostics(&mut self, record: &CycleRecord) -> Option<Result<Vec<u8>, MessageError>> {
         self.second.take(record);
         if self.second.cycles < self.cycles_per_second {
@@ -134,7 +136,7 @@ impl Shown {
         self.status("ballbard: cycles".into(), second.valid, second.cycles, values)
     }
 
-    /// Of a device one of whose cables or plugs has shown errors.
+    /// Status of a device whose ports have counted errors.
     fn ports_status(&self, position: u8, second: &Second) -> DiagnosticStatus {
         let device = self.devices.iter().find(|device| device.position == u16::from(position));
         let name = device.map_or("device", |device| &device.name);
@@ -181,10 +183,10 @@ impl Shown {
     }
 }
 
-/// The range of one joint's angle, and the widest of all origins.
+/// Range of a joint's angle in the present origin, and the widest range of all origins.
 #[derive(Debug, Clone, Default)]
 struct Travel {
-    /// Origin, lowest and highest angle since it began.
+    /// Number of the present origin, with the lowest and highest angle since it began \[rad\].
     range: Option<(u32, f64, f64)>,
     widest_rad: f64,
 }

@@ -1,4 +1,4 @@
-//! Timing of the real-time loop during a run.
+//! Timing of the real-time loop during a run, as histograms of durations.
 
 use std::fmt;
 
@@ -58,10 +58,11 @@ pub struct TimingSummary {
 }
 
 impl Bin {
-    /// The limit of the bin that a duration falls into \[ns\]: 1, 1.5, 2, 3, 4, 6, 8, 12 .. us.
+    /// Upper limit of the bin that contains a duration \[ns\]. The limits are 1, 1.5, 2, 3, 4, 6, 8, 12 ..
+    /// us, two for each octave.
     pub fn limit_of(duration_ns: u64) -> u64 {
         let octave_ns = |shift: u32| 1000u64.checked_shl(shift).unwrap_or(u64::MAX);
-        // 64 bits of ns have 54 octaves above a microsecond.
+        // A 64-bit number of ns has 54 octaves above one microsecond.
         (0..54)
             .flat_map(|shift| [octave_ns(shift), octave_ns(shift) / 2 * 3])
             .find(|limit_ns| duration_ns <= *limit_ns)
@@ -92,7 +93,7 @@ impl fmt::Display for DiskTiming {
 }
 
 impl fmt::Display for TimingSummary {
-    /// Percentiles, then the three histograms side by side.
+    /// Writes percentiles, then the times of the disk, then the three histograms side by side.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { cycles, lateness, round_trip, duration, disk } = self;
         writeln!(f, "{:15} {:>10} {:>10} {:>10} {:>10}", "time [us]", "p50", "p99", "p99.9", "max")?;
@@ -125,7 +126,7 @@ impl fmt::Display for TimingSummary {
 }
 
 impl TimingSummary {
-    /// Limits of all bins in use.
+    /// Upper limits of all bins that at least one of the three histograms uses, in ascending order.
     fn limits_ns(&self) -> Vec<u64> {
         let all = [&self.lateness, &self.round_trip, &self.duration];
         let mut limits: Vec<u64> = all

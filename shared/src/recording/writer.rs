@@ -1,9 +1,12 @@
-//! Writes a recording so that a kill loses at most what came since the last [`RecordingWriter::cut`], and a power cut what came
-//! since the last [`RecordingWriter::sync`].
+//! Writes a recording. A kill of the process loses at most the data since the last [`RecordingWriter::cut`], a power cut at
+//! most those since the last [`RecordingWriter::sync`].
 //!
-//! Each chunk is built in memory and appended as a whole, with its final header (`disable_seeking`): a file that ends early
-//! ends after a chunk or within one, and never has a header with a wrong length. Bytes that a sink refuses stay in memory.
-//! Once the sink is repaired or replaced, the recording continues without a gap.
+//! Messages are collected in a chunk, the unit of MCAP that is compressed and has a checksum. To *cut* a chunk is to end it
+//! and begin a new one. Each chunk is built in memory and appended with its final header (`disable_seeking`). An interrupted
+//! file therefore ends after a chunk or within one, and never has a header with a wrong length.
+//!
+//! Bytes that the sink refuses stay in memory. When the sink has been repaired or replaced, the
+//! recording continues without a gap.
 
 use std::collections::BTreeMap;
 use std::io::{self, Write};
@@ -28,7 +31,7 @@ use crate::version::version;
 /// Why a recording cannot be written.
 #[derive(Debug, thiserror::Error)]
 pub enum WriteError {
-    /// The run's name would not be a plain file name.
+    /// The name of the run is not a plain file name.
     #[error(
         "run name `{0}` is not usable as a file name; use up to 120 bytes of letters, digits, `-`, `_`, `+` and `.`, \
          neither `.` nor `-` first, and no ending such as .mcap"
@@ -62,17 +65,18 @@ pub enum WriteError {
     Metadata(#[from] serde_json::Error),
 }
 
-/// Called with each message that is written: topic, log time \[ns since 1970\], CDR bytes. The recording waits until it returns.
+/// Called with each message that is written: topic, log time \[ns since 1970\], CDR bytes. Blocks
+/// the recording until it returns.
 pub type Tap = Box<dyn FnMut(&'static Topic, u64, &[u8]) + Send>;
 
-/// A topic and its channel in this file.
+/// A topic with the number of its channel in this file.
 #[derive(Clone, Copy)]
 struct Channel {
     id: u16,
     topic: &'static Topic,
 }
 
-/// Bytes that are built and not yet written out.
+/// Bytes of the file that the MCAP writer has built and the sink has not accepted yet.
 #[derive(Clone, Default)]
 struct Spool(Arc<Mutex<Vec<u8>>>);
 
@@ -93,10 +97,10 @@ impl Write for Spool {
     }
 }
 
-/// Writes one run. Calls block on the disk: never use it from the real-time thread.
+/// Writes one run. Calls block on the disk, so the real-time thread must not use it.
 ///
-/// A call that returns [`WriteError::Sink`] has taken its record: once the sink is repaired or replaced,
-/// [`RecordingWriter::write_out`] continues where it stopped.
+/// A record is accepted even if the call returns [`WriteError::Sink`]. When the sink has been repaired or replaced,
+/// [`RecordingWriter::write_out`] continues with the first byte that was not accepted.
 pub struct RecordingWriter<W: Write> {
     writer: Writer<NoSeek<Spool>>,
     spool: Spool,
@@ -113,27 +117,27 @@ pub struct RecordingWriter<W: Write> {
     cycles_valid: u64,
     cycles_lost: u64,
     events: u32,
-    /// Latest time of a message.
+    /// Latest log time of all messages.
     time_last: UtcNs,
-    /// The run's metadata, until their second copy is in the file.
+    /// The run's metadata, until the second copy has been written.
     run_copy: Option<Metadata>,
     tap: Option<Tap>,
 }
 
 impl RecordingWriter<RunFile> {
-    /// Begins a run in a directory; metadata and schemas are on disk when this returns.
+    /// Begins a run in a directory. When this returns, metadata and schemas are on disk.
     pub fn create(directory: &Path, run: &RunMetadata) -> Result<Self, WriteError> {
         Self::create_on(Arc::new(SystemDisk), directory, run)
     }
 
-    /// [`create`](Self::create) on another disk. Leaves no file if it fails.
+    /// [`create`](Self::create) on another disk. After an error no file is left.
     pub fn create_on(disk: Arc<dyn Disk>, directory: &Path, run: &RunMetadata) -> Result<Self, WriteError> {
         let file = RunFile::create(disk, directory, &run.name)?;
         let place = file.place().clone();
         Self::begin(file, run).inspect_err(|_| place.remove())
     }
 
-    /// Ends the run and gives the file its final name, which is returned.
+    /// Ends the run and gives the file its final name. Returns the path.
     pub fn finish(self, cause: &str, ended: UtcNs) -> Result<PathBuf, WriteError> {
         let mut file = self.end(cause, ended)?;
         file.publish()
@@ -141,7 +145,7 @@ impl RecordingWriter<RunFile> {
 }
 
 impl<W: Write> RecordingWriter<W> {
-    /// Begins a run on any sink; its `flush` decides how safe [`RecordingWriter::sync`] is.
+    /// Begins a run on any sink. How much [`RecordingWriter::sync`] protects depends on the sink's `flush`.
     pub fn begin(sink: W, run: &RunMetadata) -> Result<Self, WriteError> {
         let spool = Spool::default();
         let mut writer = WriteOptions::new()
@@ -174,12 +178,12 @@ impl<W: Write> RecordingWriter<W> {
             run_copy: Some(run_metadata),
             tap: None,
         };
-        // Without the first chunk, which has the schemas and channels, nothing after it can be decoded.
+        // The first chunk contains schemas and channels. Without it no later chunk can be decoded.
         recording.sync()?;
         Ok(recording)
     }
 
-    /// Appends one bus cycle, with the joint states and diagnostics that other programs show.
+    /// Appends a bus cycle. Also appends the joint states and the diagnostics for other programs.
     pub fn write_cycle(&mut self, record: &CycleRecord) -> Result<(), WriteError> {
         let sequence = record.cycle as u32;
         let data = messages::encode_cycle(record)?;
@@ -196,7 +200,7 @@ impl<W: Write> RecordingWriter<W> {
         self.write_out()
     }
 
-    /// Passes each later message to a tap as well.
+    /// From now on, passes each message to `tap`, too.
     pub fn set_tap(&mut self, tap: Tap) {
         self.tap = Some(tap);
     }
@@ -206,7 +210,7 @@ impl<W: Write> RecordingWriter<W> {
         self.shown.set_port_counts(counts);
     }
 
-    /// Appends an event, also as a line of the log.
+    /// Appends an event. Also appends it as a line of the log.
     pub fn write_event(&mut self, event: &Event) -> Result<(), WriteError> {
         let data = messages::encode_event(event)?;
         self.digest.take_event(event, self.started);
@@ -216,13 +220,14 @@ impl<W: Write> RecordingWriter<W> {
         self.write_out()
     }
 
-    /// Writes the timing of the loop so far; readers use the last one in the file. Cuts the chunk.
+    /// Appends the timing of the loop so far, and cuts the chunk. Readers use the last timing in the file.
     pub fn write_timing(&mut self, timing: &TimingSummary) -> Result<(), WriteError> {
         self.writer.write_metadata(&metadata_of(TIMING_METADATA, timing)?)?;
         self.write_out()
     }
 
-    /// Cuts the chunk and passes it to the sink: with a [`RunFile`] everything so far survives a kill of the process.
+    /// Cuts the chunk and passes it to the sink. If the sink is a [`RunFile`], all data so far survive
+    /// a kill of the process.
     pub fn cut(&mut self) -> Result<(), WriteError> {
         if self.cycles > 0 {
             self.repeat_run()?;
@@ -231,13 +236,14 @@ impl<W: Write> RecordingWriter<W> {
         self.write_out()
     }
 
-    /// Cuts the chunk and flushes the sink: with a [`RunFile`] everything so far survives a power cut.
+    /// Cuts the chunk, passes it to the sink and flushes the sink. If the sink is a [`RunFile`], all data so
+    /// far survive a power cut.
     pub fn sync(&mut self) -> Result<(), WriteError> {
         self.cut()?;
         Ok(self.sink.flush()?)
     }
 
-    /// Passes the sink the bytes that it has not taken yet.
+    /// Passes all bytes to the sink that it has not accepted yet.
     pub fn write_out(&mut self) -> Result<(), WriteError> {
         let mut bytes = self.spool.bytes();
         while !bytes.is_empty() {
@@ -251,18 +257,18 @@ impl<W: Write> RecordingWriter<W> {
         Ok(())
     }
 
-    /// The sink that takes the bytes.
+    /// The sink that receives the bytes of the file.
     pub fn sink(&self) -> &W {
         &self.sink
     }
 
-    /// The sink, to be repaired or replaced.
+    /// The sink, for a repair or replacement.
     pub fn sink_mut(&mut self) -> &mut W {
         &mut self.sink
     }
 
-    /// Writes the second copy of the run's metadata, once, after the first cycles. Damage in one place of the file leaves a copy,
-    /// or it leaves no cycles.
+    /// Writes the second copy of the run's metadata, at the first call only, after the first cycles. The copies are at
+    /// different places, so one segment of damage cannot destroy both, unless it also destroys the cycles between them.
     fn repeat_run(&mut self) -> Result<(), WriteError> {
         Ok(self.run_copy.take().map_or(Ok(()), |run| self.writer.write_metadata(&run))?)
     }
@@ -272,29 +278,29 @@ impl<W: Write> RecordingWriter<W> {
         self.cycles
     }
 
-    /// Cycles written so far in which every encoder is valid.
+    /// Number of cycles written so far in which every encoder is valid.
     pub fn cycles_valid(&self) -> u64 {
         self.cycles_valid
     }
 
-    /// Cycles written so far that are not valid, by joint and reason.
+    /// Cycles written so far that are not valid, grouped by joint and reason.
     pub fn flagged(&self) -> Vec<Flagged> {
         self.digest.flagged()
     }
 
-    /// Ends the run on any sink: writes the record of its end, the summary and the footer.
+    /// Ends the run on any sink: writes the end record, the summary and the footer. Returns the sink.
     pub fn end(mut self, cause: &str, ended: UtcNs) -> Result<W, WriteError> {
         self.close(cause, ended)?;
         Ok(self.sink)
     }
 
-    /// [`end`](Self::end) for a sink that may refuse bytes until it is repaired. Nothing can be added afterwards.
+    /// As [`end`](Self::end), for a sink that may refuse bytes until it is repaired. Nothing can be appended afterwards.
     pub fn close(&mut self, cause: &str, ended: UtcNs) -> Result<(), WriteError> {
         let end = self.end_record(cause, ended);
         self.close_with(&end)
     }
 
-    /// The record of the run's end, if it ends now.
+    /// The end record of a run that ends now.
     pub(super) fn end_record(&self, cause: &str, ended: UtcNs) -> RunEnd {
         RunEnd {
             cause: cause.to_owned(),
@@ -328,7 +334,7 @@ impl<W: Write> RecordingWriter<W> {
         time: UtcNs,
         data: &[u8],
     ) -> Result<(), WriteError> {
-        // Readers sort by log time, so it must not decrease, even if the estimated time does.
+        // Readers sort messages by log time. The log time must not decrease, even if the estimated sample time does.
         self.time_last = self.time_last.max(time);
         let log_time = self.time_last.0.max(0) as u64;
         if let Some(tap) = &mut self.tap {
@@ -339,7 +345,7 @@ impl<W: Write> RecordingWriter<W> {
     }
 }
 
-/// Attaches the configuration that was in use as files, which any reader of MCAP can extract.
+/// Attaches the configuration of the run as files. Any reader of MCAP can extract them.
 fn attach_configuration(writer: &mut Writer<NoSeek<Spool>>, run: &RunMetadata) -> Result<(), WriteError> {
     let time = run.started.0.max(0) as u64;
     for (name, text) in [("daemon.toml", &run.daemon_config), ("ball_bar.toml", &run.ball_bar_config)] {
@@ -356,7 +362,7 @@ fn attach_configuration(writer: &mut Writer<NoSeek<Spool>>, run: &RunMetadata) -
     Ok(())
 }
 
-/// Adds schema and channel of a topic, with the QoS profile that `ros2 bag play` needs.
+/// Adds a topic with its schema and channel. The channel has the QoS profile that `ros2 bag play` needs.
 fn add_topic(writer: &mut Writer<NoSeek<Spool>>, topic: &'static Topic) -> Result<Channel, McapError> {
     const QOS: &str = "- history: 1\n  depth: 10\n  reliability: 1\n  durability: 2\n  deadline:\n    sec: 9223372036\n    \
         nsec: 854775807\n  lifespan:\n    sec: 9223372036\n    nsec: 854775807\n  liveliness: 1\n  \

@@ -1,6 +1,7 @@
-//! The messages of a recording as they lie in the file: CDR bytes and their ros2msg schemas.
+//! Encodes and decodes the messages of a recording: values in CDR, types in the schema language ros2msg.
 //!
-//! CDR: OMG XCDR1, little endian, behind the 4-byte encapsulation header. Schema text: MCAP registry "ros2msg".
+//! CDR is OMG XCDR1 in little endian, after an encapsulation header of 4 bytes. The schema texts
+//! follow the MCAP registry, "ros2msg".
 
 use byteorder::LittleEndian;
 use serde::de::DeserializeOwned;
@@ -12,14 +13,14 @@ use crate::time::{DcNs, MonoNs, NS_PER_S, UtcNs};
 /// Encapsulation header of plain little-endian CDR.
 const CDR_LITTLE_ENDIAN: [u8; 4] = [0x00, 0x01, 0x00, 0x00];
 
-/// A topic of the recording; its messages are CDR.
+/// A topic of the recording. Its messages are in CDR.
 #[derive(Debug, PartialEq, Eq)]
 pub struct Topic {
     /// Name of the topic in MCAP.
     pub topic: &'static str,
-    /// Name of the messages' type, as ROS 2 has it.
+    /// Name of the message type in ROS 2.
     pub schema_name: &'static str,
-    /// The type and those it is made of, as ros2msg.
+    /// Definition of the type, and of the types that it contains, in ros2msg.
     pub schema_text: &'static str,
 }
 
@@ -50,23 +51,23 @@ pub(super) static LOG: Topic = Topic {
     schema_text: include_str!("log.ros2msg"),
 };
 
-/// The usual topic of such messages.
+/// This topic has its usual name in ROS, so that other programs find it.
 pub(super) static DIAGNOSTICS: Topic = Topic {
     topic: "/diagnostics",
     schema_name: "diagnostic_msgs/msg/DiagnosticArray",
     schema_text: include_str!("diagnostic_array.ros2msg"),
 };
 
-/// Frame of the recorded data: the base of the bar.
+/// Coordinate frame in the headers of the messages: the base of the bar.
 const FRAME_ID: &str = "ball_bar_base";
 
-/// Why bytes are not a message of their topic.
+/// Why bytes cannot be decoded as a message of their topic.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum MessageError {
     /// The bytes do not begin with the header of little-endian CDR.
     #[error("not little-endian CDR")]
     Encapsulation,
-    /// The bytes end early, continue after the message, or hold an impossible value.
+    /// The bytes end too early, continue after the message, or contain an invalid value.
     #[error("not a whole message of this type: {0}")]
     Content(String),
 }
@@ -107,7 +108,7 @@ impl Header {
     }
 }
 
-/// `ballbard_msgs/BusCycle`, whose origin is a number, or [`Absent`] in files of older programs.
+/// `ballbard_msgs/BusCycle`. The type `Origin` is `u32`, or [`Absent`] for files of older programs.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct CycleMessage<Origin> {
     header: Header,
@@ -123,7 +124,7 @@ struct CycleMessage<Origin> {
     encoders: Vec<EncoderSample>,
 }
 
-/// A field that messages of older programs do not have: it takes no bytes.
+/// A field that does not exist in messages of older programs. It takes no bytes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct Absent;
 
@@ -139,17 +140,17 @@ impl From<Absent> for String {
     }
 }
 
-/// How a file marks a new origin of the counts.
+/// How the cycles of a file mark a new origin of the counts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum CycleLayout {
-    /// By a bit of the first record only; if that record is lost the origin is unknown.
+    /// Only the first record of a new origin has a flag. If that record is lost, the origin of later records is unknown.
     OriginFlag,
-    /// By a number in each record.
+    /// Each record contains the number of its origin.
     OriginNumber,
 }
 
 impl CycleLayout {
-    /// From the schema that the file declares.
+    /// Determines the layout from the schema in the file.
     pub fn of_schema(text: &[u8]) -> Self {
         const FIELD: &[u8] = b"uint32 origin ";
         if text.windows(FIELD.len()).any(|window| window == FIELD) {
@@ -160,7 +161,7 @@ impl CycleLayout {
     }
 }
 
-/// `ballbard_msgs/Event`, whose code is a text, or [`Absent`] in files of older programs.
+/// `ballbard_msgs/Event`. The type `Code` is `String`, or [`Absent`] for files of older programs.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct EventMessage<Code> {
     header: Header,
@@ -192,7 +193,7 @@ struct DiagnosticsMessage {
 /// `diagnostic_msgs/DiagnosticStatus`: state of one component.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct DiagnosticStatus {
-    /// 0 for good, 1 for a warning, 2 for an error.
+    /// 0 for OK, 1 for a warning, 2 for an error.
     pub level: u8,
     pub name: String,
     pub message: String,
@@ -235,7 +236,7 @@ fn from_cdr<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, MessageError> {
     }
 }
 
-/// One bus cycle as CDR.
+/// Encodes a bus cycle in CDR.
 pub(super) fn encode_cycle(record: &CycleRecord) -> Result<Vec<u8>, MessageError> {
     to_cdr(&CycleMessage {
         header: Header::new(record.sample_time),
@@ -252,7 +253,7 @@ pub(super) fn encode_cycle(record: &CycleRecord) -> Result<Vec<u8>, MessageError
     })
 }
 
-/// One bus cycle from CDR. Where the file has no number of the origin it is 0.
+/// Decodes a bus cycle from CDR. If the file has no origin numbers, the origin is 0.
 pub(super) fn decode_cycle(bytes: &[u8], layout: CycleLayout) -> Result<CycleRecord, MessageError> {
     match layout {
         CycleLayout::OriginNumber => cycle_record(from_cdr::<CycleMessage<u32>>(bytes)?),
@@ -283,7 +284,7 @@ fn cycle_record<Origin: Into<u32>>(message: CycleMessage<Origin>) -> Result<Cycl
     })
 }
 
-/// An event as CDR.
+/// Encodes an event in CDR.
 pub(super) fn encode_event(event: &Event) -> Result<Vec<u8>, MessageError> {
     to_cdr(&EventMessage {
         header: Header::new(event.time),
@@ -294,7 +295,8 @@ pub(super) fn encode_event(event: &Event) -> Result<Vec<u8>, MessageError> {
     })
 }
 
-/// An event from CDR. No bytes are both a message with a code and one without: all of them must be used.
+/// Decodes an event from CDR, with or without a code. Both types cannot match the same bytes, because
+/// all bytes must be used.
 pub(super) fn decode_event(bytes: &[u8]) -> Result<Event, MessageError> {
     from_cdr::<EventMessage<String>>(bytes)
         .and_then(event)
@@ -308,8 +310,8 @@ fn event<Code: Into<String>>(message: EventMessage<Code>) -> Result<Event, Messa
     Ok(Event { time: header.stamp.to_utc(), cycle, kind, text, code: code.into() })
 }
 
-/// Joint angles for plotting: one name, position \[rad\] and velocity \[rad/s\] per encoder, NaN where it is not known: viewers
-/// leave a gap there, as they do in the positions.
+/// Encodes joint angles for plotting, one element for each encoder: name, position \[rad\] and velocity \[rad/s\]. Unknown
+/// positions and velocities are NaN; viewers show a gap for them.
 pub(super) fn encode_joint_state(
     time: UtcNs,
     names: &[String],
@@ -325,7 +327,7 @@ pub(super) fn encode_joint_state(
     })
 }
 
-/// An event as a line of a log.
+/// Encodes an event as a line of a log.
 pub(super) fn encode_log(event: &Event) -> Result<Vec<u8>, MessageError> {
     const INFO: u8 = 20;
     const WARN: u8 = 30;
@@ -348,7 +350,7 @@ pub(super) fn encode_log(event: &Event) -> Result<Vec<u8>, MessageError> {
     })
 }
 
-/// Diagnostics of the second before `time`.
+/// Encodes the diagnostics of the second before `time`.
 pub(super) fn encode_diagnostics(
     time: UtcNs,
     status: Vec<DiagnosticStatus>,

@@ -1,48 +1,50 @@
-//! Checks lengths inside an MCAP record before the MCAP library reads it.
+//! Checks the length fields inside an MCAP record before the MCAP library parses the record.
 //!
-//! The library reserves memory for a text by its length field, and only then checks whether the bytes are there: one flipped bit
-//! would request 4 GB, which ends a process whose memory is locked or limited. It does not check, either, whether the records of
-//! an uncompressed chunk end with it.
+//! The library allocates memory for a text according to its length field, and only then checks whether that many bytes
+//! exist. One flipped bit could request 4 GB, which ends a process whose memory is locked or limited. The library also does
+//! not check whether the records of an uncompressed chunk fill the chunk exactly.
+//!
+//! A record consists of a prefix (opcode and length) and its content. The content is described as a sequence of `Part`s.
 
 use mcap::McapError;
 use mcap::records::{ChunkHeader, Record, op};
 
-/// Opcode and length before each record.
+/// Length of the prefix of a record: opcode and length of the content.
 pub(in crate::recording) const PREFIX_BYTES: usize = 9;
 
-/// Opcode and length of the record at the beginning of `bytes`, and what follows its prefix.
+/// Splits `bytes`, which begin with a record, into opcode, length of the record's content, and the bytes after the prefix.
 pub(in crate::recording) fn split_prefix(bytes: &[u8]) -> Option<(u8, usize, &[u8])> {
     let (&[opcode, ref length @ ..], behind) = bytes.split_first_chunk::<PREFIX_BYTES>()?;
     Some((opcode, usize::try_from(u64::from_le_bytes(*length)).unwrap_or(usize::MAX), behind))
 }
 
-/// Parts of a record, up to its last length.
+/// A part of a record's content. Only the parts up to the last length field are described.
 enum Part {
-    /// A fixed number of bytes.
+    /// This number of bytes.
     Fixed(usize),
-    /// A length of 32 bits, and as many bytes: a text, or numbers.
+    /// A length field of 32 bits, followed by that many bytes, which are text or numbers.
     Block,
-    /// A block of texts, each with its length.
+    /// A block that consists of texts, each with its own length field.
     Texts,
 }
 
-/// A record whose lengths stay within it.
+/// Parses a record after checking that its length fields do not exceed the record.
 ///
 /// # Errors
-/// [`McapError::UnexpectedEof`] if a length extends beyond the record, and errors of the library.
+/// [`McapError::UnexpectedEof`] if a length field exceeds the record; otherwise the errors of the library.
 pub fn parse_record(opcode: u8, data: &[u8]) -> Result<Record<'_>, McapError> {
     after_parts(data, layout(opcode)).ok_or(McapError::UnexpectedEof)?;
     mcap::parse_record(opcode, data)
 }
 
-/// Whether a record ends with the bytes that its last length field counts: its own length is then right, too. False for records
-/// with fixed parts after them.
+/// Whether a record ends exactly where the block of its last length field ends. If so, the length in its prefix is correct,
+/// too. False for records that have more content after that block.
 pub(in crate::recording) fn ends_with_its_content(opcode: u8, data: &[u8]) -> bool {
     after_parts(data, layout(opcode)).is_some_and(<[u8]>::is_empty)
 }
 
-/// Whether the records of an uncompressed chunk end with it; the library would read on behind its end. It checks compressed ones
-/// itself.
+/// Whether the records of an uncompressed chunk fill the chunk exactly. Otherwise the library would read beyond the chunk.
+/// True for a compressed chunk, because the library checks it.
 pub(super) fn chunk_is_whole(header: &ChunkHeader, records: &[u8]) -> bool {
     let mut rest = if header.compression.is_empty() { records } else { &[] };
     while let Some((_, length, behind)) = split_prefix(rest) {
@@ -52,7 +54,8 @@ pub(super) fn chunk_is_whole(header: &ChunkHeader, records: &[u8]) -> bool {
     rest.is_empty()
 }
 
-/// An MCAP file up to the first chunk that it holds only in part, or whose records do not end with the chunk.
+/// The beginning of an MCAP file, up to the first chunk that is incomplete or whose records do not fill it exactly. The
+/// whole file if there is no such chunk.
 pub fn up_to_broken_chunk(file: &[u8]) -> &[u8] {
     const MAGIC_BYTES: usize = 8;
     let mut rest = file.get(MAGIC_BYTES..).unwrap_or_default();
@@ -71,7 +74,7 @@ pub fn up_to_broken_chunk(file: &[u8]) -> &[u8] {
     file
 }
 
-/// The beginning of a record up to its last length (MCAP specification, "Records").
+/// The parts of a record's content, up to its last length field (MCAP specification, "Records").
 const fn layout(opcode: u8) -> &'static [Part] {
     match opcode {
         op::HEADER => &[Part::Block, Part::Block],
@@ -79,7 +82,8 @@ const fn layout(opcode: u8) -> &'static [Part] {
         op::CHANNEL => &[Part::Fixed(4), Part::Block, Part::Block, Part::Texts],
         op::CHUNK => &[Part::Fixed(28), Part::Block],
         op::CHUNK_INDEX => &[Part::Fixed(32), Part::Block, Part::Fixed(8), Part::Block],
-        // Behind its texts come a length and a checksum, which the library takes for granted.
+        // After the texts of an attachment follow a length of 8 bytes and a checksum of 4 bytes. The
+        // library assumes that they exist.
         op::ATTACHMENT => &[Part::Fixed(16), Part::Block, Part::Block, Part::Fixed(8 + 4)],
         op::ATTACHMENT_INDEX => &[Part::Fixed(40), Part::Block, Part::Block],
         op::METADATA => &[Part::Block, Part::Texts],
@@ -88,7 +92,7 @@ const fn layout(opcode: u8) -> &'static [Part] {
     }
 }
 
-/// The bytes after these parts.
+/// Skips these parts and returns the bytes after them. `None` if `data` are too short.
 fn after_parts<'a>(mut data: &'a [u8], parts: &[Part]) -> Option<&'a [u8]> {
     for part in parts {
         match part {
@@ -106,7 +110,7 @@ fn after_parts<'a>(mut data: &'a [u8], parts: &[Part]) -> Option<&'a [u8]> {
     Some(data)
 }
 
-/// A block, and what follows it.
+/// Splits `data` into its first block and the bytes after that block.
 fn split_block(data: &[u8]) -> Option<(&[u8], &[u8])> {
     let (length, rest) = data.split_first_chunk::<4>()?;
     rest.split_at_checked(usize::try_from(u32::from_le_bytes(*length)).ok()?)

@@ -1,7 +1,7 @@
-//! The MCAP layer: passes on each record of a whole file, or returns the first fault.
+//! The MCAP layer: reads a file and passes on each of its records, or returns the first error.
 //!
-//! Chunks are opened here and not by the MCAP library, because it lets a chunk pass whose checksum field is zero,
-//! as it is where a power cut left zeros.
+//! Chunks are unpacked here and not by the MCAP library. The library accepts a chunk whose checksum field is zero, and a
+//! power cut can leave zeros in a file.
 
 pub(super) mod lengths;
 
@@ -14,10 +14,10 @@ use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use super::reader::ReadErrorKind;
 use lengths::{PREFIX_BYTES, chunk_is_whole, parse_record};
 
-/// Longest record that a recording has: far above a second of 1 kHz cycles, far below memory.
+/// Longest record that is accepted. Far longer than a second of cycles at 1 kHz, and far smaller than the memory.
 pub(super) const RECORD_LENGTH_BYTES_MAX: usize = 64 << 20;
 
-/// Hands every record of the file, chunks unpacked, to `sink`.
+/// Passes every record of the file to `sink`. A chunk is unpacked, and its records are passed on instead of the chunk.
 pub(super) fn for_each_record<E: From<ReadErrorKind>>(
     source: impl Read,
     sink: &mut dyn FnMut(Record<'_>) -> Result<(), E>,
@@ -38,7 +38,7 @@ fn options() -> LinearReaderOptions {
     LinearReaderOptions::default().with_record_length_limit(RECORD_LENGTH_BYTES_MAX)
 }
 
-/// Checks a chunk as a whole, then hands out its records.
+/// Checks a whole chunk, then passes its records to `sink`.
 pub(super) fn open_chunk<E: From<ReadErrorKind>>(
     chunk: &[u8],
     sink: &mut dyn FnMut(Record<'_>) -> Result<(), E>,
@@ -54,7 +54,7 @@ pub(super) fn open_chunk<E: From<ReadErrorKind>>(
     let reader = LinearReader::new_with_options(
         options().with_skip_start_magic(true).with_skip_end_magic(true).with_prevalidate_chunk_crcs(true),
     );
-    // The reader needs opcode and length of the chunk before its content, as in a file.
+    // The reader expects the chunk's prefix (opcode and length) before its content, as in a file.
     let mut prefix = [0; PREFIX_BYTES];
     prefix[0] = op::CHUNK;
     prefix[1..].copy_from_slice(&(chunk.len() as u64).to_le_bytes());
@@ -65,10 +65,10 @@ fn parse(opcode: u8, data: &[u8]) -> Result<Record<'_>, ReadErrorKind> {
     Ok(parse_record(opcode, data)?)
 }
 
-/// Takes opcode and content of a record.
+/// Receives the opcode and the content of a record.
 type RawSink<'a, E> = dyn FnMut(u8, &[u8]) -> Result<(), E> + 'a;
 
-/// Feeds the reader from `source`.
+/// Reads from `source`, lets `reader` split the bytes into records, and passes each record to `sink`.
 fn drive<E: From<ReadErrorKind>>(
     mut reader: LinearReader,
     mut source: impl Read,

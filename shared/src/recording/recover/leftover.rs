@@ -1,7 +1,9 @@
-//! Files that a crash, a kill or a power cut left behind, and damaged ones.
+//! Recovers files that a crash, a kill or a power cut left incomplete, and damaged files.
 //!
-//! The original goes only when its successor has been read back, and stays as `.mcap.torn` if any of its bytes
-//! could not be used. At every moment one of the two exists under a name that states what it is.
+//! The steps: the file is locked and read. If it is undamaged, it only gets its final name. Otherwise its undamaged records
+//! are written into a new file, which is read back, and which then gets the final name. Only then is the original removed;
+//! it is kept as `.mcap.torn` if some of its bytes could not be used. At every moment, at least one of the two files exists,
+//! and its name states whether it is complete.
 
 use std::fs::File;
 use std::io::{self, BufReader, BufWriter};
@@ -21,39 +23,40 @@ use crate::recording::writer::WriteError;
 
 /// Ending of a recovered file that has not been read back yet.
 const RECOVERING_ENDING: &str = "mcap.recovering";
-/// Originals of one name that are kept beside each other.
+/// Largest number of `.mcap.torn` files with the same name; they are numbered.
 const TORN_MAX: u32 = 1000;
-/// Attempts to lock a file while [`is_in_use`] of other threads and processes holds a shared lock on it, for microseconds each.
+/// Number of attempts to lock a file. An attempt fails if [`is_in_use`] of another thread or process holds a shared lock on
+/// the file, for a few microseconds.
 const LOCK_TRIES: u32 = 100;
 const LOCK_PAUSE: Duration = Duration::from_millis(1);
 
 /// Result of the recovery of a file.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Recovery {
-    /// It is whole and finished; nothing was changed.
+    /// The file is finished and undamaged. Nothing was changed.
     Whole {
         /// Content of the whole recording.
         content: Box<Salvaged>,
     },
-    /// It was finished and only lacked its final name.
+    /// The file was finished and undamaged, and only lacked its final name.
     Renamed {
-        /// Under its final name.
+        /// Path with the final name.
         file: PathBuf,
         /// Content of the whole recording.
         content: Box<Salvaged>,
     },
-    /// What was whole in it is now a finished recording.
+    /// The undamaged records of the file are now in a finished recording.
     Recovered {
         /// Path of the finished recording.
         file: PathBuf,
-        /// The original, where a part of it could not be read.
+        /// Path of the original, if it was kept because some of its bytes could not be used.
         torn: Option<PathBuf>,
-        /// What was taken out of it.
+        /// Content of the finished recording.
         content: Box<Salvaged>,
     },
 }
 
-/// Why a file could not be recovered. It is then as it was.
+/// Why a file could not be recovered. The file is then unchanged.
 #[derive(Debug, thiserror::Error)]
 pub enum RecoverError {
     /// The file does not have the name of a recording.
@@ -62,7 +65,7 @@ pub enum RecoverError {
     /// A running process writes the file.
     #[error("{}: is being written by a running ballbard; stop that run instead", .0.display())]
     Busy(PathBuf),
-    /// A call of the system failed.
+    /// A system call failed.
     #[error("{}: cannot be read: {source}; check the path and its permissions", path.display())]
     Io {
         /// Path of the file concerned.
@@ -70,7 +73,7 @@ pub enum RecoverError {
         /// Error of the operating system.
         source: io::Error,
     },
-    /// Its content cannot be taken out.
+    /// The content cannot be recovered.
     #[error("{}: {source}", path.display())]
     Salvage {
         /// Path of the file concerned.
@@ -78,21 +81,21 @@ pub enum RecoverError {
         /// Why it cannot be salvaged.
         source: SalvageError,
     },
-    /// Names could not be given.
+    /// A file could not be renamed, or the recovered file could not be written.
     #[error(transparent)]
     Write(#[from] WriteError),
 }
 
-/// One file that was found left behind.
+/// A file that was left incomplete.
 #[derive(Debug)]
 pub struct Leftover {
     /// Path under which it was found.
     pub file: PathBuf,
-    /// What became of it.
+    /// Result of its recovery.
     pub outcome: Result<Recovery, RecoverError>,
 }
 
-/// Makes a finished recording out of a damaged or unfinished file.
+/// Recovers a damaged or incomplete file: its undamaged records become a finished recording.
 pub fn recover_file(path: &Path) -> Result<Recovery, RecoverError> {
     recover_file_on(&SystemDisk, path)
 }
@@ -110,6 +113,7 @@ pub fn recover_file_on(disk: &dyn Disk, path: &Path) -> Result<Recovery, Recover
     })?;
     let finished = path.with_file_name(format!("{stem}.{FINISHED_ENDING}"));
     let salvage = |source| RecoverError::Salvage { path: path.to_owned(), source };
+    // An undamaged file needs at most its final name.
     if let Ok(content) = recover::check(BufReader::new(OpenFile::new(disk, &original))) {
         let content = Box::new(content);
         if active.is_none() {
@@ -119,6 +123,7 @@ pub fn recover_file_on(disk: &dyn Disk, path: &Path) -> Result<Recovery, Recover
         rename(disk, path, &finished)?;
         return Ok(Recovery::Renamed { file: finished, content });
     }
+    // A finished file with the final name may be the result of an earlier recovery.
     if active.is_some() && disk.has(&finished).map_err(io)? {
         let (run, _) = recover::find_run(OpenFile::new(disk, &original)).map_err(salvage)?;
         return keep_existing(disk, path, finished, &run);
@@ -128,8 +133,8 @@ pub fn recover_file_on(disk: &dyn Disk, path: &Path) -> Result<Recovery, Recover
     replace(disk, path, &recovering, &finished, content)
 }
 
-/// Recovers every file of a directory that was left behind; those of running processes are not touched. What
-/// cannot be recovered is renamed, so that it is not tried again; of a file without a byte nothing is kept.
+/// Recovers every file of a directory that a crash left incomplete. Files of running processes are skipped. A file without
+/// anything to recover is renamed, so that it is not tried again. An empty file is removed.
 pub fn recover_leftovers(directory: &Path) -> Vec<Leftover> {
     recover_leftovers_on(&SystemDisk, directory)
 }
@@ -138,7 +143,7 @@ pub fn recover_leftovers(directory: &Path) -> Vec<Leftover> {
 pub fn recover_leftovers_on(disk: &dyn Disk, directory: &Path) -> Vec<Leftover> {
     let mut files = match disk.list(directory) {
         Ok(files) => files,
-        // Nothing was ever recorded there.
+        // The directory does not exist yet: nothing was ever recorded there.
         Err(error) if is_absent(&error) => return Vec::new(),
         Err(source) => {
             let file = directory.to_owned();
@@ -154,15 +159,16 @@ pub fn recover_leftovers_on(disk: &dyn Disk, directory: &Path) -> Vec<Leftover> 
         .inspect(|leftover| {
             if let Err(RecoverError::Salvage { source: SalvageError::NothingWhole(_), .. }) = leftover.outcome
             {
-                // If neither succeeds, the next start only tries it again. It may be empty after all, which the disk did not
-                // report before.
+                // Removed if it is empty, which the disk may not have reported before; renamed otherwise. If both fail, the
+                // next start of the daemon tries again.
                 let _ = remove_if_empty(disk, &leftover.file) || set_aside(disk, &leftover.file).is_ok();
             }
         })
         .collect()
 }
 
-/// The name is one that a crash leaves: of a run that was being written, or of a file that had no name yet.
+/// Whether the name is one that a crash leaves: that of an unfinished run, or the temporary name of a file that was just
+/// created. The process that created the temporary file must have ended.
 fn is_left_over(path: &Path) -> bool {
     let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
     let is_active = !name.starts_with('.') && name.ends_with(&format!(".{ACTIVE_ENDING}"));
@@ -173,20 +179,20 @@ fn is_unnamed(path: &Path) -> bool {
     unnamed_by(path).is_some()
 }
 
-/// The process that was about to name this file.
+/// Process that created this file under a temporary name; the name contains the process number.
 fn unnamed_by(path: &Path) -> Option<&str> {
     let name = path.file_name()?.to_str()?.strip_prefix('.')?.strip_suffix(UNNAMED_ENDING)?;
     name.split_once('-').map(|(process, _)| process)
 }
 
-/// Removes an empty file that no process is about to fill.
+/// Removes an empty file, unless a process holds its lock. Returns whether the file was removed.
 fn remove_if_empty(disk: &dyn Disk, path: &Path) -> bool {
     let is_empty = |file: &File| disk.length(file).is_ok_and(|length| length == 0);
     let unused = disk.open(path).ok().filter(is_empty).and_then(|_| lock_left_behind(disk, path).ok());
     unused.is_some_and(|unused| is_empty(&unused) && disk.remove(path).is_ok())
 }
 
-/// Writes what is whole beside the original and reads it back.
+/// Writes the undamaged records into the file `recovering`, and reads it back.
 fn rewrite(disk: &dyn Disk, original: &File, recovering: &Path) -> Result<Salvaged, SalvageError> {
     let created = disk.create(recovering).map_err(io_error(recovering));
     let outcome = created.map_err(SalvageError::from).and_then(|file| {
@@ -198,13 +204,14 @@ fn rewrite(disk: &dyn Disk, original: &File, recovering: &Path) -> Result<Salvag
         Ok(content)
     });
     if outcome.is_err() {
-        // The original is untouched; half a copy is useless.
+        // The original is unchanged. The incomplete copy is useless.
         let _ = disk.remove(recovering);
     }
     outcome
 }
 
-/// Gives the recovered file its final name; then the original goes, or is kept where bytes of it were not used.
+/// Gives the recovered file its final name. Then removes the original, or keeps it as `.mcap.torn` if some of
+/// its bytes were not used.
 fn replace(
     disk: &dyn Disk,
     path: &Path,
@@ -220,7 +227,7 @@ fn replace(
         Some(torn)
     } else {
         rename(disk, recovering, finished)?;
-        // A run that had ended and is not whole lost something, even if no byte was skipped.
+        // A run with an end record that is not whole has lost something, even if no byte was skipped.
         if content.damage.is_some() || content.end.is_some() {
             Some(set_aside(disk, path)?)
         } else {
@@ -232,7 +239,8 @@ fn replace(
     Ok(Recovery::Recovered { file: finished.to_owned(), torn, content: Box::new(content) })
 }
 
-/// A crash during an earlier recovery left both; if the finished one is whole and of this run, it is kept.
+/// Handles an unfinished file beside a finished one with its name, as a crash during an earlier recovery leaves them. The
+/// finished file is kept if it is undamaged and of the same run.
 fn keep_existing(
     disk: &dyn Disk,
     path: &Path,
@@ -270,12 +278,14 @@ fn free_torn_name(disk: &dyn Disk, path: &Path) -> Result<PathBuf, WriteError> {
     Err(WriteError::Exists(first))
 }
 
-/// Whether a living process writes the file. Takes a shared lock for a moment, so that several processes may ask at once.
+/// Whether a running process writes the file. Tested with a shared lock for a moment, so that several
+/// processes can test at once.
 pub fn is_in_use(disk: &dyn Disk, path: &Path) -> io::Result<bool> {
     disk.open(path).and_then(|file| disk.is_locked(file))
 }
 
-/// Locks a file that no process writes; `WouldBlock` if one does. Waits for the shared locks of [`is_in_use`].
+/// Locks a file. Fails with `WouldBlock` if a process writes the file. Waits while [`is_in_use`]
+/// elsewhere holds a shared lock.
 fn lock_left_behind(disk: &dyn Disk, path: &Path) -> io::Result<Flock<File>> {
     for _ in 0..LOCK_TRIES {
         match disk.lock(disk.open(path)?) {

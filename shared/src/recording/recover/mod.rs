@@ -1,8 +1,8 @@
-//! Writes the undamaged parts of a recording that was cut short or damaged as a finished one.
+//! Writes the undamaged records of a damaged or interrupted recording into a new, finished recording.
 //!
-//! All records with a valid checksum (*proven* records, see `resync`) are kept, wherever they are in the file. Cycles between
-//! them are marked as lost, so that numbers have no hole and no value is invented. Works on any source and sink; `leftover`
-//! applies it to files.
+//! All records with a correct checksum (*proven* records, see `resync`) are kept, wherever they are in the file. Missing
+//! cycles between them are written as lost, so that cycle numbers stay consecutive and no value is invented. This module
+//! works on any source and sink; `leftover` applies it to files. A cycle is called *whole* here if it is not lost.
 
 mod leftover;
 mod resync;
@@ -28,43 +28,44 @@ pub use leftover::{
 pub use resync::Damage;
 use resync::{Refused, for_each_proven_record};
 
-/// Bytes that a cycle takes in a file at least: its entry in the index of its chunk.
+/// Smallest number of bytes that a cycle takes in a file: its entry in the index of its chunk.
 const CYCLE_BYTES_MIN: u64 = 16;
-/// Code of the event that states which cycles were in a damaged part of the file.
+/// Code of the event for lost cycles whose part of the file was damaged.
 const DAMAGED_CODE: &str = "file_damaged";
-/// Most cycles that may be missing though no byte is damaged: a write that never reached the disk left no trace.
+/// Largest number of cycles that may be missing without any damaged byte. A write that never reached
+/// the disk leaves no trace.
 const UNTRACED_CYCLES_MAX: u64 = 100_000;
-/// A cycle behind a hole was sampled when its number and the period predict, within this \[ns\] plus a part of the time since
-/// the last whole cycle. Old blocks of another run's file do not pass.
+/// Largest deviation of a cycle's sample time, behind a gap, from the time predicted from its number and the period \[ns\].
+/// A fraction of the time since the last whole cycle is added. This rejects old disk blocks of another run's file.
 const TIME_SLACK_NS: i128 = 10 * NS_PER_S as i128;
-/// That part is one in this number: rates of crystals differ by less.
+/// Divisor of that fraction: it is 1 in 1000. The rates of two crystals differ by less.
 const TIME_SLACK_PARTS: i128 = 1000;
 
 /// Content of a recovered recording.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Salvaged {
-    /// Who, what, with which settings.
+    /// Names and settings of the run.
     pub run: RunMetadata,
-    /// Cycles, numbered without a hole, the lost ones among them.
+    /// Number of cycles, including lost ones. They are numbered consecutively.
     pub cycles: u64,
-    /// Cycles among them in which every encoder is valid.
+    /// Number of cycles in which every encoder is valid.
     pub cycles_valid: u64,
-    /// Cycles among them of which only the number is known.
+    /// Number of lost cycles, of which only the number in the run is known.
     pub cycles_lost: u64,
-    /// When the last cycle that is whole was sampled.
+    /// Sample time of the last whole cycle. `None` if no cycle is whole.
     pub last_good: Option<UtcNs>,
-    /// Timing of the loop, if it is known: of a run that was cut short only of its beginning.
+    /// Timing of the loop, if the file contains it. If the run was cut short, it covers only its beginning.
     pub timing: Option<TimingSummary>,
-    /// How the run ended, if it did.
+    /// How the run ended. `None` if the run was cut short.
     pub end: Option<RunEnd>,
-    /// What could not be read; none of a file that was only cut short between two records.
+    /// The damaged bytes. `None` if there are none, for example if the file was only cut off between two records.
     pub damage: Option<Damage>,
-    /// CRC-32 over all cycles and events as they are encoded.
+    /// CRC-32 over all encoded cycles and events.
     checksum: u32,
 }
 
 impl Salvaged {
-    /// The cause of the end, in words: damage, number of whole cycles, and the end that the run had.
+    /// Text for the cause in the new end record: damage, number of whole cycles, and the cause in the original end record.
     fn cause(&self) -> String {
         let cut = if self.end.is_none() { ": the run was cut short" } else { "" };
         let damage = self.damage.map_or(String::new(), |damage| format!("; {damage}"));
@@ -85,16 +86,16 @@ impl Salvaged {
 /// Why nothing could be salvaged.
 #[derive(Debug, thiserror::Error)]
 pub enum SalvageError {
-    /// The run's metadata are whole nowhere in the file.
+    /// The file contains no undamaged copy of the run's metadata.
     #[error("nothing can be recovered: {0}")]
     NothingWhole(ReadErrorKind),
-    /// The system could not read it.
+    /// The file could not be read.
     #[error("cannot be read: {0}; check the path and its permissions")]
     Io(#[from] io::Error),
     /// The finished recording cannot be written.
     #[error(transparent)]
     Write(#[from] WriteError),
-    /// The written file does not read back as it was written.
+    /// The new file does not have the content that was written.
     #[error(
         "the recovered file does not read back as it was written ({0}); check the disk, then recover again"
     )]
@@ -107,7 +108,7 @@ impl From<MessageError> for SalvageError {
     }
 }
 
-/// Writes the undamaged parts of `source` into `sink` as a finished recording that is marked as recovered.
+/// Writes the undamaged records of `source` into `sink`, as a finished recording that is marked as recovered.
 pub fn salvage<W: Write + Seek>(
     mut source: impl Read + Seek,
     sink: W,
@@ -127,9 +128,9 @@ pub fn salvage<W: Write + Seek>(
     rewriting.finish(damage)
 }
 
-/// Metadata of the run that `source` is about: the first that are whole.
+/// Finds the first undamaged copy of the run's metadata in `source`.
 pub(super) fn find_run(source: impl Read + Seek) -> Result<(RunMetadata, CycleLayout), SalvageError> {
-    /// What ends the search.
+    /// Why the search ended: the metadata were found, or reading failed.
     enum Found {
         Run(Box<(RunMetadata, CycleLayout)>),
         Io(io::Error),
@@ -152,7 +153,7 @@ pub(super) fn find_run(source: impl Read + Seek) -> Result<(RunMetadata, CycleLa
     }
 }
 
-/// Reads a recovered recording back: it must be finished, and contain what `salvaged` has, bit for bit.
+/// Reads a recovered recording and checks that it is finished and has exactly the content of `salvaged`.
 pub fn verify(source: impl Read, salvaged: &Salvaged) -> Result<(), SalvageError> {
     let differs = |what: &str| Err(SalvageError::Verification(what.to_owned()));
     let written = check(source).map_err(|damage| SalvageError::Verification(damage.to_string()))?;
@@ -169,7 +170,7 @@ pub fn verify(source: impl Read, salvaged: &Salvaged) -> Result<(), SalvageError
     Ok(())
 }
 
-/// Reads a file through without keeping it: it is finished and whole, or the error has the reason.
+/// Reads a whole file without keeping its cycles. Returns an error unless the file is finished and undamaged.
 pub(super) fn check(source: impl Read) -> Result<Salvaged, ReadErrorKind> {
     let (mut decoder, mut seen) = (Decoder::default(), OrderedContent::default());
     for_each_record(source, &mut |record| {
@@ -184,7 +185,7 @@ struct Rewriting<W: Write + Seek> {
     writer: RecordingWriter<W>,
     seen: OrderedContent,
     run: RunMetadata,
-    /// The last cycle that is whole.
+    /// The last whole cycle that was written.
     last: Option<CycleRecord>,
     /// Number of damaged bytes before that cycle.
     damaged_bytes: u64,
@@ -210,13 +211,14 @@ impl<W: Write + Seek> Rewriting<W> {
         written.map_err(|error| Refused::Stop(error.into()))
     }
 
-    /// Writes the cycles between the last whole one and `next` as lost. Refuses a `next` whose number or time does not fit.
+    /// Writes the missing cycles before `next` as lost. Refuses `next` if its number or its time is not plausible.
     fn fill_hole_before(&mut self, next: &CycleRecord, damage: &Damage) -> Result<(), Refused<SalvageError>> {
         let first = self.seen.cycles;
         if next.cycle == first && damage.bytes == self.damaged_bytes {
             return Ok(());
         }
-        // Out of place: written twice, or by another run that had these blocks of the disk before.
+        // The number is out of order. The cycle was written twice, or belongs to another run that
+        // used these disk blocks before.
         if next.cycle < first || next.cycle - first > self.hole_cycles_max(damage) {
             return Err(Refused::Damage);
         }
@@ -232,7 +234,7 @@ impl<W: Write + Seek> Rewriting<W> {
         if next.cycle == first {
             return Ok(());
         }
-        // Times of lost cycles are interpolated; before the first whole cycle they follow from the period.
+        // Sample times of lost cycles are interpolated. Before the first whole cycle, they are computed from the period.
         let period_ns = self.cycles_ns(1);
         let time_ns = |cycle: u64| match last {
             Some(_) => {
@@ -244,7 +246,7 @@ impl<W: Write + Seek> Rewriting<W> {
         self.fill(first..next.cycle, last.as_ref().unwrap_or(next), time_ns)
     }
 
-    /// Writes cycles behind the last whole one as lost, up to the number in the end record.
+    /// Writes the missing cycles after the last whole one as lost, up to the number in the end record.
     fn fill_to_end(&mut self, damage: &Damage) -> Result<(), Refused<SalvageError>> {
         let (Some(last), Some(end)) = (self.last, &self.seen.end) else { return Ok(()) };
         let missing = self.seen.cycles..end.cycles;
@@ -252,7 +254,7 @@ impl<W: Write + Seek> Rewriting<W> {
             return Ok(());
         }
         let period_ns = self.cycles_ns(1);
-        // Nothing may follow the end record: it is put back afterwards.
+        // `seen` accepts no cycle after the end record. It is removed for this time and put back afterwards.
         let end = self.seen.end.take();
         let filled = self.fill(missing, &last, |cycle| {
             i128::from(last.sample_time.0) + period_ns * i128::from(cycle - last.cycle)
@@ -261,7 +263,8 @@ impl<W: Write + Seek> Rewriting<W> {
         filled
     }
 
-    /// Writes `missing` cycles as lost, with encoders as in `near`, and an event that states their number.
+    /// Writes the cycles `missing` as lost, and an event with their number. Encoders are copied from the cycle `near`.
+    /// `time_ns` returns the sample time of a cycle \[ns since 1970\].
     fn fill(
         &mut self,
         missing: std::ops::Range<u64>,
@@ -278,7 +281,7 @@ impl<W: Write + Seek> Rewriting<W> {
         self.put(Item::Event(Event { time, cycle, kind: EventKind::Gap, text, code }))
     }
 
-    /// Most cycles that can have been in the damaged bytes since the last whole cycle.
+    /// Largest number of cycles that the damaged bytes since the last whole cycle can have contained.
     fn hole_cycles_max(&self, damage: &Damage) -> u64 {
         UNTRACED_CYCLES_MAX.max((damage.bytes - self.damaged_bytes) / CYCLE_BYTES_MIN)
     }
@@ -290,7 +293,7 @@ impl<W: Write + Seek> Rewriting<W> {
     fn finish(mut self, damage: Damage) -> Result<(Salvaged, W), SalvageError> {
         match self.fill_to_end(&damage) {
             Err(Refused::Stop(error)) => return Err(error),
-            // Cycles that cannot be filled in are missing at the end.
+            // If the missing cycles are not plausible, they are left out at the end.
             Err(Refused::Damage) | Ok(()) => {}
         }
         let Self { writer, seen, run, .. } = self;
@@ -302,7 +305,7 @@ impl<W: Write + Seek> Rewriting<W> {
     }
 }
 
-/// Content read so far, in order.
+/// The content read so far. Checks the order of items.
 #[derive(Default)]
 struct OrderedContent {
     run: Option<RunMetadata>,
@@ -316,7 +319,7 @@ struct OrderedContent {
 }
 
 impl OrderedContent {
-    /// Records an item and returns it, or why it cannot be there.
+    /// Stores an item and returns it. Returns an error if the item is not allowed at this position.
     fn take(&mut self, item: Item) -> Result<Item, ReadErrorKind> {
         let misplaced = |what: &str| Err(ReadErrorKind::Misplaced(what.to_owned()));
         match (&item, &self.run, &self.end) {

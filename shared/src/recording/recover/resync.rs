@@ -1,8 +1,9 @@
 //! Finds the undamaged records of an MCAP file, for [`salvage`](super::salvage).
 //!
-//! Chunks, attachments and our metadata records have their own checksums: with a valid one a record is *proven*, at any byte. The
-//! other records only index them: they are skipped if they are as the writer writes them; otherwise the next record with a
-//! checksum is searched for byte by byte. Memory is bounded by the longest allowed record.
+//! Chunks, attachments and our metadata records have their own checksums. Such a record is *proven* if its checksum is
+//! correct, wherever in the file it is. All other records, such as indexes, have no checksum. They contain nothing that is
+//! needed, and are skipped if they look exactly as our writer writes them. At any other content, the file is damaged: the
+//! next record with a checksum is searched byte by byte. Memory is limited by the longest allowed record.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -16,27 +17,27 @@ use crate::recording::reader::ReadErrorKind;
 use crate::recording::records::lengths::{PREFIX_BYTES, ends_with_its_content, parse_record, split_prefix};
 use crate::recording::records::{RECORD_LENGTH_BYTES_MAX, open_chunk};
 
-/// First bytes of the records that are searched behind damage.
+/// Opcodes that the search behind damage stops at.
 const BEGINNINGS: [u8; 4] = [op::CHUNK, op::METADATA, op::ATTACHMENT, op::DATA_END];
-/// Enough of a record to know whether its lengths agree with each other.
+/// Number of bytes from which a record's lengths can be compared with each other.
 const HEAD_BYTES: usize = 64;
-/// Read from the source at once.
+/// Number of bytes that are read from the source at a time.
 const READ_BYTES: usize = 256 << 10;
-/// Unit in which a disk reads or fails.
+/// Length of a disk sector, the unit in which reading fails \[bytes\].
 const SECTOR_BYTES: u64 = 4096;
-/// A chunk's times, sizes and checksum, before the name of its compression.
+/// Length of a chunk's fields before the name of its compression: times, size and checksum.
 const CHUNK_FIXED_BYTES: usize = 28;
 /// Longest name of a compression.
 const COMPRESSION_NAME_BYTES_MAX: usize = 4;
 
-/// Bytes of a file that could not be used.
+/// The bytes of a file that could not be used.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Damage {
     /// Number of all damaged bytes.
     pub bytes: u64,
-    /// Number of damaged places in the file.
+    /// Number of separate damaged segments in the file.
     pub places: u64,
-    /// Where the first of them begins \[bytes\].
+    /// Offset of the first damaged byte in the file.
     pub first_at: u64,
 }
 
@@ -50,9 +51,9 @@ impl fmt::Display for Damage {
 
 /// Why the content of a chunk or a metadata record was not used.
 pub(super) enum Refused<E> {
-    /// It cannot be there and counts as damage.
+    /// The content is not possible at this position, and counts as damage.
     Damage,
-    /// Reading stops with this error.
+    /// Reading must stop with this error.
     Stop(E),
 }
 
@@ -62,10 +63,10 @@ impl<E> From<ReadErrorKind> for Refused<E> {
     }
 }
 
-/// Takes a record, and what was damaged before it.
+/// Receives a record, and the damage that was found before it.
 type RecordSink<'a, E> = dyn FnMut(Record<'_>, &Damage) -> Result<(), Refused<E>> + 'a;
 
-/// Passes every record of the data section with a valid checksum to `sink`, chunks unpacked, and returns the damage.
+/// Passes every proven record of the data section to `sink`, and returns the damage. Chunks are unpacked.
 pub(super) fn for_each_proven_record<E: From<io::Error>>(
     source: impl Read + Seek,
     sink: &mut RecordSink<'_, E>,
@@ -75,6 +76,7 @@ pub(super) fn for_each_proven_record<E: From<io::Error>>(
     let mut damage = Damage::default();
     let mut damaged_until = None;
     while !file.peek(1)?.is_empty() {
+        // A record with a correct checksum is passed to `sink`; another record of our writer is skipped.
         let proven = match proven_length(file.peek(HEAD_BYTES)?) {
             Some(length) => take_proven(file.peek(length)?, length, &mut around, &damage, sink)?,
             None => None,
@@ -87,6 +89,7 @@ pub(super) fn for_each_proven_record<E: From<io::Error>>(
             file.skip(length);
             continue;
         }
+        // Anything else is damage. It extends to the next byte that may begin a record with a checksum.
         if damaged_until != Some(file.at) {
             damage.first_at = if damage.places == 0 { file.at } else { damage.first_at };
             damage.places += 1;
@@ -101,7 +104,7 @@ pub(super) fn for_each_proven_record<E: From<io::Error>>(
     Ok(damage)
 }
 
-/// Length of the record with a checksum that seems to begin here, with its prefix.
+/// If the bytes look like the beginning of a record with a checksum: length of that record with its prefix.
 fn proven_length(head: &[u8]) -> Option<usize> {
     let (opcode, length, content) = split_prefix(head)?;
     let seems = length <= RECORD_LENGTH_BYTES_MAX
@@ -115,7 +118,7 @@ fn proven_length(head: &[u8]) -> Option<usize> {
     seems.then(|| PREFIX_BYTES + length)
 }
 
-/// What a chunk's own lengths add up to.
+/// Length of a chunk's content, computed from the length fields inside it.
 fn chunk_length(content: &[u8]) -> Option<u64> {
     let compression = leading_text(content.get(CHUNK_FIXED_BYTES..)?)?;
     let before = CHUNK_FIXED_BYTES + size_of::<u32>() + compression.len();
@@ -124,13 +127,13 @@ fn chunk_length(content: &[u8]) -> Option<u64> {
     length.filter(|_| compression.len() <= COMPRESSION_NAME_BYTES_MAX)
 }
 
-/// The text that a record begins with.
+/// The text at the beginning of a record's content.
 fn leading_text(bytes: &[u8]) -> Option<&[u8]> {
     let (length, rest) = bytes.split_first_chunk::<4>()?;
     rest.get(..usize::try_from(u32::from_le_bytes(*length)).ok()?)
 }
 
-/// Hands out a record if all of it is there and its checksum is right, and returns its length then.
+/// Passes a record to `sink` if it is complete and its checksum is correct. Returns its length in this case.
 fn take_proven<E>(
     bytes: &[u8],
     length: usize,
@@ -170,24 +173,24 @@ fn take_proven<E>(
     }
 }
 
-/// What is attached is in the metadata, too; it only has to be whole.
+/// Checks that an attachment is complete. Its content is not needed, because the metadata contain it, too.
 fn attachment<E>(content: &[u8]) -> Result<(), Refused<E>> {
     let whole = matches!(parse_record(op::ATTACHMENT, content), Ok(Record::Attachment { crc, .. })
         if content.split_last_chunk::<4>().is_some_and(|(before, _)| crc32fast::hash(before) == crc));
     if whole { Ok(()) } else { Err(Refused::Damage) }
 }
 
-/// Position of the search in a file: which records without a checksum may be there.
+/// State of the search. It determines which records without a checksum are possible at the current position.
 #[derive(Default)]
 struct Surroundings {
-    /// Messages of each channel in the last chunk that no index has listed yet.
+    /// Number of messages of each channel in the last chunk. Channels whose index has followed are removed.
     unlisted: BTreeMap<u16, usize>,
     in_summary: bool,
     after_footer: bool,
 }
 
 impl Surroundings {
-    /// Length of a record without a checksum that is as the writer writes it.
+    /// Length of a record without a checksum, if it is possible here and looks exactly as our writer writes it.
     fn unproven_length<R: Read + Seek>(&mut self, file: &mut Window<R>) -> io::Result<Option<usize>> {
         if (file.at == 0 || self.after_footer) && file.peek(MAGIC.len())? == MAGIC {
             return Ok(Some(MAGIC.len()));
@@ -218,12 +221,13 @@ impl Surroundings {
         }
     }
 
-    /// Whether a record is one that can be here. In the data section its length must be that of what is in it, or one wrong bit
-    /// would hide what comes after.
+    /// Whether a record is possible at this position. In the data section its length must equal the length of its content.
+    /// Otherwise one wrong bit in the length could hide the records after it.
     fn expects(&mut self, record: &Record<'_>, content: &[u8]) -> bool {
         match record {
             Record::Header(_) => ends_with_its_content(op::HEADER, content),
-            // One bit away from a chunk: it must list just what lies before it.
+            // One flipped bit turns the opcode of a chunk into that of a message index. The index must
+            // therefore match the last chunk.
             Record::MessageIndex(index) => {
                 let listed = index.records.len();
                 content.len() == size_of::<u16>() + size_of::<u32>() + listed * 2 * size_of::<u64>()
@@ -242,17 +246,17 @@ impl Surroundings {
     }
 }
 
-/// A part of a source, kept as long as it may be read again.
+/// A window of the source. Its bytes stay in memory as long as they may be read again.
 struct Window<R> {
     source: R,
     /// Length of the source.
     source_bytes: u64,
     buffer: Vec<u8>,
-    /// Beginning of the window in the buffer \[bytes\].
+    /// Beginning of the window, as an offset in `buffer`.
     start: usize,
-    /// The same in the source \[bytes\].
+    /// Beginning of the window, as an offset in the source \[bytes\].
     at: u64,
-    /// Position at which the disk has failed once \[bytes\].
+    /// Offset in the source at which the last read error occurred \[bytes\].
     refused_at: Option<u64>,
 }
 
@@ -263,7 +267,7 @@ impl<R: Read + Seek> Window<R> {
         Ok(Self { source, source_bytes, buffer: Vec::new(), start: 0, at: 0, refused_at: None })
     }
 
-    /// The next `bytes` bytes, or all that are left if these are fewer.
+    /// The next `bytes` bytes of the source, or fewer at its end. They are not skipped.
     fn peek(&mut self, bytes: usize) -> io::Result<&[u8]> {
         while self.buffer.len() - self.start < bytes {
             if self.start > READ_BYTES {
@@ -288,8 +292,9 @@ impl<R: Read + Seek> Window<R> {
         Ok(&self.buffer[self.start..end])
     }
 
-    /// Replaces a sector that the disk cannot read by zeros; false at the end of the source. At the first failure it only
-    /// seeks there again, because a disk may fail once and then read it.
+    /// Handles a read error of the disk. At the first error at a position, only repeats the read, because a disk
+    /// may fail once and then succeed. At the second, replaces the rest of the sector by zeros. Returns false at
+    /// the end of the source.
     fn pass_bad_sector(&mut self) -> io::Result<bool> {
         let at = self.at + (self.buffer.len() - self.start) as u64;
         if self.refused_at.replace(at) != Some(at) {
