@@ -1,33 +1,33 @@
-//! EtherCAT frames and datagrams within an Ethernet frame, read and changed in place (ETG.1000.4 section 5.3 and 5.4).
+//! Reads and changes EtherCAT frames and datagrams in place, within an Ethernet frame (ETG.1000.4 section 5.3 and 5.4).
 
 use std::ops::Range;
 
-/// Destination, source and type of an Ethernet frame.
+/// Length of the Ethernet header: destination, source and type \[bytes\].
 const ETHERNET_HEADER_LEN: usize = 14;
-/// Range of the Ethernet type.
+/// Position of the type in the Ethernet header.
 const ETHERTYPE: Range<usize> = 12..14;
-/// First byte of the source address.
+/// Position of the first byte of the source address.
 const SOURCE_MAC: usize = 6;
-/// Set by the first slave controller in the source address: "locally administered".
+/// Bit in that byte, "locally administered". The first slave controller sets it.
 const LOCALLY_ADMINISTERED: u8 = 0x02;
 /// Ethernet type of EtherCAT, big-endian on the wire.
 const ETHERCAT: [u8; 2] = [0x88, 0xa4];
-/// Length and type of an EtherCAT frame.
+/// Length of the EtherCAT header, which contains length and type \[bytes\].
 const ETHERCAT_HEADER_LEN: usize = 2;
 /// Frame type of EtherCAT commands.
 const TYPE_COMMANDS: u16 = 1;
-/// The lower 11 bits of a length field contain the length.
+/// Mask of the length in a length field: its lower 11 bits.
 const LENGTH_MASK: u16 = 0x07ff;
-/// Set in a datagram's length field when another datagram follows.
+/// Bit in the length field of a datagram that is set if another datagram follows.
 const MORE_FOLLOWS: u16 = 0x8000;
-/// Command, index, address, length and interrupt field of a datagram.
+/// Length of a datagram's header: command, index, address, length and interrupt field \[bytes\].
 pub const DATAGRAM_HEADER_LEN: usize = 10;
-/// The working counter behind a datagram's data.
+/// Length of the working counter, which follows the data of a datagram \[bytes\].
 pub const WORKING_COUNTER_LEN: usize = 2;
 
-/// Range of the datagrams in an Ethernet frame; `None` if it is not an EtherCAT frame with commands.
+/// Range of the datagrams in an Ethernet frame. `None` if the frame is not an EtherCAT frame with commands.
 ///
-/// A length field beyond the frame is limited to the frame's end.
+/// If the length field exceeds the frame, the range ends with the frame.
 pub fn datagrams(frame: &[u8]) -> Option<Range<usize>> {
     if frame.get(ETHERTYPE)? != ETHERCAT {
         return None;
@@ -40,14 +40,14 @@ pub fn datagrams(frame: &[u8]) -> Option<Range<usize>> {
     Some(start..frame.len().min(start + usize::from(header & LENGTH_MASK)))
 }
 
-/// Marks a frame as processed by a slave controller. Masters drop frames with their own address.
+/// Marks a frame as processed by a slave controller. A master drops frames that have its own source address unchanged.
 pub fn mark_processed(frame: &mut [u8]) {
     if let Some(byte) = frame.get_mut(SOURCE_MAC) {
         *byte |= LOCALLY_ADMINISTERED;
     }
 }
 
-/// One EtherCAT command with its data, in place.
+/// One EtherCAT command with its data, which are changed in place.
 pub struct Datagram<'a> {
     header: &'a mut [u8; DATAGRAM_HEADER_LEN],
     /// Data that the command reads or writes.
@@ -56,9 +56,9 @@ pub struct Datagram<'a> {
 }
 
 impl<'a> Datagram<'a> {
-    /// The first datagram of `bytes` and the rest after it; `None` if it is incomplete.
+    /// Splits `bytes` into the first datagram and the bytes after it. `None` if the datagram is incomplete.
     ///
-    /// The rest is empty after the last datagram of a frame.
+    /// The bytes after it are empty if this is the last datagram of the frame.
     pub fn split_first(bytes: &'a mut [u8]) -> Option<(Self, &'a mut [u8])> {
         let (header, rest) = bytes.split_first_chunk_mut::<DATAGRAM_HEADER_LEN>()?;
         let length = u16::from_le_bytes([header[6], header[7]]);
@@ -72,12 +72,12 @@ impl<'a> Datagram<'a> {
         self.header[0]
     }
 
-    /// Address of the device (position or station address).
+    /// Address of the device: its position or its station address.
     pub fn device_address(&self) -> u16 {
         u16::from_le_bytes([self.header[2], self.header[3]])
     }
 
-    /// Increments the address field, as positional and broadcast commands do at every device.
+    /// Increments the address field. Commands by position and broadcast commands do so at every device.
     pub fn increment_device_address(&mut self) {
         let next = self.device_address().wrapping_add(1).to_le_bytes();
         [self.header[2], self.header[3]] = next;
@@ -93,13 +93,13 @@ impl<'a> Datagram<'a> {
         u32::from(self.memory_address()) << 16 | u32::from(self.device_address())
     }
 
-    /// Adds to the working counter.
+    /// Increments the working counter.
     pub fn count(&mut self, increment: u16) {
         let sum = u16::from_le_bytes(*self.working_counter).wrapping_add(increment);
         *self.working_counter = sum.to_le_bytes();
     }
 
-    /// Subtracts from the working counter, down to zero.
+    /// Reduces the working counter, not below zero.
     pub fn count_less(&mut self, decrement: u16) {
         let rest = u16::from_le_bytes(*self.working_counter).saturating_sub(decrement);
         *self.working_counter = rest.to_le_bytes();

@@ -1,15 +1,15 @@
-//! A bus without hardware: one EK1100 coupler and up to 16 EL5021 terminals, which answer the frames of an unmodified
-//! EtherCAT MainDevice.
+//! A bus without hardware: one EK1100 coupler and up to 16 EL5021 terminals. They answer the frames
+//! of an unmodified EtherCAT MainDevice.
 //!
-//! Three parts are separate: the chip of every EtherCAT device (`chip`), the wiring (`wiring`), and the behaviour of each
-//! device (`devices`). The segment is a function of the frames and of the time given to [`SimulatedSegment::exchange`]: it
-//! has no clock and no thread, so it runs on real time as well as on a virtual clock. Events between two frames are
-//! computed when the next one arrives.
+//! The parts of a real bus are separate modules: the chip in every EtherCAT device (`chip`), the wiring (`wiring`), and the
+//! behaviour of each device (`devices`). The segment depends only on the frames and times that
+//! [`SimulatedSegment::exchange`] receives. It has no clock and no thread, so it runs in real time as well as on a virtual
+//! clock. Events between two frames are computed when the second frame arrives. A *true* time is the simulation's own time,
+//! without the errors of any device's clock.
 //!
-//! Faults of devices are set here, between two frames; faults of frames are simulated by [`faults`], which wraps
-//! `exchange`.
+//! Faults of devices are set here, between two frames. Faults of frames are simulated by [`faults`], which wraps `exchange`.
 //!
-//! The crate does not depend on the acquisition: no decoder can share code with the emulation that tests it.
+//! This crate does not depend on the acquisition. No decoder can therefore share code with the emulation that tests it.
 
 mod chip;
 mod devices;
@@ -36,20 +36,20 @@ use wiring::Wiring;
 
 /// Longest Ethernet frame without its checksum.
 pub const FRAME_BYTES_MAX: usize = 1518;
-/// Number of the bar's encoders.
+/// Number of encoders on the bar.
 const TERMINALS: usize = 5;
-/// Largest number of terminals: more than the coupler can supply.
+/// Largest number of terminals. The coupler cannot supply this many.
 pub const TERMINALS_MAX: u8 = 16;
-/// Devices were powered up within this time before the first frame. Port times, 32 bits of the local time, wrap 4.3 s after
-/// power-up: not while a bus is brought up at once.
+/// Longest time from the power-up of a device to the first frame \[ns\]. Port times have 32 bits of the local time and wrap
+/// 4.3 s after power-up. With this limit they do not wrap during a bring-up that begins at once.
 const POWERED_UP_NS: i64 = 1_500_000_000;
 
 /// Composition of the simulated bus.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SegmentConfig {
-    /// EL5021 terminals behind the coupler.
+    /// Number of EL5021 terminals after the coupler.
     pub terminals: usize,
-    /// Seed of the drift and start of each device's clock and of small differences in delay.
+    /// Seed of all random properties: drift and start of each device's clock, and small differences in delay.
     pub seed: u64,
     /// Largest rate error of each device's clock \[ppm\].
     pub drift_ppm: f64,
@@ -58,33 +58,34 @@ pub struct SegmentConfig {
 }
 
 impl Default for SegmentConfig {
-    /// Five terminals, crystals within 20 ppm.
+    /// Five terminals. The clocks of the devices have rate errors up to 20 ppm.
     fn default() -> Self {
         Self { terminals: TERMINALS, seed: 1, drift_ppm: 20.0, revision: Revision::default() }
     }
 }
 
-/// The simulated bus, a function of frames and time.
+/// The simulated bus. Its state depends only on the frames and times that it receives.
 pub struct SimulatedSegment {
     wiring: Wiring,
-    /// Powered up by the first frame, which provides the time.
+    /// Devices with power. The first frame powers them up, because it provides the time.
     nodes: Vec<Node>,
+    // Devices before the first frame. Empty afterwards.
     unpowered: Vec<Unpowered>,
-    /// Number of devices that frames reach.
+    /// Number of devices that frames reach, beginning with the coupler.
     reach: usize,
     source: Box<dyn EncoderSource>,
 }
 
-/// A device before the first frame.
+/// A device before the first frame, which powers it up.
 struct Unpowered {
     device: Box<dyn Device>,
-    /// Time since its power-up, which its local clock shows.
+    /// Time since its power-up \[ns\]. Its local clock starts at this value.
     on_for_ns: i64,
     drift_ppm: f64,
 }
 
 impl SimulatedSegment {
-    /// A bus whose encoders follow `source`.
+    /// A bus whose encoders have the signals of `source`.
     pub fn new(config: &SegmentConfig, source: Box<dyn EncoderSource>) -> Self {
         let mut random = StdRng::seed_from_u64(config.seed);
         let terminals = config.terminals.min(usize::from(TERMINALS_MAX));
@@ -102,13 +103,14 @@ impl SimulatedSegment {
         Self { wiring, nodes: Vec::with_capacity(reach), unpowered: unpowered.collect(), reach, source }
     }
 
-    /// One Ethernet frame enters at true time `now_ns`, which never runs backwards. The returning frame is written to `reply`
-    /// and its length returned: the same length, data exchanged, working counters incremented and bit 0x02 set in the first
-    /// byte of the source address. `None` if the frame is not an EtherCAT frame, or longer than `reply`.
+    /// Passes an Ethernet frame through all devices. The frame enters at true time `now_ns`, which must not decrease.
     ///
-    /// Also `None` while not even the coupler is reached.
+    /// Writes the returning frame into `reply` and returns its length, which is that of `frame`. In the returning
+    /// frame, data are exchanged, working counters are incremented, and bit 0x02 is set in the first byte of the
+    /// source address. Returns `None` if the frame is not an EtherCAT frame, if it is longer than `reply`, or if it
+    /// does not even reach the coupler.
     ///
-    /// Allocates nothing after the first frame.
+    /// Allocates no memory after the first frame.
     pub fn exchange(&mut self, now_ns: i64, frame: &[u8], reply: &mut [u8]) -> Option<usize> {
         let datagrams = frame::datagrams(frame)?;
         let reply = reply.get_mut(..frame.len())?;
@@ -130,12 +132,12 @@ impl SimulatedSegment {
         Some(frame.len())
     }
 
-    /// From sending a frame's first bit until receiving its last, for a virtual clock.
+    /// Time from sending the first bit of a frame until its last bit is received \[ns\], for a virtual clock.
     pub fn round_trip_ns(&self, frame_len: usize) -> i64 {
         self.wiring.round_trip_ns(frame_len)
     }
 
-    /// The devices from `position` on lose power or their cable; 0 includes the coupler.
+    /// Cuts off the devices from `position` on: they lose power or their cable. With 0 the coupler is cut off, too.
     pub(crate) fn cut_from(&mut self, position: usize) {
         if let Some(before) = position.checked_sub(1).filter(|_| position < self.reach) {
             self.change(before, |node| node.esc.count_lost_link());
@@ -144,7 +146,8 @@ impl SimulatedSegment {
         self.show_links();
     }
 
-    /// Powers up the devices that were cut off at `now_ns`: in INIT, without address, counters without origin.
+    /// Powers up the devices that were cut off, at `now_ns`. They are in INIT and have no station
+    /// address. Their counters start anew.
     pub(crate) fn restore(&mut self, now_ns: i64) {
         for node in self.nodes.iter_mut().skip(self.reach) {
             node.power_cycle(now_ns);
@@ -153,14 +156,14 @@ impl SimulatedSegment {
         self.show_links();
     }
 
-    /// Changes a device, if there is one at this position.
+    /// Applies `change` to the device at a position, if there is one.
     pub(crate) fn change(&mut self, position: usize, change: impl FnOnce(&mut Node)) {
         if let Some(node) = self.nodes.get_mut(position) {
             change(node);
         }
     }
 
-    /// Steps the reference clock at `now_ns`.
+    /// Steps the clock of the coupler, which is the reference clock, at `now_ns`.
     pub fn step_reference_clock(&mut self, now_ns: i64, step_ns: i64) {
         self.change(0, |node| node.esc.step_clock(now_ns, step_ns));
     }
@@ -171,7 +174,7 @@ impl SimulatedSegment {
         }
     }
 
-    /// Computes all events before the frame arrives at each device.
+    /// Advances each device to the time at which the frame arrives there, which computes all events before that time.
     fn advance(&mut self, now_ns: i64) {
         for (position, node) in self.nodes.iter_mut().take(self.reach).enumerate() {
             let arrival_ns = now_ns.saturating_add(self.wiring.delay_ns(position));
@@ -181,7 +184,7 @@ impl SimulatedSegment {
         }
     }
 
-    /// Powers up devices that are off, which the first frame does, too.
+    /// Powers up all devices that have no power yet. The first frame does the same.
     pub fn power_up(&mut self, now_ns: i64) {
         for (position, off) in self.unpowered.drain(..).enumerate() {
             let clock = LocalClock::new(now_ns, off.on_for_ns, off.drift_ppm);

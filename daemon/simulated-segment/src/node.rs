@@ -1,5 +1,5 @@
-//! A device on the segment: a slave controller (`chip`) and the behaviour of the device behind it ([`Device`]). Before each frame
-//! the segment advances every node to the time at which the frame arrives there.
+//! A device on the segment. It consists of a slave controller (`chip`) and the behaviour of the device behind that chip
+//! ([`Device`]). Before each frame, the segment advances every node to the time at which the frame arrives there.
 
 use super::chip::al::AlState;
 use super::chip::coe::{self, MAILBOX_MAX, ObjectDictionary};
@@ -7,38 +7,38 @@ use super::chip::dc::LocalClock;
 use super::chip::{ChipProfile, Esc, SyncEvent, SyncMode};
 use super::source::EncoderSource;
 
-/// Longest outputs of any device.
+/// Largest length of the outputs of any device \[bytes\].
 const OUTPUTS_MAX: usize = 16;
 
-/// A sync event for the device.
+/// Data for a device at a sync event, which starts a conversion.
 pub struct SyncStep<'a> {
     /// State of the application layer: SAFE-OP or OP.
     pub state: AlState,
     pub event: SyncEvent,
-    /// Outputs as they last arrived.
+    /// The outputs that arrived last.
     pub outputs: &'a [u8],
-    /// Inputs to be filled.
+    /// The inputs, to be filled by the device.
     pub inputs: &'a mut [u8],
 }
 
 /// Behaviour of a device.
 pub trait Device: Send {
-    /// The chip that the device is built on.
+    /// The chip of this device, with the settings that the device expects.
     fn chip(&self) -> ChipProfile;
 
-    /// A sync event in SAFE-OP or OP: read outputs, fill inputs.
+    /// Handles a sync event in SAFE-OP or OP: uses the outputs, fills the inputs.
     fn step(&mut self, _step: SyncStep<'_>, _source: &mut dyn EncoderSource) {}
 
-    /// Sets the synchronisation of the device.
+    /// Sets what starts the conversions of the device.
     fn synchronise(&mut self, _mode: SyncMode) {}
 
-    /// Sets or removes a fault of the encoder's signal; ignored by devices without encoder.
+    /// Sets or removes a fault of the encoder's signal. Devices without encoder ignore it.
     fn set_signal_fault(&mut self, _fault: Option<SignalFault>) {}
 
-    /// Powers the device off and on: everything outside its EEPROM is lost.
+    /// Powers the device off and on. Everything except the EEPROM is lost.
     fn power_cycle(&mut self) {}
 
-    /// The object dictionary of a device with a mailbox.
+    /// The object dictionary. `None` for a device without mailbox.
     fn objects(&mut self) -> Option<&mut dyn ObjectDictionary> {
         None
     }
@@ -47,9 +47,9 @@ pub trait Device: Send {
 /// Faults of an encoder's signal.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SignalFault {
-    /// No amplitude: a cable is disconnected.
+    /// The signal has no amplitude, because a cable is disconnected.
     Lost,
-    /// A frequency that no terminal can follow, for example from disturbances.
+    /// The signal has a frequency that no terminal can follow, for example because of disturbances.
     TooFast,
 }
 
@@ -58,9 +58,9 @@ pub enum SignalFault {
 pub enum MailboxFault {
     /// Every SDO is refused with this abort code.
     Abort(u32),
-    /// Requests are accepted and never answered.
+    /// Requests are accepted but never answered.
     Silent,
-    /// An emergency with this error code precedes the next answer, once.
+    /// An emergency message with this error code is sent before the next answer, once.
     Emergency(u16),
 }
 
@@ -68,16 +68,16 @@ pub enum MailboxFault {
 pub struct Node {
     /// The chip, on the side of the wire.
     pub esc: Esc,
-    /// The device, which also has the faults of its encoder.
+    /// The behaviour of the device, including faults of its encoder.
     pub device: Box<dyn Device>,
-    /// A fault of the mailbox.
+    /// The current fault of the mailbox.
     pub mailbox_fault: Option<MailboxFault>,
-    /// An answer that waits until the master has fetched the previous one.
+    /// An answer that is sent after the master has read the emergency message before it.
     held_answer: Option<([u8; MAILBOX_MAX], usize)>,
 }
 
 impl Node {
-    /// Powers a device up.
+    /// Powers a device up. `clock` is its local clock, `dl_status` the state of its ports.
     pub fn new(device: Box<dyn Device>, clock: LocalClock, dl_status: u16) -> Self {
         let mut esc = Esc::new(device.chip(), clock);
         esc.set_dl_status(dl_status);
@@ -91,7 +91,8 @@ impl Node {
         self.held_answer = None;
     }
 
-    /// Advances chip and device to the arrival of a frame, which returns from the devices behind at `back_ns`.
+    /// Advances chip and device to the arrival of a frame at `now_ns`. At `back_ns` the frame returns from
+    /// the devices after this one.
     pub fn advance(&mut self, now_ns: i64, back_ns: Option<i64>, source: &mut dyn EncoderSource) {
         self.esc.advance(now_ns, back_ns);
         self.device.synchronise(self.esc.sync_mode());

@@ -1,5 +1,6 @@
-//! Application layer (AL) state machine of a chip (ETG.1000.6 section 6.4.1): INIT, PRE-OP, SAFE-OP, OP. The master requests a
-//! state; some time later it is entered or refused, depending on the [`Readiness`] of the chip's units.
+//! State machine of the application layer (AL) of a chip (ETG.1000.6 section 6.4.1). Its states are INIT,
+//! PRE-OP, SAFE-OP and OP. The master requests a state. Some time later the chip enters or refuses it, depending
+//! on the [`Readiness`] of its units.
 
 /// State of the application layer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -8,7 +9,7 @@ pub enum AlState {
     Init = 1,
     /// The mailbox works, without process data.
     PreOp = 2,
-    /// Inputs are valid, outputs are safe.
+    /// Inputs are valid. Outputs are ignored, the device is in its safe state.
     SafeOp = 4,
     /// Inputs and outputs are valid.
     Op = 8,
@@ -18,7 +19,7 @@ pub enum AlState {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u16)]
 pub enum AlStatusCode {
-    /// A transition that the state machine does not have.
+    /// There is no such transition.
     InvalidRequestedStateChange = 0x0011,
     /// The requested state does not exist.
     UnknownRequestedState = 0x0012,
@@ -26,7 +27,7 @@ pub enum AlStatusCode {
     BootstrapNotSupported = 0x0013,
     /// Sync manager 0 or 1 has wrong settings.
     InvalidMailboxConfiguration = 0x0016,
-    /// No outputs arrived since PRE-OP.
+    /// No outputs have arrived since PRE-OP.
     NoValidOutputs = 0x0019,
     /// Sync manager 2 has wrong settings.
     InvalidOutputConfiguration = 0x001d,
@@ -40,78 +41,79 @@ pub enum AlStatusCode {
     InvalidDcSyncConfiguration = 0x0030,
 }
 
-/// State of the distributed clock's sync signals.
+/// State of the sync signals SYNC0 and SYNC1 of the distributed clock.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SyncReadiness {
-    /// Not activated: the device follows the frames.
+    /// Not activated. Frames start the conversions of the device.
     Off,
     /// Activated with settings that the device cannot use.
     Invalid,
-    /// SYNC1 is not within the cycle.
+    /// The cycle of SYNC1 is not shorter than that of SYNC0, or it is zero.
     WrongSync1,
-    /// Activated, but without a pulse so far.
+    /// Activated, but there has been no pulse yet.
     Waiting,
-    /// Activated, and SYNC0 has pulsed.
+    /// Activated, and there has been at least one SYNC0 pulse.
     Running,
 }
 
 /// Conditions of a transition.
 #[derive(Debug, Clone, Copy)]
 pub struct Readiness {
-    /// Both mailbox sync managers are set correctly.
+    /// Whether both mailbox sync managers have the expected settings.
     pub mailbox: bool,
-    /// The output sync manager is set correctly.
+    /// Whether the output sync manager has the expected settings.
     pub outputs: bool,
-    /// The input sync manager is set correctly.
+    /// Whether the input sync manager has the expected settings.
     pub inputs: bool,
     /// State of the sync signals.
     pub sync: SyncReadiness,
-    /// Outputs arrived since PRE-OP.
+    /// Whether outputs have arrived since PRE-OP.
     pub outputs_received: bool,
 }
 
 const STATE_MASK: u8 = 0x0f;
 const ERROR: u8 = 0x10;
 const BOOTSTRAP: u8 = 3;
-/// Approximate duration of a transition in a firmware.
+/// Approximate time that a device's firmware needs for a transition.
 const TRANSITION_NS: i64 = 2_000_000;
-/// How long a device waits for outputs and sync pulses before it refuses OP.
+/// Time for which a device waits for outputs and sync pulses before it refuses OP.
 const PATIENCE_NS: i64 = 2_000_000_000;
 
-/// A transition that the master has requested, and its times.
+/// A transition that the master has requested.
 #[derive(Clone, Copy)]
 struct AlRequest {
     target: AlState,
-    /// When it is decided first ...
+    /// Time of the first decision.
     due_ns: i64,
-    /// ... and when it is refused, if its conditions are not met before.
+    /// Time at which the transition is refused if its conditions are still not met.
     deadline_ns: i64,
 }
 
 enum AlDecision {
     Enter,
-    /// Not yet; refused with this code after the time limit.
+    /// The conditions are not met yet. After the time limit the transition is refused with this code.
     Wait(AlStatusCode),
     Refuse(AlStatusCode),
 }
 
 /// State machine of one chip.
 pub struct AlMachine {
-    /// AL status of a chip without a processor, which mirrors AL control; `None` with a processor.
+    /// AL status of a chip without a processor: it repeats the requested status (AL control). `None` for
+    /// a chip with a processor.
     emulated: Option<u8>,
     state: AlState,
-    /// AL status code while the error bit is set.
+    /// AL status code. `None` if the error bit is not set.
     error: Option<u16>,
     pending: Option<AlRequest>,
 }
 
 impl AlMachine {
-    /// A chip without a processor ("device emulation"): the status is the requested one.
+    /// A chip without a processor ("device emulation"). Its status is always the requested one.
     pub fn emulated() -> Self {
         Self { emulated: Some(AlState::Init as u8), ..Self::firmware() }
     }
 
-    /// A chip with a processor that checks requests.
+    /// A chip with a processor, whose firmware checks requests.
     pub fn firmware() -> Self {
         Self { emulated: None, state: AlState::Init, error: None, pending: None }
     }
@@ -120,7 +122,7 @@ impl AlMachine {
         self.state
     }
 
-    /// AL status (0x0130) and AL status code (0x0134).
+    /// Values of the registers AL status (0x0130) and AL status code (0x0134).
     pub fn registers(&self) -> (u8, u16) {
         match (self.emulated, self.error) {
             (Some(mirrored), _) => (mirrored, 0),
@@ -129,7 +131,7 @@ impl AlMachine {
         }
     }
 
-    /// A master wrote AL control (0x0120).
+    /// Handles a write of a master to AL control (0x0120).
     pub fn request(&mut self, control: u8, now_ns: i64) {
         if let Some(mirrored) = &mut self.emulated {
             *mirrored = control & (STATE_MASK | ERROR);
@@ -150,19 +152,19 @@ impl AlMachine {
         }
     }
 
-    /// The firmware goes from OP to SAFE-OP with this AL status code. Has no effect without firmware or below OP.
+    /// Changes the state from OP to SAFE-OP, with this AL status code. No effect in other states or without firmware.
     pub fn fall_to_safe_op(&mut self, code: u16) {
         if self.emulated.is_none() && self.state == AlState::Op {
             (self.state, self.error, self.pending) = (AlState::SafeOp, Some(code), None);
         }
     }
 
-    /// Whether a transition is to be decided at `now_ns`.
+    /// Whether a requested transition can be decided at `now_ns`.
     pub fn is_due(&self, now_ns: i64) -> bool {
         self.pending.is_some_and(|pending| pending.due_ns <= now_ns)
     }
 
-    /// Decides the requested transition; called once it [is due](Self::is_due).
+    /// Decides on the requested transition. Must be called when [`is_due`](Self::is_due) is true.
     pub fn decide(&mut self, now_ns: i64, readiness: &Readiness) {
         let Some(pending) = self.pending else { return };
         match decision(self.state, pending.target, readiness) {
@@ -201,7 +203,7 @@ fn decision(from: AlState, to: AlState, readiness: &Readiness) -> AlDecision {
     }
 }
 
-/// Refuses with the code of the first condition that does not hold.
+/// Enters the state if all conditions are met. Otherwise refuses with the code of the first condition that is not met.
 fn require(conditions: &[(bool, AlStatusCode)]) -> AlDecision {
     let failed = conditions.iter().find(|(holds, _)| !holds);
     failed.map_or(AlDecision::Enter, |(_, code)| AlDecision::Refuse(*code))

@@ -1,5 +1,6 @@
-//! Mailbox protocol and CANopen over EtherCAT (CoE, ETG.1000.6 section 5.6), from a request to its answer: the master reads (SDO
-//! upload) and writes (download) objects of the device, or requests lists of them.
+//! The mailbox protocol CANopen over EtherCAT (CoE, ETG.1000.6 section 5.6): from a request to its answer. With
+//! a service data object (SDO) the master reads (upload) or writes (download) an object of the device. It can
+//! also request lists of objects.
 
 /// Why an SDO access was refused (ETG.1000.6 table 41).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -7,7 +8,7 @@
 pub enum Abort {
     /// The command specifier is unknown.
     UnknownCommand = 0x0504_0001,
-    /// The value is larger than a mailbox.
+    /// The value does not fit into a mailbox.
     OutOfMemory = 0x0504_0005,
     /// Complete access is not supported.
     UnsupportedAccess = 0x0601_0000,
@@ -15,7 +16,7 @@ pub enum Abort {
     ReadOnly = 0x0601_0002,
     /// The object does not exist.
     NoObject = 0x0602_0000,
-    /// The length differs from the object's.
+    /// The value has another length than the object.
     WrongLength = 0x0607_0010,
     /// The subindex does not exist.
     NoSubindex = 0x0609_0011,
@@ -27,13 +28,13 @@ pub enum Abort {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ObjectList {
     All,
-    /// Objects that outputs can be mapped to.
+    /// Objects that can be mapped to outputs.
     RxMappable,
-    /// Objects that inputs can be mapped from.
+    /// Objects that can be mapped to inputs.
     TxMappable,
-    /// Objects to be stored for a replacement of the device.
+    /// Objects whose values must be stored for a replacement of the device.
     Stored,
-    /// Objects for start-up.
+    /// Objects that are set at start-up.
     Startup,
 }
 
@@ -47,14 +48,14 @@ const LISTS: [ObjectList; 5] = [
 
 /// The objects of a device.
 pub trait ObjectDictionary {
-    /// Puts the value of an object into `value`; returns its length.
+    /// Copies the value of an object into `value`. Returns its length.
     fn upload(&self, index: u16, subindex: u8, value: &mut [u8]) -> Result<usize, Abort>;
     fn download(&mut self, index: u16, subindex: u8, value: &[u8]) -> Result<(), Abort>;
-    /// Indices of a list, ascending.
+    /// Indices of the objects in a list, ascending.
     fn list(&self, list: ObjectList) -> Vec<u16>;
 }
 
-/// Longest supported mailbox \[bytes\].
+/// Length of the longest supported mailbox \[bytes\].
 pub const MAILBOX_MAX: usize = 128;
 const MAILBOX_HEADER_LEN: usize = 6;
 const COE_HEADER_LEN: usize = 2;
@@ -82,7 +83,7 @@ const LIST_REQUEST: u8 = 1;
 const LIST_RESPONSE: u8 = 2;
 const INFORMATION_ERROR: u8 = 7;
 
-/// An answer that is being assembled behind its headers.
+/// An answer under construction. The headers at the beginning of `mailbox` are written last.
 struct CoeResponse<'a> {
     mailbox: &'a mut [u8; MAILBOX_MAX],
     len: usize,
@@ -98,13 +99,13 @@ impl CoeResponse<'_> {
         true
     }
 
-    /// Starts a CoE answer; the mailbox header before it follows in [`Self::finish`].
+    /// Begins a CoE answer after the mailbox header. The mailbox header is written by [`Self::finish`].
     fn begin(&mut self, service: u8) {
         self.len = MAILBOX_HEADER_LEN;
         self.push(&[0, service << 4]);
     }
 
-    /// Writes the mailbox header, with the request's counter.
+    /// Writes the mailbox header. Its counter is copied from the request. Returns the length of the answer.
     fn finish(self, kind: u8, request: &[u8]) -> usize {
         let length = (self.len - MAILBOX_HEADER_LEN) as u16;
         let counter = request.get(5).copied().unwrap_or(0) & 0x70;
@@ -115,7 +116,7 @@ impl CoeResponse<'_> {
     }
 }
 
-/// Answers a mailbox request; returns the length of the answer, or `None` if the request needs none.
+/// Answers a mailbox request. Returns the length of the answer, or `None` if the request needs none.
 pub fn answer(
     request: &[u8],
     mailbox: &mut [u8; MAILBOX_MAX],
@@ -139,7 +140,7 @@ pub fn answer(
     Some(answer.finish(TYPE_COE, request))
 }
 
-/// Refuses a CoE request as an SDO with this code; `None` if it is too short for one.
+/// Answers an SDO request with this abort code. `None` if the request is too short for an SDO.
 pub fn abort_with(request: &[u8], mailbox: &mut [u8; MAILBOX_MAX], code: u32) -> Option<usize> {
     let sdo = request.get(MAILBOX_HEADER_LEN + COE_HEADER_LEN..)?;
     let &[_, i0, i1, subindex] = sdo.first_chunk::<4>()?;
@@ -148,7 +149,8 @@ pub fn abort_with(request: &[u8], mailbox: &mut [u8; MAILBOX_MAX], code: u32) ->
     Some(answer.finish(TYPE_COE, request))
 }
 
-/// An emergency, which is sent without a request (ETG.1000.6 section 5.6.4): error code, error register, no data.
+/// Writes an emergency message (ETG.1000.6 section 5.6.4): error code, error register, no data. Devices
+/// send it without a request.
 pub fn emergency(mailbox: &mut [u8; MAILBOX_MAX], code: u16) -> usize {
     let mut answer = CoeResponse { mailbox, len: MAILBOX_HEADER_LEN };
     answer.begin(SERVICE_EMERGENCY);
@@ -157,7 +159,7 @@ pub fn emergency(mailbox: &mut [u8; MAILBOX_MAX], code: u16) -> usize {
     answer.finish(TYPE_COE, &[])
 }
 
-/// Mailbox error reply (ETG.1000.4 table 30): type 1 and the error code `detail`.
+/// Writes a mailbox error reply (ETG.1000.4 table 30): type 1 and the error code `detail`.
 fn refuse(mut answer: CoeResponse<'_>, detail: u16, request: &[u8]) -> usize {
     answer.push(&[1, 0]);
     answer.push(&detail.to_le_bytes());
@@ -186,7 +188,7 @@ fn sdo(content: &[u8], answer: &mut CoeResponse<'_>, objects: &mut dyn ObjectDic
 }
 
 fn abort(answer: &mut CoeResponse<'_>, [i0, i1, subindex]: [u8; 3], code: u32) {
-    // An abort is sent as a request by either side.
+    // Either side sends an abort with the service of a request.
     answer.begin(SERVICE_SDO_REQUEST);
     answer.push(&[ABORT, i0, i1, subindex]);
     answer.push(&code.to_le_bytes());
@@ -214,7 +216,7 @@ fn upload(
     if fits { Ok(()) } else { Err(Abort::OutOfMemory) }
 }
 
-/// The value of a download: in the header for up to four bytes, else after its length.
+/// The value of a download request. Up to four bytes are in the header; longer values follow their length.
 fn downloaded(command: u8, data: &[u8]) -> Result<&[u8], Abort> {
     let (inline, rest) = data.split_at_checked(4).ok_or(Abort::WrongLength)?;
     if command & EXPEDITED == 0 {
@@ -225,7 +227,7 @@ fn downloaded(command: u8, data: &[u8]) -> Result<&[u8], Abort> {
     inline.get(..4 - unused).ok_or(Abort::WrongLength)
 }
 
-/// SDO information service: only the lists of objects.
+/// Answers a request of the SDO information service. Only lists of objects are supported.
 fn information(content: &[u8], answer: &mut CoeResponse<'_>, objects: &dyn ObjectDictionary) {
     let opcode = content.first().map_or(0, |byte| byte & 0x7f);
     let list = content.get(4..).and_then(|rest| rest.first_chunk()).map(|kind| u16::from_le_bytes(*kind));
@@ -243,7 +245,7 @@ fn information(content: &[u8], answer: &mut CoeResponse<'_>, objects: &dyn Objec
     }
 }
 
-/// List 0 contains the lengths of the five others.
+/// Appends a list of indices. List 0 contains the lengths of the five other lists.
 fn list_objects(kind: u16, answer: &mut CoeResponse<'_>, objects: &dyn ObjectDictionary) {
     match usize::from(kind).checked_sub(1).and_then(|index| LISTS.get(index)) {
         None => {

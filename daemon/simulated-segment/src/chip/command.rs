@@ -1,6 +1,8 @@
-//! Execution of each EtherCAT command by a slave controller, and its working counter (ETG.1000.4 section 5.4). Letters of the
-//! commands: addressed by position (AP), station address (FP), broadcast (B) or logically (L); RD read, WR write, RW both. ARMW
-//! and FRMW read from the addressed device and write to all others.
+//! Executes EtherCAT commands at a slave controller and increments their working counters (ETG.1000.4 section 5.4).
+//!
+//! The first letters of a command are its kind of address: by position (AP), by station address (FP), to all devices (B), or
+//! logical (L). The last letters are the access: read (RD), write (WR) or both (RW). ARMW and FRMW read from the addressed
+//! device and write to all others.
 
 use super::esc::{Esc, ReadMode};
 use crate::frame::Datagram;
@@ -20,7 +22,7 @@ const LRW: u8 = 12;
 const ARMW: u8 = 13;
 const FRMW: u8 = 14;
 
-/// Effect of a command on one device, after its address is decoded.
+/// Effect of a command on one device, after its address has been decoded.
 enum CommandEffect {
     Nothing,
     Read(ReadMode),
@@ -28,7 +30,7 @@ enum CommandEffect {
     Exchange(ReadMode),
 }
 
-/// Executes one datagram at one device, at true time `now_ns`.
+/// Executes one datagram at one device. `now_ns` is the true time at which the datagram passes the device.
 pub fn execute(esc: &mut Esc, datagram: &mut Datagram<'_>, now_ns: i64) {
     let increment = match datagram.command() {
         LRD => u16::from(esc.read_logical(datagram.logical_address(), datagram.data, now_ns)),
@@ -39,7 +41,7 @@ pub fn execute(esc: &mut Esc, datagram: &mut Datagram<'_>, now_ns: i64) {
     datagram.count(increment);
 }
 
-/// Outputs are read from the passing datagram before inputs replace them.
+/// Executes a logical read and write. The outputs are taken from the passing datagram before the inputs replace them.
 fn exchange_logical(esc: &mut Esc, datagram: &mut Datagram<'_>, now_ns: i64) -> u16 {
     let address = datagram.logical_address();
     let written = esc.write_logical(address, datagram.data, now_ns);
@@ -54,7 +56,7 @@ fn execute_physical(esc: &mut Esc, datagram: &mut Datagram<'_>, now_ns: i64) -> 
         CommandEffect::Read(mode) => u16::from(esc.read(address, datagram.data, mode, now_ns)),
         CommandEffect::Write => u16::from(esc.write(address, datagram.data, now_ns)),
         CommandEffect::Exchange(mode) => {
-            // The data on the wire is read before it is replaced; a datagram has at most 2047 bytes.
+            // The data in the datagram are copied before the read replaces them. A datagram has at most 2047 bytes of data.
             let mut incoming = [0; 2048];
             let incoming = &mut incoming[..datagram.data.len()];
             incoming.copy_from_slice(datagram.data);
@@ -65,7 +67,7 @@ fn execute_physical(esc: &mut Esc, datagram: &mut Datagram<'_>, now_ns: i64) -> 
     }
 }
 
-/// Decodes whether the command addresses this device, and increments the address field if the command requires that.
+/// Decodes whether the command addresses this device. Also increments the address field if the command requires it.
 fn action(esc: &Esc, datagram: &mut Datagram<'_>) -> CommandEffect {
     let command = datagram.command();
     let first = datagram.device_address() == 0;

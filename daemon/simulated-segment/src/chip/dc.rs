@@ -1,12 +1,13 @@
-//! Distributed clock (ETG.1000.4 section 6.8): a local clock that drifts, the copy of the system time on it (local time plus an
-//! offset), the PI control loop that follows the reference clock, and the SYNC0 pulses.
+//! The distributed clock of a chip (ETG.1000.4 section 6.8). A local clock drifts. The chip's copy of the system
+//! time is local time plus an offset. A PI control loop makes this copy follow the reference clock. SYNC0 pulses
+//! occur at programmed system times.
 
 use super::al::SyncReadiness;
 
-/// A crystal with a rate error of some ppm, corrected by the control loop of the chip.
+/// A local clock: a crystal with a rate error of some ppm, corrected by the control loop of the chip.
 #[derive(Debug, Clone, Default)]
 pub struct LocalClock {
-    /// Instant of the last adjustment, in true and in local time.
+    /// Time of the last adjustment, as true time; the next field has the same instant as local time.
     base_true_ns: i64,
     base_local_ns: i64,
     /// Fraction of a nanosecond beyond `base_local_ns`.
@@ -18,19 +19,19 @@ pub struct LocalClock {
 }
 
 impl LocalClock {
-    /// A clock that shows `start_ns` at true time `now_ns` and gains `drift_ppm`.
+    /// A clock that reads `start_ns` at true time `now_ns` and gains `drift_ppm`.
     pub fn new(now_ns: i64, start_ns: i64, drift_ppm: f64) -> Self {
         Self { base_true_ns: now_ns, base_local_ns: start_ns, drift: drift_ppm * 1e-6, ..Self::default() }
     }
 
-    /// Local time at a true time.
+    /// Converts true time to local time.
     pub fn local_ns(&self, true_ns: i64) -> i64 {
         let elapsed = true_ns.wrapping_sub(self.base_true_ns);
         let gained = elapsed as f64 * self.gain() + self.base_fraction_ns;
         self.base_local_ns.wrapping_add(elapsed).wrapping_add(gained.floor() as i64)
     }
 
-    /// True time at a local time.
+    /// Converts local time to true time.
     pub fn true_ns(&self, local_ns: i64) -> i64 {
         let elapsed = local_ns.wrapping_sub(self.base_local_ns);
         let gain = self.gain();
@@ -38,7 +39,7 @@ impl LocalClock {
         self.base_true_ns.wrapping_add(elapsed).wrapping_sub(excess.floor() as i64)
     }
 
-    /// From true time `now_ns` on the clock is stepped by `step_ns` and corrected by `correction`.
+    /// Steps the clock by `step_ns` at true time `now_ns`. From then on its rate is corrected by `correction`.
     fn adjust(&mut self, now_ns: i64, step_ns: f64, correction: f64) {
         let elapsed = now_ns.wrapping_sub(self.base_true_ns);
         let fraction = elapsed as f64 * self.gain() + self.base_fraction_ns + step_ns;
@@ -49,23 +50,23 @@ impl LocalClock {
         self.correction = correction;
     }
 
-    /// The same crystal after a power cycle of its device at `now_ns`.
+    /// The clock after a power cycle of its device at `now_ns`. The crystal, and thus the drift, is the same.
     fn restarted(&self, now_ns: i64) -> Self {
         Self::new(now_ns, 0, self.drift * 1e6)
     }
 
-    /// Local seconds gained per true second.
+    /// Relative rate of the clock: local seconds gained per true second.
     fn gain(&self) -> f64 {
         self.drift + self.correction
     }
 }
 
-/// Gains of the loop: each received time steps the clock by `-PROPORTIONAL * deviation`, and changes its rate by
-/// `-INTEGRAL * deviation / time since the last one`. `INTEGRAL = PROPORTIONAL^2 / 4` is critical damping. Real chips count in
-/// steps of 9 or 11 ns instead, with the same result some thousand frames later.
+/// Gains of the control loop. Each received time steps the clock by `-PROPORTIONAL * deviation`, and changes its rate by
+/// `-INTEGRAL * deviation / time since the last received time`. With `INTEGRAL = PROPORTIONAL^2 / 4` damping is critical.
+/// Real chips count in steps of 9 or 11 ns instead; after some thousand frames the result is the same.
 const PROPORTIONAL: f64 = 1.0 / 16.0;
 const INTEGRAL: f64 = PROPORTIONAL * PROPORTIONAL / 4.0;
-/// Larger deviations are corrected as this one, because a chip slews its clock instead of stepping it.
+/// Limit of the deviation that is corrected by one received time. A chip slews its clock instead of stepping it.
 const DEVIATION_LIMIT_NS: f64 = 10_000.0;
 /// Largest relative correction of the rate.
 const CORRECTION_LIMIT: f64 = 200e-6;
@@ -74,13 +75,13 @@ const SYNC_ENABLE: u8 = 0x01;
 const SYNC0_ENABLE: u8 = 0x02;
 const SYNC1_ENABLE: u8 = 0x04;
 
-/// SYNC0 pulses since the last call.
+/// SYNC0 pulses that have occurred since the last call of [`DistributedClock::take_pulses`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Pulses {
     pub count: u64,
-    /// System time of the last one, as it was programmed.
+    /// Nominal system time of the last pulse, as programmed.
     pub system_ns: i64,
-    /// True time of the last one.
+    /// True time of the last pulse.
     pub true_ns: i64,
 }
 
@@ -90,50 +91,51 @@ pub struct DistributedClock {
     clock: LocalClock,
     /// System time minus local time (0x0920).
     pub offset_ns: i64,
-    /// Delay of the frame from the reference clock (0x0928).
+    /// Delay of a frame from the reference clock to this chip (0x0928).
     pub delay_ns: u32,
-    /// Logarithm to base 2 of the number of deviations in the mean.
+    /// Filter depth of the mean deviation: the logarithm to base 2 of the number of averaged deviations.
     filter_depth: u8,
-    /// Mean deviation from the reference clock (0x092C), positive if this clock is ahead.
+    /// Mean deviation from the reference clock (0x092C). Positive if this clock is ahead.
     difference_ns: f64,
     /// True time of the last correction.
     last_follow_ns: Option<i64>,
-    /// Local time at which the latching frame arrived at each port (0x0900).
+    /// For each port, local time at which the frame that latches the times arrived there (0x0900).
     pub port_times: [u32; 4],
-    /// Local time at which the latching frame was processed (0x0918).
+    /// Local time at which the chip processed the frame that latches the times (0x0918).
     pub receive_time: u64,
     activation: u8,
     start_ns: i64,
     sync0_cycle_ns: u32,
     sync1_cycle_ns: u32,
-    /// System time of the next pulse.
+    /// System time of the next SYNC0 pulse.
     next_sync0_ns: Option<i64>,
-    /// Whether SYNC0 has pulsed since its activation.
+    /// Whether there has been a SYNC0 pulse since SYNC0 was activated.
     pulsed: bool,
 }
 
 impl DistributedClock {
-    /// A unit that was just powered up.
+    /// The clock of a chip that was just powered up.
     pub fn new(clock: LocalClock) -> Self {
         Self { clock, filter_depth: 4, ..Self::default() }
     }
 
-    /// Copy of the system time (0x0910).
+    /// The chip's copy of the system time (0x0910).
     pub fn system_ns(&self, now_ns: i64) -> i64 {
         self.clock.local_ns(now_ns).wrapping_add(self.offset_ns)
     }
 
-    /// Steps the clock, which a working chip never does.
+    /// Steps the clock. Only a fault does this, a working chip never does.
     pub fn step(&mut self, now_ns: i64, step_ns: i64) {
         self.clock.adjust(now_ns, step_ns as f64, self.clock.correction);
     }
 
-    /// The clock after a power cycle of its device.
+    /// The local clock after a power cycle of its device.
     pub fn restarted(&self, now_ns: i64) -> LocalClock {
         self.clock.restarted(now_ns)
     }
 
-    /// Latches when the frame at `now_ns` arrived, and when it returns to port 1 from the devices behind.
+    /// Latches the times of the frame that arrived at `now_ns`. At `back_ns` it returns to port 1 from
+    /// the devices after this one.
     pub fn latch(&mut self, now_ns: i64, back_ns: Option<i64>) {
         let local = self.clock.local_ns(now_ns);
         self.receive_time = local as u64;
@@ -143,26 +145,26 @@ impl DistributedClock {
         }
     }
 
-    /// System time difference (0x092C): magnitude, and bit 31 when this clock is behind.
+    /// Register 0x092C, the difference from the system time: magnitude, and bit 31 if this clock is behind.
     pub fn difference(&self) -> u32 {
         let magnitude = self.difference_ns.abs().round().min(f64::from(0x7fff_ffff_u32)) as u32;
         if self.difference_ns < 0.0 { magnitude | 0x8000_0000 } else { magnitude }
     }
 
-    /// A master wrote the loop's filter depth (0x0934).
+    /// Sets the filter depth, when a master has written register 0x0934.
     pub fn set_filter_depth(&mut self, depth: u8) {
         self.filter_depth = depth & 0x0f;
     }
 
-    /// A master wrote the speed counter's start (0x0930): restarts the loop.
+    /// Restarts the control loop, when a master has written the start of the speed counter, register 0x0930.
     pub fn reset_loop(&mut self, now_ns: i64) {
         self.clock.adjust(now_ns, 0.0, 0.0);
         self.difference_ns = 0.0;
         self.last_follow_ns = None;
     }
 
-    /// Follows the system time of the reference clock (write to 0x0910): deviation = own time - delay - received time. With
-    /// four bytes only the low half is known.
+    /// Follows the reference clock, whose system time was received by a write to 0x0910. The deviation is own time - delay -
+    /// received time. If only four bytes were written, they are the low half of the time.
     pub fn follow(&mut self, received: &[u8], now_ns: i64) {
         let own_ns = self.system_ns(now_ns).wrapping_sub(i64::from(self.delay_ns));
         let deviation_ns = match (received.first_chunk::<8>(), received.first_chunk::<4>()) {
@@ -172,7 +174,7 @@ impl DistributedClock {
         };
         self.difference_ns += (deviation_ns - self.difference_ns) / f64::from(1u32 << self.filter_depth);
         let mut correction = self.clock.correction;
-        // While the clock slews, its deviation does not reflect its rate.
+        // While the clock is slewing, the change of its deviation does not show its rate.
         if let Some(last_ns) = self.last_follow_ns.filter(|_| deviation_ns.abs() < DEVIATION_LIMIT_NS) {
             let elapsed_ns = now_ns.saturating_sub(last_ns).max(1) as f64;
             correction -= INTEGRAL * deviation_ns / elapsed_ns;
@@ -183,13 +185,13 @@ impl DistributedClock {
         self.clock.adjust(now_ns, -PROPORTIONAL * deviation_ns, correction);
     }
 
-    /// Start time and cycle times from the registers (0x0990 to 0x09A7).
+    /// Sets start time and cycle times, when a master has written registers 0x0990 to 0x09A7.
     pub fn set_cycle(&mut self, start_ns: i64, sync0_cycle_ns: u32, sync1_cycle_ns: u32) {
         (self.start_ns, self.sync0_cycle_ns, self.sync1_cycle_ns) =
             (start_ns, sync0_cycle_ns, sync1_cycle_ns);
     }
 
-    /// A master wrote the activation (0x0981). A start time in the past gives no pulses.
+    /// Activates SYNC0, when a master has written register 0x0981. If the start time is in the past, SYNC0 never pulses.
     pub fn activate(&mut self, activation: u8, now_ns: i64) {
         let started = activation & !self.activation & SYNC_ENABLE != 0;
         self.activation = activation;
@@ -200,12 +202,12 @@ impl DistributedClock {
         }
     }
 
-    /// Whether the device runs on SYNC0.
+    /// Whether conversions of the device are started by SYNC0.
     pub fn is_active(&self) -> bool {
         self.activation & SYNC_ENABLE != 0
     }
 
-    /// State of the sync signals for a device that needs both.
+    /// State of the sync signals, for a device that needs both SYNC0 and SYNC1.
     pub fn readiness(&self, now_ns: i64) -> SyncReadiness {
         let both = SYNC0_ENABLE | SYNC1_ENABLE;
         if !self.is_active() {
@@ -221,7 +223,7 @@ impl DistributedClock {
         }
     }
 
-    /// Takes the SYNC0 pulses that are at least `age_ns` old. The cost does not depend on their number.
+    /// Takes all SYNC0 pulses that are at least `age_ns` old. The computing time does not depend on their number.
     pub fn take_pulses(&mut self, now_ns: i64, age_ns: i64) -> Option<Pulses> {
         let first_ns = self.next_sync0_ns?;
         let passed_ns = self.system_ns(now_ns).saturating_sub(age_ns).saturating_sub(first_ns);

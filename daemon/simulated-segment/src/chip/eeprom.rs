@@ -1,9 +1,10 @@
-//! Builds the content of an EEPROM: the slave information (SII) of a device (ETG.2010), a header and categories of bytes, from
-//! which the master reads identity, mailbox, sync managers and PDOs.
+//! Builds the content of a device's EEPROM, the slave information (SII, ETG.2010). It consists of a header
+//! and of categories, which are lists of bytes. From them the master reads identity, mailbox, sync managers
+//! and PDOs (process data objects).
 
 use super::sync_manager::ExpectedSyncManager;
 
-/// Real terminals have 16 kbit.
+/// Size of the EEPROM \[bytes\]: 16 kbit, as in real terminals.
 const SIZE: usize = 2048;
 /// Byte offset of the first category.
 const CATEGORIES: usize = 0x80;
@@ -16,7 +17,7 @@ const CATEGORY_RX_PDO: u16 = 51;
 const CATEGORY_END: u16 = 0xffff;
 const VERSION: u16 = 1;
 
-/// First words of the EEPROM, which the slave information (SII) begins with.
+/// The header: the first words of the EEPROM.
 pub struct SiiHeader {
     /// PDI control and configuration words that the chip loads at power-up (words 0 to 3).
     pub configuration: [u16; 4],
@@ -36,21 +37,21 @@ pub struct General {
     pub ports: u16,
 }
 
-/// One entry of a PDO.
+/// One entry of a PDO: an object of the device, or a gap.
 pub struct PdoEntry {
-    /// Object and subindex; zero for a gap.
+    /// Index and subindex of the object. Zero for a gap.
     pub object: (u16, u8),
     /// Length \[bits\].
     pub bits: u8,
 }
 
-/// An EEPROM that is being filled.
+/// EEPROM content under construction.
 pub struct Image {
     bytes: Vec<u8>,
 }
 
 impl Image {
-    /// An EEPROM with header and names: order code (string 1), long name (string 2), group (string 3).
+    /// Begins an EEPROM with header and names: order code (string 1), long name (string 2), group (string 3).
     pub fn new(header: &SiiHeader, names: [&'static str; 3], general: &General) -> Self {
         let mut image = Self { bytes: vec![0; CATEGORIES] };
         image.header(header);
@@ -76,14 +77,14 @@ impl Image {
         self.put(0x7e, &VERSION.to_le_bytes());
     }
 
-    /// Adds the use of each FMMU: 1 outputs, 2 inputs, 3 mailbox state.
+    /// Adds the use of each FMMU: 1 for outputs, 2 for inputs, 3 for the mailbox state.
     pub fn fmmus(mut self, uses: &[u8]) -> Self {
         self.category(CATEGORY_FMMU, uses);
         self
     }
 
-    /// Adds the sync managers: start, length, control, status 0, enable 1, and type (1 mailbox out, 2 mailbox in, 3 outputs,
-    /// 4 inputs).
+    /// Adds the sync managers. Fields of each: start, length, control, status (0), enable (1), and type (1 mailbox out, 2
+    /// mailbox in, 3 outputs, 4 inputs).
     pub fn sync_managers(mut self, channels: &[ExpectedSyncManager; 4]) -> Self {
         let mut content = Vec::new();
         for (channel, kind) in channels.iter().zip(1..) {
@@ -95,19 +96,19 @@ impl Image {
         self
     }
 
-    /// Adds the PDO of the inputs, with its sync manager.
+    /// Adds the PDO of the inputs and assigns it to a sync manager.
     pub fn tx_pdo(self, index: u16, sync_manager: u8, entries: &[PdoEntry]) -> Self {
         self.pdo(CATEGORY_TX_PDO, index, sync_manager, entries)
     }
 
-    /// Adds the PDO of the outputs, with its sync manager.
+    /// Adds the PDO of the outputs and assigns it to a sync manager.
     pub fn rx_pdo(self, index: u16, sync_manager: u8, entries: &[PdoEntry]) -> Self {
         self.pdo(CATEGORY_RX_PDO, index, sync_manager, entries)
     }
 
     fn pdo(mut self, category: u16, index: u16, sync_manager: u8, entries: &[PdoEntry]) -> Self {
         let mut content = index.to_le_bytes().to_vec();
-        // Entries, sync manager, no distributed clock, no name, fixed content and mandatory.
+        // Fields: number of entries, sync manager, distributed clock (none), name (none), flags (fixed content, mandatory).
         content.extend([entries.len() as u8, sync_manager, 0, 0, 0x11, 0]);
         for entry in entries {
             content.extend(entry.object.0.to_le_bytes());
@@ -117,7 +118,7 @@ impl Image {
         self
     }
 
-    /// Closes the list of categories and fills the rest with ones, as in an erased memory.
+    /// Ends the list of categories. The remaining bytes are ones, as in an erased memory.
     pub fn finish(mut self) -> Vec<u8> {
         self.bytes.extend(CATEGORY_END.to_le_bytes());
         self.bytes.resize(SIZE, 0xff);
@@ -150,7 +151,7 @@ fn strings(strings: &[&str]) -> Vec<u8> {
 
 fn general_bytes(general: &General) -> [u8; 32] {
     let mut content = [0; 32];
-    // Numbers of the strings, see [`Image::new`]; the group is there twice.
+    // Numbers of the strings in [`Image::new`]. The category has two fields for the group.
     let (group, order, name) = (3, 1, 2);
     [content[0], content[2], content[3], content[5]] = [group, order, name, general.coe_details];
     content[12..14].copy_from_slice(&general.e_bus_current_ma.to_le_bytes());
@@ -159,7 +160,7 @@ fn general_bytes(general: &General) -> [u8; 32] {
     content
 }
 
-/// CoE data types (ETG.1020): bit, u16, u32; PDOs here contain no others.
+/// Code of the data type with this length (ETG.1020): bit, u16 or u32. PDOs of the simulated devices contain no other types.
 fn data_type(bits: u8) -> u8 {
     match bits {
         1 => 0x01,
@@ -169,7 +170,7 @@ fn data_type(bits: u8) -> u8 {
     }
 }
 
-/// CRC-8 with polynomial x^8 + x^2 + x + 1, initialised with ones, over the first seven words.
+/// CRC-8 over `bytes`, which are the first seven words. Polynomial x^8 + x^2 + x + 1, initial value all ones.
 fn checksum(bytes: &[u8]) -> u8 {
     bytes.iter().fold(0xff, |crc, byte| {
         (0..8).fold(crc ^ byte, |crc: u8, _| if crc & 0x80 == 0 { crc << 1 } else { crc << 1 ^ 0x07 })

@@ -1,5 +1,6 @@
-//! The chip: one memory, and the units behind some of its addresses. The master reads and writes it at addresses of the device or
-//! of the logical process image; the device takes sync events and mailbox requests from it, and gives inputs and answers.
+//! The slave controller chip: one memory, and units whose registers are at some addresses of the memory. The master reads
+//! and writes by device addresses, or by addresses of the logical process image. The device behind the chip takes sync
+//! events and mailbox requests from it, and writes inputs and answers to it.
 
 mod register_access;
 
@@ -10,18 +11,18 @@ use super::registers as reg;
 use super::sii::Sii;
 use super::sync_manager::{self, Access, Completion, ExpectedSyncManager, Permit, SyncManager};
 
-/// Sync manager channels by use, for every device with a mailbox.
+/// Use of the sync manager channels. It is the same in every device with a mailbox.
 const MAILBOX_OUT: usize = 0;
 const MAILBOX_IN: usize = 1;
 const OUTPUTS: usize = 2;
 const INPUTS: usize = 3;
-/// Registers with the number of FMMUs and of channels, from [`ChipProfile::information`].
+/// Addresses of the registers with the number of FMMUs and of sync managers, set by [`ChipProfile::information`].
 const FMMU_COUNT: usize = 0x0004;
 const CHANNEL_COUNT: usize = 0x0005;
-/// Time after which the processor behind the chip answers a mailbox request.
+/// Time after which the processor behind the chip answers a mailbox request \[ns\].
 const MAILBOX_ANSWER_NS: i64 = 300_000;
 
-/// Watchdog registers at power-up (ESC data sheet).
+/// Watchdog registers and their values at power-up (ESC data sheet).
 const WATCHDOG_DEFAULTS: [(u16, u16); 4] = [
     (reg::WATCHDOG_DIVIDER, 0x09c2),
     (reg::WATCHDOG_TIME_PDI, 0x03e8),
@@ -29,52 +30,52 @@ const WATCHDOG_DEFAULTS: [(u16, u16); 4] = [
     (reg::WATCHDOG_STATUS, 0x0001),
 ];
 
-/// Chip of a device, and the settings that the device expects.
+/// The chip of a device, and the settings that the device expects from a master.
 pub struct ChipProfile {
-    /// Registers 0x0000 to 0x0009: type, revision, number of units, features.
+    /// Content of the registers 0x0000 to 0x0009: type, revision, number of units, features.
     pub information: [u8; 10],
     pub eeprom: Vec<u8>,
-    /// Whether the EEPROM interface reads eight bytes at once.
+    /// Whether the EEPROM interface reads eight bytes at a time.
     pub eight_byte_reads: bool,
-    /// Mailbox out, mailbox in, outputs, inputs; none for a device without processor.
+    /// Settings of the sync managers: mailbox out, mailbox in, outputs, inputs. `None` for a device without a processor.
     pub sync_managers: Option<[ExpectedSyncManager; 4]>,
-    /// From the start of a conversion until its result is available \[ns\].
+    /// Time from the start of a conversion until its result is available \[ns\].
     pub data_ready_ns: i64,
 }
 
-/// Synchronisation of a device.
+/// What starts the conversions of a device.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum SyncMode {
-    /// By frames with outputs.
+    /// Frames with outputs start conversions.
     #[default]
     SyncManager,
-    /// By the SYNC0 pulses of its clock.
+    /// SYNC0 pulses of the chip's clock start conversions.
     DistributedClock,
 }
 
-/// The start of a conversion.
+/// An event that starts a conversion of the device.
 #[derive(Debug, Clone, Copy)]
 pub struct SyncEvent {
-    /// Events since the previous conversion; only the last one is converted.
+    /// Number of events since the previous conversion. Only the last event is converted.
     pub count: u64,
-    /// Events without new outputs.
+    /// Number of these events before which no new outputs had arrived.
     pub missed: u64,
-    /// True time of the last one.
+    /// True time of the last event.
     pub true_ns: i64,
-    /// Its nominal system time if SYNC0 caused it.
+    /// Nominal system time of the last event, if it is a SYNC0 pulse.
     pub system_ns: Option<i64>,
 }
 
-/// Combination of read data with the content of a datagram.
+/// How the data that a command reads are combined with the content of its datagram.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum ReadMode {
-    /// The data replaces the content.
+    /// The data replace the content.
     Replace,
-    /// The data is combined with the content by a bitwise or (broadcast).
+    /// The data are combined with the content by a bitwise or, as in broadcast reads.
     Or,
 }
 
-/// A slave controller: its memory, its units, and the arrival of requests and outputs.
+/// A slave controller: its memory, its units, and the times at which requests and outputs arrived.
 pub struct Esc {
     memory: Box<[u8]>,
     sync_managers: [SyncManager; sync_manager::CHANNELS_MAX],
@@ -84,15 +85,15 @@ pub struct Esc {
     al: AlMachine,
     clock: DistributedClock,
     sii: Sii,
-    /// When the current mailbox request arrived.
+    /// Time at which the current mailbox request arrived.
     request_at_ns: Option<i64>,
-    /// When outputs last arrived, for a conversion that has not started yet.
+    /// Time at which outputs last arrived. `None` if their conversion has already started.
     outputs_at_ns: Option<i64>,
-    /// Outputs arrived since the last SYNC0 event.
+    /// Whether outputs have arrived since the last SYNC0 pulse.
     outputs_since_sync: bool,
-    /// Outputs arrived since PRE-OP.
+    /// Whether outputs have arrived since PRE-OP.
     outputs_received: bool,
-    /// When the current frame returns from the devices behind.
+    /// Time at which the current frame returns from the devices after this one.
     back_ns: Option<i64>,
 }
 
@@ -125,7 +126,7 @@ impl Esc {
         esc
     }
 
-    /// The clock of this chip after a power cycle at `now_ns`.
+    /// The local clock of this chip after a power cycle at `now_ns`.
     pub fn restarted_clock(&self, now_ns: i64) -> LocalClock {
         self.clock.restarted(now_ns)
     }
@@ -135,23 +136,23 @@ impl Esc {
         self.clock.step(now_ns, step_ns);
     }
 
-    /// The device leaves OP with an AL status code.
+    /// The device changes from OP to SAFE-OP, with this AL status code.
     pub fn fall_to_safe_op(&mut self, code: u16) {
         self.al.fall_to_safe_op(code);
     }
 
-    /// A frame with a wrong check sequence arrived at port 0 (0x0300: invalid frames, 0x0301: receive errors).
+    /// Counts a frame with a wrong check sequence at port 0, as an invalid frame (0x0300) and as a receive error (0x0301).
     pub fn count_invalid_frame(&mut self) {
         self.count(reg::ERROR_COUNTERS);
         self.count(reg::ERROR_COUNTERS + 1);
     }
 
-    /// Port 0 received an invalid symbol between two frames.
+    /// Counts an invalid symbol that port 0 received between two frames.
     pub fn count_receive_error(&mut self) {
         self.count(reg::ERROR_COUNTERS + 1);
     }
 
-    /// Port 1 lost its link.
+    /// Counts a loss of the link at port 1.
     pub fn count_lost_link(&mut self) {
         self.count(reg::LOST_LINKS + 1);
     }
@@ -161,17 +162,18 @@ impl Esc {
         self.put(register, &[count.saturating_add(1)]);
     }
 
-    /// Whether the mailbox to the master is still full.
+    /// Whether the master has not read the last answer yet.
     pub fn is_answer_waiting(&self) -> bool {
         self.sync_managers[MAILBOX_IN].is_full()
     }
 
-    /// Sets the links according to the wiring.
+    /// Sets the register with the state of the ports.
     pub fn set_dl_status(&mut self, dl_status: u16) {
         self.put(reg::DL_STATUS, &dl_status.to_le_bytes());
     }
 
-    /// Makes a change of AL state that is due. `back_ns`: when the current frame returns from the devices behind.
+    /// Decides on a requested AL state if it is time to. At `back_ns` the current frame returns from
+    /// the devices after this one.
     pub fn advance(&mut self, now_ns: i64, back_ns: Option<i64>) {
         self.back_ns = back_ns;
         if self.al.is_due(now_ns) {
@@ -182,7 +184,7 @@ impl Esc {
         }
     }
 
-    /// Station address, assigned by the master.
+    /// Station address that the master has assigned.
     pub fn station_address(&self) -> u16 {
         u16::from_le_bytes(self.get(reg::STATION_ADDRESS))
     }
@@ -195,7 +197,7 @@ impl Esc {
         if self.clock.is_active() { SyncMode::DistributedClock } else { SyncMode::SyncManager }
     }
 
-    /// Takes the event whose conversion is finished at `now_ns`, if there is one.
+    /// Takes the event whose conversion is finished by `now_ns`, if there is one.
     pub fn take_sync_event(&mut self, now_ns: i64) -> Option<SyncEvent> {
         match self.sync_mode() {
             SyncMode::DistributedClock => {
@@ -217,18 +219,18 @@ impl Esc {
         SyncEvent { count: pulses.count, missed, true_ns: pulses.true_ns, system_ns: Some(pulses.system_ns) }
     }
 
-    /// The device reads its outputs.
+    /// The outputs, for the device to read.
     pub fn outputs(&self) -> &[u8] {
         self.expected.and_then(|all| self.memory.get(span(&all[OUTPUTS]))).unwrap_or_default()
     }
 
-    /// The device writes its inputs.
+    /// The inputs, for the device to write.
     pub fn inputs_mut(&mut self) -> &mut [u8] {
         let Some(all) = self.expected else { return &mut [] };
         self.memory.get_mut(span(&all[INPUTS])).unwrap_or_default()
     }
 
-    /// The device takes a mailbox request once it is due and the answer has space.
+    /// Takes a mailbox request for the device, if its answer is due and the last answer has been read. Returns the length.
     pub fn take_request(&mut self, now_ns: i64, request: &mut [u8]) -> Option<usize> {
         let expected = self.expected?;
         if !self.sync_managers[MAILBOX_OUT].is_full() {
@@ -245,7 +247,7 @@ impl Esc {
         Some(mailbox.len())
     }
 
-    /// The device writes its answer.
+    /// Puts an answer of the device into the mailbox.
     pub fn put_answer(&mut self, answer: &[u8]) {
         let Some(expected) = self.expected else { return };
         let Some(mailbox) = self.memory.get_mut(span(&expected[MAILBOX_IN])) else { return };
@@ -256,7 +258,7 @@ impl Esc {
         self.sync_managers[MAILBOX_IN].set_full(true);
     }
 
-    /// The master reads; returns whether the access was permitted.
+    /// Handles a read by the master. Returns whether the access was permitted.
     pub fn read(&mut self, address: u16, data: &mut [u8], mode: ReadMode, now_ns: i64) -> bool {
         let permit = sync_manager::permit(&self.sync_managers, address, data.len(), Access::Read);
         if matches!(permit, Permit::Denied) || data.is_empty() {
@@ -275,7 +277,7 @@ impl Esc {
         true
     }
 
-    /// The master writes; returns whether the access was permitted.
+    /// Handles a write by the master. Returns whether the access was permitted.
     pub fn write(&mut self, address: u16, data: &[u8], now_ns: i64) -> bool {
         let permit = sync_manager::permit(&self.sync_managers, address, data.len(), Access::Write);
         let end = usize::from(address) + data.len();
@@ -300,7 +302,7 @@ impl Esc {
         written
     }
 
-    /// The master reads the logical process image; returns whether a unit mapped any of it.
+    /// Handles a read of the logical process image. Returns whether an FMMU maps any of the bytes.
     pub fn read_logical(&mut self, logical: u32, data: &mut [u8], now_ns: i64) -> bool {
         let mut matched = false;
         for index in 0..self.fmmus.len() {
@@ -324,7 +326,7 @@ impl Esc {
         read
     }
 
-    /// The master writes the logical process image; returns whether a unit mapped any of it.
+    /// Handles a write of the logical process image. Returns whether an FMMU maps any of the bytes.
     pub fn write_logical(&mut self, logical: u32, data: &[u8], now_ns: i64) -> bool {
         let mut matched = false;
         for index in 0..self.fmmus.len() {
@@ -346,7 +348,8 @@ impl Esc {
         self.write(mapped.physical, &[bits.to_physical(*byte, in_device)], now_ns)
     }
 
-    /// A unit maps nothing while the sync manager behind it is off; registers can be mapped for reading.
+    /// Whether an FMMU may access these bytes. Either their sync manager must be active, or they
+    /// are registers and only read.
     fn is_mappable(&self, physical: u16, len: usize, direction: Access) -> bool {
         let permit = sync_manager::permit(&self.sync_managers, physical, len, direction);
         let register = direction == Access::Read && physical < reg::PROCESS_MEMORY;
@@ -358,7 +361,7 @@ impl Esc {
         let channels = reg::SYNC_MANAGER..reg::SYNC_MANAGER + self.channel_count() * reg::SYNC_MANAGER_LEN;
         address >= reg::PROCESS_MEMORY
             || fmmus.contains(&address)
-            // Status and device-side control of a sync manager are read-only.
+            // Status and device-side control of a sync manager cannot be written.
             || (channels.contains(&address) && !matches!(address % reg::SYNC_MANAGER_LEN, 5 | 7))
             || reg::is_writable(address)
     }
@@ -376,7 +379,7 @@ impl Esc {
             Completion::Nothing => {}
             Completion::Request => self.request_at_ns = Some(now_ns),
             Completion::Outputs => {
-                // During a conversion further events are lost.
+                // Events that arrive during a conversion are lost.
                 self.outputs_at_ns.get_or_insert(now_ns);
                 self.outputs_since_sync = true;
                 self.outputs_received = true;
@@ -397,7 +400,7 @@ impl Esc {
         }
     }
 
-    /// Process data are available from SAFE-OP on.
+    /// Blocks the sync managers of the process data below SAFE-OP, and unblocks them from SAFE-OP on.
     fn block_process_data(&mut self) {
         let blocked = self.expected.is_some() && self.state() < AlState::SafeOp;
         for channel in [OUTPUTS, INPUTS] {

@@ -1,4 +1,4 @@
-//! Fieldbus memory management units: mapping of logical addresses to process memory (ETG.1000.4 section 6.6).
+//! Fieldbus memory management units (FMMUs): they map logical addresses to process memory (ETG.1000.4 section 6.6).
 
 use std::ops::Range;
 
@@ -11,7 +11,7 @@ const READ: u8 = 0x01;
 const WRITE: u8 = 0x02;
 const ENABLE: u8 = 0x01;
 
-/// Registers of one unit: `length` bytes from `logical` on are those of the device from `physical` on.
+/// Registers of one unit. It maps `length` bytes at the logical address `logical` to the device's address `physical`.
 #[derive(Clone, Copy, Default)]
 pub struct Fmmu {
     logical: u32,
@@ -25,17 +25,17 @@ pub struct Fmmu {
     enable: u8,
 }
 
-/// The part of a datagram that a unit maps.
+/// The bytes of a datagram that a unit maps.
 pub struct Mapped {
-    /// Bytes of the datagram's data.
+    /// Range of these bytes in the datagram's data.
     pub data: Range<usize>,
-    /// Address in the device.
+    /// Address of the first byte in the device.
     pub physical: u16,
-    /// Set when single bits of one byte are mapped.
+    /// The mapped bits, if the unit maps single bits of one byte. `None` if it maps whole bytes.
     pub bits: Option<Bits>,
 }
 
-/// Bits of one byte: `count` bits from `physical` in the device to `logical` in the datagram.
+/// Mapping of `count` bits within one byte: from bit `physical` in the device to bit `logical` in the datagram.
 #[derive(Clone, Copy)]
 pub struct Bits {
     logical: u8,
@@ -44,25 +44,25 @@ pub struct Bits {
 }
 
 impl Bits {
-    /// Puts the mapped bits of the device's byte into the datagram's byte.
+    /// Copies the mapped bits from the device's byte into the datagram's byte.
     pub fn to_logical(self, device: u8, datagram: u8) -> u8 {
         insert(device >> self.physical, datagram, self.logical, self.count)
     }
 
-    /// Puts the mapped bits of the datagram's byte into the device's byte.
+    /// Copies the mapped bits from the datagram's byte into the device's byte.
     pub fn to_physical(self, datagram: u8, device: u8) -> u8 {
         insert(datagram >> self.logical, device, self.physical, self.count)
     }
 }
 
-/// Puts the lowest `count` bits of `source` into `target` at `shift`.
+/// Replaces `count` bits of `target`, beginning at bit `shift`, by the lowest bits of `source`.
 fn insert(source: u8, target: u8, shift: u8, count: u8) -> u8 {
     let mask = (((1u16 << count) - 1) << shift) as u8;
     (target & !mask) | ((source << shift) & mask)
 }
 
 impl Fmmu {
-    /// Takes the registers that a master wrote.
+    /// Applies the registers that a master has written.
     pub fn configure(&mut self, registers: &[u8; 16]) {
         let [l0, l1, l2, l3, n0, n1, start_bit, end_bit, p0, p1, physical_bit, kind, enable, ..] = *registers;
         *self = Self {
@@ -77,7 +77,8 @@ impl Fmmu {
         };
     }
 
-    /// The part of `len` bytes from `logical` that this unit maps for an access of the master.
+    /// The bytes that this unit maps, of `len` bytes at the address `logical`, for an access by
+    /// the master in this direction.
     pub fn map(&self, logical: u32, len: usize, direction: Access) -> Option<Mapped> {
         let kind = if direction == Access::Read { READ } else { WRITE };
         if self.enable & ENABLE == 0 || self.kind & kind == 0 {
@@ -94,7 +95,8 @@ impl Fmmu {
         Some(Mapped { data: (start - from) as usize..(end - from) as usize, physical, bits: self.bits() })
     }
 
-    /// Only bits within one byte are mapped, for status bits. Longer process data are byte-aligned in every device here.
+    /// The mapped bits, if bits within one byte are mapped, such as status bits. All devices here align
+    /// longer process data to bytes.
     fn bits(&self) -> Option<Bits> {
         let whole = self.start_bit == 0 && self.end_bit == 7 && self.physical_bit == 0;
         if whole || self.length != 1 || self.end_bit < self.start_bit {

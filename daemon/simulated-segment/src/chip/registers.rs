@@ -2,9 +2,9 @@
 
 use std::ops::Range;
 
-/// Registers and process memory: 4 KiB each.
+/// Size of the memory: 4 KiB of registers and 4 KiB of process memory.
 pub const MEMORY_SIZE: usize = 0x2000;
-/// Start of process memory.
+/// First address of process memory.
 pub const PROCESS_MEMORY: u16 = 0x1000;
 
 pub const INFORMATION: u16 = 0x0000;
@@ -40,7 +40,7 @@ pub const DC_START_TIME: u16 = 0x0990;
 pub const DC_SYNC0_CYCLE: u16 = 0x09a0;
 pub const DC_SYNC1_CYCLE: u16 = 0x09a4;
 
-/// Registers that a master may write, besides FMMUs, sync managers and process memory.
+/// Registers that a master may write, in addition to those of FMMUs and sync managers.
 const WRITABLE: [Range<u16>; 19] = [
     0x0010..0x0012, // station address
     0x0020..0x0022, // register write enable and protection
@@ -63,12 +63,12 @@ const WRITABLE: [Range<u16>; 19] = [
     0x0990..0x09a8, // start and cycle times
 ];
 
-/// Whether `address` is a writable register outside FMMUs and sync managers.
+/// Whether a master may write the register at `address`. Registers of FMMUs and sync managers are not considered.
 pub fn is_writable(address: u16) -> bool {
     WRITABLE.iter().any(|range| range.contains(&address))
 }
 
-/// Whether an access of `len` bytes at `address` touches any of the `size` bytes at `register`.
+/// Whether an access to `len` bytes at `address` includes any of the `size` bytes at `register`.
 pub fn touches(address: u16, len: usize, register: u16, size: usize) -> bool {
     let (start, from) = (usize::from(address), usize::from(register));
     start < from + size && from < start + len

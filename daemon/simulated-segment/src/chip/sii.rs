@@ -1,4 +1,5 @@
-//! EEPROM interface: the slave information (SII), which a master reads in pieces (ETG.1000.4 section 6.4).
+//! The EEPROM interface of a chip. Through its registers, a master reads the slave information (SII)
+//! in pieces (ETG.1000.4 section 6.4).
 
 use super::registers::{SII_ACCESS, SII_CONTROL};
 
@@ -13,34 +14,34 @@ const COMMAND_RELOAD: u16 = 0x0400;
 const COMMAND_ERROR: u16 = 0x2000;
 const WRITE_ENABLE_ERROR: u16 = 0x4000;
 const BUSY: u16 = 0x8000;
-/// I2C at 400 kHz: approximate duration for address and four bytes.
+/// Time for which the interface is busy after a command. Approximate time for address and four bytes on I2C at 400 kHz.
 const BUSY_NS: i64 = 120_000;
 
-/// The interface with the EEPROM behind it.
+/// The interface, including the EEPROM.
 pub struct Sii {
     image: Vec<u8>,
     access: u8,
     capabilities: u16,
     errors: u16,
-    /// In words of two bytes.
+    /// Address in the EEPROM, in words of two bytes.
     address: u32,
     data: [u8; 8],
     busy_until_ns: i64,
 }
 
 impl Sii {
-    /// An interface to `image`, with reads of eight bytes if the chip supports them, else four.
+    /// An interface to the EEPROM content `image`. It reads eight bytes at a time if the chip supports this, otherwise four.
     pub fn new(image: Vec<u8>, eight_byte_reads: bool) -> Self {
         let capabilities = if eight_byte_reads { EIGHT_BYTE_READS } else { 0 };
         Self { image, access: 0, capabilities, errors: 0, address: 0, data: [0; 8], busy_until_ns: i64::MIN }
     }
 
-    /// Station alias from the EEPROM.
+    /// Station alias that is stored in the EEPROM.
     pub fn alias(&self) -> [u8; 2] {
         [self.byte(8), self.byte(9)]
     }
 
-    /// Registers 0x0500 to 0x050F.
+    /// Content of the registers 0x0500 to 0x050F.
     pub fn registers(&self, now_ns: i64) -> [u8; 16] {
         let busy = if now_ns < self.busy_until_ns { BUSY } else { 0 };
         let control = (self.capabilities | self.errors | busy).to_le_bytes();
@@ -52,7 +53,7 @@ impl Sii {
         registers
     }
 
-    /// Takes a master's write; `registers` is the register file after it.
+    /// Handles a write of a master to `len` bytes at `address`. `registers` is the content of the registers after the write.
     pub fn write(&mut self, address: u16, len: usize, registers: &[u8; 16], now_ns: i64) {
         let touched = |register: u16| (address..address.saturating_add(len as u16)).contains(&register);
         if touched(SII_ACCESS) {
@@ -104,7 +105,7 @@ impl Sii {
         }
     }
 
-    /// An erased EEPROM reads as ones.
+    /// A byte of the EEPROM. Bytes outside the image are ones, as in an erased EEPROM.
     fn byte(&self, offset: usize) -> u8 {
         self.image.get(offset).copied().unwrap_or(0xff)
     }

@@ -1,5 +1,5 @@
-//! Sync managers: access control of process memory (ETG.1000.4 section 6.7). Each channel lets the master write or read one area,
-//! as a mailbox (full until it is read) or as a buffer of process data.
+//! Sync managers control the access to process memory (ETG.1000.4 section 6.7). Each channel lets the master write or read
+//! one area of the memory. The area is either a mailbox, which stays full until it is read, or a buffer of process data.
 
 /// Number of channels that a chip can have.
 pub const CHANNELS_MAX: usize = 8;
@@ -8,7 +8,7 @@ pub const CHANNELS_MAX: usize = 8;
 const MODE_MASK: u8 = 0x03;
 const MODE_MAILBOX: u8 = 0x02;
 const WRITTEN_BY_MASTER: u8 = 0x04;
-/// Mode and direction; whether a configuration is correct does not depend on the interrupt enables.
+/// Mask of mode and direction. The other bits enable interrupts and do not matter for a correct configuration.
 const FUNCTION_MASK: u8 = 0x0f;
 // Register 5, status.
 const STATUS_EVENT: u8 = 0x01;
@@ -26,20 +26,20 @@ pub enum Access {
     Write,
 }
 
-/// Decision on an access.
+/// Result of the check of an access.
 pub enum Permit {
-    /// No active sync manager: plain memory.
+    /// No active sync manager has these bytes: the memory is accessed directly.
     Plain,
-    /// Refused: wrong direction, mailbox full or empty, or partly outside.
+    /// Refused: the direction is wrong, the mailbox is full or empty, or only some of the bytes are in the area.
     Denied,
     /// Permitted through this channel.
     Through(usize),
 }
 
-/// Effect of a complete access through a channel on the device.
+/// Effect of an access through a channel, after its last byte.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Completion {
-    /// Not complete, or without effect.
+    /// The access has no effect, or its last byte is still missing.
     Nothing,
     /// A mailbox request is available.
     Request,
@@ -50,7 +50,7 @@ pub enum Completion {
 /// Settings of a sync manager that a device expects.
 #[derive(Clone, Copy)]
 pub struct ExpectedSyncManager {
-    /// Start in process memory.
+    /// Address of the first byte in process memory.
     pub start: u16,
     /// Length \[bytes\].
     pub length: u16,
@@ -64,16 +64,16 @@ pub struct SyncManager {
     length: u16,
     control: u8,
     activate: u8,
-    /// A mailbox that has not been read.
+    /// Whether the mailbox contains a message that has not been read.
     full: bool,
-    /// Status bit of a write by the master.
+    /// Whether the status register shows a write by the master.
     event: bool,
-    /// Switched off from the device's side.
+    /// Whether the device has switched the channel off.
     pub blocked: bool,
 }
 
 impl SyncManager {
-    /// Takes the registers that a master wrote.
+    /// Applies the registers that a master has written.
     pub fn configure(&mut self, registers: &[u8; 8]) {
         let repeated = (registers[6] ^ self.activate) & REPEAT != 0;
         self.start = u16::from_le_bytes([registers[0], registers[1]]);
@@ -83,21 +83,21 @@ impl SyncManager {
         if !self.is_enabled() {
             (self.full, self.event) = (false, false);
         } else if repeated && self.is_mailbox() && self.direction() == Access::Read {
-            // The master lost the last answer and requests it again; it is still in memory.
+            // The master has lost the last answer and requests a repetition. The answer is still in memory.
             self.full = true;
         }
     }
 
-    /// Status, activation and device-side control (registers 5 to 7).
+    /// Content of the registers 5 to 7: status, activation and device-side control.
     pub fn status(&self) -> [u8; 3] {
         let event = if self.event { STATUS_EVENT } else { 0 };
         let full = if self.full { STATUS_FULL } else { 0 };
-        // By its own repeat bit the device acknowledges a repeat request.
+        // The device acknowledges a request for repetition by setting its own repeat bit to the same value.
         let device_side = if self.blocked { PDI_DISABLED } else { 0 } | (self.activate & REPEAT);
         [event | full, self.activate, device_side]
     }
 
-    /// Whether this channel is set as the device expects.
+    /// Whether this channel has the settings that the device expects.
     pub fn matches(&self, expected: &ExpectedSyncManager) -> bool {
         self.is_enabled()
             && self.start == expected.start
@@ -105,12 +105,12 @@ impl SyncManager {
             && self.control & FUNCTION_MASK == expected.control & FUNCTION_MASK
     }
 
-    /// Whether a mailbox is full.
+    /// Whether the mailbox is full.
     pub fn is_full(&self) -> bool {
         self.full
     }
 
-    /// Empties or fills a mailbox from the device's side.
+    /// Marks a mailbox as full or empty, on behalf of the device.
     pub fn set_full(&mut self, full: bool) {
         (self.full, self.event) = (full, false);
     }
@@ -139,7 +139,8 @@ impl SyncManager {
         from < self.end() && usize::from(self.start) < to
     }
 
-    /// Whether the channel permits an access from the byte `from` to `to`; to a mailbox only from its start.
+    /// Whether the channel permits an access to the bytes from `from` up to but not including `to`. A mailbox
+    /// is accessed from its start.
     fn admits(&self, from: usize, to: usize, direction: Access) -> bool {
         let inside = usize::from(self.start) <= from && to <= self.end();
         let at_start = usize::from(self.start) == from;
@@ -164,7 +165,7 @@ impl SyncManager {
     }
 }
 
-/// Decision of the channels on an access of `len` bytes at `address`.
+/// Checks an access to `len` bytes at `address` against all channels.
 pub fn permit(channels: &[SyncManager], address: u16, len: usize, direction: Access) -> Permit {
     let (from, to) = (usize::from(address), usize::from(address) + len);
     let touched = channels.iter().position(|channel| channel.is_active() && channel.overlaps(from, to));
@@ -175,7 +176,7 @@ pub fn permit(channels: &[SyncManager], address: u16, len: usize, direction: Acc
     }
 }
 
-/// Completes an access that was permitted; a buffer is exchanged when its last byte is accessed.
+/// Handles the end of a permitted access. If it includes the last byte of the area, the mailbox or buffer changes hands.
 pub fn finish_access(channels: &mut [SyncManager], index: usize, address: u16, len: usize) -> Completion {
     match channels.get_mut(index) {
         Some(channel) if usize::from(address) + len == channel.end() => channel.complete(),

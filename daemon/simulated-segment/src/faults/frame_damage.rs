@@ -1,18 +1,18 @@
-//! Damage to the bytes of a reply: short working counters, a missing end, or inverted bits outside the data.
+//! Damages the bytes of a reply: too low working counters, a missing end, or inverted bits outside the data.
 
 use rand::{Rng, rngs::StdRng};
 
 use crate::frame::{self, DATAGRAM_HEADER_LEN, Datagram, WORKING_COUNTER_LEN};
 
-/// First and last of the commands with logical addresses.
+/// Range of the commands with logical addresses, from first to last.
 const LRD: u8 = 10;
 const LRW: u8 = 12;
-/// Share of frames damaged on their way back that the network card detects.
+/// Fraction of the frames damaged on their way back that the network card detects and drops.
 const DETECTED_SHARE: f64 = 0.5;
-/// Share of the other ones whose end is missing.
+/// Of the frames that it does not detect, the fraction whose end is missing. The others have inverted bits.
 const SHORTENED_SHARE: f64 = 0.3;
 
-/// Simulates devices that did not process the frame: a lower working counter, and wrong data.
+/// Simulates devices that did not process the frame. Their datagrams have a lower working counter and wrong data.
 pub fn shorten_working_counters(frame: &mut [u8], by: u16) {
     let Some(mut rest) = frame::datagrams(frame).and_then(|range| frame.get_mut(range)) else { return };
     while let Some((mut datagram, behind)) = Datagram::split_first(rest) {
@@ -24,8 +24,8 @@ pub fn shorten_working_counters(frame: &mut [u8], by: u16) {
     }
 }
 
-/// Damages a reply; returns its length, or `None` if the network card drops it. Data stay unchanged: with a check
-/// sequence no card passes damaged data, and EtherCAT has no other protection for them.
+/// Damages a reply. Returns its length, or `None` if the network card drops the frame. The data are not changed: the check
+/// sequence protects them, no network card passes a frame with damaged data, and EtherCAT has no further protection.
 pub fn corrupt(frame: &mut [u8], random: &mut StdRng) -> Option<usize> {
     if random.random_bool(DETECTED_SHARE) {
         return None;
@@ -34,7 +34,7 @@ pub fn corrupt(frame: &mut [u8], random: &mut StdRng) -> Option<usize> {
         return Some(random.random_range(0..frame.len()));
     }
     let datagrams = frame::datagrams(frame)?;
-    // Indices of all bytes outside the data.
+    // Indices of all bytes that are not data of a datagram.
     let mut structure: Vec<usize> = (0..datagrams.start).collect();
     let (mut start, mut rest) = (datagrams.start, &mut frame[datagrams]);
     while let Some((datagram, behind)) = Datagram::split_first(rest) {

@@ -1,7 +1,8 @@
-//! Faults of a bus: of frames and of devices, each random with a seed and switched while the segment runs.
+//! Faults of a bus, in frames and in devices. Frames are hit at random with a seed. Faults can be
+//! switched while the segment runs.
 //!
-//! A [`FaultySegment`] is between a wire and a [`SimulatedSegment`]. Faults of frames are simulated here; faults of devices
-//! are set in the segment. Times are those of the frames, so everything works on a virtual clock.
+//! A [`FaultySegment`] wraps a [`SimulatedSegment`]. Faults of frames are simulated here; faults of devices are set in the
+//! segment. Time is that given with each frame, so everything also works on a virtual clock.
 
 mod frame_damage;
 mod replies;
@@ -18,7 +19,8 @@ use crate::SimulatedSegment;
 use crate::node::{MailboxFault, SignalFault};
 use replies::Replies;
 
-/// A fault. Positions are those on the bus: the coupler is 0, terminals follow. Shares are probabilities per frame, 0 to 1.
+/// A fault. Positions are those on the bus: the coupler has position 0, the terminals follow. A `share` is a probability for
+/// each frame, from 0 to 1.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Fault {
     /// A frame is lost on its way to the devices or on its way back, at random.
@@ -26,7 +28,7 @@ pub enum Fault {
         /// Probability for each frame, 0 to 1.
         share: f64,
     },
-    /// A reply is late.
+    /// A reply is delayed.
     FrameLate {
         /// Probability for each frame, 0 to 1.
         share: f64,
@@ -38,44 +40,44 @@ pub enum Fault {
         /// Probability for each frame, 0 to 1.
         share: f64,
     },
-    /// Bits are inverted. If the check sequence detects that, the frame is dropped (on the way there by the devices, on
-    /// the way back by the network card); otherwise headers or working counters are wrong, or the end is missing.
+    /// Bits of a frame are inverted. If the check sequence detects this, the frame is dropped: by the devices on its way
+    /// out, by the network card on its way back. Otherwise headers or working counters are wrong, or the end is missing.
     FrameCorrupted {
         /// Probability for each frame, 0 to 1.
         share: f64,
     },
-    /// A bad cable: the receiver of a device detects and counts disturbances between frames.
+    /// A bad cable: the receiver of a device detects disturbances between frames and counts them as receive errors.
     NoisyCable {
-        /// The device behind the cable.
+        /// Position of the device whose port is at the cable.
         position: usize,
-        /// Share of pauses between two frames.
+        /// Probability for each frame, 0 to 1, of an error in the pause before it.
         share: f64,
     },
     /// Logical datagrams return with a working counter that is too low, and with wrong inputs.
     WorkingCounterShort {
         /// Probability for each frame, 0 to 1.
         share: f64,
-        /// Difference of the counter: 1 for missing inputs, 3 for a whole terminal.
+        /// Amount by which the counter is too low: 1 for missing inputs, 3 for a whole terminal.
         by: u16,
     },
-    /// Devices from a position on have no power. Afterwards they are powered up again with reset counters.
+    /// The devices from a position on have no power. When the fault ends, they are powered up with reset counters.
     DevicesGone {
         /// First position without power.
         from: usize,
     },
-    /// A terminal leaves OP for SAFE-OP, once.
+    /// A terminal changes from OP to SAFE-OP, once.
     FallToSafeOp {
         /// Position of the terminal.
         position: usize,
         /// AL status code (ETG.1020), such as 0x001A for a synchronisation error.
         code: u16,
     },
-    /// The signal of a terminal's encoder is lost: amplitude error.
+    /// The signal of a terminal's encoder is lost: the terminal reports an amplitude error.
     SignalLost {
         /// Position of the terminal.
         position: usize,
     },
-    /// The signal of a terminal's encoder is faster than it can follow: frequency error.
+    /// The signal of a terminal's encoder is faster than the terminal can follow: it reports a frequency error.
     SignalTooFast {
         /// Position of the terminal.
         position: usize,
@@ -92,14 +94,14 @@ pub enum Fault {
         /// Position of the terminal.
         position: usize,
     },
-    /// A terminal sends an emergency before its next answer, once.
+    /// A terminal sends an emergency message before its next answer, once.
     MailboxEmergency {
         /// Position of the terminal.
         position: usize,
         /// Emergency error code (ETG.1000.6).
         code: u16,
     },
-    /// No link: nothing can be sent and nothing arrives.
+    /// The link is down: no frame can be sent, and no reply arrives.
     LinkDown,
     /// The reference clock jumps, once.
     ClockStep {
@@ -108,7 +110,7 @@ pub enum Fault {
     },
 }
 
-/// A fault for which [`Fault::is_behind`] holds.
+/// Error for a fault for which [`Fault::is_behind`] is true.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error(
     "a fault is at a position behind the last device of the simulated bus; the coupler is 0, its terminals follow from 1"
@@ -116,7 +118,7 @@ pub enum Fault {
 pub struct FaultBehind;
 
 impl Fault {
-    /// Whether it is behind the last of these terminals, where it has no effect.
+    /// Whether the fault is at a position after the last of these terminals, where it has no effect.
     pub fn is_behind(self, terminals: usize) -> bool {
         let position = match self {
             Self::DevicesGone { from } => from,
@@ -132,7 +134,7 @@ impl Fault {
         position > terminals
     }
 
-    /// The fault of the encoder signal of the terminal at `position`, if it is one.
+    /// The signal fault that this fault causes at the terminal at `position`, if any.
     fn signal_at(self, position: usize) -> Option<SignalFault> {
         match self {
             Self::SignalLost { position: at } if at == position => Some(SignalFault::Lost),
@@ -141,7 +143,7 @@ impl Fault {
         }
     }
 
-    /// The lasting fault of the mailbox of the terminal at `position`, if it is one.
+    /// The mailbox fault that this fault causes at the terminal at `position`, if any. Faults that happen once are excluded.
     fn mailbox_at(self, position: usize) -> Option<MailboxFault> {
         match self {
             Self::MailboxAbort { position: at, code } if at == position => Some(MailboxFault::Abort(code)),
@@ -151,10 +153,10 @@ impl Fault {
     }
 }
 
-/// Queue of switches for the next frame. Without frames further ones are dropped.
+/// Largest number of switches that wait for the next frame. Further switches are dropped.
 const SWITCHES_MAX: usize = 1024;
 
-/// Switches faults of a running segment, from any thread.
+/// Begins and ends faults of a running segment, from any thread.
 #[derive(Debug, Clone)]
 pub struct FaultHandle(SyncSender<FaultSwitch>);
 
@@ -175,29 +177,30 @@ pub struct FaultySegment {
     segment: SimulatedSegment,
     random: StdRng,
     switches: Receiver<FaultSwitch>,
-    /// Scheduled switches, by time since the first frame; the next one last.
+    /// Scheduled switches by time since the first frame, in descending order: the next switch is the last element.
     schedule: Vec<(i64, FaultSwitch)>,
     first_frame_ns: Option<i64>,
     active: Vec<Fault>,
-    /// Reply of the segment, before its damage.
+    /// Reply of the segment, before it is damaged.
     scratch: Box<[u8; FRAME_BYTES_MAX]>,
     replies: Replies,
 }
 
-/// Faults drawn for one frame.
+/// Faults that hit one frame, chosen at random.
 #[derive(Default)]
 struct Drawn {
     lost: bool,
     corrupted: bool,
     duplicated: bool,
-    /// Additional delay of the reply.
+    /// Additional delay of the reply \[ns\].
     late_ns: i64,
-    /// Missing part of the working counter.
+    /// Amount by which the working counter is reduced.
     short_by: u16,
 }
 
 impl FaultySegment {
-    /// A segment without faults, and the handle that switches them. The seed decides which frames are hit.
+    /// Wraps a segment, without faults at first, and returns the handle that switches faults. The seed
+    /// determines which frames are hit.
     pub fn new(segment: SimulatedSegment, seed: u64) -> (Self, FaultHandle) {
         let (sender, switches) = sync_channel(SWITCHES_MAX);
         let faulty = Self {
@@ -213,7 +216,7 @@ impl FaultySegment {
         (faulty, FaultHandle(sender))
     }
 
-    /// Schedules faults by the time since the first frame.
+    /// Schedules faults. Times are counted from the first frame.
     pub fn schedule(&mut self, windows: &[FaultWindow]) {
         for window in windows {
             self.schedule.push((window.from_ns, FaultSwitch { fault: window.fault, on: true }));
@@ -224,33 +227,35 @@ impl FaultySegment {
         self.schedule.sort_by_key(|&(at_ns, _)| std::cmp::Reverse(at_ns));
     }
 
-    /// Whether the cable is plugged in, after the switches due at `now_ns`: without it nothing can be sent.
+    /// Whether the cable is plugged in, after all switches that are due at `now_ns`. Without a link no frame can be sent.
     pub fn has_link(&mut self, now_ns: i64) -> bool {
         self.switch(now_ns);
         !self.active.contains(&Fault::LinkDown)
     }
 
-    /// From sending a frame's first bit until receiving its last.
+    /// Time from sending the first bit of a frame until its last bit is received \[ns\].
     pub fn round_trip_ns(&self, frame_len: usize) -> i64 {
         self.segment.round_trip_ns(frame_len)
     }
 
-    /// A frame enters the coupler at `now_ns`; its replies leave it then, later, or not at all. `back_ns` is the delay of a
-    /// reply from the coupler to the receiver.
+    /// Passes a frame through the segment. It enters the coupler at `now_ns`. Its replies leave the coupler at that time,
+    /// later, or not at all. `back_ns` is the delay of a reply from the coupler to the receiver.
     pub fn exchange(&mut self, now_ns: i64, back_ns: i64, frame: &[u8]) {
         if !self.has_link(now_ns) {
             return;
         }
         let drawn = self.draw();
+        // Faults on the way to the devices: these never see the frame.
         let hit_before_devices = self.random.random_bool(0.5);
         if drawn.lost && hit_before_devices {
             return;
         }
         if drawn.corrupted && hit_before_devices {
-            // The coupler counts it and forwards it marked as invalid.
+            // The coupler counts the frame as invalid. The devices after it ignore the frame.
             self.segment.change(0, |node| node.esc.count_invalid_frame());
             return;
         }
+        // Faults on the way back: the devices have processed the frame.
         let Some(length) = self.segment.exchange(now_ns, frame, &mut self.scratch[..]) else { return };
         if drawn.lost {
             return;
@@ -274,17 +279,17 @@ impl FaultySegment {
         }
     }
 
-    /// When the next reply arrives.
+    /// Time of arrival of the next reply \[ns\].
     pub fn next_reply_ns(&self) -> Option<i64> {
         self.replies.next_due_ns()
     }
 
-    /// Takes the next reply if it has arrived at `now_ns`; returns its length.
+    /// Takes the next reply if it has arrived by `now_ns`. Returns its length.
     pub fn take_reply(&mut self, now_ns: i64, buffer: &mut [u8; FRAME_BYTES_MAX]) -> Option<usize> {
         self.replies.take(now_ns, buffer)
     }
 
-    /// Draws the faults of a frame.
+    /// Chooses at random which active faults hit a frame.
     fn draw(&mut self) -> Drawn {
         let Self { active, random, segment, .. } = self;
         let mut drawn = Drawn::default();
@@ -308,7 +313,7 @@ impl FaultySegment {
         drawn
     }
 
-    /// Begins and ends the faults that are scheduled until `now_ns`, and those that a handle has switched.
+    /// Applies all scheduled switches that are due at `now_ns`, then those from a handle.
     fn switch(&mut self, now_ns: i64) {
         self.segment.power_up(now_ns);
         let since_ns = now_ns - *self.first_frame_ns.get_or_insert(now_ns);
@@ -324,7 +329,8 @@ impl FaultySegment {
         }
     }
 
-    /// Begins or ends a fault. What a device shows follows from all active faults: the end of one does not end another.
+    /// Begins or ends a fault. The state of a device is computed from all active faults, so the end of one
+    /// fault does not end another.
     fn apply(&mut self, FaultSwitch { fault, on }: FaultSwitch, now_ns: i64) {
         self.active.retain(|other| *other != fault);
         if on {

@@ -1,29 +1,30 @@
-//! Queue of the replies between segment and receiver, by time of arrival.
+//! Queue of the replies on their way from the segment to the receiver, in order of arrival.
 
 use crate::FRAME_BYTES_MAX;
 
-/// More frames than a MainDevice has on the wire.
+/// Capacity of the queue. A MainDevice never has this many frames on the wire.
 const REPLIES_MAX: usize = 64;
 
-/// A reply that has not arrived.
+/// A reply that has not arrived yet.
 struct OnTheWay {
     due_ns: i64,
     length: usize,
     bytes: [u8; FRAME_BYTES_MAX],
 }
 
-/// Replies that have left the segment, taken by time of arrival; simultaneous ones in the order of leaving.
+/// Replies that have left the segment. They are taken in order of arrival; replies that arrive at the same time, in the
+/// order in which they left.
 pub struct Replies {
     on_the_way: Vec<OnTheWay>,
 }
 
 impl Replies {
     pub fn new() -> Self {
-        // Allocated here, so that a cycle in this process allocates nothing.
+        // Memory is allocated here, so that a cycle allocates none when the segment runs in its process.
         Self { on_the_way: Vec::with_capacity(REPLIES_MAX) }
     }
 
-    /// Adds a reply; beyond the capacity of the wire it is lost.
+    /// Adds a reply. If the queue is full, the reply is lost.
     pub fn push(&mut self, due_ns: i64, reply: &[u8]) {
         if self.on_the_way.len() == REPLIES_MAX || reply.len() > FRAME_BYTES_MAX {
             return;
@@ -38,7 +39,7 @@ impl Replies {
         self.on_the_way.iter().map(|reply| reply.due_ns).min()
     }
 
-    /// Takes the next reply if it has arrived; returns its length.
+    /// Takes the next reply if it has arrived by `now_ns`. Returns its length.
     pub fn take(&mut self, now_ns: i64, buffer: &mut [u8; FRAME_BYTES_MAX]) -> Option<usize> {
         let due_ns = self.next_due_ns().filter(|due_ns| *due_ns <= now_ns)?;
         let index = self.on_the_way.iter().position(|reply| reply.due_ns == due_ns)?;

@@ -1,43 +1,43 @@
-//! Faults as text: with times for the options of the command line (`lost:0.01`, `gone:3@10s-15s`, `safe-op:2,0x001a@5s`), and
-//! as switches for a running segment (`on gone:3`, `off gone:3`).
+//! Parses faults from text. Options of the command line have times (`lost:0.01`, `gone:3@10s-15s`, `safe-op:2,0x001a@5s`).
+//! Switches for a running segment have none (`on gone:3`, `off gone:3`).
 
 use std::str::FromStr;
 use std::time::Duration;
 
 use super::{Fault, FaultBehind};
 
-/// A fault and its interval, counted from the first frame.
+/// A fault with its interval. Times are counted from the first frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FaultWindow {
     /// The fault to inject.
     pub fault: Fault,
     /// Begin \[ns\].
     pub from_ns: i64,
-    /// End \[ns\]; `None`: permanent.
+    /// End \[ns\]. `None` if the fault is permanent.
     pub until_ns: Option<i64>,
 }
 
 impl FaultWindow {
-    /// Refuses faults behind the last of these terminals.
+    /// Checks that all faults have an effect on a bus with this number of terminals.
     ///
     /// # Errors
-    /// [`FaultBehind`].
+    /// [`FaultBehind`] if a fault is at a position after the last terminal.
     pub fn ensure_effective(windows: &[Self], terminals: usize) -> Result<(), FaultBehind> {
         let is_behind = windows.iter().any(|window| window.fault.is_behind(terminals));
         if is_behind { Err(FaultBehind) } else { Ok(()) }
     }
 }
 
-/// A fault that begins or ends now.
+/// A command that begins or ends a fault immediately.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FaultSwitch {
     /// The fault to switch.
     pub fault: Fault,
-    /// Whether it begins; otherwise it ends.
+    /// True if the fault begins, false if it ends.
     pub on: bool,
 }
 
-/// The text is neither a fault nor a switch.
+/// The text is neither a fault nor a switch. It is quoted in the message.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
     "`{0}` is not a fault; write one of lost:SHARE, late:SHARE,TIME, duplicated:SHARE, corrupted:SHARE, \

@@ -1,4 +1,4 @@
-//! Simulates a person who stops the motion and turns one joint at a time.
+//! Simulates a person who stops the motion of the joints and turns one joint at a time by hand.
 
 use std::f64::consts::TAU;
 use std::sync::Arc;
@@ -6,29 +6,30 @@ use std::sync::atomic::{AtomicI64, Ordering};
 
 use super::{Conversion, EncoderSource, Periods, Signal, SmoothMotion};
 
-/// Slow enough for the full resolution of the interpolation (below 750 Hz at 3600 lines and 12 bits).
+/// Speed of a joint turned by hand. Below 750 Hz (at 3600 lines and 12 bits), where interpolation has its full resolution.
 const SPEED_RAD_PER_S: f64 = 1.2;
-/// Commands of [`Hand`] besides the turning of a channel: the motion continues, or all joints are held.
+/// Values of the command in [`Hand`]. With `LET_GO` the motion continues, with `HOLD` all joints are held.
+/// Other values turn a channel.
 const LET_GO: i64 = 0;
 const HOLD: i64 = i64::MAX;
 
-/// Controls the simulated person, from any thread. The shared command is `LET_GO`, `HOLD`, or the channel to turn plus one,
-/// negative for decreasing counts.
+/// Controls the simulated person, from any thread. The shared number is the command: `LET_GO`, `HOLD`, or the number of the
+/// channel to turn plus one. A negative number means decreasing counts.
 #[derive(Debug, Clone, Default)]
 pub struct Hand(Arc<AtomicI64>);
 
 impl Hand {
-    /// Stops the motion and holds all joints.
+    /// Stops the motion. All joints keep their angles.
     pub fn hold(&self) {
         self.0.store(HOLD, Ordering::Release);
     }
 
-    /// Turns the encoder on this channel with increasing counts, and holds the others.
+    /// Turns the encoder on this channel with increasing counts. The other joints are held.
     pub fn turn(&self, channel: usize) {
         self.0.store(channel as i64 + 1, Ordering::Release);
     }
 
-    /// Turns it in the other direction.
+    /// Turns the encoder on this channel with decreasing counts. The other joints are held.
     pub fn turn_back(&self, channel: usize) {
         self.0.store(-(channel as i64 + 1), Ordering::Release);
     }
@@ -45,13 +46,14 @@ impl Hand {
 
 #[derive(Debug, Clone, Copy, Default)]
 struct TurnedJoint {
-    /// Angle by which it was turned by hand.
+    /// Angle by which the joint was turned by hand in total.
     by_hand: Periods,
     /// True time \[ns\] and position of the last conversion.
     last: Option<(i64, Periods)>,
 }
 
-/// A [`SmoothMotion`] with a [`Hand`] that can stop it and turn its joints. Without the hand it is that motion.
+/// A [`SmoothMotion`] that a [`Hand`] can stop, and whose joints it can turn. As long as the hand is not used, the signals
+/// are those of the motion.
 #[derive(Debug, Clone)]
 pub struct HandTurned {
     motion: SmoothMotion,
@@ -63,14 +65,15 @@ pub struct HandTurned {
 }
 
 impl HandTurned {
-    /// A motion and the hand that can stop it.
+    /// Returns the source and the hand that controls it.
     pub fn new(motion: SmoothMotion) -> (Self, Hand) {
         let hand = Hand::default();
         let joints = vec![TurnedJoint::default(); motion.joints()];
         (Self { motion, hand: hand.clone(), joints, stopped_ns: 0, held_since_ns: None }, hand)
     }
 
-    /// The time of the motion, which stands still while it is held.
+    /// Time of the motion: the true time without the time for which the motion was held. `is_held` is
+    /// whether it is held now.
     fn motion_ns(&mut self, true_time_ns: i64, is_held: bool) -> i64 {
         if is_held {
             let since_ns = *self.held_since_ns.get_or_insert(true_time_ns);

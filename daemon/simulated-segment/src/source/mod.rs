@@ -1,4 +1,5 @@
-//! Sources of encoder signals: a built-in motion, or a recording.
+//! Sources of encoder signals: a built-in motion of the joints, or a recording. A terminal requests the signal at
+//! its input for each conversion.
 
 mod hand_turned;
 mod reference_mark;
@@ -9,37 +10,38 @@ pub use hand_turned::{Hand, HandTurned};
 pub use replay::{Replay, ReplayError, ReplayHandle};
 pub use smooth::SmoothMotion;
 
-/// The time at which a terminal samples.
+/// Time of a conversion, at which a terminal samples its input.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Conversion {
-    /// The simulation's absolute time.
+    /// True time of the simulation \[ns\].
     pub true_time_ns: i64,
-    /// Nominal time of the SYNC0 pulse on the system time of the bus; `None` if the terminal follows frames.
+    /// Nominal time of the SYNC0 pulse in the system time of the bus \[ns\]. `None` if frames start
+    /// the conversions of the terminal.
     pub system_time_ns: Option<i64>,
 }
 
-/// Number of signal periods as fixed point with 32 fraction bits; wraps after 2^31 periods.
+/// A number of signal periods in fixed point with 32 fraction bits. It wraps after 2^31 periods.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Periods(pub i64);
 
 impl Periods {
-    /// One signal period as fixed point number.
+    /// One signal period in this fixed point.
     pub const ONE: i64 = 1 << 32;
 
-    /// Nearest fixed point number.
+    /// Rounds to the nearest fixed point number.
     pub fn from_f64(periods: f64) -> Self {
         Self((periods * Self::ONE as f64).round() as i64)
     }
 }
 
-/// Signal at a terminal's inputs.
+/// Signal at the input of a terminal.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Signal {
     /// Signal of a turning encoder.
     Turning {
         /// Angle of the encoder in signal periods.
         position: Periods,
-        /// Speed, signal periods per second.
+        /// Speed, with its sign \[signal periods per second\].
         periods_per_s: f64,
         /// Signal amplitude as a fraction of 1 Vpp.
         amplitude: f64,
@@ -48,7 +50,7 @@ pub enum Signal {
         /// Whether the encoder is at the reference mark.
         on_reference_mark: bool,
     },
-    /// A recorded counter value, which the terminal passes on unchanged, independent of its settings.
+    /// A recorded counter value. The terminal outputs it unchanged, whatever its settings are.
     Recorded {
         /// Counter value of the terminal.
         count: u32,
@@ -56,7 +58,7 @@ pub enum Signal {
 }
 
 impl Signal {
-    /// The terminal is not connected.
+    /// Signal of an input without encoder.
     pub const NOT_CONNECTED: Self = Self::Turning {
         position: Periods(0),
         periods_per_s: 0.0,
@@ -66,9 +68,9 @@ impl Signal {
     };
 }
 
-/// Provides the encoder signals for the terminals.
+/// Provides the encoder signals at the inputs of the terminals.
 pub trait EncoderSource: Send {
-    /// Signal at a conversion on terminal `channel`, counted from the coupler, from 0. Conversions of a channel are in
-    /// ascending order of time.
+    /// The signal of terminal `channel` at a conversion. Channels are counted from 0, beginning at the coupler. For each
+    /// channel, times must be ascending.
     fn signal(&mut self, channel: usize, at: Conversion) -> Signal;
 }

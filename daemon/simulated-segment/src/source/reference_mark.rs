@@ -1,31 +1,31 @@
-//! The reference mark of an encoder disc: one signal period wide, once a revolution.
+//! The reference mark on an encoder disc. It is one signal period wide and occurs once per revolution.
 
 use super::Periods;
 
-/// Positions of the marks of one encoder.
+/// Positions of the reference mark of one encoder, in all revolutions.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct ReferenceMark {
-    /// Position of one mark.
+    /// Position of the mark in one revolution.
     pub at: Periods,
-    /// Distance to the next mark.
+    /// Distance from one mark to the next, in fixed point ([`Periods::ONE`]).
     revolution: i64,
 }
 
 impl ReferenceMark {
-    /// A mark at `at` and each revolution of `lines` signal periods from there.
+    /// Marks at `at` and at every revolution of `lines` signal periods from there.
     pub fn new(at: Periods, lines: u32) -> Self {
         Self { at, revolution: i64::from(lines).max(1) * Periods::ONE }
     }
 
-    /// The mark between two positions less than a revolution apart.
+    /// Position of the mark between two positions, if there is one. The positions must be less than a revolution apart.
     pub fn between(&self, from: Periods, to: Periods) -> Option<Periods> {
         let turn = |position: Periods| position.0.wrapping_sub(self.at.0).div_euclid(self.revolution);
-        // Turns begin at marks: the mark between two turns is at the start of the upper one.
+        // A revolution begins at a mark. The mark between two revolutions is therefore at the beginning of the higher one.
         let upper = turn(from).max(turn(to));
         (turn(from) != turn(to)).then(|| Periods(self.at.0.wrapping_add(upper.wrapping_mul(self.revolution))))
     }
 
-    /// Whether the encoder is at a mark.
+    /// Whether a position is within half a signal period of a mark.
     pub fn is_at(&self, position: Periods) -> bool {
         let from_mark = position.0.wrapping_sub(self.at.0).rem_euclid(self.revolution);
         let half = Periods::ONE / 2;

@@ -1,4 +1,4 @@
-//! Plays recorded counts back, one row per bus cycle.
+//! Plays recorded counts. A *row* contains one count for each terminal; one row is played per bus cycle.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, AtomicUsize, Ordering};
@@ -8,7 +8,7 @@ use super::{Conversion, EncoderSource, Signal};
 /// Why a table of counts cannot be replayed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum ReplayError {
-    /// No channel, no row, or an incomplete last row.
+    /// The table is empty, has no channels, or its last row is incomplete.
     #[error(
         "a replay needs whole rows of counts: {counts} counts do not make rows of {channels} channels; \
          check that the recording has samples of every encoder"
@@ -24,9 +24,9 @@ pub enum ReplayError {
     Period(i64),
 }
 
-/// Value of the start time before a start.
+/// Value of the start time before the replay was started.
 const NOT_STARTED: i64 = i64::MAX;
-/// Value of the start time while the next conversion starts the replay.
+/// Value of the start time if the next conversion must start the replay.
 const AT_NEXT: i64 = i64::MIN;
 
 #[derive(Debug)]
@@ -37,35 +37,37 @@ struct ReplayState {
     rows: usize,
 }
 
-/// Recorded counts as an encoder source.
+/// An encoder source that plays recorded counts.
 ///
-/// The row is selected by the nominal SYNC0 time, so each cycle plays exactly one row independent of the devices' clocks.
-/// If the clock of the bus is set again during the replay, the true time of pulses changes against their nominal time:
-/// counts are then interpolated between two rows. Terminals that follow frames use the nearest row by true time.
+/// The row is selected by the nominal time of the SYNC0 pulse. Each cycle therefore plays exactly one row, whatever
+/// the rates of the devices' clocks are. If the clock of the bus is set during the replay, the true time of a pulse
+/// changes relative to its nominal time. Counts are then interpolated between two rows. Terminals without SYNC0 play
+/// the row nearest in true time.
 #[derive(Debug)]
 pub struct Replay {
     counts: Vec<u32>,
     channels: usize,
     period_ns: i64,
-    /// True time of pulses, for each channel.
+    /// Timing of the SYNC0 pulses, for each channel.
     pulses: Vec<PulseTiming>,
     shared: Arc<ReplayState>,
 }
 
-/// True time of pulses against their nominal one.
+/// True time of SYNC0 pulses relative to their nominal time.
 #[derive(Debug, Clone, Copy, Default)]
 struct PulseTiming {
-    /// True minus nominal time of the last one \[ns\].
+    /// True minus nominal time of the last pulse \[ns\].
     true_minus_nominal_ns: Option<i64>,
-    /// Sum of the changes of that difference by which the clock of the bus was set \[ns\].
+    /// Sum of all changes of that difference that are larger than drift explains, because the clock of
+    /// the bus was set \[ns\].
     delay_ns: i64,
 }
 
 impl PulseTiming {
-    /// Clocks drift by less than this between two pulses; a larger change means that the clock was set \[ns\].
+    /// Limit for the effect of drift between two pulses \[ns\]. A larger change means that the clock was set.
     const SET_NS: i64 = 20_000;
 
-    /// Takes the next pulse into account.
+    /// Updates the timing with the next pulse.
     fn next(&mut self, true_minus_nominal_ns: i64) {
         let change_ns = self.true_minus_nominal_ns.map_or(0, |before_ns| true_minus_nominal_ns - before_ns);
         if change_ns.abs() > Self::SET_NS {
@@ -80,8 +82,8 @@ impl PulseTiming {
 pub struct ReplayHandle(Arc<ReplayState>);
 
 impl Replay {
-    /// Plays `counts`, rows of `channels` counts each, one row every `period_ns`. Shows the first row until it is started
-    /// through the handle.
+    /// Plays `counts`, which consist of rows of `channels` counts each. A new row is played every `period_ns`. Until the
+    /// replay is started through the handle, the first row is played.
     ///
     /// # Errors
     /// If the counts are not at least one complete row, or the period is not positive.
@@ -106,7 +108,7 @@ impl Replay {
         Ok((Self { counts, channels, period_ns, pulses, shared }, handle))
     }
 
-    /// Row at a conversion; `None` before the start of the replay.
+    /// Index of the row at a conversion. `None` before the replay starts.
     fn row(&self, at: Conversion) -> Option<usize> {
         let now_ns = at.system_time_ns.unwrap_or(at.true_time_ns);
         let mut start_ns = self.shared.start_ns.load(Ordering::Acquire);
@@ -122,7 +124,8 @@ impl Replay {
         Some(row.min(self.shared.rows - 1))
     }
 
-    /// Count of a channel `after_ns` after the time of a row, linearly interpolated; 0 for a terminal that was not recorded.
+    /// Count of a channel at the time `after_ns` after that of a row, by linear interpolation. 0 for a terminal that
+    /// is not in the recording.
     fn count(&self, channel: usize, row: usize, after_ns: i64) -> u32 {
         let recorded = |row: usize| {
             let counts_of_row = self.counts.get(row * self.channels..)?.get(..self.channels)?;
@@ -133,7 +136,7 @@ impl Replay {
         let row = if after_ns < 0 { row.saturating_sub(rows_later) } else { row.saturating_add(rows_later) };
         let Some(before) = recorded(row.min(self.shared.rows - 1)) else { return 0 };
         let Some(after) = recorded(row.saturating_add(1)) else { return before };
-        // Counters wrap: the difference is signed.
+        // Counters wrap, so the difference is taken as a signed number.
         let step = f64::from(after.wrapping_sub(before) as i32);
         let part = after_ns.rem_euclid(self.period_ns) as f64 / self.period_ns as f64;
         before.wrapping_add((step * part).round() as i64 as u32)
@@ -159,8 +162,9 @@ impl EncoderSource for Replay {
 }
 
 impl ReplayHandle {
-    /// The conversion nearest to this time plays the first row. On a bus with distributed clocks it is the system time of
-    /// the bus, preferably that of a future SYNC0 pulse; otherwise it is the simulation's time.
+    /// Sets the start of the replay: the conversion nearest to `time_ns` plays the first row. On a bus with
+    /// distributed clocks this is system time of the bus, preferably of a future SYNC0 pulse. Otherwise it is
+    /// true time of the simulation.
     pub fn start_at(&self, time_ns: i64) {
         for played in &self.0.played {
             played.store(0, Ordering::Release);
@@ -168,7 +172,7 @@ impl ReplayHandle {
         self.0.start_ns.store(time_ns, Ordering::Release);
     }
 
-    /// The next conversion plays the first row.
+    /// Starts the replay at the next conversion, which plays the first row.
     pub fn start_at_next(&self) {
         self.start_at(AT_NEXT);
     }
@@ -178,12 +182,12 @@ impl ReplayHandle {
         self.0.rows
     }
 
-    /// Number of rows that every terminal has played.
+    /// Number of rows that all terminals have played.
     pub fn rows_played(&self) -> usize {
         self.0.played.iter().map(|played| played.load(Ordering::Acquire)).min().unwrap_or(0)
     }
 
-    /// Whether every terminal has shown the last row.
+    /// Whether all terminals have played the last row.
     pub fn has_ended(&self) -> bool {
         self.rows_played() == self.0.rows
     }

@@ -1,5 +1,5 @@
-//! A motion without a recording: every joint swings slowly, `angle = sum of A sin(2 pi t / T + phase)`. It is the source of the
-//! simulated bus by default.
+//! The default source of the simulated bus: a built-in motion, in which every joint swings slowly. The angle of each joint
+//! is a sum of sines, `angle = sum of A sin(2 pi t / T + phase)`.
 
 use std::f64::consts::TAU;
 
@@ -10,15 +10,15 @@ use super::{Conversion, EncoderSource, Periods, Signal};
 
 /// Number of sines of each joint.
 const SINES: usize = 3;
-/// Largest sum of their amplitudes: 60 degrees.
+/// Largest sum of the amplitudes of a joint: 60 degrees.
 const ANGLE_MAX_RAD: f64 = std::f64::consts::FRAC_PI_3;
-/// Largest sum of their speeds.
+/// Largest sum of the speed amplitudes of a joint.
 const SPEED_MAX_RAD_PER_S: f64 = 0.4;
-/// Range of their periods \[ns\].
+/// Range of the periods of the sines \[ns\].
 const PERIOD_NS: std::ops::Range<i64> = 11_000_000_000..37_000_000_000;
-/// Encoders with more lines do not exist.
+/// Largest number of lines. Encoders with more lines do not exist.
 const LINES_MAX: u32 = 1 << 20;
-/// Largest position at angle zero \[signal periods\]: terminals count from their power-up.
+/// Largest position at angle zero \[signal periods\]. A terminal counts from its power-up, so this position is arbitrary.
 const START_PERIODS_MAX: i64 = 10_000;
 
 #[derive(Debug, Clone, Copy)]
@@ -33,7 +33,7 @@ impl Sine {
         TAU / (self.period_ns as f64 * 1e-9)
     }
 
-    /// Whole periods are removed in integers: exact for any time.
+    /// Argument of the sine \[rad\]. Whole periods are removed in integers, so it is exact at any time.
     fn argument_rad(&self, true_time_ns: i64) -> f64 {
         TAU * true_time_ns.rem_euclid(self.period_ns) as f64 / self.period_ns as f64 + self.phase_rad
     }
@@ -49,7 +49,8 @@ struct SmoothJoint {
     last: Option<Periods>,
 }
 
-/// Every joint a sum of three slow sines within 60 degrees and 0.4 rad/s, on encoders with one reference mark.
+/// A motion in which the angle of every joint is a sum of three slow sines, within 60 degrees and 0.4 rad/s. Each
+/// encoder has one reference mark.
 #[derive(Debug, Clone)]
 pub struct SmoothMotion {
     lines: u32,
@@ -57,7 +58,8 @@ pub struct SmoothMotion {
 }
 
 impl SmoothMotion {
-    /// Joints with encoders of `lines` signal periods per revolution; the seed determines their motion.
+    /// Creates the joints with random sines. Their encoders have `lines` signal periods per
+    /// revolution; `seed` determines the motion.
     pub fn new(joints: usize, lines: u32, seed: u64) -> Self {
         let mut random = StdRng::seed_from_u64(seed);
         let lines = lines.clamp(1, LINES_MAX);
@@ -65,7 +67,7 @@ impl SmoothMotion {
         Self { lines, joints }
     }
 
-    /// Angle of a joint \[rad\]; its encoder has `lines / 2 pi` signal periods per radian in addition to
+    /// Angle of a joint \[rad\]. The position of its encoder is this angle times `lines / 2 pi`, plus
     /// [`start_periods`](Self::start_periods).
     pub fn angle_rad(&self, joint: usize, true_time_ns: i64) -> f64 {
         self.joints.get(joint).map_or(0.0, |joint| joint.angle_rad(true_time_ns))
@@ -76,7 +78,7 @@ impl SmoothMotion {
         self.joints.get(joint).map_or(Periods(0), |joint| joint.position(self.lines, true_time_ns))
     }
 
-    /// Position of the reference mark on a joint's encoder; there is one per revolution.
+    /// Position of the reference mark on a joint's encoder. It repeats every revolution.
     pub fn reference_mark(&self, joint: usize) -> Option<Periods> {
         self.mark(joint).map(|mark| mark.at)
     }
@@ -117,7 +119,7 @@ impl SmoothJoint {
             sine.amplitude_rad *= scale;
         }
         let start = Periods(random.random_range(-START_PERIODS_MAX..START_PERIODS_MAX) * Periods::ONE);
-        // Within 9 degrees of angle zero, so that the motion passes it.
+        // The mark is within 9 degrees of angle zero, so that the motion passes it.
         let mark =
             Periods(start.0 + i64::from(lines) * random.random_range(-Periods::ONE / 40..Periods::ONE / 40));
         Self { sines, start, mark: ReferenceMark::new(mark, lines), last: None }

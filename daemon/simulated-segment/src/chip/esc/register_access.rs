@@ -1,9 +1,9 @@
-//! Registers that show the state of a unit when read, or act on it when written.
+//! Accesses to registers that are connected to a unit: a read returns the unit's state, a write changes it.
 
 use super::{Esc, reg};
 
 impl Esc {
-    /// Updates the registers in a range before a master reads them.
+    /// Updates the registers in a range from their units, before a master reads them.
     pub(super) fn refresh_registers(&mut self, address: u16, len: usize, now_ns: i64) {
         if address >= reg::PROCESS_MEMORY {
             return;
@@ -39,7 +39,7 @@ impl Esc {
         self.put(reg::DC_DIFFERENCE, &self.clock.difference().to_le_bytes());
     }
 
-    /// Applies a write to registers.
+    /// Passes written registers on to their units.
     pub(super) fn apply_registers(&mut self, address: u16, data: &[u8], now_ns: i64) {
         let touches = |register, size| reg::touches(address, data.len(), register, size);
         if touches(reg::AL_CONTROL, 1) {
@@ -67,7 +67,8 @@ impl Esc {
         }
     }
 
-    /// Registers that the master did not write keep their values, except the control: only a written command is executed.
+    /// Passes a write on to the EEPROM interface. Registers outside the written range keep their values. The control
+    /// register is cleared first, so that a command is executed only if it was written.
     fn apply_sii(&mut self, address: u16, data: &[u8], now_ns: i64) {
         let mut registers = self.sii.registers(now_ns);
         registers[2..4].fill(0);

@@ -1,28 +1,29 @@
-//! The counter of the EL5021: period counting and interpolation, latch, reset, set, and errors at high speed. C is the input of
-//! the reference mark. Behaviour and limits according to the terminal's documentation.
+//! The counter of the EL5021: counting of periods, interpolation, latch, reset, set, and errors at high speed. C is the
+//! input for the reference mark. Behaviour and limits follow the documentation of the terminal.
 
 use super::mapping::{Inputs, Outputs};
 use crate::source::{Periods, Signal};
 
-/// Smallest and largest interpolation, bits per signal period.
+/// Interpolation of the terminal, from smallest to largest \[bits per signal period\].
 pub const BITS: std::ops::RangeInclusive<u8> = 8..=13;
-/// Highest input frequency for each of [`BITS`] \[Hz\].
+/// Highest permitted input frequency, for each interpolation in [`BITS`] \[Hz\].
 const FREQUENCY_MAX_HZ: [f64; 6] = [250e3, 250e3, 250e3, 170e3, 80e3, 40e3];
-/// Frequency above which the resolution decreases, for each of [`BITS`] \[Hz\].
+/// Frequency above which the resolution decreases, for each interpolation in [`BITS`] \[Hz\].
 const REDUCTION_START_HZ: [f64; 6] = [9000.0, 4500.0, 2500.0, 1500.0, 750.0, 650.0];
-/// Bits of interpolation that remain at any frequency.
+/// Number of bits of interpolation that remain at any frequency.
 const REMAINING_BITS: u8 = 6;
-/// Threshold of the amplitude error as a fraction of 1 Vpp, an assumption: it is not published.
+/// Amplitude below which the terminal reports an error, as a fraction of 1 Vpp. An assumption, because
+/// the limit is not published.
 const AMPLITUDE_MIN: f64 = 0.5;
 
-/// Settings in the object dictionary.
+/// Settings in the object dictionary, with index and subindex.
 #[derive(Debug, Clone, Copy)]
 pub struct CounterSettings {
-    /// 0x8000:01, counter to zero on C.
+    /// 0x8000:01, set the counter to zero at the reference mark (C).
     pub reset_on_c: bool,
-    /// 0x8000:0E, counts backwards.
+    /// 0x8000:0E, count backwards.
     pub reversed: bool,
-    /// 0x8000:0F, frequency window in ms instead of us.
+    /// 0x8000:0F, the frequency window is in ms instead of us.
     pub window_in_ms: bool,
     /// 0x8000:11, frequency window.
     pub window: u16,
@@ -32,9 +33,9 @@ pub struct CounterSettings {
     pub denominator: u32,
     /// 0x8000:1F, frequency filter.
     pub filter: u16,
-    /// 0x8001:01, frequency errors are reported.
+    /// 0x8001:01, report frequency errors.
     pub frequency_error: bool,
-    /// 0x8001:02, amplitude errors are reported.
+    /// 0x8001:02, report amplitude errors.
     pub amplitude_error: bool,
     /// 0x8001:11, bits per signal period, one of [`BITS`].
     pub bits: u8,
@@ -58,12 +59,13 @@ impl Default for CounterSettings {
 }
 
 impl CounterSettings {
-    /// Entry of a table for each of [`BITS`].
+    /// Element for the present interpolation, of a table that has one element for each of [`BITS`].
     fn for_bits(&self, table: [f64; 6]) -> f64 {
         table[usize::from(self.bits.clamp(*BITS.start(), *BITS.end()) - BITS.start())]
     }
 
-    /// Number of constant bits at a frequency: one where reduction starts, and one more per octave.
+    /// Number of lowest bits that stay constant at a frequency: one bit where the reduction begins, and
+    /// one more for each octave.
     fn constant_bits(&self, frequency_hz: f64) -> u8 {
         let start_hz = self.for_bits(REDUCTION_START_HZ);
         if frequency_hz < start_hz {
@@ -73,12 +75,12 @@ impl CounterSettings {
         (octaves + 1).min(self.bits - REMAINING_BITS)
     }
 
-    /// Counter value of a position: whole periods in the upper bits, interpolated fraction in the lower ones.
+    /// Converts a position to a counter value. The upper bits are whole periods, the lower ones the interpolated fraction.
     fn count(&self, position: Periods) -> u32 {
         (position.0 as u64 >> (32 - self.bits)) as u32
     }
 
-    /// Inverse of [`Self::count`].
+    /// Inverse of [`Self::count`]: converts a counter value to a position.
     fn position(&self, count: u32) -> Periods {
         Periods(i64::from(count) << (32 - self.bits))
     }
@@ -87,9 +89,9 @@ impl CounterSettings {
 /// State of the counter.
 #[derive(Debug, Default)]
 pub struct Counter {
-    /// Added to the encoder's position; in periods, so that it remains valid when the bits change.
+    /// Added to the position of the encoder. Stored in periods, so that it stays valid if the interpolation changes.
     offset: Periods,
-    /// The next conversion sets the number of whole periods to zero.
+    /// Whether the next conversion must set the number of whole periods to zero.
     begins_at_zero: bool,
     latch_armed: bool,
     latch_was_enabled: bool,
@@ -97,12 +99,12 @@ pub struct Counter {
 }
 
 impl Counter {
-    /// A counter that has lost the number of periods.
+    /// A counter after a power cycle, in which the number of whole periods was lost.
     pub fn after_power_cycle() -> Self {
         Self { begins_at_zero: true, ..Self::default() }
     }
 
-    /// One conversion: from the encoder's signal and the master's requests to the inputs.
+    /// Performs one conversion: computes the inputs from the encoder's signal and the requests in the outputs.
     pub fn convert(
         &mut self,
         signal: Signal,
@@ -116,7 +118,7 @@ impl Counter {
                 let frequency_hz = periods_per_s.abs();
                 let directed = directed(position, settings);
                 if std::mem::take(&mut self.begins_at_zero) {
-                    // The signal contains the fraction of a period, but not the whole periods.
+                    // The signal determines the fraction of a period, but not the number of whole periods.
                     self.offset = Periods(directed.0.div_euclid(Periods::ONE).wrapping_mul(-Periods::ONE));
                 }
                 self.serve_set(directed, settings, outputs, inputs);
@@ -137,12 +139,12 @@ impl Counter {
         Periods(position.0.wrapping_add(self.offset.0))
     }
 
-    /// Sets the offset with which `position` has this count.
+    /// Sets the offset such that `position` has this count.
     fn set(&mut self, position: Periods, count: u32, settings: &CounterSettings) {
         self.offset = Periods(settings.position(count).0.wrapping_sub(position.0));
     }
 
-    /// Copies the value on the rising edge of the request; `set_done` follows the request.
+    /// Sets the counter on the rising edge of the request. `set_done` follows the request.
     fn serve_set(
         &mut self,
         position: Periods,
@@ -157,7 +159,8 @@ impl Counter {
         inputs.set_done = outputs.set_counter;
     }
 
-    /// Stores the position at C once after arming; also sets the counter to zero there if that is enabled.
+    /// Latches the count at the reference mark, once after the latch is armed. Also sets the counter to zero
+    /// there if that is enabled.
     fn serve_latch(
         &mut self,
         mark: Option<Periods>,
@@ -185,7 +188,7 @@ impl Counter {
     }
 }
 
-/// The position as the terminal counts it, backwards if that is set.
+/// The position in the counting direction of the terminal.
 fn directed(position: Periods, settings: &CounterSettings) -> Periods {
     if settings.reversed { Periods(position.0.wrapping_neg()) } else { position }
 }

@@ -1,4 +1,4 @@
-//! Process data of the EL5021: bits and their objects.
+//! Process data of the EL5021: encodes inputs, decodes outputs, and maps their bits to objects.
 
 use super::Revision;
 use crate::chip::eeprom::PdoEntry;
@@ -11,19 +11,20 @@ pub const TX_PDO: u16 = 0x1a00;
 const LATCH_C: u8 = 0x01;
 const SET_COUNTER: u8 = 0x04;
 
-/// Requests of the master.
+/// Outputs: requests of the master to the terminal.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Outputs {
-    /// Arm the latch on C.
+    /// Arms the latch for the next reference mark (C).
     pub enable_latch: bool,
-    /// Put `set_value` into the counter.
+    /// Sets the counter to `set_value`.
     pub set_counter: bool,
     /// Value for the counter.
     pub set_value: u32,
 }
 
 impl Outputs {
-    /// From six bytes, a control word and the value; missing bytes are zero.
+    /// Decodes six bytes, which are a control word, and the value for the counter from the third byte
+    /// on. Missing bytes are zero.
     pub fn decode(bytes: &[u8]) -> Self {
         let control = bytes.first().copied().unwrap_or(0);
         let value = bytes.get(2..).and_then(|rest| rest.first_chunk()).copied().unwrap_or_default();
@@ -35,12 +36,12 @@ impl Outputs {
     }
 }
 
-/// State of the terminal.
+/// Inputs: state of the terminal.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Inputs {
-    /// `latch` is the position at C.
+    /// Whether `latch` contains the count at the reference mark (C).
     pub latch_valid: bool,
-    /// The counter was set.
+    /// Whether the request to set the counter has been served.
     pub set_done: bool,
     /// The input frequency is too high.
     pub frequency_error: bool,
@@ -48,21 +49,21 @@ pub struct Inputs {
     pub amplitude_error: bool,
     /// Level of input C.
     pub level_c: bool,
-    /// The last cycle had no frame.
+    /// Whether a sync event without new outputs has occurred.
     pub sync_error: bool,
-    /// Inverted by each conversion.
+    /// Inverted by each conversion, so that a master recognises new data.
     pub toggle: bool,
     pub counter: u32,
     pub latch: u32,
 }
 
 impl Inputs {
-    /// TxPDO state: set on any error.
+    /// State of the TxPDO: whether there is any error of the input signal.
     pub fn invalid(&self) -> bool {
         self.frequency_error || self.amplitude_error
     }
 
-    /// Status word; its bits are those of [`tx_entries`].
+    /// The status word. Its bits are in the order of [`tx_entries`].
     pub fn status(&self) -> u16 {
         let bits = [
             (0, self.latch_valid),
@@ -77,7 +78,7 @@ impl Inputs {
         bits.iter().fold(0, |word, (bit, set)| word | u16::from(*set) << bit)
     }
 
-    /// Writes status, counter and latch as ten bytes.
+    /// Encodes status, counter and latch as ten bytes.
     pub fn encode(&self, bytes: &mut [u8]) {
         let Some(bytes) = bytes.first_chunk_mut::<10>() else { return };
         bytes[..2].copy_from_slice(&self.status().to_le_bytes());
@@ -94,12 +95,12 @@ const fn gap(bits: u8) -> PdoEntry {
     entry(0, 0, bits)
 }
 
-/// Entries of the outputs.
+/// Entries of the PDO of the outputs.
 pub const fn rx_entries() -> [PdoEntry; 5] {
     [entry(0x7000, 0x01, 1), gap(1), entry(0x7000, 0x03, 1), gap(13), entry(0x7000, 0x11, 32)]
 }
 
-/// Entries of the inputs. Up to revision 18 three status bits are in communication objects.
+/// Entries of the PDO of the inputs. Up to revision 18, three status bits are in objects for communication.
 pub fn tx_entries(revision: Revision) -> [PdoEntry; 13] {
     let [sync_error, state, toggle] = if revision < Revision::R19 {
         [(0x1c32, 0x20), (0x1800, 0x07), (0x1800, 0x09)]

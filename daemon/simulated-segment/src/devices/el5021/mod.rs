@@ -1,5 +1,5 @@
-//! EL5021, the SinCos terminal: one encoder, 32-bit counter. At each sync event it samples the source (`counter`) and writes its
-//! inputs (`mapping`); the master changes settings through objects (`objects`).
+//! EL5021, the SinCos terminal with one encoder and a 32-bit counter. At each sync event it samples the source (`counter`)
+//! and writes its inputs (`mapping`). The master reads and changes its settings through objects (`objects`).
 
 mod counter;
 mod mapping;
@@ -16,59 +16,60 @@ use crate::node::{Device, SignalFault, SyncStep};
 use crate::source::{Conversion, EncoderSource, Signal};
 
 const PRODUCT: u32 = 0x139d_3052;
-/// Chip type, its revision and build, 3 FMMUs, 4 sync managers, 4 kB, two E-bus ports, features 0x01FC: 64-bit
-/// distributed clock with SYNC signals.
+/// Registers 0x0000 to 0x0009: chip type, its revision and build, 3 FMMUs, 4 sync managers, 4 kB, two E-bus ports, features
+/// 0x01FC. The features are a 64-bit distributed clock with SYNC signals.
 const INFORMATION: [u8; 10] = [0x11, 0x00, 0x02, 0x00, 3, 4, 4, 0x0a, 0xfc, 0x01];
 const CONFIGURATION: [u16; 4] = [0x0c05, 0x0c8c, 0x0000, 0x0000];
-/// SDO and SDO information; PDO assignment and configuration are fixed.
+/// The terminal supports SDO and SDO information. PDO assignment and PDO configuration are fixed.
 const GENERAL: General = General { coe_details: 0x03, e_bus_current_ma: 130, ports: 0x0033 };
 const COE_AND_FOE: u16 = 0x000c;
-/// Outputs, inputs, mailbox state.
+/// Use of the FMMUs: outputs, inputs, mailbox state.
 const FMMU_USES: [u8; 3] = [1, 2, 3];
 
 const OUTPUTS_LEN: u16 = 6;
 const INPUTS_LEN: u16 = 10;
-/// Mailbox out, mailbox in, outputs, inputs: addresses and control bytes of other encoder terminals in this family.
+/// Sync managers for mailbox out, mailbox in, outputs, inputs. Addresses and control bytes are those of other
+/// encoder terminals in this family.
 const SYNC_MANAGERS: [ExpectedSyncManager; 4] = [
     ExpectedSyncManager { start: 0x1000, length: 128, control: 0x26 },
     ExpectedSyncManager { start: 0x1080, length: 128, control: 0x22 },
     ExpectedSyncManager { start: 0x1100, length: OUTPUTS_LEN, control: 0x24 },
     ExpectedSyncManager { start: 0x1180, length: INPUTS_LEN, control: 0x20 },
 ];
-/// Duration of conversion, calculation and copy into the input buffer.
+/// Time for conversion, calculation and copy into the input buffer \[ns\].
 const DATA_READY_NS: i64 = 28_000;
 
-/// Higher than any interpolation permits \[Hz\].
+/// Frequency of the signal with the fault "too fast" \[Hz\]. Higher than any interpolation permits.
 const TOO_FAST_HZ: f64 = 400e3;
 
-/// Revisions of the terminal, as the device description file lists them.
+/// Revisions of the terminal, as in the device description file.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Revision {
-    /// 0x00100000: status bits are in other objects.
+    /// 0x00100000: some status bits are in other objects than 0x6000.
     R16,
     /// 0x00110000: like revision 16.
     R17,
     /// 0x00120000: like revision 16.
     R18,
-    /// 0x00130000: status bits are in object 0x6000.
+    /// 0x00130000: these status bits are in object 0x6000.
     R19,
     /// 0x00140000: like revision 19.
     #[default]
     R20,
     /// 0x00150000: like revision 19.
     R21,
-    /// 0x00160000: measures frequency too.
+    /// 0x00160000: also measures frequency.
     R22,
 }
 
 impl Revision {
-    /// By its short number, 16 to 22.
+    /// The revision with this short number, 16 to 22.
     pub fn from_number(number: u8) -> Option<Self> {
         let all = [Self::R16, Self::R17, Self::R18, Self::R19, Self::R20, Self::R21, Self::R22];
         all.get(usize::from(number.checked_sub(16)?)).copied()
     }
 
-    /// Revision number as the terminal identifies itself.
+    /// The revision number that the terminal reports.
     pub fn number(self) -> u32 {
         (16 + self as u32) << 16
     }
@@ -82,7 +83,7 @@ impl Revision {
     }
 }
 
-/// Events that the terminal counts for diagnosis.
+/// Counts of events for diagnosis.
 #[derive(Default)]
 struct Diagnosis {
     sync_missed: u16,
@@ -106,7 +107,7 @@ pub struct El5021 {
 }
 
 impl El5021 {
-    /// A terminal that was just powered up, `channel` terminals behind the coupler.
+    /// A terminal that was just powered up. `channel` is its number after the coupler, from 0.
     pub fn new(channel: usize, revision: Revision) -> Self {
         Self { channel, revision, ..Self::default() }
     }
@@ -164,7 +165,7 @@ impl Device for El5021 {
 
     fn step(&mut self, step: SyncStep<'_>, source: &mut dyn EncoderSource) {
         self.diagnose(&step);
-        // In SAFE-OP outputs are safe, that is, without requests.
+        // In SAFE-OP the outputs are replaced by safe ones, which contain no requests.
         self.outputs = match step.state {
             AlState::Op => mapping::Outputs::decode(step.outputs),
             _ => mapping::Outputs::default(),
@@ -175,7 +176,7 @@ impl Device for El5021 {
         self.counter.convert(signal, &self.settings, &self.outputs, &mut self.inputs);
         self.count_errors(before);
         self.inputs.sync_error = self.diagnosis.sync_error;
-        // Each event gave new data, also those that were not read.
+        // The toggle changes with every event, including those whose data were never read.
         self.inputs.toggle ^= step.event.count % 2 == 1;
         self.inputs.encode(step.inputs);
     }
@@ -190,7 +191,7 @@ impl Device for El5021 {
 
     fn power_cycle(&mut self) {
         let counter = Counter::after_power_cycle();
-        // A fault of the cable does not depend on the power.
+        // A fault of the cable remains when the power is switched.
         *self = Self { counter, signal_fault: self.signal_fault, ..Self::new(self.channel, self.revision) };
     }
 

@@ -1,4 +1,4 @@
-//! Object dictionary of the EL5021 (CoE).
+//! Object dictionary of the EL5021 (CoE): reads and writes values by index and subindex.
 
 use super::counter::{BITS, CounterSettings};
 use super::{El5021, PRODUCT, VENDOR, mapping};
@@ -6,29 +6,29 @@ use crate::chip::SyncMode;
 use crate::chip::coe::{Abort, ObjectDictionary, ObjectList};
 use crate::chip::eeprom::PdoEntry;
 
-/// Module profile 511 in a CoE profile 5001 device, as the plug-in version EJ5021 reports.
+/// Module profile 511 in a device with CoE profile 5001. This value is reported by the EJ5021, the plug-in version.
 const DEVICE_TYPE: u32 = 0x01ff_1389;
 const NAME: &str = "EL5021";
 const HARDWARE: &str = "02";
-/// "load", the signature for restoring defaults.
+/// The text "load" as a number. Writing it restores the default settings.
 const RESTORE: u32 = 0x6461_6f6c;
 const SUPPORTED_SYNC_TYPES: u16 = 0xc007;
 const MINIMUM_CYCLE_NS: u32 = 100_000;
 
-/// Every object of the newest revision.
+/// Indices of all objects of the newest revision.
 const OBJECTS: [u16; 22] = [
     0x1000, 0x1008, 0x1009, 0x100a, 0x1011, 0x1018, 0x1600, 0x1800, 0x1a00, 0x1a01, 0x1a02, 0x1c00, 0x1c12,
     0x1c13, 0x1c32, 0x1c33, 0x6000, 0x6001, 0x7000, 0x8000, 0x8001, 0xa000,
 ];
-/// Objects that revisions which do not measure frequency lack.
+/// Objects that exist only in revisions that measure frequency.
 const FREQUENCY_PDOS: [u16; 2] = [0x1a01, 0x1a02];
-/// Synchronisation types of objects 0x1C32 (outputs) and 0x1C33 (inputs).
+/// Values for the type of synchronisation in objects 0x1C32 (outputs) and 0x1C33 (inputs).
 const BY_OUTPUTS: u16 = 0x01;
 const WITH_OUTPUTS: u16 = 0x22;
 const BY_SYNC0: u16 = 0x02;
 const BY_SYNC1: u16 = 0x03;
 
-/// The value of an object.
+/// Value of an object, by its type.
 enum ObjectValue {
     Bit(bool),
     U8(u8),
@@ -53,7 +53,8 @@ impl ObjectValue {
     }
 }
 
-/// The entries of a PDO in the object dictionary: object, subindex and bits in one word.
+/// Object that describes the entries of a PDO. Subindex 0 is their number; each other subindex contains object, subindex and
+/// bits of one entry in one word.
 fn mapped(entries: &[PdoEntry], subindex: u8) -> Option<ObjectValue> {
     let Some(position) = usize::from(subindex).checked_sub(1) else {
         return Some(ObjectValue::U8(entries.len() as u8));
@@ -63,7 +64,7 @@ fn mapped(entries: &[PdoEntry], subindex: u8) -> Option<ObjectValue> {
 }
 
 impl El5021 {
-    /// The value of an object; `None` if the object or its subindex does not exist.
+    /// The value of an object. `None` if the object or its subindex does not exist.
     fn value(&self, index: u16, subindex: u8) -> Option<ObjectValue> {
         use ObjectValue::{Bit, Text, U8, U16, U32};
         let Self { revision, settings, diagnosis, inputs, outputs, .. } = self;
@@ -87,11 +88,11 @@ impl El5021 {
                 let object = if index == 0x1a01 { (0x6000, 0x1b) } else { (0x6000, 0x13) };
                 return mapped(&[PdoEntry { object, bits: 32 }], subindex);
             }
-            // State and toggle of the inputs in old revisions.
+            // In old revisions, state and toggle of the inputs are in this object.
             (0x1800, 0) => U8(9),
             (0x1800, 0x07) => Bit(inputs.invalid()),
             (0x1800, 0x09) => Bit(inputs.toggle),
-            // Use of each sync manager: mailbox out, mailbox in, outputs, inputs; and the PDOs of the last two.
+            // Use of each sync manager: mailbox out, mailbox in, outputs, inputs. Then the PDOs of outputs and inputs.
             (0x1c00, 0) => U8(4),
             (0x1c00, 1..=4) => U8(subindex),
             (0x1c12 | 0x1c13, 0) => U8(1),
@@ -141,7 +142,7 @@ impl El5021 {
         })
     }
 
-    /// The value of an object, or why it has none.
+    /// The value of an object, or the abort code if it does not exist.
     fn value_or_abort(&self, index: u16, subindex: u8) -> Result<ObjectValue, Abort> {
         let is_object = || self.list(ObjectList::All).contains(&index);
         let missing = || if is_object() { Abort::NoSubindex } else { Abort::NoObject };
@@ -186,7 +187,7 @@ impl ObjectDictionary for El5021 {
     }
 
     fn download(&mut self, index: u16, subindex: u8, bytes: &[u8]) -> Result<(), Abort> {
-        // A readable object has a known length.
+        // The length of the new value must be that of the present value.
         let present = self.value_or_abort(index, subindex)?;
         let mut value = [0; 4];
         if !matches!((index, subindex), (0x1011, 1) | (0x8000 | 0x8001, 1..)) {
