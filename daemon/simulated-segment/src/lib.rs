@@ -69,7 +69,7 @@ pub struct SimulatedSegment {
     wiring: Wiring,
     /// Devices with power. The first frame powers them up, because it provides the time.
     nodes: Vec<Node>,
-    // Devices before the first frame. Empty afterwards.
+    /// Devices before the first frame. Empty afterwards.
     unpowered: Vec<Unpowered>,
     /// Number of devices that frames reach, beginning with the coupler.
     reach: usize,
