@@ -1,13 +1,16 @@
-//! From the bus' clock to the host's: a filtered fit of pairs read once per cycle.
+//! Converts time on the clock of the bus to time on the host's clock, by a filtered fit of pairs that
+//! are read once per cycle.
 //!
-//! Each reply contains the bus time at which the start of the frame passed the reference clock. That was not before
-//! the frame was sent, and not later than one frame time before the reply was complete: a hard bound, whose centre
-//! is the reading. A Kalman filter with two states estimates offset and drift; a reply that took longer than the
-//! quickest has less weight, because its bound is wider.
+//! Each reply contains the bus time at which the start of the frame passed the reference clock. On the host's clock,
+//! this moment is after the frame was sent. It is also at least one frame duration before the reply was complete. These
+//! two limits are the *hard bound* of a reading, and the centre between them is the reading. A Kalman filter with two
+//! states estimates offset and drift between the clocks. A reply that took longer than the quickest one has a wider
+//! bound and therefore less weight.
 //!
-//! A deviation is either a delay, which shows in the round trip, or a clock that has changed. If no delay explains it,
-//! the innovation gate (`innovation_gate`) keeps it from the filter until further readings classify it: a step, which is
-//! reported and not followed (the terminals' clocks did not step), or a changed rate, which is followed.
+//! If a reading deviates from the prediction, either the frame was delayed or one of the clocks has changed. A delay is
+//! visible in the round trip. If no delay explains the deviation, the innovation gate (`innovation_gate`) keeps the reading
+//! from the filter until further readings classify it. If a clock stepped, the step is reported but not followed, because
+//! the terminals' clocks did not step. If the rate has changed, the filter follows it.
 
 mod covariance;
 mod filter;
@@ -18,28 +21,28 @@ use shared::time::{DcNs, MonoNs};
 use filter::Filter;
 use innovation_gate::{Class, InnovationGate};
 
-/// Bus time read by a frame, and when that frame was sent and received.
+/// A bus time that was read by a frame, with the host times at which that frame was sent and received.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ClockPair {
     /// Bus time at which the start of the frame passed the reference clock.
     pub dc: DcNs,
-    /// When the frame was handed to the wire.
+    /// When the frame was passed to the network interface.
     pub sent: MonoNs,
     /// When the reply was received completely.
     pub received: MonoNs,
-    /// From the first to the last bit of the frame on the wire \[ns\].
+    /// Duration of the frame on the wire, from its first to its last bit \[ns\].
     pub frame_ns: i64,
 }
 
-/// Effect of a pair on the fit.
+/// How the fit used a pair.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PairStatus {
-    /// It agrees with those before.
+    /// The pair agrees with the fit, or shows a changed rate. The fit was updated with it.
     Followed,
-    /// No delay explains it: it deviates by this much on the bus' clock \[ns\]. Excluded from the fit until further pairs
-    /// classify it.
+    /// No delay explains the pair. It deviates by this value on the clock of the bus \[ns\]. The fit does not use it until
+    /// further pairs have classified the deviation.
     Gated(i64),
-    /// One of the clocks stepped; the bus' clock is ahead by this much \[ns\]. The fit is unchanged;
+    /// One of the clocks stepped. The clock of the bus is ahead by this value \[ns\]. The fit is unchanged;
     /// [`ClockFit::restarted`] starts a new one.
     Stepped(i64),
 }
@@ -47,18 +50,20 @@ pub enum PairStatus {
 /// Estimates `bus time - monotonic time`.
 #[derive(Debug, Clone, Default)]
 pub struct ClockFit {
+    /// `None` before the first pair.
     filter: Option<Filter>,
+    /// `None` while all pairs are explained.
     gate: Option<InnovationGate>,
-    /// Earlier estimate for the same clocks and path, before the first reading.
+    /// Estimate of the fit before a restart, for the same clocks and path. Used for the first pair.
     known: Option<Filter>,
 }
 
-/// The offset according to one pair.
+/// The offset between the clocks according to one pair, with its hard bound.
 #[derive(Debug, Clone, Copy)]
 struct Reading {
     at: MonoNs,
     offset_ns: i64,
-    /// Bound of the error of `offset_ns` \[ns\].
+    /// Half the width of the hard bound, which is the largest error of `offset_ns` \[ns\].
     half_ns: f64,
 }
 
@@ -71,13 +76,15 @@ impl Reading {
 }
 
 impl ClockFit {
-    /// Takes one pair into account.
+    /// Updates the fit with one pair.
     pub fn observe(&mut self, pair: ClockPair) -> PairStatus {
         let reading = Reading::of(pair);
         let Some(filter) = &mut self.filter else {
             self.filter = Some(Filter::first(&reading, self.known.as_ref()));
             return PairStatus::Followed;
         };
+        // Predict the offset at the time of the reading, classify the deviation, then correct the filter
+        // or hold the reading back.
         let dt_s = filter.predict(reading.at);
         let innovation = filter.innovation(&reading);
         let deviation_ns = innovation.by_ns;
@@ -98,7 +105,7 @@ impl ClockFit {
                 return PairStatus::Gated(deviation_ns.round() as i64);
             }
             Class::Stepped => {
-                // The fit is wrong by the step until it restarts, and its uncertainty covers that.
+                // The fit is wrong by the step until it is restarted. The gate makes its uncertainty cover the step.
                 self.gate = Some(InnovationGate::begin(innovation));
                 return PairStatus::Stepped(deviation_ns.round() as i64);
             }
@@ -106,19 +113,19 @@ impl ClockFit {
         PairStatus::Followed
     }
 
-    /// A fit without readings that keeps the estimated rates of the clocks and delays of the path.
+    /// A new fit without readings. It keeps the estimated rates of the clocks and the delays of the path.
     pub fn restarted(&self) -> Self {
         let known = self.filter.as_ref().or(self.known.as_ref()).cloned();
         Self { filter: None, gate: None, known }
     }
 
-    /// Host time at bus time `dc`. Before the first pair both are assumed equal.
+    /// Converts bus time `dc` to host time. Before the first pair, both clocks are assumed to be equal.
     pub fn monotonic_from_dc(&self, dc: DcNs) -> MonoNs {
         self.filter.as_ref().map_or(MonoNs(dc.0), |filter| filter.monotonic_from_dc(dc))
     }
 
-    /// One standard deviation of the host time at `dc` \[ns\]: the filter's own, the possible asymmetry of the delay, and
-    /// the largest unexplained deviation.
+    /// Standard deviation of the host time at bus time `dc` \[ns\]. It covers the uncertainty of the filter, a possible
+    /// asymmetry of the delay, and the largest unexplained deviation.
     pub fn uncertainty_ns(&self, dc: DcNs) -> u32 {
         let Some(filter) = &self.filter else { return u32::MAX };
         let gated_ns = self.gate.as_ref().map_or(0.0, InnovationGate::largest_ns);

@@ -1,5 +1,5 @@
-//! Detects whether counts continue or have a new origin, from consecutive valid records: a terminal that was without power
-//! counts from zero, and all its later angles have another offset.
+//! Compares consecutive valid records to detect whether counts continue or have a new origin. A terminal that was without
+//! power counts from zero. All its later angles then have another offset.
 
 use shared::config::EncoderConfig;
 use shared::recording::schema::{CycleRecord, MAX_ENCODERS};
@@ -7,18 +7,19 @@ use shared::time::UtcNs;
 
 use super::events::Origin;
 
-/// No joint of a ball-bar turns faster than this while a robot is being calibrated \[rev/s\]: 120 degrees a second.
+/// Largest speed of a joint of the ball-bar while a robot is calibrated \[rev/s\]: 120 degrees per second.
 const SPEED_MAX_REV_PER_S: f64 = 1.0 / 3.0;
-/// Low bits that keep their value while a joint turns fast, and rounding \[counts\].
+/// Tolerance of a count \[counts\]: the low bits, which stay constant while a joint turns fast, and rounding.
 const SLACK_COUNTS: f64 = 256.0;
 
-/// Compares each valid record with the previous valid one.
+/// Compares each valid record with the last valid one before it.
 #[derive(Debug, Clone)]
 pub struct Continuity {
     counts_per_rev: [f64; MAX_ENCODERS],
     last: Option<CycleRecord>,
+    /// Whether a device was without power since the last valid record.
     powered_off: bool,
-    /// When the bus first went through INIT since the last valid record.
+    /// When the bus first went through INIT since the last valid record. `None` if it did not.
     reset_at: Option<UtcNs>,
     /// Number of the origin in this run.
     origin: u32,
@@ -34,25 +35,25 @@ impl Continuity {
         Self { counts_per_rev, last: None, powered_off: false, reset_at: None, origin: 0 }
     }
 
-    /// Starts a run; earlier counts do not matter to it.
+    /// Starts a run. Records before it are not compared with those of the run.
     pub fn begin_run(&mut self) {
         self.last = None;
         (self.powered_off, self.reset_at, self.origin) = (false, None, 0);
     }
 
-    /// A device was without power: its counts from now on are unrelated to the earlier ones.
+    /// A device was without power. Its counts from now on are unrelated to the earlier ones.
     pub fn powered_off(&mut self) {
         self.powered_off = true;
     }
 
-    /// The bus goes through INIT, which may set counts to zero.
+    /// The bus goes through INIT at the time `at`. This may set counts to zero.
     pub fn bus_reset(&mut self, at: UtcNs) {
         self.reset_at.get_or_insert(at);
     }
 
-    /// Numbers the origin of a record. The first valid record whose counts may have another origin starts a new one; the
-    /// reason is returned. Until then the origin is unknown, so counts of a bus that came up without some of its terminals
-    /// are not used.
+    /// Sets the origin number of a record. If the counts may have another origin, the first valid record gets a new number,
+    /// and the reason is returned. After a power loss or INIT the origin is unknown until that record, so earlier counts are
+    /// marked as invalid. Such counts exist if the bus came up without some of its terminals.
     pub fn check(&mut self, record: &mut CycleRecord) -> Option<Origin> {
         record.origin = self.origin;
         if !record.is_valid() {
@@ -75,9 +76,9 @@ impl Continuity {
         changed
     }
 
-    /// A terminal that restarts when the bus comes up counts from zero. Close to zero this cannot be distinguished from a
-    /// count that continued, so it counts as a new origin: an unnecessary one costs a few parameters, a missed one corrupts the
-    /// calibration.
+    /// Decides whether a valid record has a new origin, from the last valid record. A terminal that restarts when the bus
+    /// comes up counts from zero. Close to zero, such a count cannot be distinguished from a count that continued. It is
+    /// treated as a new origin: an unnecessary origin costs a few parameters, a missed one corrupts the calibration.
     fn compare(&self, last: &CycleRecord, record: &CycleRecord, reset_at: Option<UtcNs>) -> Option<Origin> {
         let turns_since = |at: UtcNs| SPEED_MAX_REV_PER_S * record.sample_time.seconds_since(at).max(0.0);
         let turns = turns_since(last.sample_time);

@@ -1,4 +1,5 @@
-//! Events on the bus besides the records: small, of fixed size, described outside the real-time thread.
+//! Events on the bus, in addition to the records. They are small and of fixed size, because they pass through a ring from
+//! the real-time thread. Their texts are written outside that thread.
 
 use shared::recording::schema::{DeviceInfo, Event, EventKind, PortCounts, RunMetadata};
 use shared::time::UtcNs;
@@ -6,7 +7,7 @@ use shared::time::UtcNs;
 use crate::bus::absent;
 use crate::problem::{Fact, Problem, flag_names};
 
-/// An event on the bus. `Copy`: it crosses a ring from the real-time thread.
+/// An event on the bus. It is `Copy`, because it passes through a ring from the real-time thread.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct CycleEvent {
     /// Time of the event.
@@ -17,89 +18,89 @@ pub struct CycleEvent {
     pub what: Happening,
 }
 
-/// Kinds of events with their values.
+/// The kinds of events, with their values.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Happening {
-    /// Cycles without a valid sample ended.
+    /// A period of cycles without valid samples has ended.
     Gap {
-        /// Number of the first.
+        /// Number of the first of these cycles.
         first: u64,
         /// Number of these cycles.
         cycles: u64,
-        /// Reasons of the first, see `schema::flags`.
+        /// Flags of the first of these cycles, see `schema::flags`. They are the cause of the gap.
         cause: u32,
-        /// Flags of all of them.
+        /// Flags that at least one of these cycles has.
         flags: u32,
-        /// Encoders that were invalid in the first, as bits in bus order.
+        /// Encoders that were invalid in the first cycle, one bit each in bus order.
         invalid: u8,
     },
-    /// Terminals from a position on do not answer; those before it stay in use.
+    /// The terminals from a position on do not answer. The terminals before it stay in use.
     Missing {
-        /// Position on the bus.
+        /// First position on the bus that does not answer.
         position: u8,
     },
-    /// The bus is given up and will be brought up again.
+    /// The bus was given up. It will be brought up again.
     Down(Down),
     /// An attempt to bring the bus up failed.
     StaysDown {
-        /// Code of its problem.
+        /// Code of the problem.
         code: &'static str,
     },
     /// The bus is in operation again.
     Up {
-        /// Number of attempts that this took.
+        /// Number of attempts to bring it up.
         attempts: u32,
     },
-    /// A terminal went from OP to SAFE-OP; OP has been requested.
+    /// A terminal changed from OP to SAFE-OP. OP was requested again.
     FellToSafeOp {
         /// Position on the bus.
         position: u8,
         /// AL status code (ETG.1020).
         code: u16,
     },
-    /// The reference clock jumped.
+    /// The reference clock stepped.
     ClockStep {
         /// Step of the clock \[ns\].
         by_ns: i64,
     },
-    /// Counts may have a new origin from this cycle on.
+    /// The counts may have a new origin from this cycle on.
     OriginChanged(Origin),
-    /// A port counted errors.
+    /// A port has counted errors.
     LinkErrors {
-        /// Counts since the run began.
+        /// Error counts of the port since the run began.
         counts: PortCounts,
-        /// Reported as text; otherwise only the counts are stored.
+        /// Whether the event is reported as text. If not, only the counts are stored.
         is_news: bool,
     },
 }
 
-/// Why the bus is given up.
+/// Why the bus was given up.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Down {
-    /// No reply for so long that the terminals' clocks are unreliable.
+    /// No reply arrived for so long that the clocks of the terminals are unreliable.
     Silent,
-    /// A terminal has lost its address or its configuration.
+    /// A terminal has lost its address or its configuration, or does not answer.
     DeviceLost,
-    /// Several cycles in a row were bad.
+    /// Too many consecutive cycles were bad.
     Bad {
-        /// Flags of the last one, see `schema::flags`.
+        /// Flags of the last of these cycles, see `schema::flags`.
         flags: u32,
     },
-    /// The reference clock jumped.
+    /// The reference clock stepped.
     ClockStep,
 }
 
-/// Evidence of a new origin of the counts.
+/// Why the counts may have a new origin.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Origin {
     /// A device was without power.
     PoweredOff,
-    /// The joint cannot have turned that far.
+    /// The count changed by more than the joint can have turned.
     Jumped {
         /// Bar joint, 1 to 5.
         joint: u8,
     },
-    /// After the bus was brought up again the count is close to zero: the terminal may have restarted.
+    /// The count is close to zero after the bus was brought up again, so the terminal may have restarted.
     NearZero {
         /// Bar joint, 1 to 5.
         joint: u8,
@@ -107,25 +108,25 @@ pub enum Origin {
 }
 
 impl CycleEvent {
-    /// Whether it is reported as text; otherwise only its counts are stored.
+    /// Whether the event is reported as text. If not, only its counts are stored.
     pub fn is_news(&self) -> bool {
         !matches!(self.what, Happening::LinkErrors { is_news: false, .. })
     }
 
-    /// The counts of a port.
+    /// The error counts of a port, if the event has some.
     pub fn port_counts(&self) -> Option<PortCounts> {
         let Happening::LinkErrors { counts, .. } = self.what else { return None };
         Some(counts)
     }
 
-    /// The event as it is stored in the file.
+    /// Converts the event to the form in which the file stores it.
     pub fn to_event(&self, bus: &BusNames) -> Event {
         let kind = match self.what {
             Happening::Gap { .. } => EventKind::Gap,
             Happening::ClockStep { .. } => EventKind::Clock,
             _ => EventKind::Bus,
         };
-        // Its own text would have to be allocated in the real-time thread.
+        // The text is fixed, because the text of the error would have to be allocated in the real-time thread.
         if let Happening::StaysDown { code } = self.what {
             let text = "an attempt to bring the bus up failed; the log has the details".into();
             return Event { time: self.time, cycle: self.cycle, kind, text, code: code.into() };
@@ -147,7 +148,7 @@ impl CycleEvent {
     }
 }
 
-/// Names for the texts of events.
+/// Names that the texts of events contain.
 #[derive(Debug, Clone, Default)]
 pub struct BusNames {
     /// Network interface, or `simulated`.
@@ -175,7 +176,7 @@ impl Happening {
             }
             Self::Missing { position } => absent(bus, devices, position.into()),
             Self::Down(why) => why.fact(bus),
-            // Not used: `to_event` needs no fact for it.
+            // Not used: `to_event` handles this event itself.
             Self::StaysDown { .. } => Fact::BusStarting {},
             Self::Up { attempts } => Fact::BusRestored { attempts },
             Self::FellToSafeOp { position, code } => {
@@ -189,7 +190,7 @@ impl Happening {
 }
 
 impl Down {
-    /// The reason as it is reported.
+    /// The reason in the form in which it is reported.
     pub fn fact(self, bus: &str) -> Fact {
         match self {
             Self::Silent => Fact::BusNoAnswer { bus: bus.to_owned() },

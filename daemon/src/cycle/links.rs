@@ -1,5 +1,9 @@
-//! Error counts of all devices' ports since the run began, read from one device after the other in the spare time of good
-//! cycles.
+//! Counts the errors at the ports of all devices since the run began. The devices are read one after the other, in the time
+//! that a good cycle leaves until the next one.
+//!
+//! Four sets of numbers are kept for each port. `last` is the reading of the device's own counters. `errors` is the sum of
+//! their increases since the run began. `delivered` and `reported` are the values of `errors` when they were last passed to
+//! the recorder, and when they were last reported as text.
 
 use shared::recording::schema::PortCounts;
 use shared::time::NS_PER_S;
@@ -8,45 +12,46 @@ use super::Acquisition;
 use super::events::Happening;
 use crate::bus::{CyclicExchange, DEVICES_MAX, PORTS, PortCounters};
 
-/// Period in which each device is read once \[ns\].
+/// Period in which all devices are read once \[ns\].
 const READ_PERIOD_NS: i64 = NS_PER_S;
 
-/// Errors of all ports.
+/// Error counts of all ports.
 #[derive(Debug, Clone, Default)]
 pub struct Links {
-    /// Number of cycles until a device is read again.
+    /// Number of cycles until the next device is read.
     cycles_to_next: u64,
-    /// Position of that device.
+    /// Position of the next device.
     next: usize,
-    /// Last reading of each device; `None` before the first.
+    /// Last reading of each device's counters. `None` before the first reading.
     last: [Option<[PortCounters; PORTS]>; DEVICES_MAX],
+    /// Errors of each port since the run began.
     errors: [[PortCounts; PORTS]; DEVICES_MAX],
-    /// Counts that the recorder has received.
+    /// Values of `errors` that the recorder has received.
     delivered: [[PortCounts; PORTS]; DEVICES_MAX],
-    /// Counts of each port when they were last reported as text.
+    /// Number of errors of each port when they were last reported as text.
     reported: [[u32; PORTS]; DEVICES_MAX],
-    /// Increases with every change of the counts.
+    /// Incremented with every change of `errors`.
     revision: u64,
 }
 
 impl Links {
-    /// Resets the counts for a run.
+    /// Sets all counts to zero for a new run.
     pub(super) fn begin_run(&mut self) {
         (self.errors, self.delivered, self.reported) = Default::default();
         self.revision += 1;
     }
 
-    /// Error counts by position and port.
+    /// Errors since the run began, by position and port.
     pub fn errors(&self) -> &[[PortCounts; PORTS]; DEVICES_MAX] {
         &self.errors
     }
 
-    /// Increases with every change of them.
+    /// Incremented with every change of the errors.
     pub fn revision(&self) -> u64 {
         self.revision
     }
 
-    /// The device to read in this cycle, if one is due.
+    /// Position of the device to read in this cycle, if it is time to read one.
     fn due(&mut self, cycles_between: u64, devices: usize) -> Option<usize> {
         if self.cycles_to_next > 0 {
             self.cycles_to_next -= 1;
@@ -58,7 +63,8 @@ impl Links {
         Some(position)
     }
 
-    /// Adds the errors since the previous reading. A count that decreased restarted at zero: the device was without power.
+    /// Adds the errors since the previous reading of a device. If a counter has decreased, it restarted at zero, because
+    /// the device was without power.
     fn take(&mut self, position: usize, now: &[PortCounters; PORTS]) {
         let Some(before) = self.last[position].replace(*now) else { return };
         for ((errors, before), now) in self.errors[position].iter_mut().zip(before).zip(now) {
@@ -71,8 +77,9 @@ impl Links {
         }
     }
 
-    /// A port with errors that the recorder has not received, and whether to report them as text: only if they have doubled
-    /// since the last report, so that a bad cable does not fill the log.
+    /// Returns the counts of a port with errors that the recorder has not received. The second value is whether they
+    /// must be reported as text. This is the case if they have doubled since the last report, so that a bad cable
+    /// does not fill the log.
     fn take_change(&mut self, position: usize) -> Option<(PortCounts, bool)> {
         let has_changed = |port: &usize| self.errors[position][*port] != self.delivered[position][*port];
         let port = (0..PORTS).find(has_changed)?;
@@ -88,12 +95,12 @@ impl Links {
 }
 
 impl Acquisition {
-    /// Errors of the ports since the run began; before, since the bus came up.
+    /// Error counts of the ports. They begin with the run, or before the first run when the bus comes up.
     pub fn links(&self) -> &Links {
         &self.links
     }
 
-    /// Reads one device if it is due and the cycle has spare time.
+    /// Reads the counters of one device, if it is time to read one and all devices are in operation.
     pub(super) fn read_links(&mut self, exchange: &CyclicExchange) {
         if exchange.reply.is_none_or(|reply| !reply.all_operational) {
             return;

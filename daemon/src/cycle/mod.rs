@@ -1,10 +1,12 @@
-//! The real-time cycle: time and process image in, one sample out.
+//! The real-time cycle. Inputs are the time and the process image of the bus; the output is one record for each cycle.
 //!
-//! [`Acquisition::next_cycle`] sleeps until the cycle's absolute deadline, exchanges one frame and gives one record for
-//! each cycle that was due to a sink, a bounded ring. It allocates nothing, takes no lock and writes no file. Only while
-//! the bus is down, when no deadline can be missed, may it do all of these: bringing up a bus takes long. With distributed
-//! clocks, the terminals sample cycle `k` on their signal SYNC0, at `origin + k * period` on the bus' clock; its frame follows
-//! half a period later. The clock fit gives the host time of both.
+//! [`Acquisition::next_cycle`] sleeps until the absolute deadline of the cycle, exchanges one frame, and passes one
+//! record to a sink for each cycle that was due. The sink is a bounded ring. The cycle allocates nothing, takes no lock
+//! and writes no file. Only while the bus is down it may do these things, because bringing up a bus takes long and no
+//! deadline can be missed then.
+//!
+//! With distributed clocks, the terminals sample cycle `k` on their signal SYNC0, at `origin + k * period` on the clock of
+//! the bus. The frame of the cycle follows half a period later. The clock fit converts both times to host time.
 
 mod clock_fit;
 mod continuity;
@@ -37,15 +39,15 @@ use crate::clock::Clock;
 use crate::devices::el5021::{self, Output};
 use recovery::{Health, is_misread};
 
-/// Cycles before the first sample, so that the fit of bus time to host time converges.
+/// Number of cycles before the first run, in which the fit of bus time to host time converges.
 const CLOCK_FIT_CYCLES: u32 = 100;
-/// A run is announced this many cycles before its first sample.
+/// Number of cycles between the announcement of a run and its first sample.
 const CYCLES_AHEAD: u64 = 2;
 
-/// Limit of events in the queue; one cycle never needs more.
+/// Largest number of events in the queue. One cycle never adds this many.
 const EVENTS_MAX: usize = 32;
 
-/// A bus, in operation or being restored, with its clocks.
+/// A bus in operation, or while it is brought up again, with its clocks.
 pub struct Acquisition {
     bus: Bus,
     plan: BusPlan,
@@ -54,38 +56,41 @@ pub struct Acquisition {
     devices: Vec<DeviceInfo>,
     clock: Clock,
     period_ns: i64,
-    /// From SYNC0 of a cycle to its frame \[ns\].
+    /// Time from SYNC0 of a cycle to its frame \[ns\].
     sync0_shift_ns: i64,
     reply_timeout_ns: i64,
     distributed_clocks: bool,
     utc_minus_monotonic_ns: i64,
     fit: ClockFit,
-    /// How far the bus' clock is ahead of one that was never interrupted: the error of setting it after outages \[ns\].
+    /// Sum of the errors of setting the clock of the bus after outages \[ns\]: its lead over a
+    /// clock that was never interrupted.
     bus_lead_ns: i64,
     sampler: Sampler,
     continuity: Continuity,
     health: Health,
     links: Links,
     events: VecDeque<CycleEvent>,
-    /// Sampling instant of cycle 0 on the bus' clock, or of its frame on the host's without DC.
+    /// Sample time of cycle 0 on the clock of the bus. Without distributed clocks, time of its frame on
+    /// the clock of the host.
     origin_ns: i64,
     next_cycle: u64,
-    /// When the last frame with a reply was sent.
+    /// When the last frame that got a reply was sent.
     replied_last: Option<MonoNs>,
     /// Sample time of the previous cycle.
     time_last: Option<UtcNs>,
-    /// Timing of the last cycle; `None` while the bus is down, when no deadline can be missed.
+    /// Timing of the last cycle. `None` while the bus is down, because no deadline can be missed then.
     timing: Option<CycleTiming>,
 }
 
 impl Acquisition {
-    /// Brings the bus up and lets the clock fit converge. Call it on the thread that will cycle.
+    /// Brings the bus up and waits until the clock fit has converged. Must be called on the thread that will run the cycle.
     pub fn start(mut bus: Bus, plan: &BusPlan, clock: Clock) -> Result<Self, BusError> {
         let operational = bus.bring_up(plan)?;
         Ok(Self::on(bus, operational, plan, clock))
     }
 
-    /// Takes over a bus in operation, and cycles until the clock fit has converged. Call it on the thread that will cycle.
+    /// Takes a bus that is in operation, and cycles until the clock fit has converged. Must be called on the thread
+    /// that will run the cycle.
     pub fn on(bus: Bus, operational: Operational, plan: &BusPlan, clock: Clock) -> Self {
         let joints = plan.encoders.iter().map(|encoder| encoder.joint);
         let mut acquisition = Self {
@@ -116,17 +121,17 @@ impl Acquisition {
         acquisition
     }
 
-    /// From now on an attempt to bring up the bus ends once this is set.
+    /// Sets a flag that interrupts later attempts to bring up the bus.
     pub fn interrupt_by(&mut self, interrupt: Arc<AtomicBool>) {
         self.bus.interrupt_by(interrupt);
     }
 
-    /// Devices as they identified themselves.
+    /// The devices of the bus, as they identified themselves.
     pub fn devices(&self) -> &[DeviceInfo] {
         &self.devices
     }
 
-    /// `UTC - monotonic` that all sample times of this run use \[ns\].
+    /// The difference `UTC - monotonic` in all sample times of this run \[ns\].
     pub fn utc_minus_monotonic_ns(&self) -> i64 {
         self.utc_minus_monotonic_ns
     }
@@ -136,25 +141,25 @@ impl Acquisition {
         self.bus.wire_counters()
     }
 
-    /// Lateness and duration of the last cycle; `None` while the bus is down.
+    /// Lateness and duration of the last cycle. `None` while the bus is down.
     pub fn last_timing(&self) -> Option<CycleTiming> {
         self.timing
     }
 
-    /// Sets the outputs of one terminal, by encoder in bus order from 0, from the next cycle on. Has no effect while the bus
-    /// is down; outputs are not set again when it comes up.
+    /// Sets the outputs of one terminal from the next cycle on. `encoder` is its number in bus order, from 0. No effect
+    /// while the bus is down. When the bus comes up again, the outputs are not restored.
     pub fn set_output(&mut self, encoder: usize, output: Output) {
         if let Some(operational) = &self.operational {
             self.bus.set_output(operational, encoder, output);
         }
     }
 
-    /// Takes the oldest event; take all after each cycle.
+    /// Takes the oldest event. Must be called after each cycle until there are no more events.
     pub fn take_event(&mut self) -> Option<CycleEvent> {
         self.events.pop_front()
     }
 
-    /// Sets the sample time of the next run's cycle 0 (virtual time only, where UTC can be chosen).
+    /// Chooses the sample time of cycle 0 in the next run. No effect on real time, where UTC is given by the host.
     pub fn set_first_sample_time(&mut self, utc: UtcNs) {
         if !self.clock.is_real() {
             self.utc_minus_monotonic_ns =
@@ -162,26 +167,28 @@ impl Acquisition {
         }
     }
 
-    /// Sample times of further runs use this `UTC - monotonic` \[ns\].
+    /// Sets the difference `UTC - monotonic` for the sample times of later runs \[ns\].
     pub fn set_utc_minus_monotonic_ns(&mut self, utc_minus_monotonic_ns: i64) {
         self.utc_minus_monotonic_ns = utc_minus_monotonic_ns;
     }
 
-    /// Exchanges one frame in step without recording, for example while a run is being prepared.
+    /// Runs one cycle without passing on its record, for example while a run is being prepared.
     pub fn idle(&mut self) {
         self.next_cycle(&mut |_| ());
     }
 
-    /// Idles until the next cycle is number 0 of a run. `announce` receives its sampling instant on the bus' clock before.
+    /// Cycles until the next cycle is number 0 of a run. Before that, `announce` receives the sample time of cycle 0 on
+    /// the clock of the bus.
     pub fn begin_run(&mut self, announce: impl FnOnce(DcNs)) {
         let first = self.next_cycle + CYCLES_AHEAD;
         let origin_ns = self.instant_ns(first);
         announce(DcNs(origin_ns));
-        // No cycle is left out: a terminal that misses its frame reports a synchronisation error.
+        // Every cycle has its frame. A terminal that gets no frame in a cycle reports a synchronisation error.
         while self.next_cycle < first {
             self.idle();
         }
-        // Cycles that were missed in between belong to no run.
+        // If the thread woke late, cycles between announcement and start may have been missed. They do
+        // not belong to the run.
         let overslept = (self.next_cycle - first) as i64;
         self.next_cycle = 0;
         self.origin_ns = origin_ns.wrapping_add(overslept * self.period_ns);
@@ -197,8 +204,8 @@ impl Acquisition {
         self.frame_deadline(self.next_cycle)
     }
 
-    /// Waits for the next cycle, exchanges its frame, and gives `sink` one record for each cycle that was due, also while the
-    /// bus is down.
+    /// Waits for the next cycle and exchanges its frame. For each cycle that was due, passes one record to `sink`, also
+    /// while the bus is down.
     pub fn next_cycle(&mut self, sink: &mut dyn FnMut(&CycleRecord)) {
         let deadline = self.due();
         self.clock.sleep_until(deadline);
@@ -215,13 +222,13 @@ impl Acquisition {
         self.read_links(&exchange);
     }
 
-    /// From a frame to the records of all cycles that were due, and to the reaction to faults.
+    /// Passes on the records of all cycles that were due when this exchange took place, and reacts to faults.
     fn cycle(&mut self, exchange: &CyclicExchange, sink: &mut dyn FnMut(&CycleRecord)) {
         let seen = self.observe_clocks(exchange);
         let misread = seen.is_some_and(is_misread);
         let sampled = if misread { self.next_cycle } else { self.cycle_sampled(exchange) };
-        // Woken so late that SYNC0 overwrote samples before their frame was sent: those cycles are recorded with
-        // the reason.
+        // If the thread woke so late that SYNC0 overwrote samples before their frames were sent, the records of these
+        // cycles get the flag `DEADLINE_MISSED`.
         while self.next_cycle < sampled {
             let time = self.sample_time(self.next_cycle);
             let missed = self.sampler.missed(self.next_cycle, time, exchange);
@@ -241,8 +248,9 @@ impl Acquisition {
         self.react(&record, exchange, seen);
     }
 
-    /// Without distributed clocks a terminal samples when a frame arrives, and the next frame fetches the sample. Unless the
-    /// previous frame was sent on time, the sample does not belong to the time of its record.
+    /// Whether the sample in a reply belongs to its record. Without distributed clocks a terminal samples when a
+    /// frame arrives, and the next frame fetches the sample. The sample belongs to the record only if the previous
+    /// frame was sent on time.
     fn follows_a_frame(&mut self, exchange: &CyclicExchange) -> bool {
         let before = self.replied_last;
         if exchange.reply.is_some() {
@@ -272,7 +280,7 @@ impl Acquisition {
         (0..CLOCK_FIT_CYCLES).for_each(|_| self.idle());
     }
 
-    /// Number of the cycle whose sample the reply contains; the expected one if the reply does not show it.
+    /// Number of the cycle whose sample the reply contains. If the reply does not show it, the expected number is returned.
     fn cycle_sampled(&self, exchange: &CyclicExchange) -> u64 {
         match exchange.reply.and_then(|reply| reply.dc_time) {
             Some(dc) => {
@@ -287,8 +295,8 @@ impl Acquisition {
         }
     }
 
-    /// Whether the frame of the cycle passed after the next SYNC0. While the terminals convert, it finds the old sample in some
-    /// and the new one in others.
+    /// Whether the frame of the cycle passed the reference clock after the next SYNC0. While the terminals convert, such a
+    /// frame fetches the old sample from some terminals and the new one from others.
     fn is_past_next_sample(&self, exchange: &CyclicExchange) -> bool {
         exchange
             .reply
@@ -296,7 +304,8 @@ impl Acquisition {
             .is_some_and(|dc| dc.0 >= self.instant_ns(self.next_cycle + 1))
     }
 
-    /// SYNC0 of a cycle on the clock of [`Self::origin_ns`] \[ns\]. A damaged frame can contain any bus time: sums wrap.
+    /// Time of SYNC0 of a cycle, on the clock of [`Self::origin_ns`] \[ns\]. Sums wrap, because a damaged frame
+    /// can contain any bus time.
     fn instant_ns(&self, cycle: u64) -> i64 {
         self.origin_ns.wrapping_add((cycle as i64).wrapping_mul(self.period_ns))
     }

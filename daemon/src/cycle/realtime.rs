@@ -1,4 +1,4 @@
-//! Scheduling, core and memory of the cycle's thread.
+//! Sets scheduling, core and memory of the thread that runs the cycle.
 
 use std::fmt;
 use std::fs::{File, OpenOptions};
@@ -11,20 +11,20 @@ use shared::config::RealtimeConfig;
 
 use crate::tuning::Machine;
 
-/// Whether core, priority and locked memory were granted; kept for as long as the cycle runs. Acquisition continues without
-/// them, but its lateness then depends on the load of the machine.
+/// Result of the request for core, priority and locked memory. It must be kept as long as the cycle runs. Acquisition also
+/// works without these permissions, but its lateness then depends on the load of the machine.
 #[derive(Debug)]
 pub struct RealtimeReport {
     request: RealtimeConfig,
     core: io::Result<()>,
     fifo: io::Result<()>,
     memory: io::Result<()>,
-    /// Keeps the processor out of deep idle states while it is open; some machines have no such file.
+    /// While this file is open, the processor does not enter deep idle states. `None` on machines without the file.
     _awake: Option<File>,
 }
 
 impl RealtimeReport {
-    /// Applies the request to the calling thread (memory: to the process).
+    /// Applies the request to the calling thread. Memory is locked for the whole process.
     pub fn apply(request: RealtimeConfig) -> Self {
         Self {
             core: request.core.map_or(Ok(()), pin_to_core),
@@ -35,7 +35,7 @@ impl RealtimeReport {
         }
     }
 
-    /// Whether everything was permitted.
+    /// Whether every request was granted.
     pub fn is_complete(&self) -> bool {
         self.core.is_ok() && self.fifo.is_ok() && self.memory.is_ok()
     }
@@ -80,7 +80,8 @@ fn lock_memory() -> io::Result<()> {
     Ok(mlockall(MlockAllFlags::MCL_CURRENT | MlockAllFlags::MCL_FUTURE)?)
 }
 
-/// Requests wake-ups without delay (Linux, Documentation/power/pm_qos_interface.rst).
+/// Requests that the processor wakes up without delay (Linux, Documentation/power/pm_qos_interface.rst). The request is
+/// valid while the file is open.
 fn stay_awake() -> Option<File> {
     let mut file = OpenOptions::new().write(true).open("/dev/cpu_dma_latency").ok()?;
     file.write_all(&0i32.to_ne_bytes()).ok()?;

@@ -1,9 +1,12 @@
-//! Fault recovery of the acquisition: the reaction to each bad cycle, without losing a cycle number.
+//! Fault recovery of the acquisition: the reaction to each bad cycle. No cycle number is lost.
 //!
-//! A single bad cycle is only flagged. A terminal in SAFE-OP is restored to OP between two frames. Without replies frames
-//! continue to be sent, and a bus that answers again continues where it was. Terminals before a missing one stay in use
-//! until it is back. Only if that does not help is the bus brought up again; cycles that become due in that time are given
-//! afterwards, flagged, and the bus' clock continues its time, so that numbers and times stay those of one run.
+//! - A single bad cycle is only flagged.
+//! - A terminal in SAFE-OP is restored to OP between two frames.
+//! - If replies are missing, frames continue to be sent. A bus that answers again continues where it was.
+//! - If terminals are missing, the terminals before them stay in use until all devices answer again.
+//! - If this does not help, the bus is given up and brought up again. The records of cycles that become due in that time are
+//!   passed on afterwards, with a flag. The clock of the bus is set such that it continues. Cycle numbers and times are
+//!   therefore consecutive within the run.
 
 use shared::recording::schema::{CycleRecord, flags};
 use shared::time::{DcNs, MonoNs, NS_PER_S};
@@ -13,74 +16,76 @@ use super::{Acquisition, ClockPair, PairStatus, Sampler};
 use crate::bus::{CyclicExchange, CyclicReply, Operational, RestoreToOp, absent};
 use crate::problem::Fact;
 
-/// A terminal without a reply counts as lost after this number of cycles.
+/// Number of consecutive cycles without an answer after which a terminal counts as lost.
 const LOST_CYCLES: u32 = 2;
-/// A bus time with a larger unexplained error does not show which cycle was sampled \[ns\].
+/// Largest unexplained error of a bus time from which the sampled cycle can still be determined \[ns\].
 const MISREAD_NS: u64 = 100_000;
-/// Number of bad cycles in a row, although all terminals reply in OP, after which the bus is brought up again.
+/// Number of consecutive bad cycles after which the bus is brought up again, although all terminals reply in OP.
 const BAD_CYCLES_MAX: u32 = 10;
-/// Time limit for restoring a terminal to OP \[ns\] ...
+/// Time limit for restoring a terminal to OP \[ns\].
 const RESTORE_TIMEOUT_NS: i64 = NS_PER_S / 2;
-/// ... and the period of the requests \[ns\].
+/// Period of the requests for OP \[ns\].
 const RESTORE_PERIOD_NS: i64 = NS_PER_S / 20;
-/// Clocks of terminals that were not synchronised for longer are unreliable \[ns\].
+/// Longest time without synchronisation after which the clocks of the terminals are still reliable \[ns\].
 const SILENCE_NS_MAX: i64 = NS_PER_S;
-/// Period of the checks whether missing terminals are back \[ns\].
+/// Period of the checks whether missing terminals answer again \[ns\].
 const CHECK_PERIOD_NS: i64 = NS_PER_S / 20;
-/// Tolerance of the time of a bus that was brought up: the duration of a few frames that a busy machine repeats \[ns\]. A
-/// time beyond that was misread, and using it would skip as many cycles as it is ahead.
+/// Largest difference between the time of a bus that was brought up and the time that was set \[ns\]. It allows for a few
+/// frames that a busy machine repeats. A larger difference means that the time was misread. If it were used, as many cycles
+/// would be skipped as the time is ahead.
 const SET_TIME_NS_MAX: u64 = NS_PER_S as u64 / 10;
-/// Period of attempts to bring the bus up \[ns\].
+/// Period of the attempts to bring the bus up \[ns\].
 const RETRY_PERIOD_NS: i64 = NS_PER_S / 5;
 
 /// State of the fault recovery.
 #[derive(Debug, Default)]
 pub(super) struct Health {
-    /// Bad replies in a row.
+    /// Number of consecutive bad replies.
     bad: u32,
-    /// When the first of the frames without reply was sent.
+    /// When the first of the consecutive frames without a reply was sent.
     silent_since: Option<MonoNs>,
-    /// Times of the first and last request to return to OP.
+    /// Times of the first and of the last request to return to OP.
     restoring: Option<(MonoNs, MonoNs)>,
-    /// First position whose device is missing while those before it stay in use, and the time of the last check whether it is
-    /// back.
+    /// First position that is missing while the devices before it stay in use, and the time of the last
+    /// check whether it answers again.
     missing: Option<(u8, MonoNs)>,
-    /// Attempts to bring up the bus since it was given up.
+    /// Number of attempts to bring up the bus since it was given up.
     attempts: u32,
     /// Earliest time of the next attempt.
     retry_at: Option<MonoNs>,
-    /// Current cycles without valid sample.
+    /// The present period of cycles without a valid sample.
     gap: Option<Gap>,
     /// Why the bus was given up.
     down: Option<Down>,
     /// Why the bus is still down.
     outage: Option<Fact>,
-    /// Increases with every change of `down` and `outage`.
+    /// Incremented whenever `down` or `outage` is set.
     outages: u32,
     /// Number of devices that answered when the bus was last incomplete.
     answering: Option<usize>,
 }
 
-/// Cycles without valid sample.
+/// A period of cycles without a valid sample.
 #[derive(Debug, Clone, Copy)]
 struct Gap {
+    /// Number of the first of these cycles.
     first: u64,
-    /// Flags of the first, which are the cause.
+    /// Flags of the first of these cycles, which are the cause.
     cause: u32,
-    /// Flags of any of these cycles.
+    /// Flags that at least one of these cycles has.
     flags: u32,
-    /// Encoders that were invalid in the first, as bits.
+    /// Encoders that were invalid in the first cycle, one bit each in bus order.
     invalid: u8,
 }
 
-/// Extent to which the bus is in operation.
+/// How much of the bus is in operation.
 #[derive(Debug)]
 pub enum BusState<'a> {
-    /// Completely; its problems, if any, only show in its records.
+    /// All devices. Other problems, if there are any, are visible in the records only.
     Whole,
-    /// Up to this position; from there on no device answers.
+    /// The devices before this position. No device from this position on answers.
     Before(u8),
-    /// Not at all, and why.
+    /// No device. The reason is given.
     Down(Outage<'a>),
 }
 
@@ -89,28 +94,30 @@ pub enum BusState<'a> {
 pub struct Outage<'a> {
     /// Why the bus was given up.
     pub down: Option<Down>,
-    /// Why it cannot be brought up: missing devices, or the error of the last attempt; `None` just after it was given up.
+    /// Why the bus cannot be brought up: missing devices, or the error of the last attempt. `None` just after
+    /// the bus was given up.
     pub error: Option<&'a Fact>,
-    /// Differs from one outage to the next.
+    /// A number that changes with every change of the outage.
     pub number: u32,
 }
 
 impl Outage<'_> {
-    /// The outage as it is reported. Allocates.
+    /// The reason of the outage in the form in which it is reported. Allocates memory.
     pub fn fact(&self, bus: &str) -> Option<Fact> {
         self.error.cloned().or_else(|| self.down.map(|down| down.fact(bus)))
     }
 }
 
 impl Health {
-    /// Forgets the cycle numbers before a run.
+    /// Starts a run: the present gap is removed, because its cycle numbers are those before the run.
     pub(super) fn begin_run(&mut self) {
         self.gap = None;
     }
 }
 
 impl Acquisition {
-    /// Reacts to a cycle: nothing, restore a terminal to OP, or give the bus up.
+    /// Reacts to a cycle: does nothing, restores a terminal to OP, or gives the bus up. `seen` is the status of the bus
+    /// time in the clock fit.
     pub(super) fn react(
         &mut self,
         record: &CycleRecord,
@@ -126,13 +133,13 @@ impl Acquisition {
         };
         self.health.silent_since = None;
         if let Some(PairStatus::Stepped(by_ns)) = seen {
-            // Even a small step: the terminals' clocks would take long to follow, and until then the sampling times
-            // are unknown.
+            // The bus is given up even after a small step. The clocks of the terminals would take long to follow, and until
+            // then the sample times are unknown.
             self.report(Happening::ClockStep { by_ns });
             self.give_up(Down::ClockStep);
             return;
         }
-        // Bringing up the bus does not repair a broken signal.
+        // Errors of an encoder's signal are ignored here, because bringing up the bus does not repair them.
         let bus_flags = record.flags & !(flags::TERMINAL_ERROR | flags::DEADLINE_MISSED);
         if record.is_valid() || (bus_flags & !self.sampler.flags_always()) == 0 {
             (self.health.bad, self.health.restoring, self.health.missing) = (0, None, None);
@@ -146,13 +153,13 @@ impl Acquisition {
             }
         } else if reply.not_operational != 0 {
             self.restore_to_op(reply, exchange.received);
-        // A misread time is left to the clock fit, which reports a step if it persists.
+        // A misread bus time is handled by the clock fit, which reports a step if the deviation persists.
         } else if self.health.bad >= BAD_CYCLES_MAX && !seen.is_some_and(is_misread) {
             self.give_up(Down::Bad { flags: bus_flags });
         }
     }
 
-    /// Requests OP from terminals in SAFE-OP, in the time until the next frame.
+    /// Requests OP from all terminals that are not in OP, before the next frame is due.
     fn restore_to_op(&mut self, reply: &CyclicReply, now: MonoNs) {
         let is_first_request = self.health.restoring.is_none();
         let (first, last) = self.health.restoring.unwrap_or((now, MonoNs(i64::MIN / 2)));
@@ -180,8 +187,8 @@ impl Acquisition {
         }
     }
 
-    /// Terminals are missing. While one of the others is valid they stay in use; the bus is brought up again, which interrupts
-    /// them, only when all devices answer.
+    /// Reacts to missing terminals. As long as another terminal is valid, the others stay in use. The bus is brought up
+    /// again only when all devices answer, because this interrupts them.
     fn continue_without(&mut self, silent: u32, others_are_valid: bool, now: MonoNs) {
         let last_check = self.health.missing.map(|(_, checked)| checked);
         if last_check.is_some_and(|checked| others_are_valid && now.ns_since(checked) < CHECK_PERIOD_NS) {
@@ -207,7 +214,8 @@ impl Acquisition {
         self.report(Happening::Down(why));
     }
 
-    /// A cycle without a bus: one small frame counts the devices that answer; when all do, the bus is brought up.
+    /// Runs a cycle while the bus is down. One small frame counts the devices that answer. If all of them answer,
+    /// the bus is brought up.
     pub(super) fn cycle_down(&mut self, sink: &mut dyn FnMut(&CycleRecord)) {
         let now = self.clock.now();
         let answering = self.bus.answering(self.devices.len(), now.plus_ns(self.reply_timeout_ns));
@@ -239,7 +247,7 @@ impl Acquisition {
         }
     }
 
-    /// Extent to which the bus is in operation. Allocates nothing.
+    /// How much of the bus is in operation. Allocates nothing.
     pub fn bus_state(&self) -> BusState<'_> {
         match (&self.operational, self.health.missing) {
             (None, _) => {
@@ -276,14 +284,15 @@ impl Acquisition {
         }
     }
 
-    /// The first exchange after the bus came up gives the time and the state of the toggles; its inputs are not used, because
-    /// nothing proves that they are new.
+    /// Continues the run after the bus was brought up. The first exchange gives the time and the state of the toggle bits.
+    /// Its inputs are not used, because nothing proves that they are new.
     fn resume(&mut self, operational: Operational, sink: &mut dyn FnMut(&CycleRecord)) {
         let exchange = self.bus.exchange(&operational);
         let bus_time = exchange.reply.and_then(|reply| reply.dc_time);
         if exchange.reply.is_none() || (self.distributed_clocks && bus_time.is_none()) {
             return self.catch_up(self.clock.now(), sink);
         }
+        // Check the time of the bus against the time that was set.
         let set_to = DcNs(exchange.sent.0).plus_ns(self.bus_minus_monotonic_ns());
         let off_ns = bus_time.map_or(0, |time| time.ns_since(set_to));
         if off_ns.unsigned_abs() > SET_TIME_NS_MAX {
@@ -293,6 +302,7 @@ impl Acquisition {
             );
             return self.retry_later(sink);
         }
+        // Restart the clock fit with the new bus time.
         let attempts = self.health.attempts;
         self.operational = Some(operational);
         let Health { gap, outages, .. } = self.health;
@@ -301,11 +311,12 @@ impl Acquisition {
         let restarted = self.fit.restarted();
         let fit_before = std::mem::replace(&mut self.fit, restarted);
         self.observe_clocks(&exchange);
-        // Setting the bus' clock takes some frames, so it is a little off. The next setting corrects this: errors do not add up.
+        // Setting the clock of the bus takes some frames, so the clock is slightly off. The next setting corrects for this,
+        // so that errors do not add up.
         let change_ns = self.bus_minus_monotonic_ns().wrapping_sub(before_ns);
         self.bus_lead_ns = self.bus_lead_ns.wrapping_add(change_ns);
         let sampled = self.cycle_sampled(&exchange);
-        // Cycles without a bus have their times from the fit before the outage.
+        // The cycles without a bus get their times from the fit before the outage.
         let fit_after = std::mem::replace(&mut self.fit, fit_before);
         while self.next_cycle < sampled {
             self.emit_down(exchange.sent, sink);
@@ -320,20 +331,20 @@ impl Acquisition {
         self.report(Happening::Up { attempts });
     }
 
-    /// Lead of the bus' clock over the host's at the next cycle, according to the fit \[ns\].
+    /// Lead of the bus' clock over the host's clock at the next cycle, according to the clock fit \[ns\].
     fn bus_minus_monotonic_ns(&self) -> i64 {
         let next = DcNs(self.instant_ns(self.next_cycle));
         next.0.wrapping_sub(self.fit.monotonic_from_dc(next).0)
     }
 
-    /// Gives the cycles that were due before `now`.
+    /// Passes on the records of the cycles that were due before `now`.
     fn catch_up(&mut self, now: MonoNs, sink: &mut dyn FnMut(&CycleRecord)) {
         while self.frame_deadline(self.next_cycle) < now {
             self.emit_down(now, sink);
         }
     }
 
-    /// Gives the record of the next cycle, which has no sample because the bus is down.
+    /// Passes on the record of the next cycle. It has no sample, because the bus is down.
     fn emit_down(&mut self, at: MonoNs, sink: &mut dyn FnMut(&CycleRecord)) {
         let nothing = CyclicExchange { sent: at, received: at, reply: None };
         let mut record = self.sampler.missed(self.next_cycle, self.sample_time(self.next_cycle), &nothing);
@@ -341,7 +352,8 @@ impl Acquisition {
         self.emit(record, sink);
     }
 
-    /// Gives the record of the next cycle to `sink`. Time never runs backwards, also after the bus' clock was set.
+    /// Completes the record of the next cycle and passes it to `sink`. After the clock of the bus was set, the time of the
+    /// record may not be later than that of the previous record. The time is then increased, and the counts become invalid.
     pub(super) fn emit(&mut self, mut record: CycleRecord, sink: &mut dyn FnMut(&CycleRecord)) {
         if let Some(last) = self.time_last.filter(|last| record.sample_time <= *last) {
             let behind_ns =
@@ -370,7 +382,7 @@ impl Acquisition {
         self.next_cycle += 1;
     }
 
-    /// Takes a reading of the bus' clock into account; `None` without one.
+    /// Passes the bus time in a reply to the clock fit. `None` if the reply has no bus time.
     pub(super) fn observe_clocks(&mut self, exchange: &CyclicExchange) -> Option<PairStatus> {
         let dc = exchange.reply?.dc_time?;
         let CyclicExchange { sent, received, .. } = *exchange;
@@ -378,7 +390,7 @@ impl Acquisition {
     }
 }
 
-/// Whether a bus time is too far off to be used, also to find the cycle that was sampled.
+/// Whether the error of a bus time is so large that the sampled cycle cannot be determined from it.
 pub(super) fn is_misread(seen: PairStatus) -> bool {
     match seen {
         PairStatus::Followed => false,

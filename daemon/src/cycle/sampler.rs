@@ -1,4 +1,5 @@
-//! From one exchange to one record: which counts are new and reliable, and why others are not.
+//! Converts one exchange with the bus to one record. Checks which counts are new and reliable, and flags the
+//! reasons why others are not.
 
 use shared::recording::schema::{CycleRecord, EncoderSample, MAX_ENCODERS, flags};
 use shared::time::{DcNs, UtcNs};
@@ -9,28 +10,29 @@ use crate::devices::el5021;
 /// Time at which a cycle's encoders were sampled.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SampleTime {
-    /// Estimated UTC of the sample.
+    /// Estimated UTC at which the encoders were sampled.
     pub utc: UtcNs,
-    /// One standard deviation \[ns\].
+    /// Standard deviation of `utc` \[ns\].
     pub uncertainty_ns: u32,
-    /// Time on the bus' clock; 0 without distributed clocks.
+    /// The same time on the clock of the bus; 0 without distributed clocks.
     pub dc: DcNs,
 }
 
-/// Checks each cycle's inputs against the previous ones.
+/// Compares the inputs of each cycle with those of the previous cycle.
 #[derive(Debug, Clone)]
 pub struct Sampler {
     joints: [u8; MAX_ENCODERS],
     encoder_count: usize,
     working_counter_expected: u16,
-    /// Flags of every record.
+    /// Flags that every record of this bus has.
     always: u32,
-    /// Toggle bit of each encoder's last input, which changes with each new sample; `None` before the first.
+    /// Toggle bit in the last input of each encoder. A terminal inverts it with each new sample.
+    /// `None` before the first input.
     toggles: [Option<bool>; MAX_ENCODERS],
 }
 
 impl Sampler {
-    /// `joints` in bus order. Without distributed clocks every record is flagged so.
+    /// `joints` are in bus order. Without distributed clocks, every record gets the flag `NO_DC`.
     pub fn new(
         joints: impl IntoIterator<Item = u8>,
         working_counter_expected: u16,
@@ -50,12 +52,12 @@ impl Sampler {
         sampler
     }
 
-    /// Flags of every record of this bus.
+    /// Flags that every record of this bus has.
     pub fn flags_always(&self) -> u32 {
         self.always
     }
 
-    /// The record of cycle `cycle`, from the exchange that belongs to it.
+    /// The record of cycle `cycle`. `exchange` is the exchange in that cycle.
     pub fn sample(&mut self, cycle: u64, time: SampleTime, exchange: &CyclicExchange) -> CycleRecord {
         let mut record = self.blank(cycle, time, exchange);
         match &exchange.reply {
@@ -68,7 +70,7 @@ impl Sampler {
         record
     }
 
-    /// The record of a cycle whose sample was overwritten before `exchange` could fetch it.
+    /// The record of a cycle whose sample was overwritten by the next one before `exchange` could fetch it.
     pub fn missed(&mut self, cycle: u64, time: SampleTime, exchange: &CyclicExchange) -> CycleRecord {
         self.skip_cycle();
         let mut record = self.blank(cycle, time, exchange);
@@ -77,8 +79,9 @@ impl Sampler {
         record
     }
 
-    /// With distributed clocks terminals sample, and toggle, also in a cycle whose reply was lost. Without them only a frame
-    /// makes them sample, and whether that frame reached them is unknown.
+    /// Updates the toggles for a cycle whose sample was not received. With distributed clocks the terminals
+    /// sample, and invert their toggle bits, in every cycle. Without them only a frame makes them sample, and it
+    /// is unknown whether the frame arrived.
     fn skip_cycle(&mut self) {
         if self.always & flags::NO_DC == 0 {
             self.toggles.iter_mut().flatten().for_each(|toggle| *toggle = !*toggle);
@@ -106,7 +109,7 @@ impl Sampler {
         record
     }
 
-    /// Marks every count of a record as invalid, with the reason.
+    /// Marks every count of a record as invalid, and adds the flags `reason`.
     pub fn invalidate(record: &mut CycleRecord, reason: u32) {
         record.flags |= reason;
         record.encoders.iter_mut().for_each(|encoder| encoder.valid = false);
@@ -129,7 +132,7 @@ impl Sampler {
                 record.flags |= flags::TERMINAL_ERROR;
             }
         }
-        // ethercrab checks neither: it returns the last inputs when a terminal is missing.
+        // ethercrab checks neither of the following. If a terminal is missing, it returns the last inputs.
         if reply.working_counter != self.working_counter_expected {
             record.flags |= flags::WORKING_COUNTER;
         }
@@ -141,10 +144,12 @@ impl Sampler {
         }
     }
 
-    /// A short working counter does not show which terminal is missing, so it invalidates every count; unless it is short by
-    /// exactly the share of terminals that do not answer: then all others were processed.
+    /// Invalidates counts if the working counter is wrong or a device is not in OP. In general this does not show which
+    /// terminals are missing, so every count becomes invalid. One case is different: the working counter is too low by
+    /// exactly the contribution of the terminals that do not answer. All other terminals have then processed the frame,
+    /// so their counts stay valid.
     fn invalidate_unproven(&self, record: &mut CycleRecord, reply: &CyclicReply) {
-        // The coupler has position 0, and must answer.
+        // The coupler has position 0 and must answer. The terminal of encoder `index` has position `index + 1`.
         let absent = |index: usize| reply.silent >> (index + 1) & 1 == 1;
         let missing = (0..self.encoder_count).filter(|index| absent(*index)).count() as u16;
         let explained = missing > 0

@@ -1,59 +1,59 @@
-//! Lateness and durations: measured in the cycle, counted outside of it.
+//! Lateness and durations of the cycle. They are measured in the cycle and counted in another thread.
 //!
-//! The cycle gives three numbers to a bounded ring, wait-free; the reader of the ring keeps the histograms. So the cycle
-//! neither touches memory that others read nor spends time on counting.
+//! The cycle writes three numbers to a bounded ring, without waiting. The reader of the ring updates the histograms. The
+//! cycle therefore neither writes to memory that other threads read, nor spends time on counting.
 
 use hdrhistogram::Histogram;
 use rtrb::{Consumer, Producer, RingBuffer};
 use shared::recording::{Bin, DiskTiming, Durations, TimingSummary};
 
-/// Longest duration that is resolved \[ns\]: a minute.
+/// Longest duration that has a histogram bin of its own, one minute \[ns\].
 const LONGEST_NS: u64 = 60_000_000_000;
 const SIGNIFICANT_DIGITS: u8 = 3;
 
 /// Timing of one cycle \[ns\].
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct CycleTiming {
-    /// From the deadline until the thread ran.
+    /// Time from the deadline until the thread ran.
     pub late_ns: i64,
-    /// From handing the frame to the wire until the reply was received; `None` without a reply.
+    /// Time from passing the frame to the network interface until the reply was received. `None` without a reply.
     pub round_trip_ns: Option<i64>,
-    /// From waking up until the record was given to the sink.
+    /// Time from waking up until the record was passed to the sink.
     pub duration_ns: i64,
 }
 
-/// The writing end, in the cycle.
+/// The writing end of the ring, used by the cycle.
 pub struct TimingSink(Producer<CycleTiming>);
 
-/// The reading end, with the histograms.
+/// The reading end of the ring, with the histograms.
 pub struct TimingSource {
     ring: Consumer<CycleTiming>,
     timings: Timings,
 }
 
-/// A ring for the timing of `capacity` cycles. If it is drained too seldom, it loses timing data, but no cycles.
+/// Creates a ring for the timing of `capacity` cycles. If it is not drained often enough, timing is lost, but no cycle.
 pub fn timing_ring(capacity: usize) -> (TimingSink, TimingSource) {
     let (producer, consumer) = RingBuffer::new(capacity);
     (TimingSink(producer), TimingSource { ring: consumer, timings: Timings::default() })
 }
 
 impl TimingSink {
-    /// Adds the timing of one cycle. Wait-free.
+    /// Adds the timing of one cycle. Does not wait.
     pub fn push(&mut self, timing: CycleTiming) {
-        // A full ring costs one entry of a histogram, which does not justify waiting.
+        // If the ring is full, one entry of a histogram is lost. Waiting for space would delay the cycle.
         let _ = self.0.push(timing);
     }
 }
 
 impl TimingSource {
-    /// Counts the timing since the last call.
+    /// Counts all timing in the ring.
     pub fn drain(&mut self) {
         while let Ok(timing) = self.ring.pop() {
             self.timings.count(&timing);
         }
     }
 
-    /// Summary of all cycles that were drained; `None` before the first.
+    /// Summary of all cycles that were counted. `None` before the first cycle.
     pub fn summary(&self) -> Option<TimingSummary> {
         self.timings.summary()
     }
@@ -69,7 +69,7 @@ pub struct Timings {
 
 impl Default for Timings {
     fn default() -> Self {
-        // The bounds are constants within what the crate accepts.
+        // The bounds are constants that the crate accepts.
         #[allow(clippy::expect_used, reason = "constant arguments")]
         let empty = Histogram::new_with_bounds(1, LONGEST_NS, SIGNIFICANT_DIGITS).expect("valid bounds");
         Self { lateness: empty.clone(), round_trip: empty.clone(), duration: empty }
@@ -87,7 +87,7 @@ impl Timings {
         }
     }
 
-    /// Percentiles and histograms so far; `None` before the first cycle.
+    /// Percentiles and histograms so far. `None` before the first cycle.
     pub fn summary(&self) -> Option<TimingSummary> {
         (!self.lateness.is_empty()).then(|| TimingSummary {
             cycles: self.lateness.len(),

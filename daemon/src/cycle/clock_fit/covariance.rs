@@ -1,14 +1,14 @@
-//! Covariance `P` of offset and drift between two clocks, for the filter of the clock fit: propagation `F P F^T + Q` with `F = [1
-//! dt; 0 1]`, and update by a reading of the offset, `H = [1 0]`.
+//! Covariance `P` of offset and drift between two clocks, for the filter of the clock fit. It is propagated by `F P F^T + Q`
+//! with `F = [1 dt; 0 1]`, and corrected by a reading of the offset, `H = [1 0]`.
 
 /// Covariance of offset \[ns\] and drift \[ns/s\].
 #[derive(Debug, Clone, Copy)]
 pub(super) struct ClockCovariance {
-    /// \[ns^2\]
+    /// Variance of the offset \[ns^2\].
     pub offset: f64,
-    /// \[ns^2/s\]
+    /// Covariance of offset and drift \[ns^2/s\].
     pub cross: f64,
-    /// \[(ns/s)^2\]
+    /// Variance of the drift \[(ns/s)^2\].
     pub drift: f64,
 }
 
@@ -17,14 +17,15 @@ impl ClockCovariance {
         Self { offset: offset_sigma_ns.powi(2), cross: 0.0, drift: drift_sigma.powi(2) }
     }
 
-    /// Propagates by `dt_s`; offset and drift wander by these variances per second (`Q`).
+    /// Propagates the covariance by `dt_s`. The process noise `Q` is given by the variances of offset and drift per second.
     pub fn predict(&mut self, dt_s: f64, offset_wander: f64, drift_wander: f64) {
         self.offset += dt_s * (2.0 * self.cross + dt_s * self.drift) + offset_wander * dt_s;
         self.cross += dt_s * self.drift;
         self.drift += drift_wander * dt_s;
     }
 
-    /// Update by a reading of variance `r` with gains `K` of offset and drift, which need not be optimal (Joseph's form):
+    /// Corrects the covariance by a reading of variance `r`. The gains `K` of offset and drift need
+    /// not be optimal (Joseph's form):
     /// `(I - K H) P (I - K H)^T + K r K^T`.
     pub fn correct(&mut self, gain_offset: f64, gain_drift: f64, reading_variance: f64) {
         let Self { offset, cross, drift } = *self;
@@ -34,7 +35,7 @@ impl ClockCovariance {
         self.drift = drift - 2.0 * gain_drift * cross + gain_drift * gain_drift * (offset + reading_variance);
     }
 
-    /// Adds these to the standard deviations of offset and drift (in quadrature).
+    /// Adds these values in quadrature to the standard deviations of offset and drift.
     pub fn inflate(&mut self, offset_sigma_ns: f64, drift_sigma: f64) {
         self.offset += offset_sigma_ns.powi(2);
         self.drift += drift_sigma.powi(2);

@@ -1,6 +1,9 @@
-//! Kalman filter of the clock fit, with the state offset and drift: `bus time = t + base + offset + drift * (t - at)` for host
-//! time `t`. The inputs are readings of the offset, the results host times with their variance. A delay makes a reading less
-//! accurate: the time beyond the quickest round trip so far, or all of its bound while that is unknown.
+//! Kalman filter of the clock fit. Its state is offset and drift, in `bus time = t + base + offset + drift * (t - at)` with
+//! host time `t`. The inputs are readings of the offset; the results are host times with their variance.
+//!
+//! For each reading, the state is propagated to the time of the reading, and then corrected. A delayed reading gets less
+//! weight. Its possible delay is its round trip minus the quickest round trip so far. While the quickest round trip is
+//! unknown, the whole hard bound counts as possible delay.
 
 use shared::time::{DcNs, MonoNs};
 
@@ -8,70 +11,78 @@ use super::Reading;
 use super::covariance::ClockCovariance;
 use super::innovation_gate::Innovation;
 
-/// Wander of the offset between two clocks \[ns^2/s\]: some 10 ns in a second.
+/// Process noise of the offset \[ns^2/s\]: it changes randomly by some 10 ns in a second.
 const OFFSET_WANDER_NS2_PER_S: f64 = 100.0;
-/// Wander of their drift \[(ns/s)^2/s\]: 1 ppm in a second, a quartz that NTP adjusts.
+/// Process noise of the drift \[(ns/s)^2/s\]: it changes randomly by 1 ppm in a second, as a quartz that NTP adjusts.
 const DRIFT_WANDER: f64 = 1e6;
-/// Drift without prior information \[ns/s\]: 200 ppm.
+/// Standard deviation of the drift without prior information \[ns/s\]: 200 ppm.
 const DRIFT_SIGMA_START: f64 = 200e3;
-/// Drift of the same two clocks after a restart \[ns/s\]: 1 ppm.
+/// Standard deviation of the change of drift of the same two clocks over a restart \[ns/s\]: 1 ppm.
 const DRIFT_SIGMA_KNOWN: f64 = 1e3;
-/// Uncertainty of a reading with the quickest round trip \[ns\]; time stamps of host and bus are not more accurate.
+/// Standard deviation of a reading with the quickest round trip \[ns\]. Time stamps of host and bus are not more accurate.
 const READING_SIGMA_NS: f64 = 500.0;
-/// Before this number of readings the quickest round trip is unknown: the uncertainty of each reading is its own bound.
+/// Until this many readings have arrived, the quickest round trip is unknown. Half of a reading's own round
+/// trip then bounds its error.
 const START_READINGS: u32 = 64;
-/// Relative increase of the quickest round trip per second, so that a changed path is noticed.
+/// Relative increase per second of the stored quickest round trip. Without it, a path that has become
+/// slower would not be noticed.
 const QUICKEST_FORGOTTEN_PER_S: f64 = 0.01;
-/// Up to this number of sigmas a deviation is attributed to the filter; the rest is scatter of the readings ...
+/// The *scatter* is the part of a deviation that exceeds this number of standard deviations of the filter. It increases
+/// the uncertainty of readings ...
 const SCATTER_SIGMAS: f64 = 3.0;
-/// ... which decays by this part each second ...
+/// ... it decays by this fraction in each second ...
 const SCATTER_FORGOTTEN_PER_S: f64 = 0.3;
-/// ... and is limited to this: larger deviations go to the gate \[ns\].
+/// ... and it is limited to this value \[ns\]. Larger deviations are handled by the gate.
 const SCATTER_NS_MAX: f64 = 50_000.0;
-/// A deviation is unexplained beyond this many of the filter's own sigmas, in addition to the delays ...
+/// A deviation counts as unexplained if it exceeds the possible delays, plus this number of standard
+/// deviations of the filter ...
 const SLACK_SIGMAS: f64 = 6.0;
-/// ... and to the uncertainty of the quickest round trip \[ns\].
+/// ... plus this value, for the uncertainty of the quickest round trip \[ns\].
 const SLACK_NS: f64 = 5_000.0;
-/// Mean deviation, in sigmas and over about this number of readings, that means a changed rate.
+/// If the mean deviation exceeds this number of standard deviations, the rate has changed. The mean is
+/// taken over about `TREND_READINGS` readings.
 const TREND_SIGMAS: f64 = 2.0;
 const TREND_READINGS: f64 = 16.0;
-/// Mean deviation before an unexplained one that classifies it as a changed rate, too.
+/// Mean deviation from which an unexplained deviation to the same side is also classified as a
+/// changed rate, in standard deviations.
 const CREEP_SIGMAS: f64 = 0.5;
-/// Readings with a larger tolerance cannot distinguish a trend from chance \[ns\].
+/// Limit of the tolerance \[ns\]. If delays explain more than this, a trend cannot be distinguished from chance.
 const CREEP_SLACK_NS: f64 = 20_000.0;
 /// A trend is detected about this number of readings after its beginning.
 const TREND_ONSET_READINGS: f64 = 4.0;
 
+/// State of the filter, with statistics of the readings.
 #[derive(Debug, Clone)]
 pub(super) struct Filter {
     /// Time to which offset and covariance refer.
     at: MonoNs,
-    /// Whole part of the offset \[ns\]; keeps the filter's numbers small.
+    /// Integer part of the offset \[ns\]. With it, the floating point numbers of the filter stay small.
     base_ns: i64,
-    /// Offset beyond `base_ns` \[ns\].
+    /// Offset in addition to `base_ns` \[ns\].
     offset_ns: f64,
-    /// Rate of the bus' clock relative to the host's, minus one \[ns/s\].
+    /// Rate of the bus' clock relative to the host's clock, minus one \[ns/s\].
     drift: f64,
-    /// Covariance for the gains. It treats readings as quick as the quickest as equally accurate, so that they are followed.
+    /// Covariance from which the gains are computed. All readings with the quickest round trip count as equally accurate, so
+    /// that the filter follows them.
     covariance: ClockCovariance,
-    /// Conservative covariance under those gains, if each delay may divide between the directions in any way; a random run
-    /// of delays then looks like a rate.
+    /// Conservative covariance, with the same gains. It assumes that each delay may be in either direction. A random
+    /// sequence of delays then looks like a drift.
     conservative: ClockCovariance,
-    /// Number of readings so far, up to [`START_READINGS`].
+    /// Number of readings so far, counted up to [`START_READINGS`].
     readings: u32,
-    /// Half the width of the narrowest hard bound, which increases slowly \[ns\].
+    /// Half the width of the narrowest hard bound so far \[ns\]. It increases slowly ([`QUICKEST_FORGOTTEN_PER_S`]).
     quickest_half_ns: f64,
-    /// Half widths of the hard bounds, weighted like the readings: the error of the offset if all delay was in one direction
-    /// \[ns\].
+    /// Mean half width of the hard bounds, with the weights of the readings \[ns\]. This is the error of the offset if all
+    /// delay was in one direction.
     asymmetry_ns: f64,
-    /// Mean deviation of the last quick readings, in sigmas.
+    /// Mean deviation of the last quick readings, in standard deviations.
     trend: f64,
-    /// Recent contradictions between readings beyond their delays \[ns\].
+    /// Recent deviation of readings that delays do not explain \[ns\].
     scatter_ns: f64,
 }
 
 impl Filter {
-    /// From one reading and an earlier estimate for the same clocks and path.
+    /// A filter with its first reading. `known` is an earlier estimate for the same clocks and path.
     pub fn first(reading: &Reading, known: Option<&Self>) -> Self {
         let offset_sigma_ns = reading.half_ns.hypot(READING_SIGMA_NS);
         let start = |known: Option<ClockCovariance>| {
@@ -95,27 +106,30 @@ impl Filter {
         }
     }
 
+    /// Converts bus time `dc` to host time.
     pub fn monotonic_from_dc(&self, dc: DcNs) -> MonoNs {
         self.at.plus_ns(self.since_ns(dc).round() as i64)
     }
 
-    /// Variance of the host time at `dc`: for delays that divide randomly, and for a constant asymmetry of the delay.
+    /// Variance of the host time at `dc` \[ns^2\]. It includes delays in random directions, and a
+    /// constant asymmetry of the delay.
     pub fn variance_ns2(&self, dc: DcNs) -> f64 {
         let dt_s = (self.since_ns(dc) * 1e-9).abs();
         let filter_variance = self.conservative.offset
             + dt_s * (2.0 * self.conservative.cross.abs() + dt_s * self.conservative.drift)
             + OFFSET_WANDER_NS2_PER_S * dt_s;
-        // How the delay divides between the directions is unknown: uniform within the bounds.
+        // It is unknown how the delay divides between the two directions. The error is assumed to
+        // be uniform within the bounds.
         filter_variance + self.asymmetry_ns.powi(2) / 3.0 + READING_SIGMA_NS.powi(2)
     }
 
-    /// `dc = monotonic + base + offset + drift * (monotonic - at)`, solved for `monotonic - at` \[ns\].
+    /// Solves `dc = monotonic + base + offset + drift * (monotonic - at)` for `monotonic - at` \[ns\].
     fn since_ns(&self, dc: DcNs) -> f64 {
         let dc_since_ns = dc.0.wrapping_sub(self.base_ns).wrapping_sub(self.at.0) as f64 - self.offset_ns;
         dc_since_ns / (1.0 + self.drift * 1e-9)
     }
 
-    /// Propagates the state to `at`; returns the time step \[s\].
+    /// Propagates the state to the time `at`. Returns the time step \[s\].
     pub fn predict(&mut self, at: MonoNs) -> f64 {
         let dt_s = at.seconds_since(self.at).max(0.0);
         self.at = at;
@@ -126,10 +140,11 @@ impl Filter {
         dt_s
     }
 
-    /// Innovation of a reading: its deviation from the prediction.
+    /// Computes the innovation of a reading, which is its deviation from the prediction, and what may explain it.
     ///
-    /// A delay beyond the quickest round trip moves the centre by at most half of it; the same holds for the readings in the
-    /// filter. While the quickest round trip is unknown, all of it may be such a delay.
+    /// A delay beyond the quickest round trip moves the centre of the bound by at most half of that delay. This is true for
+    /// the new reading and for the readings already in the filter. While the quickest round trip is unknown, the whole round
+    /// trip may be such a delay.
     pub fn innovation(&self, reading: &Reading) -> Innovation {
         let quickest_half_ns = if self.is_starting() { 0.0 } else { self.quickest_half_ns };
         let fit_delayed_ns = (self.asymmetry_ns - quickest_half_ns).abs();
@@ -149,8 +164,9 @@ impl Filter {
         self.readings < START_READINGS
     }
 
-    /// Update by a reading, after the state was propagated to its time by `dt_s`.
+    /// Corrects the state by a reading. The state must have been propagated to its time, by the time step `dt_s`.
     pub fn correct(&mut self, reading: &Reading, dt_s: f64) {
+        // Compute the possible delay of the reading. The variance of the reading follows from it and from the scatter.
         self.quickest_half_ns = self.quickest_half_ns.min(reading.half_ns);
         let excess_ns = reading.half_ns - self.quickest_half_ns;
         let possible_delay_ns = if self.is_starting() { reading.half_ns } else { excess_ns };
@@ -160,13 +176,14 @@ impl Filter {
         let delayed_sigma_ns = READING_SIGMA_NS + possible_delay_ns;
         let reading_sigma_ns = delayed_sigma_ns + self.scatter_ns;
         let variance = reading_sigma_ns * reading_sigma_ns;
+        // Compute the Kalman gains, and correct state and covariances.
         let innovation_variance = self.covariance.offset + variance;
         let gain_offset = self.covariance.offset / innovation_variance;
         let gain_drift = self.covariance.cross / innovation_variance;
         self.offset_ns += gain_offset * deviation_ns;
         self.drift += gain_drift * deviation_ns;
         self.covariance.correct(gain_offset, gain_drift, variance);
-        // Uniform between the bounds, which are `half_ns` to either side.
+        // A uniform distribution between the bounds, which are `half_ns` to either side, has this variance.
         let uniform_variance = reading.half_ns.powi(2) / 3.0;
         self.conservative.correct(gain_offset, gain_drift, variance.max(uniform_variance));
         self.asymmetry_ns += gain_offset * (reading.half_ns - self.asymmetry_ns);
@@ -174,37 +191,37 @@ impl Filter {
         self.watch_trend(deviation_ns, delayed_sigma_ns, dt_s);
     }
 
-    /// Whether earlier readings deviated to the same side, which means a changed rate and not a step. Under load readings
-    /// cannot show that.
+    /// Whether earlier readings deviated to the same side, which means that a rate has changed and no clock stepped. Under
+    /// load, the readings are too inaccurate to show this.
     pub fn follows_trend(&self, innovation: &Innovation) -> bool {
         let slack_ns = innovation.delayed_ns + innovation.predicted_ns;
         let is_near = innovation.by_ns.abs() <= 2.0 * slack_ns && slack_ns <= CREEP_SLACK_NS;
         is_near && self.trend * innovation.by_ns.signum() > CREEP_SIGMAS
     }
 
-    /// Quick replies that contradict each other show that the shortest delay varies.
+    /// Updates the scatter. Quick replies that contradict each other show that the shortest delay varies.
     fn watch_scatter(&mut self, unexplained_ns: f64, dt_s: f64) {
         let scatter_ns = unexplained_ns - SCATTER_SIGMAS * self.covariance.offset.sqrt();
         let forgotten = 1.0 - SCATTER_FORGOTTEN_PER_S * dt_s.min(1.0);
         self.scatter_ns = (self.scatter_ns * forgotten).max(scatter_ns.min(SCATTER_NS_MAX));
     }
 
-    /// Adds these to the standard deviations of offset and drift (in quadrature), and restarts the trend.
+    /// Adds these values in quadrature to the standard deviations of offset and drift. Restarts the trend.
     pub fn inflate(&mut self, offset_ns: f64, rate: f64) {
         self.covariance.inflate(offset_ns, rate);
         self.conservative.inflate(offset_ns, rate);
         self.trend = 0.0;
     }
 
-    /// The hard bound holds independently of the filter's weights.
+    /// Limits the offset to the hard bound of the reading, which holds whatever the weights of the filter are.
     fn stay_within(&mut self, reading: &Reading) {
         let centre_ns = reading.offset_ns.wrapping_sub(self.base_ns) as f64;
         let half_ns = reading.half_ns + READING_SIGMA_NS;
         self.offset_ns = self.offset_ns.clamp(centre_ns - half_ns, centre_ns + half_ns);
     }
 
-    /// Small deviations that keep their sign mean a changed rate: the covariance is increased to cover them. Only quick
-    /// replies show this; a slow one deviates to one side anyway.
+    /// Updates the trend. If small deviations keep their sign, the rate has changed, and the covariance is increased to
+    /// cover them. Only quick replies show this, because a delayed reply can deviate to one side without a changed rate.
     fn watch_trend(&mut self, deviation_ns: f64, sigma_ns: f64, dt_s: f64) {
         let weight = (READING_SIGMA_NS / sigma_ns).powi(2) / TREND_READINGS;
         self.trend += weight * (deviation_ns / sigma_ns - self.trend);

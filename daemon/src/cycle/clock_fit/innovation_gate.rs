@@ -1,43 +1,44 @@
-//! Innovation gate: classifies readings that no delay explains as misread, as a stepped clock, or as a changed rate.
+//! The innovation gate classifies readings that no delay explains. Such a reading was misread, or a clock stepped, or
+//! a clock changed its rate.
 //!
-//! The filter continues without such readings. A deviation that stays constant is a step, one that grows is a changed
-//! rate, and one that disappears with the next reading was a misread bus time. A reply so slow that it fits both with and
-//! without the step decides nothing.
+//! The filter does not use such readings. The gate compares the next readings with the first unexplained one. If the
+//! deviation stays constant, a clock stepped. If it grows, a rate has changed. If it disappears with the next reading, the
+//! bus time was misread. A reply so slow that it fits both with and without the step is ignored.
 
 use shared::time::MonoNs;
 
-/// Readings needed for a decision.
+/// Number of agreeing readings that are needed for a decision.
 const READINGS_MIN: u32 = 3;
-/// After this number of readings without a decision the first one counts as misread.
+/// After this number of readings without a decision, the first reading counts as misread.
 const UNDECIDED_MAX: u32 = 100;
-/// Contradictions after which the clock is unusable and counts as stepped.
+/// Number of contradictions from which the clock is unusable and counts as stepped.
 const ERRATIC_MAX: u32 = 10;
-/// Difference of two readings of the same deviation, in addition to their delays \[ns\].
+/// Tolerance for two readings of the same deviation, in addition to their delays \[ns\].
 const NOISE_NS: f64 = 1_000.0;
-/// A reading decides something if its deviation is this many times what delays may have contributed.
+/// A reading is used for the decision if its deviation is this many times as large as the possible contribution of delays.
 const SIGNAL_TO_NOISE: f64 = 6.0;
-/// A deviation grows if it has grown by this part of the first one ...
+/// A deviation counts as growing if it has grown by this fraction of the first deviation ...
 const GROWTH: f64 = 1.0 / 3.0;
-/// ... or by this much, whichever is less; beyond [`JUMP_NS`] only the part counts \[ns\].
+/// ... or by this value, whichever is less \[ns\]. For deviations above [`JUMP_NS`], only the fraction is used.
 const GROWTH_NS: f64 = 10_000.0;
-/// No changed rate causes a larger deviation within one reading \[ns\].
+/// Largest deviation that a changed rate can cause within one reading \[ns\].
 const JUMP_NS: f64 = 1_000_000.0;
-/// Rate change by `adjtime` and NTP \[ns/s\]: a decision waits until it would show ...
+/// Usual rate change by `adjtime` and NTP \[ns/s\]. The decision is postponed until such a change would be visible ...
 const RATE_USUAL: f64 = 500e3;
-/// ... but not longer than this \[s\].
+/// ... but not for longer than this \[s\].
 const WAIT_S_MAX: f64 = 0.25;
 /// Largest rate change by chrony \[ns/s\].
 const RATE_MAX: f64 = 100e6;
 
-/// Deviation of a reading from the prediction, with the possible causes of the difference.
+/// Deviation of a reading from the prediction, with the contributions that may explain it.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Innovation {
     pub at: MonoNs,
-    /// Deviation on the bus' clock from the prediction \[ns\].
+    /// Deviation from the prediction, on the clock of the bus \[ns\].
     pub by_ns: f64,
-    /// Part that the reading's own delay explains \[ns\] ...
+    /// Largest contribution of the reading's own delay \[ns\].
     pub delayed_ns: f64,
-    /// ... and part that the prediction's uncertainty explains \[ns\].
+    /// Largest contribution of the prediction's uncertainty \[ns\].
     pub predicted_ns: f64,
 }
 
@@ -47,29 +48,30 @@ impl Innovation {
     }
 }
 
-/// State of the gate since the first unexplained reading.
+/// State of the gate after an unexplained reading.
 #[derive(Debug, Clone)]
 pub(super) struct InnovationGate {
+    /// The first unexplained reading, or a later one that replaced it because its delay is smaller.
     first: Innovation,
-    /// Number of unexplained readings that agree with the first.
+    /// Number of unexplained readings that agree with the first one, which is included.
     agreeing: u32,
-    /// Number of readings that decided nothing.
+    /// Number of readings that were not usable for the decision.
     undecided: u32,
-    /// Number of readings that agreed neither with the fit nor with the first one.
+    /// Number of readings that agreed neither with the fit nor with the first reading.
     erratic: u32,
     /// Largest unexplained deviation \[ns\].
     largest_ns: f64,
 }
 
-/// Classification after a further reading.
+/// Classification of the deviation after a further reading.
 pub(super) enum Class {
-    /// The deviations are explained.
+    /// The deviation has been explained. The reading may be used.
     Accepted,
-    /// Further readings are needed.
+    /// More readings are needed.
     Undecided(InnovationGate),
     /// One of the clocks stepped.
     Stepped,
-    /// One of the clocks changed its rate, by about this much \[ns/s\].
+    /// One of the clocks changed its rate, approximately by this value \[ns/s\].
     RateChanged(f64),
 }
 
@@ -83,16 +85,16 @@ impl InnovationGate {
         self.largest_ns
     }
 
-    /// Takes a further reading into account.
+    /// Updates the gate with a further reading, and classifies the deviation.
     pub fn classify(mut self, reading: Innovation) -> Class {
         let noise_ns = reading.delayed_ns + self.first.delayed_ns + NOISE_NS;
         let grown_ns = reading.by_ns - self.first.by_ns;
-        // The deviation has disappeared: the first reading was misread.
+        // The deviation has disappeared, so the first reading was misread.
         if reading.is_explained() && grown_ns.abs() > noise_ns {
             return Class::Accepted;
         }
         let signal_ns = reading.by_ns.abs().max(self.first.by_ns.abs());
-        // The reading fits with and without the step.
+        // The reading fits both with and without the step, so it is not used for the decision.
         if reading.is_explained() || noise_ns > signal_ns / SIGNAL_TO_NOISE {
             self.undecided += 1;
             if !reading.is_explained() && reading.delayed_ns < self.first.delayed_ns {
@@ -100,6 +102,7 @@ impl InnovationGate {
             }
             return if self.undecided > UNDECIDED_MAX { Class::Accepted } else { Class::Undecided(self) };
         }
+        // From here on the reading is unexplained and accurate enough for a decision.
         self.largest_ns = self.largest_ns.max(reading.by_ns.abs());
         if reading.by_ns * self.first.by_ns < 0.0 {
             return self.contradicted(reading);
@@ -119,13 +122,13 @@ impl InnovationGate {
         self.contradicted(reading)
     }
 
-    /// Growth of a deviation that still counts as constant \[ns\].
+    /// Largest growth of a deviation that still counts as constant \[ns\].
     fn growth_ns(&self) -> f64 {
         let part_ns = GROWTH * self.first.by_ns.abs();
         if self.first.by_ns.abs() > JUMP_NS { part_ns } else { part_ns.min(GROWTH_NS) }
     }
 
-    /// Time after which a usual rate change exceeds the noise \[s\].
+    /// Time after which a usual rate change would exceed the noise \[s\].
     fn wait_s(&self, noise_ns: f64) -> f64 {
         if self.first.by_ns.abs() > JUMP_NS {
             return 0.0;
@@ -133,7 +136,8 @@ impl InnovationGate {
         ((noise_ns + self.growth_ns()) / RATE_USUAL).min(WAIT_S_MAX)
     }
 
-    /// For a reading that agrees neither with the fit nor with the first unexplained one: starts again with it.
+    /// Handles a reading that agrees neither with the fit nor with the first unexplained reading: the
+    /// gate starts again with it.
     fn contradicted(self, reading: Innovation) -> Class {
         let erratic = self.erratic + 1;
         if erratic >= ERRATIC_MAX {

@@ -1,4 +1,4 @@
-//! The fit of clocks whose true relation is known.
+//! Tests the fit with clocks whose true relation is known.
 
 use proptest::prelude::*;
 use rand::{Rng, SeedableRng, rngs::StdRng};
@@ -143,7 +143,7 @@ fn one_wrong_bus_time_is_left_out() {
     }
 }
 
-/// Observes until the fit classifies the deviation; returns the number of readings that this took.
+/// Passes pairs to the fit until it classifies the deviation. Returns the number of readings that this took.
 fn resolve(
     fit: &mut ClockFit,
     clocks: &mut Clocks,
@@ -173,7 +173,7 @@ fn a_step_either_way_is_reported_within_five_readings_and_never_followed() {
             let PairStatus::Stepped(found_ns) = seen else { panic!("{step_ns}: {seen:?}") };
             assert!((found_ns - step_ns).abs() < 2_000, "{found_ns} instead of {step_ns}");
             assert!(readings <= 5, "{step_ns}: {readings} readings");
-            // The fit is unchanged; a restarted one is right at once.
+            // The fit is unchanged. A restarted fit is correct after its first reading.
             let pair = clocks.next(0, 0);
             assert!((error_ns(&fit, pair) - step_ns as f64).abs() < 2_000.0 + 1e-4 * size_ns as f64);
             let mut fit = fit.restarted();
@@ -200,7 +200,7 @@ fn while_a_step_is_in_doubt_the_uncertainty_covers_it() {
 
 #[test]
 fn a_rate_changed_by_500_ppm_is_followed_and_is_no_step() {
-    // As NTP may adjust the host's monotonic clock.
+    // NTP may adjust the host's monotonic clock in this way.
     for change_ppm in [-500.0, -100.0, -10.0, -1.0, 1.0, 10.0, 100.0, 500.0] {
         let (mut fit, mut clocks) = (ClockFit::default(), Clocks::new(20.0));
         (0..1000).for_each(|_| {
@@ -279,7 +279,7 @@ fn an_hour_under_load_has_no_false_step_and_a_step_of_100_us_is_found() {
     }
 }
 
-/// A fit that has converged under load at some cycle rate.
+/// A fit that has converged under load, at some cycle rate.
 fn converged_under_load(random: &mut StdRng, period_ns: i64) -> (ClockFit, Clocks) {
     let (mut fit, mut clocks) = (ClockFit::default(), Clocks { period_ns, ..Clocks::new(20.0) });
     for _ in 0..1000 {
