@@ -1,5 +1,5 @@
-//! Brings a segment from any state to OP, at the start and after an outage: discovery, check of the devices, interpolation,
-//! distributed clocks, then the states PRE-OP, SAFE-OP and OP.
+//! Brings a segment from any state to OP, at the start and after an outage. The steps are: find the devices, check their
+//! identity, set the interpolation, synchronise the distributed clocks, then enter the states PRE-OP, SAFE-OP and OP.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::time::Duration;
@@ -19,27 +19,27 @@ use super::{
 use crate::devices::{DeviceKind, EK1100, EL5021, el5021};
 use crate::problem::Fact;
 
-/// SYNC pulses start this long after they are configured: longer than configuring all terminals takes.
+/// Time from configuring SYNC0 to its first pulse. It is longer than configuring all terminals takes.
 const SYNC_START_DELAY: Duration = Duration::from_millis(100);
-/// Clocks are compared after this number of synchronising frames, one per millisecond.
+/// Number of synchronising frames, one per millisecond, after which the clocks are compared.
 const CLOCK_SYNC_FRAMES: u32 = 50;
-/// Limit of such rounds: chips need some thousand frames, and a lost frame costs a time-out without a correction.
+/// Largest number of such rounds. Chips need some thousand frames, and a lost frame costs a time-out without a correction.
 const CLOCK_SYNC_ROUNDS_MAX: u32 = 100;
 const SYNCHRONISING: &str = "synchronising the clocks";
-/// Largest difference from the bus time of a synchronised clock \[ns\]. Three EL5021 differed by 2 to 8 ns from each other
-/// (linuxcnc-ethercat's notes, read in 2026-11).
+/// Largest difference between the bus time and a clock that counts as synchronised \[ns\]. Three EL5021 differed by 2 to 8
+/// ns from each other (linuxcnc-ethercat's notes, read in 2026-11).
 const CLOCK_DIFFERENCE_NS_MAX: i64 = 1_000;
-/// Time limit for the terminals' transition from SAFE-OP to OP, with process data exchanged \[ns\].
+/// Time limit for the transition of the terminals from SAFE-OP to OP, while process data are exchanged \[ns\].
 const OPERATIONAL_TIMEOUT_NS: i64 = 5 * NS_PER_S;
 
 impl Bus {
     /// Brings the segment into operation, from any state.
     pub fn bring_up(&mut self, plan: &BusPlan) -> Result<Operational, BusError> {
-        // ethercrab 0.7.1 panics on a CoE emergency in the SDO path and on an incoherent topology: a defective
-        // terminal must not end the process.
+        // ethercrab 0.7.1 panics if a CoE emergency arrives during an SDO access, and if the topology is inconsistent. A
+        // defective terminal must not end the process.
         let mut attempt = || {
             catch_unwind(AssertUnwindSafe(|| self.try_bring_up(plan))).unwrap_or_else(|panic| {
-                // Its frames were released while the panic unwound their owners.
+                // The frames were released while the panic unwound their owners.
                 let (doing, error) = (
                     "bringing the bus up (an internal error of the EtherCAT stack)".into(),
                     panic_text(panic.as_ref()),
@@ -47,8 +47,8 @@ impl Bus {
                 Err(Fact::BusStackFailed { doing, error }.into())
             })
         };
-        // A mailbox whose reply was lost is empty when it is read again, which ethercrab reports as an error: one lost
-        // frame must not end the bring-up.
+        // If the reply of a mailbox access is lost, the stack reads the mailbox again, finds it empty, and reports an error.
+        // One lost frame must not end the bring-up, so it is attempted a second time.
         let outcome = match attempt() {
             Err(error) if error.may_be_a_lost_reply => attempt(),
             outcome => outcome,
@@ -135,7 +135,7 @@ impl Bus {
         let Self { exchange, main, .. } = self;
         for (index, mut terminal) in group.iter_mut(main).skip(1).enumerate() {
             let Some(encoder) = plan.encoders.get(index) else { break };
-            // The coupler precedes the terminals.
+            // Position 0 is the coupler.
             let position = index + 1;
             let refused = |error| Fact::BusSettingRefused {
                 position,
@@ -156,7 +156,7 @@ impl Bus {
         Ok(())
     }
 
-    /// Synchronises the clocks of all terminals to the reference clock.
+    /// Synchronises the clocks of all terminals with the reference clock. Returns their remaining differences.
     fn synchronise_clocks(&mut self, group: &BusGroup<PreOpPdi, NoDc>) -> Result<Vec<DeviceClock>, BusError> {
         let mut rounds_left = CLOCK_SYNC_ROUNDS_MAX;
         loop {
@@ -173,7 +173,8 @@ impl Bus {
         }
     }
 
-    /// Sends the time of the reference clock to all others, and checks that it advances.
+    /// Distributes the time of the reference clock to all other clocks in one round of frames.
+    /// Checks that the time advances.
     fn distribute_time(&mut self, group: &BusGroup<PreOpPdi, NoDc>) -> Result<(), BusError> {
         let mut times_ns = Vec::with_capacity(CLOCK_SYNC_FRAMES as usize);
         for _ in 0..CLOCK_SYNC_FRAMES {
@@ -237,8 +238,8 @@ impl Bus {
         Ok(())
     }
 
-    /// Cycles until every device is in OP, which devices reach only with process data. Each frame follows SYNC0, which pulses at
-    /// multiples of the period on the bus time, by `sync0_shift`.
+    /// Runs cycles until every device is in OP, a state that devices reach only while they receive process data. SYNC0
+    /// pulses at multiples of the period on the bus time. Each frame follows a pulse by `sync0_shift`.
     fn wait_operational(&mut self, operational: &Operational, plan: &BusPlan) -> Result<(), BusError> {
         let period_ns = plan.cycle_period.as_nanos() as i64;
         let deadline = self.clock.now().plus_ns(OPERATIONAL_TIMEOUT_NS);
@@ -260,7 +261,8 @@ impl Bus {
         self.refused_device(devices, wanted).unwrap_or_else(|| while_doing("changing state")(error))
     }
 
-    /// The first device with an AL status code: ethercrab reports a refusal only as a time-out.
+    /// Returns the error of the first device that has an AL status code. ethercrab itself reports a
+    /// refusal only as a time-out.
     fn refused_device(&mut self, devices: usize, wanted: &'static str) -> Option<BusError> {
         (0..devices).find_map(|position| {
             let (state, code) = self.al_status(position).ok()?;
@@ -285,8 +287,8 @@ impl Bus {
     }
 }
 
-/// Writes the interpolation and reads it back. Object 0x8001:11 is one byte on the wire in all known revisions; a
-/// firmware that refuses one byte gets two.
+/// Writes the interpolation and reads it back. Object 0x8001:11 has one byte in all known revisions. If a firmware refuses
+/// one byte, two bytes are written.
 async fn set_interpolation<T: std::ops::Deref<Target = ethercrab::SubDevice>>(
     terminal: &SubDeviceRef<'_, T>,
     encoder: &EncoderConfig,
@@ -303,7 +305,7 @@ async fn set_interpolation<T: std::ops::Deref<Target = ethercrab::SubDevice>>(
     }
 }
 
-/// First position at which the devices differ from the expected ones.
+/// First position at which a device differs from the expected one, is missing, or is not expected.
 fn first_difference(expected: &[&DeviceKind], found: &[DeviceInfo]) -> Option<usize> {
     let same =
         |(kind, device): (&&DeviceKind, &DeviceInfo)| kind.matches(device.vendor_id, device.product_code);
@@ -311,7 +313,7 @@ fn first_difference(expected: &[&DeviceKind], found: &[DeviceInfo]) -> Option<us
     (common < expected.len().max(found.len())).then_some(common)
 }
 
-/// Registers such as 0x092C contain a sign bit and a magnitude, not two's complement.
+/// Converts a register such as 0x092C, which contains a sign bit and a magnitude and not a two's complement number.
 fn sign_magnitude(register: u32) -> i64 {
     let magnitude = i64::from(register & 0x7fff_ffff);
     if register >> 31 == 1 { -magnitude } else { magnitude }

@@ -1,4 +1,4 @@
-//! Errors of bringing the bus into operation.
+//! Errors that can occur while the bus is brought up.
 
 use std::fmt;
 
@@ -7,21 +7,22 @@ use shared::recording::schema::DeviceInfo;
 
 use crate::problem::{Fact, Problem};
 
-/// Why the bus cannot be brought into operation.
+/// Why the bus cannot be brought up.
 #[derive(Debug)]
 pub struct BusError {
     fact: Box<Fact>,
-    /// No device processed a frame, which happens if the device's previous reply was lost.
+    /// Whether the error is that no device processed a frame. This happens if the previous reply of
+    /// the addressed device was lost.
     pub(super) may_be_a_lost_reply: bool,
 }
 
 impl BusError {
-    /// The error as it is reported.
+    /// The error in the form in which it is reported.
     pub fn fact(&self) -> &Fact {
         &self.fact
     }
 
-    /// An error of the stack, reported by `describe`.
+    /// An error of the stack. `describe` converts its text to the form in which it is reported.
     pub(super) fn of_stack(error: EtherCatError, describe: impl FnOnce(String) -> Fact) -> Self {
         let may_be_a_lost_reply = matches!(error, EtherCatError::WorkingCounter { .. });
         Self { fact: Box::new(describe(error.to_string())), may_be_a_lost_reply }
@@ -42,12 +43,12 @@ impl fmt::Display for BusError {
 
 impl std::error::Error for BusError {}
 
-/// For `map_err`: the activity in which the stack failed.
+/// For `map_err`: describes an error of the stack by the activity in which it occurred.
 pub(super) fn while_doing(doing: &'static str) -> impl Fn(EtherCatError) -> BusError {
     move |error| BusError::of_stack(error, |error| Fact::BusStackFailed { doing: doing.into(), error })
 }
 
-/// The devices that answer differ from the expected ones, from this position on.
+/// The error for devices that differ from the expected ones. `position` is the first that differs.
 pub(super) fn wrong_devices(position: usize, expected: Vec<String>, found: Vec<String>) -> Fact {
     if position == found.len() {
         Fact::BusDeviceMissing { position, expected, found }
@@ -58,8 +59,8 @@ pub(super) fn wrong_devices(position: usize, expected: Vec<String>, found: Vec<S
     }
 }
 
-/// Only the first `answering` of `devices`, which were all in operation before, answer on `bus`; a larger number if devices
-/// were added.
+/// The error if only the first `answering` of `devices` answer on `bus`. All `devices` were in operation before. A number
+/// larger than that of `devices` means that devices were added.
 pub fn absent(bus: &str, devices: &[DeviceInfo], answering: usize) -> Fact {
     let name = |device: &DeviceInfo| device.name.clone();
     let added = std::iter::repeat_n("another device".into(), answering.saturating_sub(devices.len()));

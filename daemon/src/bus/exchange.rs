@@ -1,9 +1,10 @@
-//! Send and receive around ethercrab's `PduTx` and `PduRx`, on the thread that waits for the reply: it polls a future of the
-//! stack, sends the frames that this produced, and gives the next reply to the stack, until the future is ready.
+//! Sends and receives frames for the EtherCAT stack, with ethercrab's `PduTx` and `PduRx`. All steps run on the thread that
+//! waits for the reply. It polls a future of the stack, sends the frames that the future produced, and passes the next reply
+//! to the stack. It repeats these steps until the future is ready.
 //!
-//! The loops of ethercrab 0.7.1 end permanently on a late or duplicated reply (issue 293) or stall after a lost
-//! one. Here a bad reply is counted and the next one is read; an interface that goes down is a send error of this
-//! frame, and the thread continues.
+//! The loops of ethercrab 0.7.1 are not used. They end permanently on a late or duplicated reply (issue 293), or stall
+//! after a lost one. Here a bad reply is counted and the next one is read. If the interface goes down, sending this frame
+//! fails, and the thread continues.
 
 use std::future::Future;
 use std::pin::{Pin, pin};
@@ -19,7 +20,7 @@ use super::timers;
 use crate::clock::Clock;
 use crate::segment::{FRAME_BYTES_MAX, FrameWire};
 
-/// With no timer pending, poll again after this time \[ns\].
+/// Time after which the future is polled again if it has no pending timer \[ns\].
 const POLL_PERIOD_NS: i64 = 1_000_000;
 
 /// Counters of the wire since the start.
@@ -33,33 +34,35 @@ pub struct WireCounters {
     pub received: u64,
     /// Replies that were late, duplicated or damaged.
     pub rejected: u64,
-    /// Errors of the interface when receiving.
+    /// Errors of the interface while receiving.
     pub receive_errors: u64,
 }
 
 impl WireCounters {
-    /// Frames handed to the wire, whether they were sent or not.
+    /// Number of frames passed to the wire, including those that could not be sent.
     const fn handed_out(&self) -> u64 {
         self.sent + self.send_errors
     }
 }
 
-/// Drives the EtherCAT stack over a wire.
+/// Runs futures of the EtherCAT stack, and exchanges their frames over a wire.
 pub struct Exchange {
-    /// `None` once released.
+    /// `None` after [`Self::release`].
     halves: Option<(PduTx<'static>, PduRx<'static>)>,
     wire: Box<dyn FrameWire>,
     clock: Clock,
     buffer: Box<[u8; FRAME_BYTES_MAX]>,
     counters: WireCounters,
+    /// Time of the last frame that was passed to the wire, and its length in the next field \[bytes\].
     sent_last: MonoNs,
     sent_bytes_last: usize,
     received_last: MonoNs,
+    /// While this is set, [`Self::run`] ends at once.
     interrupt: Arc<AtomicBool>,
 }
 
 impl Exchange {
-    /// The halves of one `PduStorage` and their wire.
+    /// An exchange from both halves of one `PduStorage`, with their wire.
     pub fn new(tx: PduTx<'static>, rx: PduRx<'static>, wire: Box<dyn FrameWire>, clock: Clock) -> Self {
         let now = clock.now();
         Self {
@@ -75,23 +78,23 @@ impl Exchange {
         }
     }
 
-    /// From now on [`run`](Self::run) ends once this is set.
+    /// Sets the flag that ends [`run`](Self::run).
     pub fn interrupt_by(&mut self, interrupt: Arc<AtomicBool>) {
         self.interrupt = interrupt;
     }
 
-    /// Whether [`run`](Self::run) ends at once.
+    /// Whether the flag is set that ends [`run`](Self::run).
     pub fn is_interrupted(&self) -> bool {
         self.interrupt.load(Ordering::Acquire)
     }
 
-    /// Returns the halves; nothing is sent or received any more.
+    /// Takes the halves out. After that, no frame is sent or received.
     pub fn release(&mut self) -> Option<(PduTx<'static>, PduRx<'static>)> {
         self.halves.take()
     }
 
-    /// Runs a future of the EtherCAT stack to its end and exchanges its frames. An interruption gives an internal error, which
-    /// [`is_interrupted`](Self::is_interrupted) explains.
+    /// Runs a future of the EtherCAT stack until it is ready, and exchanges its frames. Returns an internal error if the
+    /// flag of [`is_interrupted`](Self::is_interrupted) is set.
     pub fn run<T>(
         &mut self,
         future: impl Future<Output = Result<T, EtherCatError>>,
@@ -105,13 +108,14 @@ impl Exchange {
         Err(EtherCatError::Internal)
     }
 
-    /// Like [`run`](Self::run), but gives up at `deadline`; a later reply is rejected. No frame is sent again: a copy
-    /// would arrive a cycle late and be taken for a new sample.
+    /// Like [`run`](Self::run), but ends at `deadline` with `None`. A reply that arrives later is rejected. No frame is sent
+    /// again, because a copy would arrive a cycle late and look like a new sample.
     pub fn run_until<F: Future>(&mut self, future: F, deadline: MonoNs) -> Option<F::Output> {
         let mut future = pin!(future);
         let before = self.counters;
         loop {
-            // Frames are sequential: while one waits for its reply, the stack can only offer the same frame again.
+            // Frames are sent one after the other. While a frame waits for its reply, the stack can only
+            // offer the same frame again.
             let is_answered =
                 self.counters.handed_out() - before.handed_out() <= self.counters.received - before.received;
             let output = self.poll_and_exchange(future.as_mut(), Some(deadline), is_answered);
@@ -121,7 +125,8 @@ impl Exchange {
         }
     }
 
-    /// Polls once; if the future is not ready, sends pending frames and waits for one reply or the next timer.
+    /// Polls the future once. If it is not ready, sends pending frames if `sends` is set, and waits for one
+    /// reply or the next timer.
     fn poll_and_exchange<F: Future>(
         &mut self,
         future: Pin<&mut F>,
@@ -143,7 +148,7 @@ impl Exchange {
         None
     }
 
-    /// When the last frame was handed to the wire.
+    /// Time at which the last frame was passed to the wire.
     pub fn sent_last(&self) -> MonoNs {
         self.sent_last
     }
@@ -153,7 +158,7 @@ impl Exchange {
         self.sent_bytes_last
     }
 
-    /// When the last reply was received.
+    /// Time at which the last reply was received.
     pub fn received_last(&self) -> MonoNs {
         self.received_last
     }
@@ -168,8 +173,8 @@ impl Exchange {
         let Some((tx, _)) = halves else { return };
         while let Some(frame) = tx.next_sendable_frame() {
             *sent_last = clock.now();
-            // A frame that cannot be sent counts as sent and lost: it ends by its time-out like any other loss, instead of
-            // being offered again at once.
+            // A frame that cannot be sent is treated as sent and lost. It ends with its time-out like any other lost frame.
+            // Otherwise the stack would offer it again at once.
             let _never_an_error = frame.send_blocking(|bytes| {
                 *sent_bytes_last = bytes.len();
                 match wire.send(bytes) {
@@ -195,7 +200,8 @@ impl Exchange {
             }
             Ok(None) => {}
             Err(_) => {
-                // An interface that is down returns at once: without a pause this would loop until the time-out.
+                // An interface that is down returns an error at once. Without this pause, the loop would run
+                // without waiting until the time-out.
                 self.counters.receive_errors += 1;
                 self.clock.sleep_until(until);
             }

@@ -1,4 +1,4 @@
-//! The EtherCAT MainDevice: brings a segment into operation and exchanges process data once per call.
+//! The EtherCAT MainDevice. It brings a segment into operation, and then exchanges process data once per call.
 
 mod bring_up;
 mod error;
@@ -31,40 +31,40 @@ use crate::devices::el5021::{self, Input, Output};
 use crate::segment::FrameWire;
 use stack::Stack;
 
-/// More devices than a ball-bar has; ethercrab needs a power of two.
+/// Largest number of devices. A ball-bar has fewer; ethercrab needs a power of two.
 pub const DEVICES_MAX: usize = 16;
-/// ethercrab assigns this station address to the first device and the following ones to those behind it.
+/// Station address that ethercrab assigns to the first device. The next devices get the next addresses.
 const STATION_ADDRESS_FIRST: u16 = 0x1000;
-/// Room for the process data of all terminals.
+/// Space for the process data of all terminals \[bytes\].
 const PDI_BYTES_MAX: usize = 256;
-/// While the bus comes up nothing is cyclic, and this PC may be busy: a long time-out costs nothing.
+/// Time to wait for a reply while the bus is brought up. It may be long, because this PC may be busy and no cycle is due.
 const BRING_UP_REPLY_TIMEOUT: Duration = Duration::from_millis(20);
 const BRING_UP_RETRIES: usize = 5;
-/// 100 Mbit/s.
+/// Time on the wire for each byte at 100 Mbit/s.
 const WIRE_NS_PER_BYTE: i64 = 80;
-/// Shorter frames are padded.
+/// Length to which shorter frames are padded.
 const FRAME_BYTES_MIN: usize = 60;
-/// Preamble and start delimiter precede each frame, a check sequence follows.
+/// Number of additional bytes on the wire: preamble and start delimiter before each frame, check sequence after it.
 const FRAME_BYTES_AROUND: usize = 8 + 4;
 
 type BusGroup<State, Dc> = SubDeviceGroup<DEVICES_MAX, PDI_BYTES_MAX, ethercrab::DefaultLock, State, Dc>;
 
 type BusDevice<'a> = SubDeviceRef<'static, SubDevicePdi<'a, PDI_BYTES_MAX, ethercrab::DefaultLock>>;
 
-/// Expected devices of the bus, and its timing.
+/// The expected devices of the bus, and its timing.
 #[derive(Debug, Clone)]
 pub struct BusPlan {
-    /// Interface, or `simulated`; for messages.
+    /// Network interface, or `simulated`. Used in messages.
     pub name: String,
-    /// One EL5021 for each, in bus order behind the EK1100.
+    /// Encoders in bus order. Each has its own EL5021 after the EK1100.
     pub encoders: Vec<EncoderConfig>,
     /// Time between two cycles.
     pub cycle_period: Duration,
-    /// Sample on SYNC0 of the distributed clocks.
+    /// Whether encoders are sampled on SYNC0 of the distributed clocks.
     pub distributed_clocks: bool,
-    /// The frame follows SYNC0 by this time. Half a period gives most margin in both directions.
+    /// Time from SYNC0 to the frame of the cycle. With half a period the margins in both directions are equal.
     pub sync0_shift: Duration,
-    /// How long a cyclic frame waits for its reply.
+    /// How long to wait for the reply to a cyclic frame.
     pub reply_timeout: Duration,
 }
 
@@ -75,25 +75,25 @@ pub struct Bus {
     pdu_timeout: Duration,
     clock: Clock,
     reply_timeout_ns: i64,
-    /// When the bus comes up its clock is set to the host's monotonic time plus this \[ns\].
+    /// Bus time minus the host's monotonic time \[ns\], to which the clock of the bus is set when the bus is brought up.
     bus_minus_monotonic_ns: i64,
-    /// See [`Self::identified`].
+    /// Devices that have identified themselves, see [`Self::identified`].
     identified: Vec<DeviceInfo>,
 }
 
 /// A segment in operation.
 pub struct Operational {
     group: OperationalGroup,
-    /// Devices as they identified themselves, in bus order.
+    /// Devices of the segment, as they identified themselves, in bus order.
     pub devices: Vec<DeviceInfo>,
-    /// Clocks of the devices behind the first, the reference; empty without distributed clocks.
+    /// Clocks of all devices except the first, which has the reference clock. Empty without distributed clocks.
     pub clocks: Vec<DeviceClock>,
-    /// Working counter if all devices process the frame.
+    /// Working counter of the process data if all devices process the frame.
     pub working_counter_expected: u16,
     encoder_count: usize,
 }
 
-/// Clock of a device when the bus came up.
+/// Clock of a device just after the bus was brought up.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct DeviceClock {
     /// Position on the bus.
@@ -122,31 +122,31 @@ impl OperationalGroup {
     }
 }
 
-/// Result of one cyclic frame.
+/// Content of the reply to a cyclic frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct CyclicReply {
     /// Working counter of the process data.
     pub working_counter: u16,
-    /// Every device is in OP.
+    /// Whether every device is in OP.
     pub all_operational: bool,
-    /// Positions in another state, one bit each.
+    /// Positions of devices that are not in OP, one bit each.
     pub not_operational: u32,
-    /// Positions without a state: no device has that address any more. One bit each.
+    /// Positions without a state, because no device has their address any more. One bit each.
     pub silent: u32,
-    /// System time at which the frame passed the reference clock.
+    /// System time of the bus at which the frame passed the reference clock. `None` without distributed clocks.
     pub dc_time: Option<DcNs>,
-    /// Inputs in bus order; as many as there are encoders.
+    /// Inputs of the terminals in bus order. Elements beyond the number of encoders are not used.
     pub inputs: [Input; MAX_ENCODERS],
 }
 
-/// One cyclic exchange with its times.
+/// One cyclic exchange: its times, and its reply.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct CyclicExchange {
-    /// When the frame was handed to the wire.
+    /// Time at which the frame was passed to the network interface.
     pub sent: MonoNs,
-    /// When the reply was received; equal to `sent` without one.
+    /// Time at which the reply was received. Equal to `sent` without a reply.
     pub received: MonoNs,
-    /// `None` when no reply arrived in time.
+    /// `None` if no reply arrived in time.
     pub reply: Option<CyclicReply>,
 }
 
@@ -165,12 +165,13 @@ impl Bus {
         }
     }
 
-    /// From now on bringing the bus up ends once this is set, with [`Fact::BusInterrupted`](crate::problem::Fact::BusInterrupted).
+    /// Sets a flag that ends bringing the bus up. The error is then
+    /// [`Fact::BusInterrupted`](crate::problem::Fact::BusInterrupted).
     pub fn interrupt_by(&mut self, interrupt: Arc<AtomicBool>) {
         self.exchange.interrupt_by(interrupt);
     }
 
-    /// Devices that identified themselves when the bus was last brought up, also if that failed.
+    /// Devices that identified themselves when the bus was last brought up, even if that failed.
     pub fn identified(&self) -> &[DeviceInfo] {
         &self.identified
     }
@@ -186,7 +187,7 @@ impl Bus {
         bytes as i64 * WIRE_NS_PER_BYTE
     }
 
-    /// Sends one cyclic frame and waits for its reply or the time-out. Allocates nothing.
+    /// Sends one cyclic frame. Waits until its reply arrives or the time-out ends. Allocates nothing.
     pub fn exchange(&mut self, operational: &Operational) -> CyclicExchange {
         let deadline = self.clock.now().plus_ns(self.reply_timeout_ns);
         let Self { exchange, main, .. } = self;
@@ -214,9 +215,9 @@ impl Bus {
         CyclicExchange { sent, received: self.exchange.received_last(), reply: Some(reply) }
     }
 
-    /// Sets the outputs of one terminal, by encoder in bus order from 0, from the next exchange on.
+    /// Sets the outputs of one terminal from the next exchange on. `encoder` is its number in bus order, from 0.
     pub fn set_output(&self, operational: &Operational, encoder: usize, output: Output) {
-        // The coupler precedes the terminals. Lengths were checked when the bus came up.
+        // Position 0 is the coupler. The lengths of the process data were checked when the bus was brought up.
         let position = encoder + 1;
         if let Ok(terminal) = operational.group.device(self.main, position) {
             let mut pdo = terminal.outputs_raw_mut();
@@ -227,7 +228,7 @@ impl Bus {
     fn inputs(&self, operational: &Operational) -> [Input; MAX_ENCODERS] {
         let mut inputs = [Input::default(); MAX_ENCODERS];
         for (index, input) in inputs.iter_mut().enumerate().take(operational.encoder_count) {
-            // The coupler precedes the terminals. Lengths were checked when the bus came up.
+            // Position 0 is the coupler. The lengths of the process data were checked when the bus was brought up.
             let terminal = operational.group.device(self.main, index + 1).ok();
             *input = terminal.and_then(|terminal| Input::decode(&terminal.inputs_raw())).unwrap_or_default();
         }
@@ -243,7 +244,7 @@ impl Drop for Bus {
     }
 }
 
-/// Devices that are not in OP, and those among them without any state. One bit for each position.
+/// Positions of devices that are not in OP, and of those devices that have no state at all. One bit each.
 struct States {
     not_operational: u32,
     silent: u32,
@@ -265,7 +266,7 @@ impl States {
     }
 }
 
-/// Working counter of `terminals` EL5021.
+/// Working counter of the process data of this number of EL5021 terminals.
 const fn working_counter_of(terminals: usize) -> u16 {
     terminals as u16 * el5021::WORKING_COUNTER
 }

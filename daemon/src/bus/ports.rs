@@ -1,21 +1,22 @@
-//! Error counters of the ports: a bad cable or plug shows here before it costs a frame.
+//! Error counters of the ports. They reveal a bad cable or plug before it causes the loss of a frame.
 
 use ethercrab::Command;
 use shared::time::MonoNs;
 
 use super::{Bus, STATION_ADDRESS_FIRST};
 
-/// Ports of a slave controller.
+/// Number of ports of a slave controller.
 pub const PORTS: usize = 4;
-/// Error counters of a slave controller (ETG.1000.4; Beckhoff ESC data sheet, section II): for each port invalid frames and
-/// receive errors, from 0x0308 on errors that an earlier device has counted already, from 0x0310 on lost links.
+/// Registers with the error counters of a slave controller (ETG.1000.4; Beckhoff ESC data sheet, section II). They contain,
+/// for each port, invalid frames and receive errors. From 0x0308 on follow errors that an earlier device has already
+/// counted, from 0x0310 on lost links.
 const ERROR_COUNTERS: u16 = 0x0300;
 const ERROR_COUNTERS_BYTES: usize = 0x14;
 const LOST_LINKS_FROM: usize = 0x10;
-/// A counter stops at 255, so a device's counters are cleared before that.
+/// Value from which a device's counters are cleared. A counter stops at 255.
 const CLEARED_FROM: u8 = 0x80;
 
-/// Counts of one port since its device was powered up or cleared.
+/// Error counts of one port since its device was powered up or its counters were cleared.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct PortCounters {
     /// Frames with a wrong check sequence.
@@ -27,14 +28,15 @@ pub struct PortCounters {
 }
 
 impl PortCounters {
-    /// Whether a counter is close to its limit.
+    /// Whether a counter is so high that the counters must be cleared.
     pub fn are_high(&self) -> bool {
         [self.invalid_frames, self.receive_errors, self.lost_links].iter().any(|count| *count >= CLEARED_FROM)
     }
 }
 
 impl Bus {
-    /// Counters of a device's ports; `None` if it does not answer before `deadline`. Allocates nothing.
+    /// Reads the counters of all ports of a device. `None` if the device does not
+    /// answer before `deadline`. Allocates nothing.
     pub fn port_counters(&mut self, position: usize, deadline: MonoNs) -> Option<[PortCounters; PORTS]> {
         let Self { exchange, main, .. } = self;
         let read = Command::fprd(STATION_ADDRESS_FIRST + position as u16, ERROR_COUNTERS);
@@ -46,7 +48,7 @@ impl Bus {
         }))
     }
 
-    /// Clears a device's counters; false if it did not answer before `deadline`.
+    /// Clears the counters of a device. Returns false if the device does not answer before `deadline`.
     pub fn clear_port_counters(&mut self, position: usize, deadline: MonoNs) -> bool {
         let Self { exchange, main, .. } = self;
         let write = Command::fpwr(STATION_ADDRESS_FIRST + position as u16, ERROR_COUNTERS);

@@ -1,5 +1,5 @@
-//! Recovery of a bus that was in operation: restore a single terminal to OP, or find out which devices still answer and
-//! which have lost power before the whole bus is brought up again.
+//! Recovery of a bus that was in operation. Restores a single terminal to OP. Before the whole bus is brought up again,
+//! determines which devices still answer and which have lost power.
 
 use ethercrab::error::Error as EtherCatError;
 use ethercrab::{Command, RegisterAddress};
@@ -7,27 +7,28 @@ use shared::time::MonoNs;
 
 use super::{Bus, STATION_ADDRESS_FIRST};
 
-/// AL status and AL control: lower bits contain the state, this one the error and its acknowledgement (ETG.1000.6).
+/// Bits of the registers AL status and AL control (ETG.1000.6). This bit is an error, or its acknowledgement; the
+/// lower bits are the state.
 const AL_ERROR: u16 = 0x10;
 const AL_STATE: u16 = 0x0f;
 const SAFE_OP: u16 = 0x04;
 const OP: u16 = 0x08;
 
-/// Result of restoring a terminal to OP.
+/// Result of the attempt to restore a terminal to OP.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum RestoreToOp {
-    /// It was in SAFE-OP with this AL status code (0 if acknowledged before); OP has been requested.
+    /// The terminal was in SAFE-OP with this AL status code, 0 if the error was acknowledged before. OP was requested.
     Requested(u16),
-    /// It is in OP.
+    /// The terminal is in OP.
     Operational,
-    /// It has lost its configuration, or does not answer: the whole bus must be brought up.
+    /// The terminal has lost its configuration or does not answer. The whole bus must be brought up again.
     Beyond,
-    /// No reply before the deadline.
+    /// No reply arrived before the deadline.
     Unknown,
 }
 
 impl Bus {
-    /// Acknowledges a terminal's error and requests OP. Gives up at `deadline`.
+    /// Acknowledges the error of a terminal and requests OP. Ends at `deadline`.
     pub fn restore_to_op(&mut self, position: usize, deadline: MonoNs) -> RestoreToOp {
         let Self { exchange, main, .. } = self;
         let address = STATION_ADDRESS_FIRST + position as u16;
@@ -44,7 +45,7 @@ impl Bus {
                 code = Command::fprd(address, RegisterAddress::AlStatusCode.into()).receive(main).await?;
                 control.send(main, SAFE_OP | AL_ERROR).await?;
             }
-            // A firmware that is still busy with the acknowledgement ignores this; the next attempt repeats it.
+            // A firmware that is still handling the acknowledgement ignores this request. The next attempt repeats it.
             control.send(main, OP).await?;
             Ok(RestoreToOp::Requested(code))
         };
@@ -55,7 +56,7 @@ impl Bus {
         }
     }
 
-    /// How many of `devices` answer; 0 without a reply before `deadline`.
+    /// Number of devices that answer, of the expected number `devices`. 0 if no reply arrives before `deadline`.
     pub fn answering(&mut self, devices: usize, deadline: MonoNs) -> usize {
         let Self { exchange, main, .. } = self;
         let count = Command::brd(RegisterAddress::Type.into()).with_wkc(devices as u16);
@@ -66,8 +67,8 @@ impl Bus {
         }
     }
 
-    /// Whether any device has lost its station address: then it was without power, and its count is lost, too. `None` if a
-    /// device does not answer.
+    /// Whether any device has lost its station address. Such a device was without power, so its count is lost, too. `None`
+    /// if a device does not answer.
     pub fn was_powered_off(&mut self, devices: usize) -> Option<bool> {
         let Self { exchange, main, .. } = self;
         let mut any = false;
@@ -79,8 +80,8 @@ impl Bus {
         Some(any)
     }
 
-    /// The next bring-up sets the devices' clocks to the host's monotonic time plus this difference, so that the time of the bus
-    /// continues after an outage.
+    /// Sets the difference between bus time and the host's monotonic time for the next bring-up. With it, the time of the
+    /// bus continues after an outage.
     pub fn set_bus_minus_monotonic(&mut self, difference_ns: i64) {
         self.bus_minus_monotonic_ns = difference_ns;
     }

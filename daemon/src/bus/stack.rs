@@ -1,8 +1,8 @@
 //! The EtherCAT stacks of this process.
 //!
-//! ethercrab splits a frame storage once and borrows it for the rest of the process, so a stack lives as long. A dropped
-//! [`Bus`](super::Bus) leaves its stack to the next one: however often buses are replaced, there are never more stacks
-//! than there were buses at the same time.
+//! ethercrab splits a frame storage once and borrows it for the rest of the process, so a stack is never freed. When a
+//! [`Bus`](super::Bus) is dropped, its stack is kept for the next bus. However often buses are replaced, the number of
+//! stacks is the largest number of buses that existed at the same time.
 
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
@@ -14,21 +14,21 @@ use super::{BRING_UP_REPLY_TIMEOUT, BRING_UP_RETRIES};
 const FRAMES_MAX: usize = 16;
 const FRAME_DATA_BYTES: usize = PduStorage::element_size(1100);
 
-/// Stacks that no bus uses.
+/// Stacks that no bus uses at present.
 static IDLE: Mutex<Vec<Stack>> = Mutex::new(Vec::new());
 
-/// One frame storage and its users.
+/// A frame storage with its sender, its receiver and the MainDevice that uses it.
 pub(super) struct Stack {
-    /// Frames to be sent.
+    /// Frames that must be sent.
     pub tx: PduTx<'static>,
     pub rx: PduRx<'static>,
     pub main: &'static MainDevice<'static>,
-    /// Time to wait for a reply before a frame is sent again or given up.
+    /// Time to wait for a reply before the frame is sent again or counts as lost.
     pub pdu_timeout: Duration,
 }
 
 impl Stack {
-    /// An idle or new stack that waits at least `reply_timeout` for a reply.
+    /// Takes an unused stack, or creates one. It waits at least `reply_timeout` for a reply.
     pub fn take(reply_timeout: Duration) -> Self {
         let pdu_timeout = BRING_UP_REPLY_TIMEOUT.max(reply_timeout);
         let mut idle = IDLE.lock().unwrap_or_else(PoisonError::into_inner);
@@ -36,7 +36,7 @@ impl Stack {
         fitting.map(|index| idle.swap_remove(index)).unwrap_or_else(|| Self::new(pdu_timeout))
     }
 
-    /// Leaves it to the next bus.
+    /// Keeps this stack for the next bus.
     pub fn leave(self) {
         IDLE.lock().unwrap_or_else(PoisonError::into_inner).push(self);
     }
@@ -44,11 +44,11 @@ impl Stack {
     fn new(pdu_timeout: Duration) -> Self {
         let storage: &'static PduStorage<FRAMES_MAX, FRAME_DATA_BYTES> =
             Box::leak(Box::new(PduStorage::new()));
-        // Splitting fails only the second time; a storage made here was never split.
+        // Splitting fails only at the second attempt, and this storage was just created.
         #[allow(clippy::expect_used, reason = "the storage was made one line above")]
         let (tx, rx, pdu_loop) = storage.try_split().expect("fresh storage");
-        // Retries are for bringing the bus up: `Exchange::run_until` sends none. EEPROM and mailbox are polled until they are
-        // ready, so their time-outs include the retries of a poll.
+        // Retries are only for bringing the bus up, because `Exchange::run_until` sends none. EEPROM and mailbox are polled
+        // until they are ready. Their time-outs therefore include the retries of one poll.
         let repeated = pdu_timeout * (BRING_UP_RETRIES as u32 + 1);
         let usual = Timeouts::default();
         let timeouts = Timeouts {

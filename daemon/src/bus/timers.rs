@@ -1,8 +1,8 @@
-//! Time-outs of the EtherCAT stack, on our clock.
+//! Time-outs of the EtherCAT stack, measured on our clock.
 //!
-//! ethercrab without `std` takes its timers from embassy-time, which reads the time from one driver per program.
-//! This driver returns the clock of the calling thread and keeps the earliest wake-up: the thread that polls is
-//! the one that waits. It needs neither a timer thread nor a lock or allocation.
+//! Without `std`, ethercrab uses the timers of embassy-time. These read the time from one driver per program. This driver
+//! returns the clock of the calling thread, and stores the earliest wake-up. The thread that polls a future also waits for
+//! its timers, so neither a timer thread nor a lock nor an allocation is needed.
 
 use std::cell::{Cell, RefCell};
 use std::task::Waker;
@@ -33,19 +33,18 @@ impl Driver for ThreadClock {
 
 embassy_time_driver::time_driver_impl!(static DRIVER: ThreadClock = ThreadClock);
 
-/// From now on the time-outs of EtherCAT futures that this thread polls run on `clock`. [`Exchange`](super::Exchange)
-/// calls this.
+/// Sets the clock for the time-outs of the EtherCAT futures that this thread polls. Called by [`Exchange`](super::Exchange).
 pub fn use_clock(clock: &Clock) {
     CLOCK.with_borrow_mut(|current| current.clone_from(clock));
 }
 
-/// The time on the calling thread's clock.
+/// Current time on the clock of the calling thread.
 pub(super) fn now() -> MonoNs {
     CLOCK.with_borrow(Clock::now)
 }
 
-/// The earliest wake-up of the timers polled since the last call.
+/// Takes the earliest wake-up of all timers that were polled since the last call.
 pub(super) fn take_earliest_wake() -> Option<MonoNs> {
-    // Rounded up: a timer polled a fraction of a tick early would not be ready.
+    // Rounded up. A timer that is polled a fraction of a tick too early would not be ready.
     EARLIEST_WAKE.take().map(|at| MonoNs((at as i64).saturating_add(1).saturating_mul(NS_PER_TICK)))
 }

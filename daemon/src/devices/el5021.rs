@@ -1,25 +1,29 @@
-//! Beckhoff EL5021: process data and objects, after Beckhoff's ESI (revisions 16 to 22) and documentation.
+//! Beckhoff EL5021: process data and objects, according to Beckhoff's ESI (revisions 16 to 22) and documentation.
 //!
-//! Sources, read in 2026-11: `scripts/esi.yml` and the commissioning notes on distributed clocks with three EL5021 of
-//! linuxcnc-ethercat; its driver `lcec_el5021.c`, whose process data were read back from hardware; EtherLab's block el5021
-//! (2013); Beckhoff Infosys, EL5021. This project has not compared them with a terminal: `ballbard smoke` does that.
+//! Sources, read in 2026-11:
+//! - linuxcnc-ethercat: `scripts/esi.yml`, and its commissioning notes on distributed clocks with three EL5021
+//! - the driver of linuxcnc-ethercat, `lcec_el5021.c`, whose process data were read back from hardware
+//! - EtherLab: block el5021 (2013)
+//! - Beckhoff Infosys: EL5021
+//!
+//! This project has not compared them with a real terminal. `ballbard smoke` does so.
 
 use std::time::Duration;
 
-/// Length of the TxPDO "ENC Status" (0x1A00) \[bytes\]: linuxcnc-ethercat and EtherLab agree bit for bit.
+/// Length of the TxPDO "ENC Status" (0x1A00) \[bytes\]. The layouts in linuxcnc-ethercat and EtherLab are identical.
 pub const INPUT_BYTES: usize = 10;
-/// Length of the RxPDO "ENC Control" (0x1600) \[bytes\], from the same.
+/// Length of the RxPDO "ENC Control" (0x1600) \[bytes\], from the same sources.
 pub const OUTPUT_BYTES: usize = 6;
-/// What one terminal adds to the working counter of a read-write datagram: 1 for inputs, 2 for outputs (ETG.1000.4).
+/// Contribution of one terminal to the working counter of a read-write datagram: 1 for inputs, 2 for outputs (ETG.1000.4).
 pub const WORKING_COUNTER: u16 = 3;
-/// Object "analog resolution": bits per signal period, 8 to 13 (Infosys, configuration data).
+/// Object "analog resolution" with the interpolation, 8 to 13 bits per signal period (Infosys, configuration data).
 pub const INTERPOLATION_OBJECT: (u16, u8) = (0x8001, 0x11);
-/// Delay of SYNC1 after SYNC0: shift of SYNC1 in the ESI, 25 000 ns. A whole cycle instead was refused with AL status
-/// 0x002C (linuxcnc-ethercat).
+/// Delay of SYNC1 after SYNC0: the shift of SYNC1 in the ESI, 25 000 ns. With the delay of a whole cycle, the terminal
+/// refused with AL status 0x002C (linuxcnc-ethercat).
 pub const SYNC1_SHIFT: Duration = Duration::from_micros(25);
-/// Data of a SYNC0 is ready for the frame after this time \[ns\]: the ESI shifts SYNC0 by -30 600 ns against the frame, rounded
-/// up. One terminal needed 65 000 ns (linuxcnc-ethercat); both are early enough for the frame, which follows half a period
-/// later, at 1 kHz 500 000 ns.
+/// Time after SYNC0 at which the data are ready for a frame \[ns\]. The ESI shifts SYNC0 by -30 600 ns against the frame;
+/// this value is rounded up. One terminal needed 65 000 ns (linuxcnc-ethercat). Both are early enough, because the frame
+/// follows half a period after SYNC0, which is 500 000 ns at 1 kHz.
 pub const DATA_READY_NS: i64 = 31_000;
 
 /// Status word of the TxPDO.
@@ -34,32 +38,32 @@ impl StatusWord {
     const TXPDO_STATE: u16 = 1 << 14;
     const TOGGLE: u16 = 1 << 15;
 
-    /// The count cannot be trusted: frequency, amplitude or synchronisation error, or invalid inputs (TxPDO state).
+    /// Whether the count is unreliable: frequency, amplitude or synchronisation error, or invalid inputs (TxPDO state).
     pub const fn has_error(self) -> bool {
         self.0 & (Self::FREQUENCY_ERROR | Self::AMPLITUDE_ERROR | Self::SYNC_ERROR | Self::TXPDO_STATE) != 0
     }
 
-    /// The signal is too low: a broken wire, a loose plug, no supply.
+    /// Whether the signal is too low, because of a broken wire, a loose plug or a missing supply.
     pub const fn amplitude_error(self) -> bool {
         self.0 & Self::AMPLITUDE_ERROR != 0
     }
 
-    /// The signal changes faster than the terminal can follow.
+    /// Whether the signal changes faster than the terminal can follow.
     pub const fn frequency_error(self) -> bool {
         self.0 & Self::FREQUENCY_ERROR != 0
     }
 
-    /// The terminal's cycle and SYNC0 were not synchronous.
+    /// Whether the cycle of the terminal and SYNC0 were not synchronous.
     pub const fn sync_error(self) -> bool {
         self.0 & Self::SYNC_ERROR != 0
     }
 
-    /// The latch holds the count at a reference mark that was passed since it was armed.
+    /// Whether the latch contains the count at a reference mark that was passed after the latch was armed.
     pub const fn latch_valid(self) -> bool {
         self.0 & Self::LATCH_VALID != 0
     }
 
-    /// Flips each time the terminal puts new data into the PDO.
+    /// Toggle bit. The terminal inverts it each time it puts new data into the PDO.
     pub const fn toggle(self) -> bool {
         self.0 & Self::TOGGLE != 0
     }
@@ -68,12 +72,12 @@ impl StatusWord {
 /// Outputs of one terminal.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Output {
-    /// Latch the counter at the next reference mark; re-armed by false, then true.
+    /// Latches the counter at the next reference mark. To arm it again, it must be false and then true.
     pub enable_latch: bool,
 }
 
 impl Output {
-    /// The RxPDO "ENC Control"; the counter is never set.
+    /// Encodes the RxPDO "ENC Control". The counter is never set.
     pub const fn encode(self) -> [u8; OUTPUT_BYTES] {
         [self.enable_latch as u8, 0, 0, 0, 0, 0]
     }
@@ -89,7 +93,7 @@ pub struct Input {
 }
 
 impl Input {
-    /// Decodes a TxPDO; `None` if its length is not that of an EL5021.
+    /// Decodes a TxPDO. `None` if its length is not that of an EL5021.
     pub fn decode(pdo: &[u8]) -> Option<Self> {
         let pdo: &[u8; INPUT_BYTES] = pdo.try_into().ok()?;
         let [s0, s1, c0, c1, c2, c3, l0, l1, l2, l3] = *pdo;

@@ -1,4 +1,4 @@
-//! The devices of the ball-bar's bus: identities, and layout of their process data.
+//! The devices of the ball-bar's bus: their identities, and the layout of their process data.
 
 pub mod el5021;
 
@@ -21,8 +21,9 @@ impl DeviceKind {
 /// Beckhoff's EtherCAT vendor number.
 const BECKHOFF: u32 = 2;
 
-/// EtherCAT coupler; reference clock of the bus. Identity from its EEPROM as dumped in ethercrab's `dumps/`, read in 2026-11.
+/// EtherCAT coupler, which has the reference clock of the bus. Its identity is that of its EEPROM as dumped in
+/// ethercrab's `dumps/`, read in 2026-11.
 pub const EK1100: DeviceKind = DeviceKind { name: "EK1100", vendor_id: BECKHOFF, product_code: 0x044c_2c52 };
 
-/// SinCos encoder terminal, one encoder each. Identity from `scripts/esi.yml` of linuxcnc-ethercat, read in 2026-11.
+/// SinCos terminal for one encoder. Its identity is from `scripts/esi.yml` of linuxcnc-ethercat, read in 2026-11.
 pub const EL5021: DeviceKind = DeviceKind { name: "EL5021", vendor_id: BECKHOFF, product_code: 0x139d_3052 };

@@ -1,4 +1,4 @@
-//! A network interface as a wire: a raw AF_PACKET socket that carries EtherCAT frames only.
+//! A network interface as a wire. It uses a raw AF_PACKET socket that carries EtherCAT frames only.
 
 use std::io;
 use std::os::fd::{AsFd, AsRawFd, OwnedFd};
@@ -25,15 +25,15 @@ const REOPEN_PERIOD_NS: i64 = NS_PER_S / 10;
 /// Why an interface cannot be opened.
 #[derive(Debug, thiserror::Error)]
 pub enum OpenError {
-    /// There is none of that name.
+    /// No interface has this name.
     #[error("network interface `{name}` not found; choose one of this machine: {}", available.join(", "))]
     NoSuchInterface {
         /// Name in the configuration.
         name: String,
-        /// Names of the existing ones.
+        /// Names of the interfaces of this machine.
         available: Vec<String>,
     },
-    /// Raw sockets need root or CAP_NET_RAW.
+    /// A raw socket needs root or CAP_NET_RAW.
     #[error(
         "no permission to open a raw socket on `{name}`; type: {}",
         tuning::grant(tuning::is_package(Path::new("/")))
@@ -42,7 +42,7 @@ pub enum OpenError {
         /// Name of the interface.
         name: String,
     },
-    /// Another `ballbard` uses it; two MainDevices on one segment would disturb both runs.
+    /// Another `ballbard` uses the interface. Two MainDevices on one segment would disturb both runs.
     #[error("network interface `{name}` is in use by {holder}; stop that, or choose another interface")]
     InUse {
         /// Name of the interface.
@@ -50,29 +50,29 @@ pub enum OpenError {
         /// The process that uses it.
         holder: Holder,
     },
-    /// Any other error of the system.
+    /// Any other error of the operating system.
     #[error("cannot open network interface `{name}`: {source}; bring it up with `ip link set {name} up`")]
     System {
         /// Name of the interface.
         name: String,
-        /// The system's error.
+        /// Error of the operating system.
         source: io::Error,
     },
 }
 
-/// A raw socket on one interface.
+/// A raw socket on one network interface.
 #[derive(Debug)]
 pub struct EthernetWire {
     name: String,
     socket: OwnedFd,
     clock: Clock,
     _claim: Option<Claim>,
-    /// When the interface was lost, or when it was last looked for.
+    /// When the interface was found to be lost, or when reopening it was last tried. `None` while it works.
     gone_since: Option<MonoNs>,
 }
 
 impl EthernetWire {
-    /// Opens an interface by name, on real time.
+    /// Opens an interface by its name, on real time.
     pub fn open(name: &str) -> Result<Self, OpenError> {
         interface_index(name)?;
         let socket = open_socket(name).map_err(|source| refused(name, source))?;
@@ -81,8 +81,8 @@ impl EthernetWire {
         Ok(Self { name: name.to_owned(), socket, clock: Clock::Real, _claim: claim, gone_since: None })
     }
 
-    /// Replaces the socket after the interface was unplugged and has returned under its name. Tried at most every tenth of a
-    /// second.
+    /// Opens a new socket if the interface was lost and has returned under its name. Tries this at most
+    /// every tenth of a second.
     fn reopen_if_gone(&mut self) {
         let Some(since) = self.gone_since else { return };
         let now = self.clock.now();
@@ -95,7 +95,8 @@ impl EthernetWire {
         }
     }
 
-    /// Full queues and interruptions are transient; any other error means that the interface is down or lost.
+    /// Converts an error. A full queue and an interruption are transient. Any other error means that the
+    /// interface is down or lost.
     fn note(&mut self, error: Errno) -> io::Error {
         if !matches!(error, Errno::EAGAIN | Errno::ENOBUFS | Errno::EINTR) {
             self.gone_since.get_or_insert(self.clock.now());
@@ -103,7 +104,7 @@ impl EthernetWire {
         error.into()
     }
 
-    /// Waits until a frame is available; false when the time is over first.
+    /// Waits until a frame is available. Returns false if none is available by `until`.
     fn wait_readable(&self, until: MonoNs) -> io::Result<bool> {
         loop {
             let wait_ns = until.ns_since(self.clock.now()).max(0);
@@ -139,13 +140,14 @@ impl FrameWire for EthernetWire {
     }
 }
 
-/// Current index of the interface of this name.
+/// Current index of the interface with this name.
 pub fn interface_index(name: &str) -> Result<libc::c_uint, OpenError> {
     if_nametoindex(name)
         .map_err(|_| OpenError::NoSuchInterface { name: name.to_owned(), available: interfaces() })
 }
 
-/// A socket on the interface that has this name now. The cycle's thread calls it for a lost interface: allocates nothing.
+/// Opens a socket on the interface that has this name at present. Allocates nothing, because the cycle's thread calls
+/// it for a lost interface.
 fn open_socket(name: &str) -> io::Result<OwnedFd> {
     bind(unbound_socket()?, if_nametoindex(name)?)
 }
@@ -165,13 +167,13 @@ pub fn interfaces() -> Vec<String> {
         .unwrap_or_default()
 }
 
-/// A packet socket that receives nothing yet: with a protocol it would receive from every interface until it is bound, and
-/// keep those frames.
+/// Opens a packet socket that does not receive frames yet. If it had a protocol, it would receive and keep frames of every
+/// interface until it is bound.
 fn unbound_socket() -> io::Result<OwnedFd> {
     Ok(socket(AddressFamily::Packet, SockType::Raw, SockFlag::SOCK_CLOEXEC, None)?)
 }
 
-/// Lets a packet socket receive EtherCAT frames of one interface.
+/// Binds a packet socket to one interface, from which it then receives EtherCAT frames.
 #[allow(unsafe_code, reason = "neither std nor nix binds a packet socket to an interface and an EtherType")]
 fn bind(socket: OwnedFd, index: libc::c_uint) -> io::Result<OwnedFd> {
     // SAFETY: all bytes zero is a valid sockaddr_ll.
@@ -189,7 +191,7 @@ fn bind(socket: OwnedFd, index: libc::c_uint) -> io::Result<OwnedFd> {
 mod tests {
     use super::*;
 
-    /// Needs CAP_NET_RAW; the loopback interface exists on every machine.
+    /// Needs CAP_NET_RAW. Uses the loopback interface, which exists on every machine.
     #[test]
     fn an_unbound_socket_receives_from_no_interface() {
         let Ok(mut other) = EthernetWire::open("lo") else {
@@ -206,13 +208,13 @@ mod tests {
             let until = clock.now().plus_ns(NS_PER_S / 2);
             let mut wire = EthernetWire { name: name.into(), socket, clock, _claim: None, gone_since: None };
             let mut buffer = [0; FRAME_BYTES_MAX];
-            // Other tests of this machine may send, too.
+            // Other tests on this machine may send frames, too.
             std::iter::from_fn(|| {
                 wire.receive(&mut buffer, until).unwrap().map(|_| buffer[20..28] == *b"from lo!")
             })
             .any(|ours| ours)
         };
-        // The frame was sent: a socket bound to the interface has it.
+        // The frame was sent: a socket that was bound to the interface has received it.
         assert!(received(other.socket, "lo"));
         let bound = bind(unbound, if_nametoindex("lo").unwrap()).unwrap();
         assert!(!received(bound, "lo"));

@@ -1,4 +1,4 @@
-//! The simulated segment as a wire in this process.
+//! The simulated segment as a wire, in this process.
 
 use std::io;
 
@@ -9,25 +9,25 @@ use crate::clock::Clock;
 use simulated_segment::SimulatedSegment;
 use simulated_segment::faults::FaultySegment;
 
-/// A moment this near is waited for awake: falling asleep and waking up takes several times as long as a frame on the wire, and
-/// bringing a bus up sends 14 000 of them one after the other.
+/// Time up to which the thread waits without sleeping \[ns\]. Falling asleep and waking up takes several times as long as a
+/// frame on the wire. This matters because bringing a bus up sends 14 000 frames one after the other.
 const AWAKE_NS: i64 = 50_000;
 
-/// A simulated segment answers the frames after the time that a wire would take. That includes the frame's own duration,
-/// also in real time, because the clock fit subtracts it.
+/// A wire to a simulated segment. Replies arrive after the time that a real wire would take. This includes the duration of
+/// the frame itself, even in real time, because the clock fit subtracts it.
 pub struct InProcessWire {
     segment: FaultySegment,
     clock: Clock,
 }
 
 impl InProcessWire {
-    /// Connects a segment without faults; both live on `clock`.
+    /// Connects a segment without faults. Segment and wire use the same `clock`.
     pub fn new(segment: SimulatedSegment, clock: Clock) -> Self {
         let (segment, _) = FaultySegment::new(segment, 0);
         Self::with_faults(segment, clock)
     }
 
-    /// Connects a segment and its faults.
+    /// Connects a segment with faults.
     pub fn with_faults(segment: FaultySegment, clock: Clock) -> Self {
         Self { segment, clock }
     }
@@ -49,7 +49,7 @@ impl FrameWire for InProcessWire {
             return Err(io::ErrorKind::NetworkDown.into());
         }
         let round_trip_ns = self.segment.round_trip_ns(frame.len());
-        // The coupler receives the start of the frame at once; the round trip lasts until its end is back.
+        // The coupler receives the start of the frame at once. The round trip ends when the end of the frame is back.
         self.segment.exchange(now.0, round_trip_ns, frame);
         Ok(())
     }

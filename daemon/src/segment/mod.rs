@@ -1,4 +1,4 @@
-//! Destination of frames: a network interface, or the simulated segment in this process.
+//! The wire to which frames are sent: a network interface, or the simulated segment in this process.
 
 mod ethernet;
 mod in_process;
@@ -11,11 +11,12 @@ pub use ethernet::{EthernetWire, OpenError, interface_index, interfaces};
 pub use in_process::InProcessWire;
 pub use simulated_segment::{self as simulated, FRAME_BYTES_MAX, faults};
 
-/// Carries Ethernet frames to a segment and back. One thread owns it.
+/// Carries Ethernet frames to a segment and back. It is owned by one thread.
 pub trait FrameWire: Send {
-    /// Hands a frame to the wire.
+    /// Sends a frame to the segment.
     fn send(&mut self, frame: &[u8]) -> io::Result<()>;
 
-    /// Waits for the next frame until `until`; its length in `buffer`, or `None` when the time is over.
+    /// Waits for the next frame until the time `until`. Returns its length in `buffer`, or `None` if
+    /// no frame arrived in time.
     fn receive(&mut self, buffer: &mut [u8; FRAME_BYTES_MAX], until: MonoNs) -> io::Result<Option<usize>>;
 }
