@@ -1,4 +1,4 @@
-//! What the acquisition daemon and the identifier have in common: the conversion of counts to angles, the format of
+//! Code that the acquisition daemon and the identifier share. It covers the conversion of counts to angles, the format of
 //! recordings, time, configuration files, the drawing of the bar, and output.
 //!
 //! This crate depends on neither the bus nor the estimator.

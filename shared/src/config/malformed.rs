@@ -1,5 +1,5 @@
 //! Messages about keys that cannot be parsed, and line numbers of keys. The input is a message of serde or of the TOML
-//! parser; the output is a message that names the key, a suggestion, and the allowed keys or values.
+//! parser. The output is a message that names the key, a suggestion, and the allowed keys or values.
 
 use toml::de::{DeTable, DeValue};
 

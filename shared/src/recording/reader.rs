@@ -1,8 +1,8 @@
 //! Reads a complete recording, or returns why it cannot be read.
 //!
-//! A damaged file must never yield a wrong number. Therefore checksums are tested before a chunk is unpacked, and record
-//! lengths are limited, because a flipped bit in a length could otherwise request the whole address space. The checksum over
-//! the data section and the consecutive cycle numbers prove that no data are missing.
+//! A damaged file must never yield a wrong number. Therefore checksums are tested before a chunk is unpacked. Record lengths
+//! are limited, because a flipped bit in a length could otherwise request the whole address space. The checksum over the
+//! data section and the consecutive cycle numbers prove that no data are missing.
 
 use std::io::{self, BufReader, Read};
 use std::path::{Path, PathBuf};

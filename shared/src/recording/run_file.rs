@@ -229,8 +229,8 @@ pub fn run_name(typed: &str) -> Option<String> {
     (has_content && check_name(name).is_ok()).then(|| name.to_owned())
 }
 
-/// Refuses a name that is not a plain file name, that a command line would read as an option, or that contains an ending for
-/// the state of a file.
+/// Refuses a name that is not a plain file name. Also refuses a name that a command line would read as an option, and one
+/// that contains an ending for the state of a file.
 fn check_name(name: &str) -> Result<(), WriteError> {
     let has_ending = name.split('.').skip(1).any(|part| RESERVED_ENDINGS.contains(&part));
     if name.is_empty()

@@ -292,8 +292,8 @@ impl fmt::Display for Provenance {
 }
 
 impl RunMetadata {
-    /// Whether the encoder counts were simulated. For a replay, this is decided by the bus of the original recording; for a
-    /// replay by an older program, which stored no origin, by the bus of the replay itself.
+    /// Whether the encoder counts were simulated. For a replay, the bus of the original recording decides. A replay by an
+    /// older program has no stored origin, so its own bus decides.
     pub fn is_simulated(&self) -> bool {
         self.provenance().simulated
     }
