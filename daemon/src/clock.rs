@@ -1,5 +1,5 @@
-//! The clock as a value: the same cycle runs on real time or, in tests and replays, on virtual time that
-//! passes as fast as the machine allows.
+//! The clock, as a value that is passed to its users. The same cycle runs on real time, or on virtual time in tests and
+//! replays. Virtual time advances as fast as the machine allows.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
@@ -12,13 +12,13 @@ use shared::time::{MonoNs, NS_PER_S, UtcNs};
 /// A monotonic clock and its offset to UTC.
 #[derive(Debug, Clone)]
 pub enum Clock {
-    /// `CLOCK_MONOTONIC` and the host's UTC.
+    /// Real time: `CLOCK_MONOTONIC` and the host's UTC.
     Real,
-    /// Moves only when a thread sleeps on it or a frame crosses the simulated wire.
+    /// Virtual time. It advances only when a thread sleeps on this clock or a frame crosses the simulated wire.
     Virtual {
         /// Virtual monotonic time \[ns\].
         now_ns: Arc<AtomicI64>,
-        /// `UTC - monotonic`, constant except for [`Clock::step_utc`] \[ns\].
+        /// `UTC - monotonic` \[ns\]. It is constant except for [`Clock::step_utc`].
         utc_minus_monotonic_ns: Arc<AtomicI64>,
     },
 }
@@ -26,7 +26,7 @@ pub enum Clock {
 impl Clock {
     /// A virtual clock that starts at `utc`.
     pub fn virtual_from(utc: UtcNs) -> Self {
-        // Not zero, so that a missing time stamp is not mistaken for the start.
+        // Not zero, so that a missing time stamp cannot be mistaken for the start.
         let start_ns = NS_PER_S;
         Self::Virtual {
             now_ns: Arc::new(AtomicI64::new(start_ns)),
@@ -39,7 +39,7 @@ impl Clock {
         matches!(self, Self::Real)
     }
 
-    /// Current time, unrelated to steps of UTC.
+    /// Current monotonic time. Steps of UTC have no effect on it.
     pub fn now(&self) -> MonoNs {
         match self {
             Self::Real => MonoNs(read_ns(ClockId::CLOCK_MONOTONIC)),
@@ -47,7 +47,7 @@ impl Clock {
         }
     }
 
-    /// Returns at `deadline`, or at once if it has passed. Absolute, so that lateness does not add up.
+    /// Sleeps until `deadline`. Returns at once if it has passed. The deadline is absolute, so that delays do not add up.
     pub fn sleep_until(&self, deadline: MonoNs) {
         match self {
             Self::Real => {
@@ -61,7 +61,8 @@ impl Clock {
         }
     }
 
-    /// `UTC - monotonic` now \[ns\]. Of a few readings the one that took the least time.
+    /// Current difference `UTC - monotonic` \[ns\]. On real time it is the best of several readings, that
+    /// which took the least time.
     pub fn utc_minus_monotonic_ns(&self) -> i64 {
         match self {
             Self::Real => {
@@ -71,7 +72,7 @@ impl Clock {
         }
     }
 
-    /// Steps the UTC of virtual time, like NTP or a person on a host; has no effect on real time.
+    /// Steps the UTC of virtual time, as NTP or a person may do on a host. No effect on real time.
     pub fn step_utc(&self, by_ns: i64) {
         if let Self::Virtual { utc_minus_monotonic_ns, .. } = self {
             utc_minus_monotonic_ns.fetch_add(by_ns, Ordering::AcqRel);
@@ -79,7 +80,8 @@ impl Clock {
     }
 }
 
-/// Reads UTC between two readings of the monotonic clock: their distance, and `UTC - monotonic` at their centre \[ns\].
+/// Reads UTC between two readings of the monotonic clock. Returns the time between these two readings, and
+/// `UTC - monotonic` at its centre \[ns\].
 fn bracketed_pair() -> (i64, i64) {
     let before_ns = read_ns(ClockId::CLOCK_MONOTONIC);
     let utc_ns = read_ns(ClockId::CLOCK_REALTIME);
@@ -89,6 +91,6 @@ fn bracketed_pair() -> (i64, i64) {
 }
 
 fn read_ns(clock: ClockId) -> i64 {
-    // These two clocks exist on every Linux; a kernel without them could not have started this process.
+    // These two clocks exist on every Linux. The process could not have started on a kernel without them.
     clock_gettime(clock).map_or(0, |time| time.tv_sec() * NS_PER_S + time.tv_nsec())
 }

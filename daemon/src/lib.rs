@@ -1,9 +1,9 @@
 //! Acquisition daemon for a sensed double ball-bar on EtherCAT.
 //!
-//! Data flow: [`segment`] (wire) -> [`bus`] -> [`cycle`] -> ring -> [`record`] -> file; [`run`] connects them, [`control`]
-//! operates them as a service, [`commands`] is the command line.
+//! Data flow: [`segment`] (wire) -> [`bus`] -> [`cycle`] -> ring -> [`record`] -> file. [`run`] connects these modules,
+//! [`control`] operates them as a service, and [`commands`] is the command line.
 
-// A closed standard output must not end anything: commands print with `say`.
+// A closed standard output must not end the process, so commands print with `say`.
 #![warn(clippy::print_stdout)]
 
 pub mod bus;

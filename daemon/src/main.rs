@@ -1,4 +1,4 @@
-//! `ballbard`: parses the command line, runs, maps errors to exit codes.
+//! `ballbard`: parses the command line, runs the command, and converts errors to exit codes.
 
 use std::process::ExitCode;
 

@@ -1,5 +1,6 @@
-//! Work in steps. Whatever waits for time or a disk is a [`Stepper`] that gets the time and returns when to call it again; a
-//! [`Scheduler`] calls it: a thread for each on real time, one loop for all on virtual time.
+//! Work in steps. All work that waits for time or a disk is a [`Stepper`]: it is called with the time, and returns
+//! when to call it again. A [`Scheduler`] calls the steppers: on real time each in its own thread, on virtual time all
+//! of them in one loop.
 
 use std::fmt;
 use std::future::Future;
@@ -14,47 +15,47 @@ use shared::time::MonoNs;
 
 use crate::clock::Clock;
 
-/// Stack of each thread: locked memory is fully allocated; this is several times the actual use.
+/// Size of the stack of each thread. With locked memory it is allocated completely. The actual use is several times smaller.
 pub(crate) const STACK_BYTES: usize = 1 << 20;
 
-/// A task that works in steps.
+/// A task whose work is done in steps.
 pub trait Stepper {
-    /// Does the work that is due. Waits for nothing but a disk, and only if that is its purpose. Returns the time until the
-    /// next step; the last step returns `None`.
+    /// Does the work that is due now. It may wait for a disk if that is its purpose, but for nothing else. Returns the time
+    /// until the next step, or `None` after the last step.
     fn poll(&mut self, now: MonoNs) -> Option<Duration>;
 
-    /// Waits in a thread of its own; returns earlier if there is work.
+    /// Waits for the next step, in the stepper's own thread. May return earlier if there is work.
     fn wait(&mut self, pause: Duration) {
         thread::sleep(pause);
     }
 }
 
-/// Creates a stepper in the thread in which it works.
+/// Creates a stepper. It is called in the thread in which the stepper works.
 pub type Begin = Box<dyn FnOnce() -> Box<dyn Stepper> + Send>;
-/// A future without a result.
+/// A future that returns no result.
 pub type Task = Pin<Box<dyn Future<Output = ()> + Send>>;
 
 /// Runs steppers and futures.
 pub trait Scheduler: fmt::Debug + Send + Sync {
-    /// The clock of the steppers.
+    /// The clock on which the steppers run.
     fn clock(&self) -> &Clock;
 
-    /// Calls a stepper until its last step.
+    /// Creates a stepper and calls it until its last step. `name` is the name of its thread.
     fn start(&self, name: &str, begin: Begin) -> io::Result<()>;
 
-    /// Polls a future to its end.
+    /// Runs a future until it is ready.
     fn spawn(&self, task: Task);
 
-    /// A future that completes after this time.
+    /// A future that is ready after this time.
     fn sleep(&self, time: Duration) -> Task;
 }
 
-/// A thread for each stepper; futures run on tokio's runtime.
+/// Runs each stepper in a thread of its own, and futures on tokio's runtime.
 #[derive(Debug)]
 pub struct Threads(Clock);
 
 impl Threads {
-    /// On this clock; the cycle advances a virtual one as fast as it can.
+    /// A scheduler on this clock. If the clock is virtual, the cycle advances it as fast as it can.
     pub fn on(clock: Clock) -> Arc<dyn Scheduler> {
         Arc::new(Self(clock))
     }
@@ -85,7 +86,7 @@ impl Scheduler for Threads {
     }
 }
 
-/// Calls `poll` once per period until it returns a value.
+/// Calls `poll` once per period until it returns a value. Returns that value.
 pub async fn until<T>(scheduler: &dyn Scheduler, period: Duration, mut poll: impl FnMut() -> Option<T>) -> T {
     loop {
         if let Some(value) = poll() {
@@ -95,7 +96,7 @@ pub async fn until<T>(scheduler: &dyn Scheduler, period: Duration, mut poll: imp
     }
 }
 
-/// The next message of a queue whose other end may have died; `None` while there is none.
+/// The next message of a queue, or `None` if there is none yet. Returns [`Died`] if the other end was dropped.
 pub fn received<T>(queue: &Receiver<T>) -> Option<Result<T, Died>> {
     match queue.try_recv() {
         Ok(message) => Some(Ok(message)),
@@ -104,25 +105,25 @@ pub fn received<T>(queue: &Receiver<T>) -> Option<Result<T, Died>> {
     }
 }
 
-/// The result of work that may wait for a disk.
+/// The result of work that may wait for a disk. It is polled by the thread that started the work.
 #[derive(Debug)]
 pub struct Pending<T> {
     result: Receiver<T>,
     since: MonoNs,
 }
 
-/// The work has ended without a message; its cause is in the log.
+/// The work has ended without a result. The cause is in the log.
 #[derive(Debug)]
 pub struct Died;
 
 impl<T: Send + 'static> Pending<T> {
-    /// Starts work that takes one step.
+    /// Starts work that consists of one step.
     pub fn start(scheduler: &dyn Scheduler, name: &str, work: impl FnOnce() -> T + Send + 'static) -> Self {
         let mut work = Some(work);
         Self::until(scheduler, name, move || work.take().map(|work| work()))
     }
 
-    /// Starts work of several steps, until one returns a result.
+    /// Starts work that consists of several steps, which ends when a step returns a result.
     pub fn until(
         scheduler: &dyn Scheduler,
         name: &str,
@@ -137,21 +138,21 @@ impl<T: Send + 'static> Pending<T> {
         Self { result, since: scheduler.clock().now() }
     }
 
-    /// The result, returned once; `None` while the work continues.
+    /// The result, which is returned only once. `None` while the work continues.
     pub fn poll(&self) -> Option<Result<T, Died>> {
         received(&self.result)
     }
 
-    /// When the work was started.
+    /// Time at which the work was started.
     pub fn since(&self) -> MonoNs {
         self.since
     }
 }
 
-/// Pause between the steps of [`Pending`] work.
+/// Pause between the steps of work that is [`Pending`].
 const WORK_PERIOD: Duration = Duration::from_millis(5);
 
-/// The stepper of [`Pending`] work.
+/// The stepper that does the work of a [`Pending`].
 struct PendingWork<W, T> {
     step: W,
     result: SyncSender<T>,
@@ -160,7 +161,7 @@ struct PendingWork<W, T> {
 impl<W: FnMut() -> Option<T>, T> Stepper for PendingWork<W, T> {
     fn poll(&mut self, _: MonoNs) -> Option<Duration> {
         let Some(result) = (self.step)() else { return Some(WORK_PERIOD) };
-        // The receiver of the result may have ended.
+        // The thread that waits for the result may have ended.
         let _ = self.result.send(result);
         None
     }

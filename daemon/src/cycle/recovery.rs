@@ -187,8 +187,8 @@ impl Acquisition {
         }
     }
 
-    /// Reacts to missing terminals. As long as another terminal is valid, the others stay in use. The bus is brought up
-    /// again only when all devices answer, because this interrupts them.
+    /// Reacts to missing terminals. If no terminal is valid, the bus is given up at once. Otherwise the remaining terminals
+    /// stay in use until all devices answer again, because bringing the bus up interrupts them.
     fn continue_without(&mut self, silent: u32, others_are_valid: bool, now: MonoNs) {
         let last_check = self.health.missing.map(|(_, checked)| checked);
         if last_check.is_some_and(|checked| others_are_valid && now.ns_since(checked) < CHECK_PERIOD_NS) {
@@ -352,8 +352,9 @@ impl Acquisition {
         self.emit(record, sink);
     }
 
-    /// Completes the record of the next cycle and passes it to `sink`. After the clock of the bus was set, the time of the
-    /// record may not be later than that of the previous record. The time is then increased, and the counts become invalid.
+    /// Completes the record of the next cycle and passes it to `sink`. Just after the clock of the bus was
+    /// set, the time of the record can be at or before that of the previous record. The time is then
+    /// increased, and the counts become invalid.
     pub(super) fn emit(&mut self, mut record: CycleRecord, sink: &mut dyn FnMut(&CycleRecord)) {
         if let Some(last) = self.time_last.filter(|last| record.sample_time <= *last) {
             let behind_ns =

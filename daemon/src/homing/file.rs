@@ -1,4 +1,4 @@
-//! `homing.toml`: the reference marks in the state directory.
+//! Reads and writes `homing.toml` in the state directory, the file with the counts of the reference marks.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -10,18 +10,18 @@ use shared::time::UtcNs;
 use crate::problem::{Fact, Problem};
 use crate::whole_file;
 
-/// The file of reference marks. The program determines them, so they are state and not configuration, which may belong to
-/// another user.
+/// The file with the reference marks. The program determines them, so they are state and not configuration. The
+/// configuration may belong to another user.
 #[derive(Debug, Clone)]
 pub struct MarksFile {
     directory: PathBuf,
     file: PathBuf,
-    /// File of earlier versions; read if `file` does not exist.
+    /// Path of the file that earlier versions wrote. It is read if `file` does not exist.
     older: Option<PathBuf>,
 }
 
 impl MarksFile {
-    /// In this state directory.
+    /// The file in this state directory.
     pub fn new(directory: PathBuf, older: Option<PathBuf>) -> Self {
         Self { file: directory.join(HomingConfig::FILE_NAME), directory, older }
     }
@@ -31,7 +31,7 @@ impl MarksFile {
         &self.file
     }
 
-    /// The latest marks; `None` without a homing.
+    /// Reads the latest marks. `None` if no homing was done.
     pub fn read(&self, disk: &dyn Disk) -> Result<Option<HomingConfig>, ConfigError> {
         for file in std::iter::once(&self.file).chain(&self.older) {
             let unreadable = |source| ConfigError::Unreadable { path: file.to_owned(), source };
@@ -42,7 +42,7 @@ impl MarksFile {
         Ok(None)
     }
 
-    /// Why marks could not be saved, as far as that can be checked beforehand.
+    /// Checks whether marks can be saved, as far as this is possible before saving. Returns the reason if not.
     pub fn problem(&self, disk: &dyn Disk) -> Option<Problem> {
         let directory = self.directory.display();
         let error = match disk.space(&self.directory) {
@@ -54,7 +54,7 @@ impl MarksFile {
         Some(Fact::MarksUnwritable { error }.into())
     }
 
-    /// Saves the counts at the marks, in the order of `encoders`.
+    /// Saves the counts at the reference marks, in the order of `encoders`.
     pub fn write(
         &self,
         disk: &dyn Disk,

@@ -1,11 +1,11 @@
-//! Homing: finds each encoder's reference mark while a person turns one joint at a time.
+//! Homing: finds the reference mark of each encoder while a person turns one joint at a time.
 //!
-//! The angle of an incremental encoder is known only from its reference mark (C), where the terminal latches its counter.
-//! Turning one joint at a time also shows which terminal its encoder is connected to, and its direction. The mark is taken in
-//! the direction in which the joint is to be turned: it is one signal period wide (0.1 degrees at 3600 lines), so its two
-//! flanks differ.
+//! An incremental encoder has a known angle only relative to its reference mark (C). When the mark passes, the terminal
+//! latches its counter. Because one joint is turned at a time, homing also determines which terminal its encoder is
+//! connected to, and the direction of its counts. The mark is one signal period wide (0.1 degrees at 3600 lines), so the
+//! latched count depends on the direction. Only a mark that was passed in the requested direction is used.
 //!
-//! [`Sequence`] determines the actual encoders and marks; [`verify`] compares them with the configuration.
+//! [`Sequence`] determines the encoders and marks. [`verify`] compares them with the configuration.
 
 mod file;
 mod search;
@@ -20,37 +20,37 @@ use shared::config::bar_joint_name;
 
 /// Time limit for each joint \[s\].
 pub const PATIENCE_S: f64 = 120.0;
-/// Time limit without valid counts \[s\].
+/// Longest time without valid counts \[s\].
 const SIGNAL_LOST_MAX_S: f64 = 1.0;
 
 /// Why a joint could not be homed.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum HomingError {
-    /// Several joints moved at once.
+    /// Two joints moved at the same time.
     #[error(
         "while joint {asked} was to be turned, the encoders of terminals {0} and {1} moved together; hold the other \
          joints and home again, turning joint {asked} alone", terminals[0], terminals[1]
     )]
     Together {
-        /// Joint to be turned.
+        /// Joint that was to be turned.
         asked: u8,
-        /// Terminals counted from 1 behind the coupler.
+        /// Numbers of the terminals whose encoders moved, counted from 1 after the coupler.
         terminals: [usize; 2],
     },
-    /// The encoder that moved belongs to a joint that is finished.
+    /// The encoder that moved belongs to a joint whose mark was already found.
     #[error(
         "while joint {asked} was to be turned, the encoder of terminal {terminal} moved, which is that of joint \
          {joint}; home again, and turn the requested joint"
     )]
     Again {
-        /// Joint to be turned.
+        /// Joint that was to be turned.
         asked: u8,
-        /// Terminal, counted from 1 behind the coupler.
+        /// Number of the terminal whose encoder moved, counted from 1 after the coupler.
         terminal: usize,
-        /// Joint that the terminal belongs to.
+        /// Joint of that encoder.
         joint: u8,
     },
-    /// No mark within the time limit.
+    /// No reference mark was found within the time limit.
     #[error(
         "joint {joint} turned by {turned_deg:.0} degrees in {PATIENCE_S} s without a reference mark; check the C wires of its \
          terminal, then home again and turn it over its mark, or by a whole turn"
@@ -58,10 +58,10 @@ pub enum HomingError {
     NoMark {
         /// Bar joint, 1 to 5.
         joint: u8,
-        /// Angle by which it was turned \[deg\].
+        /// Angle by which the joint was turned \[deg\].
         turned_deg: f64,
     },
-    /// The joint has not passed the latched count.
+    /// The terminal latched a count that the joint has not passed.
     #[error(
         "the terminal of joint {joint} latched count {latch}, which the joint never passed; check the C wires, then \
          home again"
@@ -72,7 +72,7 @@ pub enum HomingError {
         /// Count that the terminal latched.
         latch: u32,
     },
-    /// The terminals or the bus give no counts.
+    /// There were no valid counts from the terminals or the bus.
     #[error(
         "no valid counts for {SIGNAL_LOST_MAX_S} s while joint {0} was to be turned; `ballbard check` names the \
          encoder or device"
@@ -81,42 +81,42 @@ pub enum HomingError {
     /// The homing was cancelled.
     #[error("stopped before all joints were homed: {0}; nothing was written")]
     Stopped(String),
-    /// The file of the marks cannot be written.
+    /// The file with the marks could not be written.
     #[error("the marks of all joints were found, but not saved: {0}; then home again")]
     NotKept(String),
-    /// Order or direction differ from the configuration.
+    /// Order or direction of the encoders differ from the configuration.
     #[error(transparent)]
     Miswired(#[from] Miswired),
 }
 
-/// The encoder of a joint, and its mark.
+/// The encoder of a joint, with its direction and its reference mark.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FoundMark {
     /// Joint that was turned.
     pub joint: u8,
-    /// The encoder that moved, in bus order from 0.
+    /// Number of the encoder that moved, in bus order from 0.
     pub encoder: usize,
-    /// Counts increase in the direction in which the joint was turned.
+    /// Whether counts increased when the joint was turned in the requested direction.
     pub counts_rise: bool,
-    /// Count at its reference mark.
+    /// Count at the reference mark.
     pub reference_counts: u32,
 }
 
 /// Progress of a homing.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum HomingStep {
-    /// Turn this joint, in its positive direction and alone, over its reference mark.
+    /// This joint must now be turned: alone, in its positive direction, over its reference mark.
     Turn {
         /// Bar joint, 1 to 5.
         joint: u8,
-        /// Configured encoder of the joint, in bus order from 0.
+        /// Number of the configured encoder of the joint, in bus order from 0.
         encoder: usize,
     },
-    /// Progress, twice a second.
+    /// Progress, twice per second.
     Turning {
-        /// Joint to be turned.
+        /// Joint that must be turned.
         joint: u8,
-        /// Largest angle of any encoder; positive if its counts increase \[rad\].
+        /// Largest angle by which any encoder has turned, positive if its counts increased \[rad\].
         turned_rad: f64,
     },
     /// The mark of a joint was found.
@@ -124,7 +124,7 @@ pub enum HomingStep {
 }
 
 impl HomingStep {
-    /// An instruction or a result as text; `None` for progress.
+    /// Text of an instruction or a result. `None` for progress.
     pub fn line(self) -> Option<String> {
         match self {
             Self::Turn { joint, .. } => Some(format!(

@@ -1,5 +1,5 @@
-//! Search for the mark of one joint from the records of the bus: the encoder that turns by 5 degrees is that of the joint, and
-//! its latch holds the count at the mark. [`Sequence`](super::Sequence) gives it one record after the other.
+//! Searches the reference mark of one joint in the records of the bus. The encoder that turns by 5 degrees belongs to the
+//! joint. Its latch contains the count at the mark. [`Sequence`](super::Sequence) passes one record after the other.
 
 use shared::config::EncoderConfig;
 use shared::recording::schema::{CycleRecord, MAX_ENCODERS};
@@ -8,77 +8,79 @@ use shared::time::UtcNs;
 use super::{FoundMark, HomingError, PATIENCE_S, SIGNAL_LOST_MAX_S};
 use crate::devices::el5021::StatusWord;
 
-/// Angle that identifies the joint and its direction \[rad\].
+/// Angle from which an encoder counts as turned, which identifies the joint and the direction \[rad\].
 const TURNED_MIN_RAD: f64 = 5.0 * std::f64::consts::PI / 180.0;
-/// Until then other joints may move by this much \[rad\].
+/// Largest angle by which other encoders may have moved by then \[rad\].
 const OTHERS_MAX_RAD: f64 = 2.0 * std::f64::consts::PI / 180.0;
 
-/// Result of one record.
+/// Result of the search after one record.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Detection {
     Nothing,
-    /// The encoder passed its mark in the wrong direction: that latch is not used.
+    /// The encoder passed its mark in the wrong direction. This latch is not used.
     MarkPassedBackwards {
-        /// Encoder in bus order from 0.
+        /// Number of the encoder, in bus order from 0.
         encoder: usize,
     },
-    /// The encoder, its direction and its mark.
+    /// The encoder of the joint, its direction and its mark.
     Found(FoundMark),
 }
 
-/// Time of the first record of the search, and counts of its first valid one.
+/// Time of the first record of the search, and the counts in its first valid record.
 #[derive(Debug, Clone, Copy)]
 struct Start {
     time: UtcNs,
     counts: [u32; MAX_ENCODERS],
 }
 
-/// Motion of one encoder since the joint's search began.
+/// Motion of one encoder since the search for this joint began.
 #[derive(Debug, Clone, Copy, Default)]
 struct EncoderMotion {
-    /// Distance from the start \[counts\].
+    /// Distance from the count at the start \[counts\].
     moved: i64,
-    /// Smallest and largest distance so far \[counts\].
+    /// Smallest distance so far \[counts\]; the next field is the largest.
     lowest: i64,
     highest: i64,
-    /// Whether counts were increasing when the latch became valid; `None` without a valid latch.
+    /// Whether counts were increasing when the latch became valid. `None` while the latch is not valid.
     latched: Option<bool>,
 }
 
+/// State of the search for the mark of one joint.
 #[derive(Default)]
 pub(super) struct Search {
     encoders: Vec<EncoderConfig>,
     joint: u8,
-    /// Encoders of the joints that are finished.
+    /// Marks of the joints whose search has finished.
     earlier: Vec<FoundMark>,
     start: Option<Start>,
     motions: [EncoderMotion; MAX_ENCODERS],
-    /// The encoder that moves, and whether its counts increase.
+    /// The encoder that has turned, and whether its counts increase. `None` until an encoder has turned far enough.
     mover: Option<(usize, bool)>,
-    /// Time since the first record \[s\].
+    /// Time from the first record to the last one \[s\].
     elapsed_s: f64,
-    /// The same at the last valid record; 0 before it.
+    /// Time from the first record to the last valid one \[s\]. 0 before the first valid record.
     valid_last_s: f64,
 }
 
 impl Search {
-    /// Searches the mark of `joint`, after those in `earlier`. Terminals must have just been armed.
+    /// Begins to search the mark of `joint`. `earlier` are the marks found for other joints. The terminals
+    /// must have just been armed.
     pub fn new(encoders: Vec<EncoderConfig>, joint: u8, earlier: Vec<FoundMark>) -> Self {
         Self { encoders, joint, earlier, ..Self::default() }
     }
 
-    /// Time since the first record \[s\].
+    /// Time from the first record to the last one \[s\].
     pub fn elapsed_s(&self) -> f64 {
         self.elapsed_s
     }
 
-    /// The joint to be turned, and the largest angle of any encoder \[rad\].
+    /// The joint that must be turned, and the largest angle by which any encoder has turned \[rad\].
     pub fn progress(&self) -> (u8, f64) {
         let moves = self.mover.map(|(encoder, _)| encoder).or_else(|| self.farthest(None));
         (self.joint, moves.map_or(0.0, |encoder| self.turned_rad(encoder)))
     }
 
-    /// Takes the next record of the bus.
+    /// Processes the next record of the bus.
     pub fn observe(&mut self, record: &CycleRecord) -> Result<Detection, HomingError> {
         let start = *self.start.get_or_insert_with(|| Start {
             time: record.sample_time,
@@ -92,7 +94,7 @@ impl Search {
             return Ok(Detection::Nothing);
         }
         if self.valid_last_s == 0.0 {
-            // The start must be a valid count.
+            // Distances are counted from the first valid counts.
             let counts = record.encoders.map(|encoder| encoder.count);
             self.start = Some(Start { counts, ..start });
         }
@@ -125,7 +127,8 @@ impl Search {
         }
     }
 
-    /// The first encoder that turns far enough belongs to the joint. It is an error if another one has turned as well.
+    /// Determines the encoder of the joint: the first that has turned far enough. It is an error if another encoder has
+    /// turned, too, or if the encoder belongs to a joint whose search has finished.
     fn find_mover(&mut self) -> Result<(), HomingError> {
         if self.mover.is_some() {
             return Ok(());
@@ -165,7 +168,7 @@ impl Search {
         }
     }
 
-    /// Whether the joint has passed this count, within one signal period.
+    /// Whether the joint has passed this count, with a tolerance of one signal period.
     fn was_passed(&self, encoder: usize, count: u32) -> bool {
         let period = 1i64 << self.encoders[encoder].interpolation_bits;
         let EncoderMotion { lowest, highest, .. } = self.motions[encoder];
@@ -174,12 +177,12 @@ impl Search {
         (lowest - period..=highest + period).contains(&distance)
     }
 
-    /// Angle by which an encoder turned; positive if its counts increased.
+    /// Angle by which an encoder has turned \[rad\], positive if its counts have increased.
     fn turned_rad(&self, encoder: usize) -> f64 {
         self.motions[encoder].moved as f64 * self.encoders[encoder].scale().rad_per_count()
     }
 
-    /// The encoder that has turned farthest.
+    /// The encoder that has turned farthest. `except` is not considered.
     fn farthest(&self, except: Option<usize>) -> Option<usize> {
         let others = (0..self.encoders.len().min(MAX_ENCODERS)).filter(|encoder| Some(*encoder) != except);
         others.max_by(|one, other| self.turned_rad(*one).abs().total_cmp(&self.turned_rad(*other).abs()))

@@ -1,5 +1,6 @@
-//! Homing in steps of one cycle. For each joint all terminals are disarmed, so that they drop an earlier latch, then armed; the
-//! `Search` then receives the records while a person turns the joint. A mark passed backwards only re-arms its terminal.
+//! Homing as a sequence of steps, one per cycle. For each joint, all terminals are first disarmed, so that they drop an
+//! earlier latch, and then armed. Then `Search` receives the records while a person turns the joint. If a mark is passed in
+//! the wrong direction, only its terminal is disarmed and armed again.
 
 use std::ops::Range;
 
@@ -11,9 +12,9 @@ use super::{FoundMark, HomingError, HomingStep};
 use crate::cycle::Acquisition;
 use crate::devices::el5021::Output;
 
-/// Period of progress reports \[s\].
+/// Period in which progress is reported \[s\].
 const PROGRESS_S: f64 = 0.5;
-/// Cycles for a terminal to drop an earlier latch.
+/// Number of cycles that a terminal gets to drop an earlier latch.
 const DISARM_CYCLES: u32 = 20;
 
 /// The encoder and mark of each joint, in the order in which the joints were turned.
@@ -23,23 +24,23 @@ pub type HomingResult = Result<Vec<FoundMark>, HomingError>;
 pub struct Sequence {
     encoders: Vec<EncoderConfig>,
     found: Vec<FoundMark>,
-    /// For the current joint; `None` until its terminals are armed.
+    /// Search for the mark of the current joint. `None` until the terminals are armed for it.
     search: Option<Search>,
     progress_due_s: f64,
     state: SequenceState,
 }
 
 enum SequenceState {
-    /// These terminals drop an earlier latch, for this number of further cycles.
+    /// These terminals are disarmed for this number of further cycles, to drop an earlier latch.
     Disarmed(Range<usize>, u32),
-    /// The current joint is being turned.
+    /// The terminals are armed, and the current joint is being turned.
     Armed,
-    /// One more cycle disarms all terminals.
+    /// Disarming was requested for all terminals. One more cycle sends the request, then the homing is over.
     Ending(HomingResult),
 }
 
 impl Sequence {
-    /// Begins with the first joint of `encoders`, which are in bus order.
+    /// Begins with the joint of the first encoder. `encoders` are in bus order.
     pub fn begin(acquisition: &mut Acquisition, encoders: &[EncoderConfig]) -> Self {
         let mut sequence = Self {
             encoders: encoders.to_vec(),
@@ -52,8 +53,8 @@ impl Sequence {
         sequence
     }
 
-    /// One cycle, whose record goes to `sink` and whose steps go to `watch`. A cause in `stopped` ends the homing. Returns the
-    /// outcome once it is over.
+    /// Runs one cycle. Its record is passed to `sink`, steps of the homing to `watch`. A cause in `stopped` ends the homing.
+    /// Returns the outcome when the homing is over.
     pub fn step(
         &mut self,
         acquisition: &mut Acquisition,
@@ -106,13 +107,13 @@ impl Sequence {
     ) {
         set_latch(acquisition, terminals, true);
         self.state = SequenceState::Armed;
-        // After a mark that was passed backwards the search continues.
+        // If the terminals were armed again because a mark was passed in the wrong direction, the search continues.
         let encoder = self.found.len();
         if let Some(EncoderConfig { joint, .. }) =
             self.encoders.get(encoder).filter(|_| self.search.is_none())
         {
             watch(HomingStep::Turn { joint: *joint, encoder });
-            // It is not known yet which encoder will move.
+            // The search gets all encoders, because it is not known yet which one will move.
             self.search = Some(Search::new(self.encoders.clone(), *joint, self.found.clone()));
             self.progress_due_s = PROGRESS_S;
         }

@@ -1,4 +1,5 @@
-//! Compares a homing with `ball_bar.toml`: the encoder of each joint, and its direction. Marks are saved only if both agree.
+//! Compares the result of a homing with `ball_bar.toml`: the encoder of each joint, and the direction of its counts. Marks
+//! are saved only if both agree.
 
 use std::fmt;
 
@@ -7,14 +8,15 @@ use shared::encoder::Direction;
 
 use super::FoundMark;
 
-/// The configuration differs from the encoders found.
+/// Error if the encoders that were found differ from the configuration.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub struct Miswired {
-    /// Each encoder in bus order: as configured, and as found.
+    /// For each encoder in bus order: its configuration, and its configuration as found by homing.
     encoders: Vec<(EncoderConfig, EncoderConfig)>,
 }
 
-/// The counts at the reference marks, in the order of the encoders; or the necessary changes of the configuration.
+/// Compares encoders and configuration. Returns the counts at the reference marks, in the order of `encoders`, or the
+/// required changes of the configuration.
 pub fn verify(encoders: &[EncoderConfig], found: &[FoundMark]) -> Result<Vec<u32>, Miswired> {
     let found_on = |encoder: usize| found.iter().find(|found| found.encoder == encoder);
     let compared: Vec<(EncoderConfig, EncoderConfig)> = encoders

@@ -1,6 +1,6 @@
-//! Progress of a run for other threads, which never wait for the disk: cycles that were due, written and synchronised, the
-//! waits of recorder and synchroniser for the disk, and the problems that follow. Recorder, synchroniser,
-//! storage and session update it; status, page and storage read it.
+//! Progress of a run: the cycles that were due, written and synchronised, the waits of recorder and synchroniser for the
+//! disk, and the resulting problems. Recorder, synchroniser, storage and session update it. Status, page and storage read
+//! it, without ever waiting for the disk.
 
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -13,16 +13,16 @@ use shared::time::MonoNs;
 use crate::clock::Clock;
 use crate::problem::{Fact, Problem};
 
-/// Counts of the cycles that the cycle's thread has handed to the ring. It alone writes them.
+/// Counts of the cycles that were passed to the ring. Only the cycle's thread writes them.
 #[derive(Debug, Default)]
 pub struct Handed {
-    /// Cycles that were due so far.
+    /// Number of cycles that were due so far.
     pub due: AtomicU64,
-    /// Cycles among them that found the ring full.
+    /// Number of these cycles that were lost because the ring was full.
     pub lost: AtomicU64,
 }
 
-/// Progress of a run: cycles taken from the bus, written, synchronised. Reading it never waits for the disk.
+/// Progress of a run. Reading it never waits for the disk.
 #[derive(Debug)]
 pub struct RunProgress {
     handed: Arc<Handed>,
@@ -31,96 +31,98 @@ pub struct RunProgress {
     disk: Mutex<OnDisk>,
 }
 
-/// Limits of a run.
+/// Limits of a run, from which problems are determined.
 #[derive(Debug, Clone, Copy)]
 pub struct Limits {
     /// Time between two cycles.
     pub cycle_period: Duration,
-    /// Period of writing and synchronisation.
+    /// Period in which the file is written and synchronised.
     pub sync_period: Duration,
-    /// Cycles that may wait to be written.
+    /// Largest number of cycles that may wait to be written.
     pub ring_cycles: usize,
-    /// The cycle waits for the disk, as on virtual time: a backlog is usual then.
+    /// Whether the cycle waits for the disk, as on virtual time. Waiting cycles are then not a problem.
     pub cycle_waits: bool,
 }
 
-/// What the threads that use the disk have reported.
+/// State reported by the threads that use the disk.
 #[derive(Debug, Default)]
 struct OnDisk {
+    /// Number of cycles that were written, including lost ones.
     written: u64,
-    /// Cycles among them that were lost between bus and file.
+    /// Number of written cycles that were lost between bus and file.
     written_lost: u64,
     synced: Synced,
+    /// When the write in progress began. `None` if the recorder is not writing.
     writing_since: Option<MonoNs>,
-    /// Number of the synchroniser that is working, and since when.
+    /// The synchronisation in progress: number of its synchroniser, and when it began.
     syncing_since: Option<(u32, MonoNs)>,
-    /// The longest waits of completed calls, see [`OnDisk::longest_at`].
+    /// The longest waits of completed calls. Calls in progress are added by [`OnDisk::longest_at`].
     longest: DiskTiming,
-    /// Step before the run has its file.
+    /// The current step of creating the run's file.
     opening: OpeningStep,
-    /// `None` before the run has its file.
+    /// Path and identity of the run's file. `None` before the file is created.
     place: Option<RunPlace>,
-    /// Why the file is not in its place, until the run is moved.
+    /// Why the file is not in its place. `None` if it is, or after the run has moved.
     file_lost: Option<String>,
-    /// Why the run was moved; `None` if it was not.
+    /// Why the run has moved to another directory. `None` if it has not.
     moved: Option<String>,
     timing: Option<TimingSummary>,
     flagged: Vec<Flagged>,
 }
 
-/// The disk's current step before a run has its file.
+/// A step of creating the run's file. It is reported if it takes too long.
 #[derive(Debug, Default)]
 struct OpeningStep {
     what: &'static str,
     since: MonoNs,
 }
 
-/// Extent of the file that survives a power failure.
+/// The part of the file that survives a power failure.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Synced {
-    /// Number of cycles in the file.
+    /// Number of cycles in this part.
     pub cycles: u64,
-    /// Cycles among them in which every encoder is valid.
+    /// Number of these cycles in which every encoder is valid.
     pub cycles_valid: u64,
-    /// Length of the file \[bytes\].
+    /// Length of this part \[bytes\].
     pub bytes: u64,
-    /// All cycles written before this time are included; `None` before the first synchronisation.
+    /// Time before which all written cycles are included. `None` before the first synchronisation.
     pub at: Option<MonoNs>,
 }
 
-/// [`RunProgress`] at one moment.
+/// The state of [`RunProgress`] at one time.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Snapshot {
-    /// Extent that survives a power failure.
+    /// The part of the file that survives a power failure.
     pub synced: Synced,
-    /// Cycles that survive a kill of the program.
+    /// Number of cycles that survive a kill of the program.
     pub written: u64,
-    /// Cycles that were due.
+    /// Number of cycles that were due.
     pub taken: u64,
-    /// Cycles among them that were lost between bus and file.
+    /// Number of these cycles that were lost between bus and file.
     pub lost: u64,
-    /// Cycles that wait to be written, as time \[s\].
+    /// Duration of the cycles that wait to be written \[s\].
     pub backlog_s: f64,
-    /// Above this backlog cycles are lost \[s\].
+    /// Largest backlog without a loss \[s\]. With a larger backlog, cycles are lost.
     pub backlog_limit_s: f64,
-    /// Duration of cycles that a power failure would lose now \[s\].
+    /// Duration of the cycles that a power failure would lose now \[s\].
     pub unsynced_s: f64,
-    /// Age of the last complete synchronisation; `None` before the first.
+    /// Age of the last completed synchronisation. `None` before the first.
     pub sync_age: Option<Duration>,
-    /// Longest waits for the disk, including that of a current call.
+    /// Longest waits for the disk, including a call in progress.
     pub longest: DiskTiming,
-    /// Where the run is written; empty until its file is there.
+    /// Path of the run's file. Empty until the file is created.
     pub file: PathBuf,
     /// Problems of the disk.
     pub problems: Vec<Problem>,
     /// Timing of the cycle; `None` on virtual time.
     pub timing: Option<TimingSummary>,
-    /// Invalid cycles that are written, by joint and reason.
+    /// Invalid cycles that were written, grouped by joint and reason.
     pub flagged: Vec<Flagged>,
 }
 
 impl RunProgress {
-    /// For a run that has no file yet.
+    /// The progress of a run whose file does not exist yet.
     pub fn new(handed: Arc<Handed>, limits: Limits, clock: Clock) -> Self {
         let opening = OpeningStep { what: "to begin with it", since: clock.now() };
         let disk = OnDisk { opening, ..OnDisk::default() };
@@ -131,7 +133,7 @@ impl RunProgress {
         self.disk.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// False on virtual time.
+    /// Whether the clock runs in real time; false on virtual time.
     pub(super) fn is_on_real_time(&self) -> bool {
         self.clock.is_real()
     }
@@ -140,22 +142,22 @@ impl RunProgress {
         self.limits.sync_period
     }
 
-    /// Sets the disk's current step before the run has its file.
+    /// Sets the current step of creating the run's file.
     pub fn opening(&self, what: &'static str) {
         self.disk().opening = OpeningStep { what, since: self.clock.now() };
     }
 
-    /// The run's file is created.
+    /// Reports that the run's file was created.
     pub fn opened(&self, place: RunPlace) {
         self.disk().place = Some(place);
     }
 
-    /// Whether the run has its file.
+    /// Whether the run's file was created.
     pub fn is_open(&self) -> bool {
         self.disk().place.is_some()
     }
 
-    /// The recorder is about to write.
+    /// Reports that the recorder begins to write.
     pub fn writing(&self) {
         let mut disk = self.disk();
         let waiting_ns = self.ns_of(self.backlog_cycles(&disk));
@@ -163,7 +165,8 @@ impl RunProgress {
         disk.writing_since = Some(self.clock.now());
     }
 
-    /// The recorder has written: the number of cycles so far, fewer if the disk refused, and of lost ones among them.
+    /// Reports that the recorder has finished writing. `cycles` is the number of cycles written so far, which has not grown
+    /// if the disk refused the data. `lost` is the number of lost cycles among them.
     pub fn wrote(&self, cycles: u64, lost: u64) {
         let mut disk = self.disk();
         disk.longest = disk.longest_at(self.clock.now());
@@ -171,12 +174,13 @@ impl RunProgress {
         (disk.written, disk.written_lost) = (cycles, lost);
     }
 
-    /// A synchroniser starts its work.
+    /// Reports that a synchroniser begins its work.
     pub fn syncing(&self, number: u32) {
         self.disk().syncing_since = Some((number, self.clock.now()));
     }
 
-    /// A synchroniser has finished; `None` if the disk refused. That of an earlier place may finish late.
+    /// Reports that a synchroniser has finished. `synced` is `None` if the disk returned an error. A synchroniser from
+    /// before a move of the run may finish late, so its number is compared.
     pub fn synced(&self, number: u32, synced: Option<Synced>) {
         let mut disk = self.disk();
         if disk.syncing_since.is_some_and(|(syncing, _)| syncing == number) {
@@ -188,23 +192,24 @@ impl RunProgress {
         }
     }
 
-    /// Sets the timing of the cycle so far, and the invalid cycles among those written.
+    /// Sets the timing of the cycle so far, and the invalid cycles among the written ones.
     pub fn set_figures(&self, timing: Option<TimingSummary>, flagged: Vec<Flagged>) {
         let mut disk = self.disk();
         (disk.timing, disk.flagged) = (timing, flagged);
     }
 
-    /// Longest waits for the disk so far, including that of a current call.
+    /// Longest waits for the disk so far, including a call in progress.
     pub fn longest(&self) -> DiskTiming {
         self.disk().longest_at(self.clock.now())
     }
 
-    /// Place of the run's file; `None` before it is created.
+    /// Path and identity of the run's file. `None` before the file is created.
     pub fn place(&self) -> Option<RunPlace> {
         self.disk().place.clone()
     }
 
-    /// The file is not in its place, which the recorder will check. Has no effect if the run's file is another one by now.
+    /// Reports that the file is not in its place; the recorder will check this. No effect if the run
+    /// has another file by now.
     pub fn set_lost(&self, place: &RunPlace, why: String) {
         let mut disk = self.disk();
         if disk.place.as_ref().is_some_and(|current| current.is_same(place)) {
@@ -212,17 +217,17 @@ impl RunProgress {
         }
     }
 
-    /// Why the file is not in its place; lost cycles are in [`Snapshot`].
+    /// Why the file is not in its place. `None` if it is. Lost cycles are in [`Snapshot`].
     pub fn lost(&self) -> Option<String> {
         self.disk().file_lost.clone()
     }
 
-    /// The file is in its place again.
+    /// Reports that the file is in its place again.
     pub fn found_again(&self) {
         self.disk().file_lost = None;
     }
 
-    /// The run continues in another place.
+    /// Reports that the run continues in another directory.
     pub fn moved(&self, place: RunPlace, why: String) {
         let mut disk = self.disk();
         disk.place = Some(place);
@@ -233,7 +238,7 @@ impl RunProgress {
 
     fn backlog_cycles(&self, disk: &OnDisk) -> u64 {
         let (due, lost) = (self.handed.due.load(Ordering::Acquire), self.handed.lost.load(Ordering::Relaxed));
-        // A lost cycle does not wait, and once its number is written it is among the written ones.
+        // A lost cycle does not wait. When its number has been written, it is one of the written cycles.
         let unwritten_lost = lost.saturating_sub(disk.written_lost);
         due.saturating_sub(disk.written.saturating_add(unwritten_lost)).min(self.limits.ring_cycles as u64)
     }
@@ -242,13 +247,13 @@ impl RunProgress {
         cycles.saturating_mul(self.limits.cycle_period.as_nanos() as u64)
     }
 
-    /// State of the run at this moment.
+    /// The state of the run at this time.
     pub fn get(&self) -> Snapshot {
         let (disk, now) = (self.disk(), self.clock.now());
         let seconds = |cycles: u64| self.ns_of(cycles) as f64 * 1e-9;
         let (taken, lost) =
             (self.handed.due.load(Ordering::Acquire), self.handed.lost.load(Ordering::Relaxed));
-        // Nothing is safe in a file that is lost.
+        // In a file that is not in its place, no cycle is safe.
         let is_in_place = disk.file_lost.is_none();
         let (synced, written) = if is_in_place { (disk.synced, disk.written) } else { Default::default() };
         let mut snapshot = Snapshot {
@@ -272,7 +277,7 @@ impl RunProgress {
 }
 
 impl OnDisk {
-    /// The longest waits, including that of the current call, which will not become shorter.
+    /// The longest waits, including a call in progress, whose duration so far is a lower bound.
     fn longest_at(&self, now: MonoNs) -> DiskTiming {
         let lasted_ns = |since: Option<MonoNs>| since.map_or(0, |since| now.ns_since(since).max(0) as u64);
         let syncing_since = self.syncing_since.map(|(_, since)| since);
@@ -284,9 +289,10 @@ impl OnDisk {
     }
 }
 
-/// A run whose file takes longer to create is reported.
+/// Time after which a problem is reported if the run's file is still not created.
 const OPENS_WITHIN: Duration = Duration::from_secs(1);
-/// Number of synchronisation periods that may wait before a warning: one is usual, the other for a busy disk.
+/// Number of synchronisation periods for which cycles may wait without a warning. One period is usual, the other
+/// is for a busy disk.
 const WARNING_PERIODS: u32 = 2;
 
 impl Snapshot {
@@ -331,9 +337,9 @@ mod tests {
             progress.wrote(written, written_lost);
             (progress.get().backlog_s / 0.01).round()
         };
-        // 100 written, 50 of the next 100 lost, the other 50 wait.
+        // 100 cycles are written. Of the next 100, 50 are lost and the other 50 wait.
         assert_eq!(backlog(200, 50, 100, 0), 50.0);
-        // All of these are written, the lost ones by their numbers; then the disk hangs again.
+        // All of these are written, the lost ones as numbers only. Then the disk hangs again.
         assert_eq!(backlog(200, 50, 200, 50), 0.0);
         assert_eq!(backlog(300, 50, 200, 50), 100.0);
     }

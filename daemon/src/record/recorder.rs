@@ -1,7 +1,10 @@
-//! Takes cycles, events and timing of a run from the ring, and markers of people, and writes them to the run's file. It works
-//! in a thread that may wait for the disk, so that the cycle never does. Twice per synchronisation period it writes a chunk,
-//! which another thread synchronises. If the disk refuses the file, the run moves to another directory. `run::session` starts a
-//! recorder for each run.
+//! Records a run: takes cycles, events and timing from the ring, and markers of people, and writes them to the run's file.
+//!
+//! The recorder works in a thread that may wait for the disk, so that the cycle never has to. Twice per synchronisation
+//! period it writes a *chunk*, the cycles since the last chunk. Another thread synchronises the file. If the disk refuses
+//! the file, the run moves to another directory. `run::session` starts a recorder for each run.
+//!
+//! A *note* is an event or a marker that waits until it is written before the cycle in which it happened.
 
 use std::collections::VecDeque;
 use std::path::PathBuf;
@@ -24,29 +27,29 @@ use crate::cycle::{BusNames, CycleEvent, CycleTiming, TimingSink, TimingSource, 
 use crate::problem::{Fact, Problem};
 use crate::scheduler::Scheduler;
 
-/// Queue of events; cycles carry their flags themselves, so that a lost event does no harm.
+/// Capacity of the queue of events. A lost event does no harm, because cycles carry their flags themselves.
 const EVENTS_MAX: usize = 1024;
-/// Moves of a run to another place before it is given up.
+/// Largest number of moves of a run to another directory. After that the run ends with an error.
 const MOVES_MAX: u32 = 8;
-/// Duration of a usual synchronisation. One that takes more than twice this, and twice any before, has the timing recorded
-/// at once \[ns\].
+/// Duration of a usual synchronisation \[ns\]. If a synchronisation takes more than twice this, and more than twice the
+/// longest before, the timing is recorded at once.
 const SYNC_USUAL_NS: u64 = 100_000_000;
-/// The cycle's timing is recorded at least this often, for a run that is killed.
+/// Longest time between two records of the timing, for a run that is killed.
 const TIMING_PERIOD: Duration = Duration::from_secs(60);
-/// A larger change of UTC against the monotonic clock is a step \[ns\].
+/// Smallest change of UTC against the monotonic clock that counts as a step \[ns\].
 const CLOCK_STEP_NS: i64 = 100_000;
 
-/// The cycle's end of the ring.
+/// The end of the ring that the cycle uses.
 pub struct CycleSink {
     ring: Producer<CycleRecord>,
     events: Producer<CycleEvent>,
     timing: TimingSink,
     handed: Arc<Handed>,
-    /// A full ring makes the cycle wait for the recorder; otherwise its record is lost and counted.
+    /// Whether the cycle waits for the recorder if the ring is full. Otherwise the record is lost, and the loss is counted.
     waits: bool,
 }
 
-/// The recorder's end of the ring.
+/// The end of the ring that the recorder uses.
 pub struct CycleSource {
     ring: Consumer<CycleRecord>,
     events: Consumer<CycleEvent>,
@@ -59,30 +62,30 @@ pub struct CycleSource {
 pub struct RunSummary {
     /// Path of the finished file.
     pub path: PathBuf,
-    /// Number of cycles in it.
+    /// Number of cycles in the file.
     pub cycles: u64,
     /// Cycles in which every encoder is valid.
     pub cycles_valid: u64,
-    /// Cycles that were lost between bus and file; each is in the file as lost.
+    /// Number of cycles that were lost between bus and file. The file contains each of them, marked as lost.
     pub cycles_lost: u64,
     /// Why the run ended.
     pub cause: String,
-    /// Whether its counts are measured, simulated or replayed.
+    /// Whether the counts are measured, simulated or replayed.
     pub provenance: Provenance,
     /// Timing of the cycle; `None` on virtual time.
     pub timing: Option<TimingSummary>,
 }
 
-/// Treatment of a cycle when the ring is full.
+/// What happens to a cycle when the ring is full.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FullRing {
-    /// It is counted as lost: the cycle never waits.
+    /// The cycle is dropped and counted as lost. The cycle's thread never waits.
     Drops,
-    /// It waits for the recorder, on virtual time.
+    /// The cycle's thread waits for the recorder, on virtual time.
     Waits,
 }
 
-/// A ring of `capacity` cycles between the real-time thread and the recorder.
+/// Creates a ring of `capacity` cycles between the real-time thread and the recorder.
 pub fn ring(capacity: usize, full: FullRing) -> (CycleSink, CycleSource) {
     let (producer, consumer) = RingBuffer::new(capacity);
     let (events_in, events_out) = RingBuffer::new(EVENTS_MAX);
@@ -99,7 +102,7 @@ pub fn ring(capacity: usize, full: FullRing) -> (CycleSink, CycleSource) {
 }
 
 impl CycleSource {
-    /// Counts of the cycles that were due and of those that were lost.
+    /// Number of cycles that were due, and of those that were lost because the ring was full.
     pub fn handed(&self) -> &Arc<Handed> {
         &self.handed
     }
@@ -120,14 +123,15 @@ impl CycleSource {
         self.timing.summary()
     }
 
-    /// Whether the other end is dropped; some content may remain.
+    /// Whether the other end of the ring was dropped. The ring may still contain records.
     pub fn is_over(&self) -> bool {
         self.ring.is_abandoned()
     }
 }
 
 impl CycleSink {
-    /// Adds one cycle. Wait-free on real time; a full ring loses the record but not its number, and counts the loss.
+    /// Adds one cycle. On real time this does not wait. If the ring is full, the record is lost and the loss is counted; its
+    /// number is not used again.
     pub fn push(&mut self, record: &CycleRecord) {
         self.handed.due.store(record.cycle + 1, Ordering::Release);
         while let Err(PushError::Full(_)) = self.ring.push(*record) {
@@ -139,25 +143,25 @@ impl CycleSink {
         }
     }
 
-    /// Adds an event. Wait-free; dropped if the queue is full.
+    /// Adds an event, without waiting. If the queue is full, the event is dropped.
     pub fn push_event(&mut self, event: CycleEvent) {
         let _ = self.events.push(event);
     }
 
-    /// Adds the timing of a cycle, except on virtual time. Wait-free.
+    /// Adds the timing of a cycle, without waiting. No effect on virtual time.
     pub fn push_timing(&mut self, timing: CycleTiming) {
         if !self.waits {
             self.timing.push(timing);
         }
     }
 
-    /// Whether the recorder has given up.
+    /// Whether the recorder has ended.
     pub fn is_abandoned(&self) -> bool {
         self.ring.is_abandoned()
     }
 }
 
-/// A marker that a person set.
+/// A marker that a person has set.
 #[derive(Debug)]
 pub struct Marker {
     /// Time of the marker.
@@ -166,52 +170,54 @@ pub struct Marker {
     pub text: String,
 }
 
-/// Connections of a recorder while it runs.
+/// Connections of a recorder to other threads, for the duration of a run.
 pub struct RunLink {
     /// Markers that people set.
     pub marks: Receiver<Marker>,
     /// Progress of the run, for other threads.
     pub progress: Arc<RunProgress>,
-    /// Provides another place if the run's own is lost.
+    /// Provides another directory if the run's own is lost.
     pub storage: Storage,
     /// Runs the synchronisations, which wait for the disk.
     pub scheduler: Arc<dyn Scheduler>,
 }
 
-/// Writes the content of the ring until its other end is dropped, then finishes the file. Cycles are written each period,
-/// after which they survive a kill of the program; another thread synchronises them, after which they survive a power
-/// failure. While the disk accepts nothing the cycles wait in the ring.
+/// Writes the content of the ring until the other end of the ring is dropped, then finishes the file. In each period the
+/// cycles are written, after which they survive a kill of the program. Another thread then synchronises them, after which
+/// they survive a power failure. While the disk accepts no data, the cycles wait in the ring.
 pub struct Recorder {
     source: CycleSource,
     writer: RecordingWriter<RunFile>,
     synchroniser: Synchroniser,
     clock: Clock,
+    /// Time after which a chunk is written.
     period: Duration,
-    /// A chunk with this number of cycles is written before its period is over.
+    /// Number of cycles after which a chunk is written even if its period is not over.
     chunk_cycles: u64,
     /// `UTC - monotonic` of the run's sample times \[ns\].
     utc_minus_monotonic_ns: i64,
-    /// `UTC - monotonic` of the host when it was last read \[ns\].
+    /// `UTC - monotonic` of the host when it was last read \[ns\]. A change of this value is a step of the host's UTC.
     host_offset_ns: i64,
     cycle_period_ns: i64,
     provenance: Provenance,
     names: BusNames,
-    /// The longest wait for the disk that was recorded \[s\].
+    /// Longest wait for the disk that was recorded as an event \[s\].
     noted_wait_s: f64,
-    /// Cycles that the full ring dropped, and that are in the file as lost.
+    /// Number of cycles that the full ring dropped. The file contains them, marked as lost.
     cycles_lost: u64,
-    /// Cycles written when the timing was last recorded.
+    /// Number of cycles that were written when the timing was last recorded.
     timing_cycles: u64,
-    /// The longest synchronisation until then \[ns\].
+    /// Longest synchronisation before the timing was last recorded \[ns\].
     timing_sync_ns: u64,
-    /// Cycles written up to the last chunk.
+    /// Number of cycles that were written when the last chunk was cut.
     chunk_end_cycles: u64,
-    /// When the last chunk was written.
+    /// Time at which the last chunk was cut.
     chunk_at: MonoNs,
-    /// Events and markers, by time, that wait for the cycle before which they happened.
+    /// Notes in order of time. Each waits for the cycle before which it happened.
     notes: Vec<Event>,
-    /// Error counts of ports, with the cycle from which they apply.
+    /// Error counts of ports, each with the number of the cycle from which it applies.
     port_counts: VecDeque<(u64, PortCounts)>,
+    /// Number of moves to another directory so far.
     moves: u32,
     link: RunLink,
     /// The last cycle written.
@@ -219,10 +225,10 @@ pub struct Recorder {
 }
 
 impl Recorder {
-    /// Period in which the ring is emptied.
+    /// Period in which the ring must be emptied.
     pub const PERIOD: Duration = Duration::from_millis(20);
 
-    /// A recorder of the run that `writer` began with `run`.
+    /// A recorder for the run that `writer` has begun with the metadata `run`.
     pub fn new(
         source: CycleSource,
         writer: RecordingWriter<RunFile>,
@@ -231,7 +237,7 @@ impl Recorder {
     ) -> Self {
         let synchroniser = Synchroniser::new(&link.progress, &*link.scheduler);
         let clock = link.scheduler.clock().clone();
-        // Half of it: the other half is a margin for a late disk or processor.
+        // Half of the configured period. The other half is a margin for a busy disk or processor.
         let period = link.progress.sync_period() / 2;
         Self {
             source,
@@ -242,7 +248,7 @@ impl Recorder {
             chunk_at: clock.now(),
             clock,
             period,
-            // On virtual time, and after a wait, a second of cycles arrives at once.
+            // On virtual time, and after a wait for the disk, the cycles of a whole second can arrive at once.
             chunk_cycles: (period.as_nanos() as u64 / run.cycle_period_ns.max(1)).max(1),
             utc_minus_monotonic_ns: run.utc_minus_monotonic_ns,
             cycle_period_ns: run.cycle_period_ns as i64,
@@ -260,14 +266,16 @@ impl Recorder {
         }
     }
 
-    /// Takes the ring's content and writes it if that is due. Returns false once the ring's other end was dropped and all is
-    /// taken: then call [`Self::finish`]. To be called each [`Self::PERIOD`]; never sleeps, but waits for the disk.
+    /// Takes the content of the ring, and writes it if it is time to. Must be called every [`Self::PERIOD`]. It does not
+    /// sleep, but it waits for the disk. Returns false when the other end of the ring was dropped and the ring is empty;
+    /// then [`Self::finish`] must be called.
     pub fn poll(&mut self) -> Result<bool, WriteError> {
-        // Read before emptying: cycles pushed before the other end was dropped are still taken.
+        // This is read before the ring is emptied, so that cycles pushed before the other end was dropped are
+        // not left in the ring.
         let last_round = self.source.ring.is_abandoned();
         self.take_notes();
         while let Ok(record) = self.source.ring.pop() {
-            // Events were pushed before the cycle in which they happened.
+            // An event is pushed before the cycle in which it happened, so it is taken before that cycle is added.
             self.take_notes();
             self.add_cycle(&record)?;
             if self.writer.cycles() >= self.chunk_end_cycles + self.chunk_cycles {
@@ -281,10 +289,11 @@ impl Recorder {
         if self.clock.now().ns_since(self.chunk_at) >= self.period.as_nanos() as i64 {
             self.write_chunk()?;
         }
+        // React to a failed synchronisation, and to a file that is not in its place.
         if let Some(problem) = self.synchroniser.problem() {
             self.move_elsewhere(WriteError::Sink(problem))?;
         }
-        // Another thread has missed the file; it may be in its place again.
+        // Another thread did not find the file. It may have returned in the meantime.
         if self.link.progress.lost().is_some() {
             match self.writer.sink().place().check() {
                 Ok(()) => self.link.progress.found_again(),
@@ -294,7 +303,7 @@ impl Recorder {
         Ok(true)
     }
 
-    /// Adds one cycle to the chunk, after the lost cycles and the notes that precede it.
+    /// Adds one cycle to the chunk. Lost cycles and notes that precede it are added first.
     fn add_cycle(&mut self, record: &CycleRecord) -> Result<(), WriteError> {
         self.fill_lost(record.cycle)?;
         self.write_notes(record.sample_time)?;
@@ -309,8 +318,8 @@ impl Recorder {
         self.move_if_refused(written)
     }
 
-    /// Adds the cycles before `until` that the full ring dropped, by number and reason. None precedes the first record: cycle 0
-    /// of a run finds an empty ring.
+    /// Adds the cycles before `until` that the full ring dropped, marked as lost. No such cycle precedes the first record,
+    /// because cycle 0 of a run finds an empty ring.
     fn fill_lost(&mut self, until: u64) -> Result<(), WriteError> {
         let Some(last) = self.last else { return Ok(()) };
         let first = last.cycle + 1;
@@ -334,9 +343,9 @@ impl Recorder {
         Ok(())
     }
 
-    /// Writes all cycles taken, and synchronises them unless the previous synchronisation is still running.
+    /// Writes the chunk with all cycles taken so far. Synchronises it unless the previous synchronisation is still running.
     fn write_chunk(&mut self) -> Result<(), WriteError> {
-        // Cycles that arrive while the disk works wait for the next chunk, so the period starts here.
+        // The period starts here, because cycles that arrive while the disk works belong to the next chunk.
         self.chunk_end_cycles = self.writer.cycles();
         self.chunk_at = self.clock.now();
         self.link.progress.writing();
@@ -353,7 +362,8 @@ impl Recorder {
         Ok(())
     }
 
-    /// Records a wait for the disk, and again whenever one takes twice as long.
+    /// Adds an event about a wait for the disk. Further events follow each time the wait is twice as long
+    /// as the last one noted.
     fn note_wait(&mut self) {
         let late = self.link.progress.get().problems.into_iter().find_map(|problem| match *problem.fact {
             Fact::DiskBacklog { backlog_s: late_s, .. } | Fact::DiskSlow { unsynced_s: late_s } => {
@@ -368,7 +378,7 @@ impl Recorder {
         self.note_disk(*problem.fact);
     }
 
-    /// The extent that a synchronisation of the file would cover now.
+    /// The extent of the file that a synchronisation beginning now would cover.
     fn as_synced(&self) -> Synced {
         Synced {
             cycles: self.writer.cycles(),
@@ -378,7 +388,7 @@ impl Recorder {
         }
     }
 
-    /// Moves the run elsewhere if the disk refused its file.
+    /// Moves the run to another directory if the disk has refused its file. Passes on other errors.
     fn move_if_refused(&mut self, outcome: Result<(), WriteError>) -> Result<(), WriteError> {
         match outcome {
             Err(error @ (WriteError::Sink(_) | WriteError::Io { .. } | WriteError::Lost(_))) => {
@@ -388,14 +398,14 @@ impl Recorder {
         }
     }
 
-    /// Moves the run with all its cycles to the first place that accepts it. A lost file may start again in its place; a disk
-    /// that refused is not tried again.
+    /// Moves the run with all its cycles to the first directory that accepts it. If the file was lost, the run's own
+    /// directory is tried first. If the disk refused it, only the spare directory is tried.
     fn move_elsewhere(&mut self, why: WriteError) -> Result<(), WriteError> {
         self.moves += 1;
         if self.moves > MOVES_MAX {
             return Err(why);
         }
-        // Nothing is reported as safe until the run is moved.
+        // Until the run has moved, none of its cycles is reported as safe.
         self.link.progress.set_lost(self.writer.sink().place(), why.to_string());
         let storage = &self.link.storage;
         let (directory, spare) = (storage.directory().to_owned(), storage.spare().to_owned());
@@ -422,14 +432,15 @@ impl Recorder {
     fn continue_after_move(&mut self, why: &WriteError) {
         let place = self.writer.sink().place().clone();
         let moved = Fact::FileMoved { file: place.path().to_owned(), error: why.to_string() };
-        // The previous synchroniser may hang on the lost disk.
+        // The previous synchroniser may be blocked by the lost disk.
         self.synchroniser = Synchroniser::new(&self.link.progress, &*self.link.scheduler);
         self.link.progress.moved(place, why.to_string());
         self.note_disk(moved);
     }
 
-    /// Due whenever the run has doubled in length, later once per period, so that a short run has timing, too; and whenever a
-    /// synchronisation took twice as long as any before.
+    /// Writes the timing if it is time to. At first this is whenever the run has doubled in length, so that a short run
+    /// has timing, too; later it is once per period. It is also done when a synchronisation took more than twice as
+    /// long as the longest before.
     fn write_timing_if_due(&mut self) -> Result<(), WriteError> {
         let period_cycles = TIMING_PERIOD.as_nanos() as u64 / self.cycle_period_ns.max(1) as u64;
         let (cycles, sync_ns) = (self.writer.cycles(), self.link.progress.longest().sync_longest_ns);
@@ -441,7 +452,7 @@ impl Recorder {
         self.write_timing().map(drop)
     }
 
-    /// Timing of cycle and disk so far; `None` on virtual time.
+    /// Timing of cycle and disk so far. `None` on virtual time.
     fn timing(&mut self) -> Option<TimingSummary> {
         let disk = self.link.progress.longest();
         self.source.timing().map(|timing| TimingSummary { disk, ..timing })
@@ -454,7 +465,7 @@ impl Recorder {
         Ok(Some(timing))
     }
 
-    /// Takes events of the bus and markers, each with its own time.
+    /// Takes events of the bus and markers, and keeps them as notes with their own times.
     fn take_notes(&mut self) {
         while let Ok(event) = self.source.events.pop() {
             self.port_counts.extend(event.port_counts().map(|counts| (event.cycle, counts)));
@@ -469,26 +480,26 @@ impl Recorder {
         }
     }
 
-    /// The cycle at `time`, assuming one cycle per period.
+    /// Number of the cycle at `time`, if there is one cycle in each period.
     fn cycle_at(&self, time: UtcNs) -> u64 {
         let Some(last) = self.last else { return 0 };
         let cycles_later = time.ns_since(last.sample_time).div_euclid(self.cycle_period_ns.max(1));
         last.cycle.saturating_add_signed(cycles_later)
     }
 
-    /// Adds an event or marker to those that wait for their cycle.
+    /// Adds a note, in order of time.
     fn note(&mut self, event: Event) {
         let index = self.notes.partition_point(|other| other.time <= event.time);
         self.notes.insert(index, event);
     }
 
-    /// Records a problem of the disk at this moment.
+    /// Adds a note about a problem of the disk, with the current time.
     fn note_disk(&mut self, fact: Fact) {
         let time = UtcNs(self.clock.now().0 + self.utc_minus_monotonic_ns);
         self.note(event_of(time, self.cycle_at(time), EventKind::Disk, fact));
     }
 
-    /// Writes events up to `until`, so that readers find each among the cycles of its time.
+    /// Writes the notes up to the time `until`, so that readers find each among the cycles of its time.
     fn write_notes(&mut self, until: UtcNs) -> Result<(), WriteError> {
         while self.notes.first().is_some_and(|note| note.time <= until) {
             let note = self.notes.remove(0);
@@ -498,7 +509,8 @@ impl Recorder {
         Ok(())
     }
 
-    /// Sample times keep the offset of the run's beginning; a step of the host's UTC is recorded.
+    /// Adds a note if the host's UTC has stepped. Sample times of the run are not changed: they keep
+    /// the offset of its beginning.
     fn note_clock_step(&mut self) {
         let offset_ns = self.clock.utc_minus_monotonic_ns();
         let moved_ns = offset_ns - self.host_offset_ns;
@@ -510,7 +522,7 @@ impl Recorder {
         self.note(event_of(time, cycle, EventKind::Clock, Fact::ClockStepped { by_ns: moved_ns }));
     }
 
-    /// Writes the remaining cycles and finishes the file.
+    /// Writes the remaining cycles, then ends and publishes the file.
     pub fn finish(mut self, cause: String) -> Result<RunSummary, WriteError> {
         let due = self.source.handed.due.load(Ordering::Acquire);
         self.fill_lost(due)?;
@@ -534,7 +546,7 @@ impl Recorder {
                 outcome => self.move_if_refused(outcome.map(drop))?,
             }
         };
-        // `publish` has synchronised the file; 0 is the number of no synchroniser.
+        // `publish` has synchronised the file. No synchroniser has the number 0.
         self.link.progress.synced(0, Some(self.as_synced()));
         Ok(RunSummary { path, cycles, cycles_valid, cycles_lost, cause, provenance: self.provenance, timing })
     }

@@ -3,7 +3,7 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 
-/// Requests the end of a run, from any thread or a signal.
+/// Requests the end of a run, from any thread or from a signal handler.
 #[derive(Debug, Clone, Default)]
 pub struct Stop {
     stopped: Arc<AtomicBool>,
@@ -11,23 +11,23 @@ pub struct Stop {
 }
 
 impl Stop {
-    /// Ends the run; the file states the first cause.
+    /// Requests the end of the run. The file contains the cause of the first request.
     pub fn stop(&self, cause: &str) {
         let _ = self.cause.set(cause.to_owned());
         self.stopped.store(true, Ordering::Release);
     }
 
-    /// Flag that [`Self::stop`] sets.
+    /// The flag that [`Self::stop`] sets.
     pub fn flag(&self) -> Arc<AtomicBool> {
         Arc::clone(&self.stopped)
     }
 
-    /// Whether the end is requested.
+    /// Whether the end of the run was requested.
     pub fn is_stopped(&self) -> bool {
         self.stopped.load(Ordering::Acquire)
     }
 
-    /// Cause of the end.
+    /// Cause of the first request.
     pub fn cause(&self) -> String {
         self.cause.get().cloned().unwrap_or_else(|| "the cycle ended without a request".into())
     }

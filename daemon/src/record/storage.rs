@@ -1,6 +1,8 @@
-//! The directories of recordings and the state of their disk: space, permissions, response time, and whether the file of the
-//! current run is in its place. One task checks the disk periodically, so that reading its state never waits for a disk that
-//! hangs; another task logs its problems, also while the first one hangs. A full disk ends the run.
+//! The directories of recordings, and the state of their disk: space, permissions, response time, and whether the file of
+//! the current run still exists under its path.
+//!
+//! One task checks the disk periodically and stores the result. Reading the result never waits for a disk that hangs.
+//! Another task logs the problems, so that they are logged even while the first task hangs. A full disk ends the run.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
@@ -17,11 +19,11 @@ use crate::problem::{Fact, Problem};
 use crate::scheduler::{Scheduler, Stepper};
 
 const BYTES_PER_MB: u64 = 1_000_000;
-/// A check that takes longer is reported. A silent disk is to be reported within a second; the rest of it is a margin for a
-/// busy machine \[ns\].
+/// Time after which a check that has not finished is reported \[ns\]. A silent disk must be reported within a second; the
+/// remaining time is a margin for a busy machine.
 const ANSWERS_WITHIN_NS: i64 = 400_000_000;
 
-/// The directories of recordings, and their current state. Clones share it.
+/// The directories of recordings, with their current state. Clones share the state.
 #[derive(Debug, Clone)]
 pub struct Storage(Arc<StorageState>);
 
@@ -42,29 +44,29 @@ struct WatchedRun {
     stop: Stop,
 }
 
-/// Result of the last check, and progress of the current one.
+/// Result of the last completed check, and progress of the check that is running.
 #[derive(Debug)]
 struct LastCheck {
     begun: MonoNs,
-    /// What it looks at: the place of the run, or of the next one.
+    /// The directory that is checked: that of the current run, or that of the next run.
     directory: PathBuf,
     is_over: bool,
-    /// Free space above the floor.
+    /// Free space above the required minimum. `None` if it is unknown.
     usable_bytes: Option<u64>,
     problem: Option<Problem>,
 }
 
 impl Storage {
-    /// Period of the checks. The loss of a file is reported within a second: this period and those of control and page, through
-    /// which it passes, add up to a third of that.
+    /// Period of the checks. A lost file must be reported within a second. This period and the periods of control and page,
+    /// through which the report passes, add up to a third of a second.
     const CHECK_PERIOD: Duration = Duration::from_millis(100);
 
-    /// As configured, on the system's disk.
+    /// The configured directories, on the disk of the operating system.
     pub fn new(daemon: &DaemonConfig, scheduler: &dyn Scheduler) -> std::io::Result<Self> {
         Self::on(Arc::new(SystemDisk), daemon, scheduler)
     }
 
-    /// As configured, on another disk.
+    /// The configured directories, on another disk.
     pub fn on(
         disk: Arc<dyn Disk>,
         daemon: &DaemonConfig,
@@ -93,7 +95,7 @@ impl Storage {
         Ok(storage)
     }
 
-    /// Repeats `work` each period while the storage is in use.
+    /// Repeats `work` in each period while the storage is in use.
     fn repeat(
         &self,
         name: &str,
@@ -114,33 +116,35 @@ impl Storage {
         &self.0.directory
     }
 
-    /// Directory in which a run continues if its own place is lost.
+    /// Directory in which a run continues if its own directory or disk is lost.
     pub fn spare(&self) -> &Path {
         &self.0.spare
     }
 
-    /// Watches a run's file until the run is over, and ends the run if the disk gets full.
+    /// From now on, checks the file of this run until the run is over, and ends the run if the disk becomes full.
     pub fn watch(&self, progress: &Arc<RunProgress>, stop: &Stop) {
         let run = WatchedRun { progress: Arc::downgrade(progress), stop: stop.clone() };
         *lock(&self.0.run) = Some(run);
     }
 
-    /// Space that recordings may still use: free space above the floor; 0 at the floor, `None` if unknown \[bytes\].
+    /// Free space that recordings may still use \[bytes\]: the free space above the required minimum. 0 if there is none,
+    /// `None` if the free space is unknown.
     pub fn usable_bytes(&self) -> Option<u64> {
         lock(&self.0.last_check).usable_bytes
     }
 
-    /// Whether the first check has finished, or takes so long that this is its result.
+    /// Whether the state of the disk is known: the first check has finished, or has taken so long that
+    /// the disk counts as silent.
     pub fn is_known(&self) -> bool {
         lock(&self.0.last_check).is_over || self.0.silent_problem().is_some()
     }
 
-    /// Why nothing may be recorded now, and what to do; `None` if recording is possible.
+    /// Why no run can be recorded now, and what to do. `None` if recording is possible.
     pub fn problem(&self) -> Option<Problem> {
         self.0.silent_problem().or_else(|| lock(&self.0.last_check).problem.clone())
     }
 
-    /// Why there is not enough space for a run in `directory`, and what to do; `None` if there is. Calls the disk.
+    /// Why the free space in `directory` is not enough for a run, and what to do. `None` if it is enough. Calls the disk.
     pub fn full(&self, directory: &Path) -> Option<Problem> {
         let space = self.0.disk.space(directory);
         space.is_ok_and(|space| self.0.is_full(space)).then(|| self.0.full_problem(directory))
@@ -159,7 +163,7 @@ impl StorageState {
         }
         let space = self.disk.space(directory);
         let problem = self.problem_of(directory, &space);
-        // A file system that does not report its space is trusted.
+        // If a file system does not report its space, recording is permitted.
         let usable_bytes = space.ok().map(|space| space.free_bytes.saturating_sub(self.floor_bytes));
         if let Some((progress, stop)) = run.filter(|(_, stop)| !stop.is_stopped()) {
             if let Some(place) = &place
@@ -200,7 +204,7 @@ impl StorageState {
         lock(&self.run).as_ref().and_then(|run| Some((run.progress.upgrade()?, run.stop.clone())))
     }
 
-    /// The problem while a check takes too long.
+    /// The problem that the current check has taken too long; `None` if it has not.
     fn silent_problem(&self) -> Option<Problem> {
         let last_check = lock(&self.last_check);
         let now = self.clock.now();
@@ -218,7 +222,7 @@ impl StorageState {
         problem.into_iter().chain(run_problems).collect()
     }
 
-    /// Logs problems that are new; returns the codes of all.
+    /// Logs the problems whose codes are not in `before`. Returns the codes of all problems.
     fn log(&self, before: &[&'static str]) -> Vec<&'static str> {
         let problems = self.problems();
         for problem in problems.iter().filter(|problem| !before.contains(&problem.code())) {
@@ -228,7 +232,7 @@ impl StorageState {
     }
 }
 
-/// Work that is repeated each period.
+/// Work that is repeated in each period as long as the storage exists.
 struct Repeated<W> {
     shared: Weak<StorageState>,
     work: W,

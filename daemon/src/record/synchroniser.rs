@@ -1,5 +1,6 @@
-//! Synchronises the run's file with the disk (fsync) in a thread of its own, while the recorder writes more. The outcome goes
-//! to [`RunProgress`], which reports as safe only what is synchronised; a failure goes to the recorder.
+//! Synchronises the run's file with the disk (fsync) in a thread of its own, while the recorder continues to
+//! write. The outcome is reported to [`RunProgress`], in which only synchronised data count as safe. An error is
+//! also returned to the recorder.
 
 use std::io;
 use std::sync::Arc;
@@ -13,31 +14,32 @@ use shared::time::MonoNs;
 use super::progress::{RunProgress, Synced};
 use crate::scheduler::{Died, Scheduler, Stepper, received};
 
-/// How long a recorder that ends waits for a current synchronisation.
+/// Longest time for which a recorder that ends waits for a synchronisation in progress.
 const RELEASE_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// The recorder's side: one synchronisation at a time.
+/// The side of the recorder. It requests one synchronisation at a time.
 pub(super) struct Synchroniser {
-    /// The file, and the extent of it that a synchronisation covers.
+    /// Each job is a file, and the extent of the file that the synchronisation covers.
     jobs: SyncSender<(RunSync, Synced)>,
     outcomes: Receiver<io::Result<()>>,
     is_busy: bool,
-    /// The recorder waits for the last synchronisation: not on virtual time, where no other work would proceed.
+    /// Whether the recorder waits for the last synchronisation when it ends. Not on virtual time, where the synchronisation
+    /// could not proceed while the recorder waits.
     waits: bool,
 }
 
-/// The side that waits for the disk. It ends with the recorder.
+/// The side that waits for the disk. It ends when the recorder drops its side.
 struct SyncWork {
     jobs: Receiver<(RunSync, Synced)>,
     outcomes: SyncSender<io::Result<()>>,
     progress: Arc<RunProgress>,
-    /// Distinguishes it from those of the run's earlier places, which may hang.
+    /// Number that distinguishes this synchroniser from those before a move of the run, which may hang.
     number: u32,
-    /// Job that [`Stepper::wait`] has received.
+    /// The job that [`Stepper::wait`] has received.
     next: Option<(RunSync, Synced)>,
 }
 
-/// Period in which a loop polls for work; a thread waits for it.
+/// Period in which a loop on virtual time polls for jobs. A thread blocks until it receives one.
 const POLL_PERIOD: Duration = Duration::from_millis(1);
 
 impl Stepper for SyncWork {
@@ -56,19 +58,20 @@ impl Stepper for SyncWork {
 }
 
 impl SyncWork {
-    /// Returns whether the recorder still needs it.
+    /// Synchronises a file and reports the outcome. Returns whether the recorder still exists.
     fn synchronise(&self, file: RunSync, covers: Synced) -> bool {
         self.progress.syncing(self.number);
         let synced = file.sync();
         self.progress.synced(self.number, synced.is_ok().then_some(covers));
-        // Release the file before its recorder may.
+        // Release this handle before the recorder gets the outcome. Otherwise the file would stay locked when the
+        // recorder releases its own handle.
         drop(file);
         self.outcomes.send(synced).is_ok()
     }
 }
 
 impl Synchroniser {
-    /// If the other side gets no thread, each synchronisation fails.
+    /// A synchroniser with its own thread. If the thread cannot be started, each synchronisation fails.
     pub fn new(progress: &Arc<RunProgress>, scheduler: &dyn Scheduler) -> Self {
         static NUMBER: AtomicU32 = AtomicU32::new(1);
         let number = NUMBER.fetch_add(1, Ordering::Relaxed);
@@ -81,7 +84,7 @@ impl Synchroniser {
         Self { jobs, outcomes, is_busy: false, waits }
     }
 
-    /// Synchronises `file`, unless the previous synchronisation is still running.
+    /// Begins to synchronise `file`, unless the previous synchronisation is still running.
     pub fn begin(&mut self, file: RunSync, covers: Synced) {
         if !self.is_busy {
             self.is_busy = true;
@@ -89,7 +92,8 @@ impl Synchroniser {
         }
     }
 
-    /// Takes the outcome of the last synchronisation, after which another can begin; returns its error if it failed.
+    /// Takes the outcome of the last synchronisation if it has finished. Returns its error if it failed. After
+    /// that, another synchronisation can begin.
     pub fn problem(&mut self) -> Option<io::Error> {
         if !self.is_busy {
             return None;
@@ -101,7 +105,8 @@ impl Synchroniser {
 }
 
 impl Drop for Synchroniser {
-    /// Leaves the file unlocked for its recovery, unless the synchronisation hangs.
+    /// Waits for a synchronisation in progress, which keeps the file locked, so that the file can be recovered. Does not
+    /// wait long if the disk hangs.
     fn drop(&mut self) {
         if self.is_busy && self.waits {
             let _ = self.outcomes.recv_timeout(RELEASE_TIMEOUT);

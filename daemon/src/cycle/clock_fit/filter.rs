@@ -1,9 +1,10 @@
 //! Kalman filter of the clock fit. Its state is offset and drift, in `bus time = t + base + offset + drift * (t - at)` with
 //! host time `t`. The inputs are readings of the offset; the results are host times with their variance.
 //!
-//! For each reading, the state is propagated to the time of the reading, and then corrected. A delayed reading gets less
-//! weight. Its possible delay is its round trip minus the quickest round trip so far. While the quickest round trip is
-//! unknown, the whole hard bound counts as possible delay.
+//! For each reading, the state is propagated to the time of the reading, and then corrected. A delayed reading gets
+//! less weight. Its possible delay is half of the time by which its round trip exceeds the quickest one so far. While
+//! the quickest round trip is unknown, the possible delay is half of the round trip. Round trips are without the
+//! duration of the frame itself.
 
 use shared::time::{DcNs, MonoNs};
 
@@ -27,8 +28,8 @@ const START_READINGS: u32 = 64;
 /// Relative increase per second of the stored quickest round trip. Without it, a path that has become
 /// slower would not be noticed.
 const QUICKEST_FORGOTTEN_PER_S: f64 = 0.01;
-/// The *scatter* is the part of a deviation that exceeds this number of standard deviations of the filter. It increases
-/// the uncertainty of readings ...
+/// The *scatter* is a deviation minus its possible delay and minus this number of standard deviations of the filter. It
+/// increases the uncertainty of readings ...
 const SCATTER_SIGMAS: f64 = 3.0;
 /// ... it decays by this fraction in each second ...
 const SCATTER_FORGOTTEN_PER_S: f64 = 0.3;

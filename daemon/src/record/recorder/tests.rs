@@ -1,4 +1,4 @@
-//! Everything that enters the ring is in the file.
+//! Tests that everything that enters the ring is in the file.
 
 use std::io::Cursor;
 use std::path::Path;
@@ -56,7 +56,7 @@ fn cycle(cycle: u64) -> CycleRecord {
     record
 }
 
-/// A recorder, and the means to end its run.
+/// A recorder, with the objects that are needed to end its run.
 fn rig(disk: Arc<dyn Disk>, source: CycleSource, daemon: &DaemonConfig, clock: &Clock) -> (Recorder, Stop) {
     let run = metadata();
     let scheduler = Threads::on(clock.clone());
@@ -78,7 +78,7 @@ fn rig(disk: Arc<dyn Disk>, source: CycleSource, daemon: &DaemonConfig, clock: &
     (recorder, stop)
 }
 
-/// Writes the ring's content and finishes the file.
+/// Writes the content of the ring and finishes the file.
 fn run(mut recorder: Recorder, cause: impl FnOnce() -> String) -> Result<RunSummary, WriteError> {
     while recorder.poll()? {
         thread::sleep(Recorder::PERIOD);
@@ -128,7 +128,7 @@ fn cycles_that_a_full_ring_refused_are_in_the_file_as_lost() {
         .collect();
     assert_eq!(lost, (32..50).collect::<Vec<_>>());
     assert!(recording.cycles[32..].iter().all(|record| !record.is_valid()));
-    // They contain nothing of another cycle.
+    // The lost cycles contain no data of other cycles.
     for record in &recording.cycles[32..] {
         assert_eq!((record.dc_time.0, record.send_time.0, record.receive_time.0), (0, 0, 0));
         assert_eq!(record.sample_time, cycle(record.cycle).sample_time);
@@ -155,7 +155,7 @@ fn a_step_of_the_hosts_utc_is_recorded() {
     let (recorder, _) = rig(Arc::new(SystemDisk), source, &configured(directory.path()), &clock);
     clock.step_utc(-2_000_000_000);
     let recording = Recording::open(&run(recorder, String::new).unwrap().path).unwrap();
-    // An event of the disk reports that all cycles came at once.
+    // An event about the disk reports that all cycles arrived at once.
     let of_clock = recording.events.iter().filter(|event| event.kind == EventKind::Clock);
     let events: Vec<_> = of_clock.map(|event| (event.code.as_str(), event.text.as_str())).collect();
     let text = "the host's clock was set by -2000.000 ms; sample times of this run do not follow it";
@@ -166,7 +166,7 @@ fn a_step_of_the_hosts_utc_is_recorded() {
 fn at_the_disk_floor_the_run_ends_and_its_file_states_why() {
     let directory = tempfile::tempdir().unwrap();
     let (mut sink, source) = ring(256, FullRing::Drops);
-    // More than any disk has.
+    // A required free space that is larger than any disk.
     let daemon = DaemonConfig { disk_floor_mb: 4_000_000_000, ..configured(directory.path()) };
     let (recorder, stop) = rig(Arc::new(SystemDisk), source, &daemon, &Clock::Real);
     (0..150).for_each(|number| sink.push(&cycle(number)));
@@ -194,7 +194,7 @@ fn wherever_a_run_is_cut_its_file_has_the_timing_up_to_a_minute_before() {
     drop(sink);
     let recorder = plain(directory.path(), source);
     let bytes = std::fs::read(run(recorder, String::new).unwrap().path).unwrap();
-    // Cut just before each of the metadata records, and at the end.
+    // The file is cut just before each of the metadata records, and at the end.
     let name = b"ballbard.timing";
     let records = (0..bytes.len()).filter(|at| bytes[*at..].starts_with(name));
     let cuts: Vec<_> = records
