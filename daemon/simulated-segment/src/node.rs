@@ -66,7 +66,7 @@ pub enum MailboxFault {
 
 /// A chip with its device.
 pub struct Node {
-    /// The chip, on the side of the wire.
+    /// The chip, which frames read and write.
     pub esc: Esc,
     /// The behaviour of the device, including faults of its encoder.
     pub device: Box<dyn Device>,

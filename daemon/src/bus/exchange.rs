@@ -153,7 +153,7 @@ impl Exchange {
         self.sent_last
     }
 
-    /// Length of that frame \[bytes\].
+    /// Length of the last frame that was passed to the wire \[bytes\].
     pub fn sent_bytes_last(&self) -> usize {
         self.sent_bytes_last
     }

@@ -1,4 +1,7 @@
-//! The EtherCAT MainDevice. It brings a segment into operation, and then exchanges process data once per call.
+//! The EtherCAT MainDevice. A [`Bus`] has a wire to the devices of a segment. [`Bus::bring_up`] brings the segment into
+//! operation and returns it as [`Operational`]. After that, each call of [`Bus::exchange`] sends one frame with the outputs.
+//! It returns the inputs, the working counter, the states of the devices and the time of the bus. After a fault, `recovery`
+//! restores a device or finds out which devices answer.
 
 mod bring_up;
 mod error;

@@ -143,7 +143,7 @@ mod tests {
             let mut next = record(ms, [FAR, FAR + 201_000], valid);
             assert_eq!((continuity.check(&mut next), next.origin), (None, 1));
         }
-        // In a second it can turn that far.
+        // Within a second the joint can turn that far.
         assert_eq!(continuity.check(&mut record(1030, [FAR + 4_000_000, FAR], true)), None);
     }
 

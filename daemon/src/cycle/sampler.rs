@@ -249,7 +249,7 @@ mod tests {
 
     #[test]
     fn terminals_before_missing_ones_stay_valid_only_if_the_counter_proves_it() {
-        // The terminal at position 2 answers nothing, and its 3 are missing.
+        // The terminal at position 2 does not answer, so its contribution of 3 to the working counter is missing.
         let rest = CyclicReply {
             working_counter: 3,
             all_operational: false,

@@ -1,6 +1,7 @@
-//! From the cycle to the file: the ring, the recorder, the progress of a run, and the directories of recordings.
+//! Stores runs in files. A ring takes the records from the cycle, the recorder writes them, and other threads read the
+//! progress of the run. The directories of recordings are also here.
 //!
-//! Nothing here depends on the bus: the cycle provides records, events and timing.
+//! Nothing here depends on the bus, because the cycle provides records, events and timing.
 
 mod progress;
 mod recorder;

@@ -1,4 +1,5 @@
-//! A network interface as a wire. It uses a raw AF_PACKET socket that carries EtherCAT frames only.
+//! A network interface as a wire. It uses a raw AF_PACKET socket that carries EtherCAT frames only. If the interface is lost
+//! and returns under its name, the socket is opened again. A claim keeps a second `ballbard` from using the same interface.
 
 use std::io;
 use std::os::fd::{AsFd, AsRawFd, OwnedFd};

@@ -202,8 +202,7 @@ fn is_plain(c: char) -> bool {
 }
 
 /// Turns typed text into a valid name for a run. Letters, digits, `-`, `_`, `+` and `.` are kept, other characters become
-/// `-`.
-/// `None` if the result has no letter or digit.
+/// `-`. `None` if the result has no letter or digit.
 pub fn run_name(typed: &str) -> Option<String> {
     // Combining characters: some keyboards send accents separately from their letters.
     let is_accent = |c: &char| ('\u{300}'..='\u{36f}').contains(c);

@@ -39,9 +39,9 @@ pub mod flags {
     pub const STALE_INPUT: u32 = 1 << 3;
     /// A terminal reports frequency, amplitude or synchronisation error.
     pub const TERMINAL_ERROR: u32 = 1 << 4;
-    /// The cycle's deadline had passed before its frame could be sent.
+    /// The frame of the cycle was so late that the terminals had overwritten the cycle's sample, or had begun to.
     pub const DEADLINE_MISSED: u32 = 1 << 5;
-    /// The bus is being initialised.
+    /// The bus is down, and must be brought up again.
     pub const BUS_DOWN: u32 = 1 << 6;
     /// Without a distributed clock, only bounds of the sample time are known.
     pub const NO_DC: u32 = 1 << 7;
@@ -298,7 +298,7 @@ impl RunMetadata {
         self.provenance().simulated
     }
 
-    /// Where the counts come from.
+    /// Whether the counts were measured, simulated or replayed.
     pub fn provenance(&self) -> Provenance {
         Provenance::new(&self.bus, self.replay_of.clone())
     }
@@ -327,13 +327,13 @@ pub struct PortCounts {
 }
 
 impl PortCounts {
-    /// Errors of any kind.
+    /// Sum of the three error counts.
     pub fn all(&self) -> u32 {
         self.invalid_frames.saturating_add(self.receive_errors).saturating_add(self.lost_links)
     }
 }
 
-/// How a run ended: written after the last cycle.
+/// How a run ended. It is written into the file after the last cycle.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RunEnd {
     /// Why it ended, in words.

@@ -1,4 +1,6 @@
-//! Derives messages for other programs from the records of a run: joint states for plots, and diagnostics once per second.
+//! Derives messages for other programs from the records of a run. For each cycle, counts are converted to joint angles and
+//! velocities for plots. Once per second, diagnostics summarise valid cycles, flags and errors of ports. The travel of each
+//! joint is also determined here, for the end record.
 
 use std::collections::{BTreeMap, BTreeSet};
 

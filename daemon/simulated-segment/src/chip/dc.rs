@@ -299,7 +299,7 @@ mod tests {
         assert_eq!(clock.take_pulses(20 * MS + 20_000, 28_000), None);
         let first = clock.take_pulses(20 * MS + 29_000, 28_000).unwrap();
         assert_eq!((first.count, first.system_ns), (1, 20 * MS));
-        // The local clock gains 20 ppm: its 20 ms are over 400 ns early.
+        // The local clock gains 20 ppm, so its 20 ms end 400 ns early.
         assert!((first.true_ns - (20 * MS - 400)).abs() <= 1);
         assert_eq!(clock.take_pulses(29 * MS, 28_000), None);
     }

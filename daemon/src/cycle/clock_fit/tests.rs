@@ -8,7 +8,7 @@ use super::*;
 const FRAME_NS: i64 = 18_000;
 const PERIOD_NS: i64 = 10_000_000;
 
-/// A bus clock and the host's, with a delay of 20 us in each direction.
+/// A simulated clock of the bus and one of the host. Frames have a delay of 20 us in each direction.
 struct Clocks {
     sent: MonoNs,
     dc_ns: f64,
@@ -21,7 +21,7 @@ impl Clocks {
         Self { sent: MonoNs(5_000_000_000), dc_ns: 1e12, drift_ppm, period_ns: PERIOD_NS }
     }
 
-    /// One cycle later, with these additional delays. Returns the pair and the true passing time of its frame.
+    /// Simulates the next cycle, with these additional delays. Returns the pair and the true passing time of its frame.
     fn next(&mut self, extra_there_ns: i64, extra_back_ns: i64) -> (ClockPair, MonoNs) {
         self.sent = self.sent.plus_ns(self.period_ns);
         self.dc_ns += self.period_ns as f64 * (1.0 + self.drift_ppm * 1e-6);
@@ -36,7 +36,7 @@ fn error_ns(fit: &ClockFit, (pair, passed): (ClockPair, MonoNs)) -> f64 {
     fit.monotonic_from_dc(pair.dc).ns_since(passed) as f64
 }
 
-/// Largest error of the last half of 2000 cycles, with the delays of `extra` \[ns\].
+/// Largest error of the fit in the last half of 2000 cycles \[ns\]. `extra` returns the additional delays of a cycle.
 fn worst_error_ns(drift_ppm: f64, extra: impl Fn(usize) -> (i64, i64)) -> f64 {
     let (mut fit, mut clocks) = (ClockFit::default(), Clocks::new(drift_ppm));
     let mut worst: f64 = 0.0;
@@ -69,7 +69,7 @@ fn slow_replies_do_not_pull_the_fit() {
 
 #[test]
 fn the_time_of_the_frame_on_the_wire_is_no_error() {
-    // If it counted as a delay, the centre would be 9 us off.
+    // If the frame duration counted as a delay, the centre would be wrong by 9 us.
     assert!(worst_error_ns(0.0, |_| (0, 0)) < 100.0);
 }
 
@@ -79,7 +79,7 @@ fn the_uncertainty_covers_an_unequal_way_there_and_back() {
     assert_eq!(fit.uncertainty_ns(DcNs(0)), u32::MAX);
     for step in 0..500 {
         let sent = MonoNs(step * PERIOD_NS);
-        // The frame passes the clock right after it is sent: the error is half the round trip.
+        // The frame passes the clock just after it is sent, so the error is half of the round trip.
         let received = sent.plus_ns(100_000);
         fit.observe(ClockPair { dc: DcNs(sent.0), sent, received, frame_ns: 0 });
     }
@@ -118,7 +118,7 @@ fn a_rate_found_from_random_delays_is_as_uncertain_as_stated() {
         for _ in 0..600 {
             fit.observe(clocks.next(-15_000, random.random_range(-15_000..5_000)).0);
         }
-        // The error of the rate shows after 10 s without readings.
+        // After 10 s without readings, an error of the rate is visible.
         clocks.sent = clocks.sent.plus_ns(10_000_000_000);
         clocks.dc_ns += 1e10 * (1.0 + 25e-6);
         let pair = clocks.next(-15_000, -15_000);
@@ -333,7 +333,7 @@ proptest! {
             let seen = fit.observe(pair.0);
             let sigma_ns = f64::from(fit.uncertainty_ns(pair.0.dc));
             let error_ns = error_ns(&fit, pair).abs();
-            // Fit and truth are both within the bound of the reading that was followed.
+            // Both the fit and the true time are within the bound of the reading that was used.
             let width_ns = pair.0.received.ns_since(pair.0.sent) - FRAME_NS;
             prop_assert!(seen != PairStatus::Followed || error_ns < width_ns as f64 + 2_000.0, "{step}: {error_ns}");
             prop_assert!(step < 100 || error_ns < 4.0 * sigma_ns, "{step}: {error_ns} of {sigma_ns}");

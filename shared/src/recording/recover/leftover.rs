@@ -35,14 +35,14 @@ const LOCK_PAUSE: Duration = Duration::from_millis(1);
 pub enum Recovery {
     /// The file is finished and undamaged. Nothing was changed.
     Whole {
-        /// Content of the whole recording.
+        /// Content of the recording.
         content: Box<Salvaged>,
     },
     /// The file was finished and undamaged, and only lacked its final name.
     Renamed {
         /// Path with the final name.
         file: PathBuf,
-        /// Content of the whole recording.
+        /// Content of the recording.
         content: Box<Salvaged>,
     },
     /// The undamaged records of the file are now in a finished recording.

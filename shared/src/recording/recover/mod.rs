@@ -183,6 +183,7 @@ pub(super) fn check(source: impl Read) -> Result<Salvaged, ReadErrorKind> {
 /// Writes undamaged items into the new file.
 struct Rewriting<W: Write + Seek> {
     writer: RecordingWriter<W>,
+    /// Content of the new file so far. Items that are not allowed after it are refused.
     seen: OrderedContent,
     run: RunMetadata,
     /// The last whole cycle that was written.
