@@ -23,8 +23,8 @@ pub(super) struct Synchroniser {
     jobs: SyncSender<(RunSync, Synced)>,
     outcomes: Receiver<io::Result<()>>,
     is_busy: bool,
-    /// Whether the recorder waits for the last synchronisation when it ends. Not on virtual time, where the synchronisation
-    /// could not proceed while the recorder waits.
+    /// Whether the recorder waits for the last synchronisation when it ends. On virtual time it does not wait, because the
+    /// synchronisation could not proceed in the meantime.
     waits: bool,
 }
 

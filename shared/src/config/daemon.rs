@@ -27,7 +27,7 @@ pub struct DaemonConfig {
     /// Whether encoders are sampled on SYNC0 of the distributed clocks. All encoders are then sampled at the same instant,
     /// which is known to microseconds.
     pub distributed_clocks: bool,
-    /// How long to wait for the reply to a cyclic frame \[us\]. If absent, 4/10 of a cycle, at most 4 ms.
+    /// How long to wait for the reply to a cyclic frame \[us\]. If absent, the time is 4/10 of a cycle, at most 4 ms.
     pub reply_timeout_us: Option<u32>,
     /// Capacity of the ring between bus and disk, as time \[s\]. Cycles are lost if the disk blocks for longer. See
     /// [`DaemonConfig::ring_cycles`].

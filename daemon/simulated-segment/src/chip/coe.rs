@@ -83,7 +83,7 @@ const LIST_REQUEST: u8 = 1;
 const LIST_RESPONSE: u8 = 2;
 const INFORMATION_ERROR: u8 = 7;
 
-/// An answer under construction. The headers at the beginning of `mailbox` are written last.
+/// An answer under construction. The mailbox header, at the beginning of `mailbox`, is written last.
 struct CoeResponse<'a> {
     mailbox: &'a mut [u8; MAILBOX_MAX],
     len: usize,

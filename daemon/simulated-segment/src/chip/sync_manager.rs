@@ -176,7 +176,8 @@ pub fn permit(channels: &[SyncManager], address: u16, len: usize, direction: Acc
     }
 }
 
-/// Handles the end of a permitted access. If it includes the last byte of the area, the mailbox or buffer changes hands.
+/// Handles the end of a permitted access. If it includes the last byte of the area, the access is complete, and its effect
+/// on the device is returned.
 pub fn finish_access(channels: &mut [SyncManager], index: usize, address: u16, len: usize) -> Completion {
     match channels.get_mut(index) {
         Some(channel) if usize::from(address) + len == channel.end() => channel.complete(),

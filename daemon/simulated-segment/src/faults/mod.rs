@@ -48,7 +48,7 @@ pub enum Fault {
     },
     /// A bad cable: the receiver of a device detects disturbances between frames and counts them as receive errors.
     NoisyCable {
-        /// Position of the device whose port is at the cable.
+        /// Position of the device that receives from the cable.
         position: usize,
         /// Probability for each frame, 0 to 1, of an error in the pause before it.
         share: f64,
@@ -245,7 +245,7 @@ impl FaultySegment {
             return;
         }
         let drawn = self.draw();
-        // Faults on the way to the devices: these never see the frame.
+        // Faults on the way to the devices: no device processes the frame.
         let hit_before_devices = self.random.random_bool(0.5);
         if drawn.lost && hit_before_devices {
             return;

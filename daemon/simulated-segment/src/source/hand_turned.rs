@@ -6,7 +6,8 @@ use std::sync::atomic::{AtomicI64, Ordering};
 
 use super::{Conversion, EncoderSource, Periods, Signal, SmoothMotion};
 
-/// Speed of a joint turned by hand. Below 750 Hz (at 3600 lines and 12 bits), where interpolation has its full resolution.
+/// Speed of a joint turned by hand. The signal is then below 750 Hz (at 3600 lines and 12 bits), so
+/// interpolation has its full resolution.
 const SPEED_RAD_PER_S: f64 = 1.2;
 /// Values of the command in [`Hand`]. With `LET_GO` the motion continues, with `HOLD` all joints are held.
 /// Other values turn a channel.

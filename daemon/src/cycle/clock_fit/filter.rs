@@ -29,16 +29,16 @@ const START_READINGS: u32 = 64;
 /// slower would not be noticed.
 const QUICKEST_FORGOTTEN_PER_S: f64 = 0.01;
 /// The *scatter* is a deviation minus its possible delay and minus this number of standard deviations of the filter. It
-/// increases the uncertainty of readings ...
+/// increases the uncertainty of readings.
 const SCATTER_SIGMAS: f64 = 3.0;
-/// ... it decays by this fraction in each second ...
+/// Fraction by which the scatter decays in each second.
 const SCATTER_FORGOTTEN_PER_S: f64 = 0.3;
-/// ... and it is limited to this value \[ns\]. Larger deviations are handled by the gate.
+/// Largest scatter \[ns\]. Larger deviations are handled by the gate.
 const SCATTER_NS_MAX: f64 = 50_000.0;
-/// A deviation counts as unexplained if it exceeds the possible delays, plus this number of standard
-/// deviations of the filter ...
+/// A deviation is unexplained if it exceeds the possible delays, plus this number of standard deviations
+/// of the filter, plus [`SLACK_NS`].
 const SLACK_SIGMAS: f64 = 6.0;
-/// ... plus this value, for the uncertainty of the quickest round trip \[ns\].
+/// Constant part of the tolerance of a deviation, for the uncertainty of the quickest round trip \[ns\].
 const SLACK_NS: f64 = 5_000.0;
 /// If the mean deviation exceeds this number of standard deviations, the rate has changed. The mean is
 /// taken over about `TREND_READINGS` readings.

@@ -17,15 +17,17 @@ const ERRATIC_MAX: u32 = 10;
 const NOISE_NS: f64 = 1_000.0;
 /// A reading is used for the decision if its deviation is this many times as large as the possible contribution of delays.
 const SIGNAL_TO_NOISE: f64 = 6.0;
-/// A deviation counts as growing if it has grown by this fraction of the first deviation ...
+/// A deviation counts as growing if it has grown by this fraction of the first deviation, or
+/// by [`GROWTH_NS`], whichever is less.
 const GROWTH: f64 = 1.0 / 3.0;
-/// ... or by this value, whichever is less \[ns\]. For deviations above [`JUMP_NS`], only the fraction is used.
+/// Growth from which a deviation counts as growing \[ns\]. For deviations above [`JUMP_NS`], only
+/// the fraction [`GROWTH`] is used.
 const GROWTH_NS: f64 = 10_000.0;
 /// Largest deviation that a changed rate can cause within one reading \[ns\].
 const JUMP_NS: f64 = 1_000_000.0;
-/// Usual rate change by `adjtime` and NTP \[ns/s\]. The decision is postponed until such a change would be visible ...
+/// Usual rate change by `adjtime` and NTP \[ns/s\]. The decision is postponed until such a change would be visible.
 const RATE_USUAL: f64 = 500e3;
-/// ... but not for longer than this \[s\].
+/// Longest time for which the decision is postponed \[s\].
 const WAIT_S_MAX: f64 = 0.25;
 /// Largest rate change by chrony \[ns/s\].
 const RATE_MAX: f64 = 100e6;

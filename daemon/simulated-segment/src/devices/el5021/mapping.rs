@@ -49,7 +49,7 @@ pub struct Inputs {
     pub amplitude_error: bool,
     /// Level of input C.
     pub level_c: bool,
-    /// Whether a sync event without new outputs has occurred.
+    /// Whether a sync event without new outputs has occurred since the last conversion.
     pub sync_error: bool,
     /// Inverted by each conversion, so that a master recognises new data.
     pub toggle: bool,
