@@ -1,4 +1,4 @@
-//! A run in real time on the simulated bus is complete, in order and valid.
+//! A run that is recorded in real time on the simulated bus has every cycle, in order, and its samples are valid.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::time::Duration;
@@ -20,7 +20,7 @@ fn sixty_seconds_in_real_time_give_6000_whole_cycles() {
     let cycles = &recording.cycles;
     assert!((5999..=6001).contains(&cycles.len()), "{} cycles", cycles.len());
     // A machine that stalls for half a cycle (for example a busy virtual machine host) misses deadlines or replies. The
-    // file flags these cycles, and the cycle whose sample the late frame fetched.
+    // recording flags these cycles. It also flags the cycle whose sample was fetched by a late frame.
     let missed = |cycle: &CycleRecord| cycle.flags & (flags::DEADLINE_MISSED | flags::NO_REPLY) != 0;
     for (number, cycle) in cycles.iter().enumerate() {
         assert_eq!(cycle.cycle, number as u64);
@@ -39,7 +39,7 @@ fn sixty_seconds_in_real_time_give_6000_whole_cycles() {
         assert!((9_000_000..11_000_000).contains(&step_ns), "{step_ns} ns after cycle {}", pair[0].cycle);
         assert_eq!(pair[1].dc_time.ns_since(pair[0].dc_time), 10_000_000);
     }
-    // Sample times are in UTC, from the clock of this machine.
+    // Sample times are in UTC and derive from this machine's clock, so the run must have ended only seconds ago.
     let ended_ago_s = (chrono::Utc::now().timestamp_nanos_opt().unwrap() - recording.end.ended.0) / NS_PER_S;
     assert!((0..30).contains(&ended_ago_s), "ended {ended_ago_s} s ago");
 }
@@ -54,7 +54,7 @@ fn at_any_configured_rate_every_cycle_that_was_due_is_in_the_file() {
         let recording = Recording::open(&summary.path).unwrap();
         let due = 5 * rate_hz as usize;
         assert_eq!((recording.cycles.len(), summary.cycles_lost), (due, 0), "{rate_hz} Hz");
-        // A stall of the machine invalidates the cycles that were due during it, and the late one.
+        // While the machine stalls, all cycles that are due are invalid, and so is the cycle that runs late.
         let flagged = recording.cycles.iter().filter(|cycle| !cycle.is_valid()).count();
         assert!(flagged < due / 2, "{rate_hz} Hz: {flagged} flagged");
         for pair in recording.cycles.windows(2) {

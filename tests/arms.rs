@@ -1,5 +1,5 @@
-//! Kinematics of all kinds of arms, compared with other programs: yourdfpy on imported and on exported URDFs, numpy on
-//! Denavit-Hartenberg tables in both conventions.
+//! Compares the kinematics of arms of all types with other programs: with yourdfpy for imported and exported URDF files, and
+//! with numpy for Denavit-Hartenberg tables in both conventions.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::io::Write;
@@ -29,7 +29,8 @@ fn imported((name, base, tip): (&str, &str, &str)) -> RobotConfig {
     import(&std::fs::read_to_string(file(name)).unwrap(), Some(base), Some(tip)).unwrap().config
 }
 
-/// Deterministic postures spread over the joint limits: the steps of the axes are incommensurable.
+/// Deterministic postures that are spread over the joint limits. The increments of the axes have no common multiple, so no
+/// posture repeats.
 fn postures(robot: &RobotConfig, count: usize) -> Vec<Joints> {
     let part = |posture: usize, axis: usize| (posture as f64 * (0.618_034 + 0.137 * axis as f64)).fract();
     let limits = robot.joint_limits();
@@ -41,7 +42,7 @@ fn postures(robot: &RobotConfig, count: usize) -> Vec<Joints> {
     (1..=count).map(posture).collect()
 }
 
-/// Poses computed by `forward.py`, as homogeneous matrices \[m\].
+/// Computes poses with `forward.py` and returns them as homogeneous matrices \[m\].
 fn by_python(modules: &[&str], arguments: &[&str], asked: &Value) -> Vec<[[f64; 4]; 4]> {
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("forward.py");
     let mut child = Command::new(python_with(modules))
@@ -58,7 +59,7 @@ fn by_python(modules: &[&str], arguments: &[&str], asked: &Value) -> Vec<[[f64; 
     serde_json::from_slice(&output.stdout).unwrap()
 }
 
-/// Largest difference of an entry of the homogeneous matrices \[m, 1\].
+/// Largest difference between the entries of the chain's homogeneous matrices and the expected ones \[m, 1\].
 fn apart(chain: &Chain, postures: &[Joints], expected: &[[[f64; 4]; 4]]) -> f64 {
     assert_eq!(postures.len(), expected.len());
     let of = |(joints, expected): (&Joints, &[[f64; 4]; 4])| {
@@ -82,12 +83,12 @@ fn a_urdf_has_the_forward_kinematics_that_yourdfpy_gives_it() {
         );
         let off_m = apart(&flange_chain(&robot), &postures, &expected);
         println!("{}: {} axes, largest difference {off_m:.1e} m", arm.0, robot.axes());
-        // One file has right angles with nine decimals, which the import rounds to right angles.
+        // One file states right angles with nine decimals. The import rounds these values to exact right angles.
         assert!(off_m < 1e-8, "{}: {off_m:e}", arm.0);
     }
 }
 
-/// Rows of a tracker without noise, of an arm with small errors in all links.
+/// Noise-free rows of a tracker, measured on an arm that has small errors in all links.
 fn rows(robot: &RobotConfig) -> Vec<PoseRow> {
     let mut truth = flange_chain(robot);
     for (link, sign) in truth.links.iter_mut().zip([1.0, -1.0].into_iter().cycle()) {

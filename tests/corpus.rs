@@ -1,4 +1,4 @@
-//! Runs the fuzz targets on all saved inputs, without a fuzzer.
+//! Runs the fuzz targets on all saved inputs. This test needs no fuzzer.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::path::Path;
@@ -9,7 +9,7 @@ fn run_all(name: &str) {
     let target = TARGETS.iter().find(|target| target.name == name).unwrap();
     assert!(!target.archived().unwrap().is_empty(), "no corpus for {name}");
     for (input, bytes) in target.inputs().unwrap() {
-        // Printed if the test fails: the last one is the cause.
+        // If the test fails, the last printed name is the input that caused the failure.
         println!("{name}/{input}");
         (target.run)(&bytes);
     }

@@ -1,4 +1,4 @@
-//! The documents agree with the programs: links, commands, fields, flags, parameters and limits.
+//! Checks that the documents agree with the programs in links, commands, fields, flags, parameters and limits.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::collections::BTreeSet;
@@ -21,7 +21,7 @@ fn page(name: &str) -> String {
     text(&repository("docs/src").join(name))
 }
 
-/// Files with these endings below a folder, without those that other programs or projects made.
+/// Files below a folder that have one of these endings. Build output and files of other projects are excluded.
 pub(crate) fn files_below(folder: &Path, endings: &[&str]) -> Vec<PathBuf> {
     let entries = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
     let is_foreign = |path: &Path| ["target", "ogl", "uplot"].iter().any(|name| path.ends_with(name));
@@ -39,7 +39,8 @@ fn links(text: &str) -> impl Iterator<Item = &str> {
     text.split("](").skip(1).filter_map(|rest| rest.split_once(')').map(|(link, _)| link))
 }
 
-/// Anchors of the headings of a page, as mdBook makes them of their text, or named with `{#name}`.
+/// Anchors of the headings of a page. mdBook derives them from the text of the heading, unless the heading names one with
+/// `{#name}`.
 fn anchors(text: &str) -> BTreeSet<String> {
     let mut is_code = false;
     let headings = text.lines().filter(|line| {
@@ -51,7 +52,7 @@ fn anchors(text: &str) -> BTreeSet<String> {
         let named = heading.split_once("{#").and_then(|(_, name)| name.strip_suffix('}'));
         let anchor: String =
             named.map_or_else(|| heading.chars().filter_map(of_anchor).collect(), str::to_owned);
-        // A heading that occurs again gets a number.
+        // If a heading occurs again, its anchor gets a number.
         let again = (1..).map(|number| format!("{anchor}-{number}"));
         let mut names = std::iter::once(anchor.clone()).chain(again);
         anchors.extend(names.find(|name| !anchors.contains(name)));
@@ -59,7 +60,7 @@ fn anchors(text: &str) -> BTreeSet<String> {
     anchors
 }
 
-/// A character of a heading in its anchor.
+/// The character that mdBook writes into an anchor for this character of a heading, or `None` if mdBook drops the character.
 fn of_anchor(character: char) -> Option<char> {
     match character {
         _ if character.is_whitespace() => Some('-'),
@@ -89,7 +90,7 @@ fn every_link_between_documents_leads_to_a_place_and_the_summary_has_every_page(
     }
 }
 
-/// Lines of the shell blocks of a Markdown text, continued lines joined.
+/// Lines of the shell blocks of a Markdown text. Continued lines are joined.
 fn shell_lines(text: &str) -> Vec<String> {
     let blocks = text.split("```sh\n").skip(1).filter_map(|rest| rest.split_once("\n```"));
     blocks
@@ -97,7 +98,8 @@ fn shell_lines(text: &str) -> Vec<String> {
         .collect()
 }
 
-/// Commands of a shell line as words. Quotes join words, a comment ends the line, the loop variable `$k` is 1.
+/// Splits a shell line into commands, and each command into words. Quotes join words, a comment ends the line, and the loop
+/// variable `$k` becomes 1.
 pub(crate) fn commands(line: &str) -> Vec<Vec<String>> {
     let mut commands = vec![Vec::new()];
     let (mut word, mut quote) = (None::<String>, None);
@@ -136,7 +138,7 @@ fn every_command_in_a_shell_block_of_a_document_is_one_that_the_programs_accept(
                     "ballbard" => ballbard::commands::Arguments::try_parse_from(&words).map(drop),
                     _ => continue,
                 };
-                // Help and version are errors of the parser, too, for standard output.
+                // The parser also returns help and version as errors, but prints these to standard output.
                 if let Err(error) = accepted {
                     assert!(!error.use_stderr(), "{}: {line}\n{error}", page.display());
                 }
@@ -156,7 +158,7 @@ fn the_page_on_recordings_names_every_field_and_flag_of_a_cycle() {
     let schema = text(&repository("shared/src/recording/messages/bus_cycle.ros2msg"));
     let own = schema.split("====").next().unwrap_or_default();
     for line in own.lines().map(|line| line.split('#').next().unwrap_or_default().trim()) {
-        // Constants are the flags, which are checked above.
+        // Lines with `=` are constants: the flags, which are checked above.
         let Some((_, field)) = line.split_once(' ').filter(|(_, field)| !field.contains('=')) else {
             continue;
         };
@@ -169,7 +171,7 @@ fn the_page_on_the_method_names_every_kind_of_parameter() {
     let page = page("explanation/method.md");
     for name in ParameterId::all().map(|id| id.to_string()) {
         let kind = name.split(|character: char| character.is_ascii_digit()).next().unwrap_or_default();
-        // Vectors are named by their first coordinate.
+        // The page names a vector by its first coordinate.
         let first =
             kind.strip_suffix(['y', 'z']).map_or_else(|| kind.to_owned(), |vector| format!("{vector}x"));
         assert!(page.contains(kind) || page.contains(&first), "{name}");

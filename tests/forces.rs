@@ -1,5 +1,5 @@
-//! Forces on the bar in robot logs that other programs wrote: unit and sign are read correctly, and the calibration identifies
-//! the compliance of the bar.
+//! Reads forces on the bar from robot logs that other programs wrote. Unit and sign must be read correctly, and the
+//! calibration must identify the compliance of the bar.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::fmt::Write;
@@ -35,10 +35,12 @@ fn simulated() -> Simulated {
         .unwrap()
 }
 
-/// One row of a table for `write_robot_log.py`: stamp \[ns\], joints \[rad\], and the output of the robot's force sensor.
+/// One row of the table that `write_robot_log.py` reads: stamp \[ns\], joints \[rad\], and the output of the robot's force
+/// sensor.
 type ForceRow = (i64, Joints, Vec<f64>);
 
-/// The rows of a run; `sensor` computes its output from robot, joints, and the force of the robot on the bar \[N\].
+/// The rows of a run. `sensor` computes the output of the force sensor from the robot, its joints \[rad\], and the force of
+/// the robot on the bar \[N\].
 fn table_rows(run: &Simulated, sensor: impl Fn(&Chain, &Joints, [f64; 3]) -> Vec<f64>) -> Vec<ForceRow> {
     let (robot, log) = (&run.motion.robot, &run.robot_log);
     let centre_m = run.motion.bar.root_from_base.translation.vector;
@@ -80,7 +82,8 @@ fn calibrated(run: &Simulated, log: &RobotLog) -> Calibration {
     calibrate_run(&run.cycles, &run.encoders, log, &robot(), &shipped_bar(), &config).unwrap()
 }
 
-/// Root mean square error of the force along the bar in the samples of a calibration \[N\]; the log has tension with `sign`.
+/// Root mean square error of the force along the bar in the samples of a calibration \[N\]. `sign` is the sign that tension
+/// has in the log.
 fn force_error_n(found: &Calibration, run: &Simulated, sign: f64) -> f64 {
     let (clock, force) = (run.truth.clock, run.robot_log.force.as_ref().unwrap());
     let bar_start_s = (clock.robot_at_bar_start_ns - force.values.first_stamp_ns) as f64 * 1e-9;
@@ -98,7 +101,7 @@ fn force_error_n(found: &Calibration, run: &Simulated, sign: f64) -> f64 {
 #[ignore = "needs Python with tests/requirements.txt"]
 fn the_tcp_force_of_an_rtde_log_is_the_force_of_the_bar_on_the_tool() {
     let (directory, run) = (tempfile::tempdir().unwrap(), simulated());
-    // The controller reports the force of the bar on the tool, and its stamps count from its own start.
+    // The controller reports the force of the bar on the tool. Its stamps count from the start of the controller.
     let mut rows = table_rows(&run, |_, _, [x, y, z]| vec![-x, -y, -z]);
     let first_ns = rows[0].0;
     rows.iter_mut().for_each(|(stamp_ns, ..)| *stamp_ns -= first_ns - 250_000_000_000);
@@ -111,7 +114,7 @@ fn the_tcp_force_of_an_rtde_log_is_the_force_of_the_bar_on_the_tool() {
         assert!(force_n.iter().zip(read).all(|(a, b)| (a - b).abs() < 1e-9), "{force_n:?} {read:?}");
     }
     let found = calibrated(&run, &log);
-    // A bar under tension pulls the tool back, hence the negative sign.
+    // A bar under tension pulls the tool back, so tension has a negative sign in this log.
     assert!(force_error_n(&found, &run, -1.0) < 1.0);
     let elongation = Elongation::of(&found).unwrap();
     println!("{}", elongation.sentence());
@@ -122,10 +125,10 @@ fn the_tcp_force_of_an_rtde_log_is_the_force_of_the_bar_on_the_tool() {
     );
 }
 
-/// Static joint torques \[N m\] from gravity and from the force of the flange on the bar: derivatives of the potential energy of
-/// two masses on the arm, and of the work of that force, with respect to each joint.
+/// Static joint torques \[N m\] from gravity and from the force of the flange on the bar. They are derivatives with respect
+/// to each joint. The potential energy of two masses on the arm and the work of the force are differentiated.
 fn holding_torques_nm(robot: &Chain, q: &Joints, force_n: [f64; 3]) -> Vec<f64> {
-    // For each mass: number of links that carry it, kg, and place in the frame of the last one.
+    // Each mass: number of links that carry it, mass \[kg\], and position in the frame of the last of these links \[m\].
     let masses = [(2, 80.0, [-0.3, 0.02, 0.1]), (4, 60.0, [0.03, 0.05, -0.2])].map(|(links, kg, place_m)| {
         (Chain::new(robot.root_from_base, robot.links[..links].to_vec()), kg, place_m)
     });
@@ -145,7 +148,8 @@ fn holding_torques_nm(robot: &Chain, q: &Joints, force_n: [f64; 3]) -> Vec<f64> 
     (0..6).map(|joint| (moved(joint, 1e-4) - moved(joint, -1e-4)) / 2e-4).collect()
 }
 
-/// Mapping for a driver with its own joint names and the opposite sign of joint 4; `more` is put before the joints.
+/// Mapping for a driver that uses its own joint names and the opposite sign for joint 4. The text `more` is inserted before
+/// the joints.
 fn mapping(more: &str) -> LogOptions {
     let joint = |n: usize| {
         let sign = if n == 4 { -1 } else { 1 };
@@ -187,7 +191,7 @@ fn joint_efforts_of_bags_are_torques_from_which_the_force_on_the_bar_follows() {
         "{elongation:?}"
     );
 
-    // If the mapping has no force, the efforts are only the torques of the log.
+    // If the mapping names no force, the efforts are read as joint torques, and the log has no force.
     let plain = load_with(&mcap, &robot(), &mapping("")).unwrap();
     assert!(plain.force.is_none() && plain.torque.is_some());
     let columns = mapping("force = { columns = [\"Fx\", \"Fy\", \"Fz\"], unit = \"N\" }");

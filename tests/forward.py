@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""Forward kinematics by other programs than ours, for tests.
+"""Forward kinematics by programs that are independent of this project, for tests.
 
     forward.py urdf FILE BASE TIP     yourdfpy on a URDF; joints in the order from BASE to TIP
     forward.py dh                     products of matrices of a Denavit-Hartenberg table
 
-reads JSON from standard input: rows of joint variables [rad, m] under "joints"; for `dh` also "convention" ("standard" or
+Reads JSON from standard input: rows of joint variables [rad, m] under "joints"; for `dh` also "convention" ("standard" or
 "modified") and "links": [prismatic, a [m], alpha [rad], d [m], theta [rad]]. Writes a JSON list of 4 x 4 matrices.
 """
 import json

@@ -1,4 +1,4 @@
-//! Shared by the whole-system tests: the shipped configuration, a run, and Python.
+//! Helpers of the system tests: they load the shipped configuration, record runs, and find a Python interpreter.
 #![allow(clippy::expect_used, clippy::panic, reason = "tests")]
 
 pub mod fuzzing;
@@ -22,20 +22,20 @@ pub fn ball_bar() -> BallBarConfig {
     config::load(&config_directory().join("ball_bar.toml")).expect("shipped ball_bar.toml")
 }
 
-/// The shipped daemon configuration, recording into `directory`.
+/// The shipped daemon configuration, changed so that it records into `directory`.
 pub fn daemon(directory: &Path) -> DaemonConfig {
     let shipped = config::load(&config_directory().join("daemon.toml")).expect("shipped daemon.toml");
     DaemonConfig { directory: directory.to_owned(), ..shipped }
 }
 
-/// A request for a run on the simulated segment.
+/// A request for a run on this bus. `fast` selects virtual time.
 pub fn request(name: &str, bus: BusChoice, duration: Option<Duration>, fast: bool) -> RunRequest {
     let about = About { operator: "test".into(), robot: "none".into(), ..About::default() };
     RunRequest {
         run: RunDetails { name: name.into(), about, duration, homing: None },
         bus,
         fast,
-        // On a busy machine an emulated terminal may miss its time-out in real time; the bring-up is then repeated.
+        // In real time, an emulated terminal may reply too late on a busy machine. The bring-up is then repeated.
         wait: !fast,
         ..RunRequest::default()
     }
@@ -60,7 +60,8 @@ pub fn record(directory: &Path, request: &RunRequest, bar: &BallBarConfig) -> (P
     (summary.path, recording)
 }
 
-/// Python interpreter with the independent readers: the one in `BALLBAR_PYTHON`, or `python3`.
+/// Python interpreter with the given modules: the interpreter in `BALLBAR_PYTHON`, or else `python3`. Panics if a module is
+/// missing.
 pub fn python_with(modules: &[&str]) -> PathBuf {
     let python = std::env::var_os("BALLBAR_PYTHON").map_or_else(|| "python3".into(), PathBuf::from);
     let import = format!("import {}", modules.join(", "));

@@ -1,6 +1,6 @@
-//! Whole-system tests in one program, which links once and runs long tests in parallel.
+//! All system tests in one program, which is linked only once and runs long tests in parallel.
 //!
-//! One file of them: `cargo test -p system-tests --test all replay`.
+//! To run the tests of one file: `cargo test -p system-tests --test all replay`.
 
 mod acquire;
 mod acquire_then_identify;

@@ -1,4 +1,4 @@
-"""Reads recordings with two implementations that are not ours, and prints what they decode, one line of JSON for each.
+"""Reads recordings with two implementations that are independent of this project, and prints one line of JSON for each file.
 
 usage: read_recording.py {mcap|rosbags} FILE ...
 """
@@ -10,7 +10,7 @@ from pathlib import Path
 
 
 def with_mcap(path):
-    """PyPI mcap and mcap-ros2-support: decode by the schemas in the file."""
+    """Messages of the file, decoded by PyPI mcap and mcap-ros2-support with the schemas in the file."""
     from mcap.reader import make_reader
     from mcap_ros2.decoder import DecoderFactory
 
@@ -21,7 +21,7 @@ def with_mcap(path):
 
 
 def beside_messages(path):
-    """Metadata records and attachments, which only the first of them reads."""
+    """Metadata records and attachments. Only PyPI mcap reads these, rosbags does not."""
     from mcap.reader import make_reader
 
     with open(path, "rb") as stream:
@@ -30,7 +30,7 @@ def beside_messages(path):
     with open(path, "rb") as stream:
         attachments = {one.name: one.data.decode() for one in make_reader(stream, validate_crcs=True).iter_attachments()}
     return {
-        # How well the loop kept its time: the last one counts.
+        # Deadline statistics of the loop. Only the last record is valid, because each one replaces the earlier ones.
         "timing": json.loads(timing[-1].metadata["json"]) if timing else None,
         "runs": [json.loads(record.metadata["json"]) for record in records if record.name == "ballbard.run"],
         "attachments": attachments,
@@ -38,7 +38,7 @@ def beside_messages(path):
 
 
 def with_rosbags(path):
-    """PyPI rosbags: an implementation of its own, types taken from the file."""
+    """Messages of the file, decoded by PyPI rosbags, an independent implementation that takes the types from the file."""
     from rosbags.highlevel import AnyReader
 
     with AnyReader([Path(path)]) as reader:
@@ -49,7 +49,7 @@ def with_rosbags(path):
 def content_of(path, reader):
     read = {"mcap": with_mcap, "rosbags": with_rosbags}[reader]
     result = {"cycles": [], "joint_states": [], "events": [], "log": [], "diagnostics": []}
-    # JSON knows no NaN, which stands for a joint without a valid sample.
+    # A joint without a valid sample is NaN in the message. JSON has no NaN, so it becomes null.
     numbers = lambda values: [None if math.isnan(value) else float(value) for value in values]
     for topic, log_time, message in read(path):
         stamp = message.stamp if topic == "/ballbard/log" else message.header.stamp

@@ -1,4 +1,4 @@
-//! Two independent implementations open the recording and decode every message.
+//! Two independent implementations open the recording. They must decode every message as the daemon wrote it.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 use std::path::{Path, PathBuf};
@@ -62,7 +62,7 @@ fn python_mcap_plots_what_the_ports_have_counted() {
             (errors.parse().unwrap(), ports.map_or(0, |ports| ports["level"].as_u64().unwrap()))
         })
         .collect();
-    // Zero before the fault, increasing each second during it, constant afterwards.
+    // The error counters are zero before the fault, increase each second during it, and are constant afterwards.
     assert_eq!((counted.len(), counted[0]), (20, (0, 0)), "{counted:?}");
     assert!(counted.is_sorted_by_key(|(errors, _)| *errors), "{counted:?}");
     assert!(counted.windows(2).filter(|pair| pair[0].0 < pair[1].0).count() >= 4, "{counted:?}");
@@ -80,8 +80,8 @@ fn read_with(python: &Path, reader: &str, recording: &Path) -> Value {
     serde_json::from_slice(&output.stdout).unwrap()
 }
 
-/// A finished recording, and the recovered files after a truncation, a torn write, or the trailing zeros of a power
-/// failure.
+/// Compares a finished recording with the reader's result. Then compares the recovered files after three kinds of damage: a
+/// truncation, a flipped bit, and the trailing zeros of a power failure.
 fn compare_with(python: &Path, reader: &str) {
     let directory = tempfile::tempdir().unwrap();
     let seconds = Some(Duration::from_secs(20));
@@ -128,7 +128,7 @@ fn compare(python: &Path, reader: &str, path: &Path, ours: &Recording) {
     }
 }
 
-/// Each event is also a message of the log.
+/// Each event of the recording is also a message of its log.
 fn compare_events(ours: &Recording, theirs: &Value) {
     let [events, log] = ["events", "log"].map(|key| theirs[key].as_array().unwrap());
     assert_eq!((events.len(), log.len()), (ours.events.len(), ours.events.len()));
@@ -140,7 +140,8 @@ fn compare_events(ours: &Recording, theirs: &Value) {
     }
 }
 
-/// One message per second with the number of valid cycles: for all encoders together, and for each.
+/// There is one diagnostics message per second. It contains the number of valid cycles, for all encoders together and for
+/// each encoder.
 fn compare_diagnostics(ours: &Recording, theirs: &[Value]) {
     let seconds = ours.cycles.chunks_exact(100);
     assert_eq!(theirs.len(), seconds.len());
@@ -196,8 +197,8 @@ fn compare_cycles(ours: &Recording, theirs: &[Value]) {
     }
 }
 
-/// Positions of the joint states change by 2 pi / 14 745 600 rad per count. Velocities are the change between successive valid
-/// cycles divided by the bus time between them.
+/// Positions of the joint states change by 2 pi / 14 745 600 rad per count. A velocity is the change of position between
+/// successive valid cycles, divided by the bus time between them.
 fn compare_joint_states(ours: &Recording, theirs: &[Value]) {
     assert_eq!(ours.cycles.len(), theirs.len());
     let number = |key: &str, index: usize, joint: usize| theirs[index][key][joint].as_f64();

@@ -1,5 +1,5 @@
-//! Robot logs of other programs are read correctly: ROS 2 bags by rosbags, EGM by Google's protobuf, the other formats by
-//! Python's CSV and XML writers.
+//! Robot logs that other programs wrote are read correctly. rosbags writes ROS 2 bags, Google's protobuf writes EGM, and
+//! Python's CSV and XML writers write the other formats.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 use std::path::{Path, PathBuf};
@@ -15,7 +15,7 @@ use identify::simulate::{self, Design, Experiment};
 use shared::config::{self, RobotConfig};
 use system_tests::{ball_bar as shipped_bar, config_directory, python_with};
 
-/// The same constants as in `write_robot_log.py`.
+/// These three constants are equal to those in `write_robot_log.py`.
 const ROWS: usize = 5000;
 const START_NS: i64 = 1_795_000_000_123_456_789;
 const PERIOD_S: f64 = 0.008;
@@ -28,7 +28,7 @@ fn robot() -> RobotConfig {
     config::load(&config_directory().join("robots/irb120_3.toml")).unwrap()
 }
 
-/// Lets `write_robot_log.py` write a log of this kind; it needs these Python modules.
+/// Writes a log of this kind with `write_robot_log.py`, which needs these Python modules. Returns the path of the log.
 fn write_log(directory: &Path, modules: &[&str], kind: &str) -> PathBuf {
     let python = python_with(modules);
     let path = directory.join(format!("log.{}", kind.split('-').next().unwrap()));
@@ -54,7 +54,7 @@ fn check_bag(kind: &str) {
     let directory = tempfile::tempdir().unwrap();
     let path = write_log(directory.path(), &["rosbags"], kind);
     let log = load(&path, &robot()).unwrap();
-    // One message has a joint that is NaN.
+    // In one message, a joint is NaN, so the message is dropped.
     assert_follows(&log, Some(100), 1e-12);
     assert_eq!((log.quality.incomplete_dropped, log.q_rad.first_stamp_ns), (1, START_NS));
     assert_eq!((log.clock.as_str(), log.origin), ("header.stamp", ValueOrigin::Measured));
@@ -157,10 +157,10 @@ fn egm_messages_by_googles_protobuf_are_read_in_degrees_on_either_clock() {
         let path = write_log(directory.path(), &["google.protobuf"], kind);
         let log = load(&path, &robot()).unwrap();
         if kind == "egm" {
-            // The counter of milliseconds wraps after 20 s of the 40 s.
+            // The controller's counter of milliseconds wraps after 20 s. The log has 40 s.
             assert_follows(&log, None, 1e-12);
         } else {
-            // Stamps are whole microseconds.
+            // Stamps of this format are whole microseconds.
             assert_eq!(log.q_rad.first_stamp_ns, START_NS / 1000 * 1000);
         }
         assert_eq!((log.q_rad.len(), log.quality.duplicates_dropped), (ROWS, 1));

@@ -1,4 +1,4 @@
-//! No page of the book, help text or comment has a word of `docs/words.toml`.
+//! Checks that no page of the book, help text or comment contains a word of `docs/words.toml`.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 use std::path::Path;
@@ -15,16 +15,16 @@ struct List {
 
 #[derive(Deserialize)]
 struct Word {
-    /// Words or phrases, in lower case.
+    /// Words or phrases that are forbidden, in lower case.
     not: Vec<String>,
     write: String,
-    /// Phrases in which the word is right.
+    /// Phrases in which a forbidden word is permitted.
     #[serde(default)]
     allow: Vec<String>,
 }
 
 impl Word {
-    /// The first of these words in a text of lower-case words, each between two spaces.
+    /// The first forbidden word in the text. The text consists of lower-case words, each between two spaces.
     fn in_text(&self, text: &str) -> Option<&str> {
         let right =
             self.allow.iter().fold(text.to_owned(), |text, right| text.replace(&format!(" {right} "), "  "));
@@ -32,7 +32,8 @@ impl Word {
     }
 }
 
-/// What people read of a line: the whole line of a document, otherwise a comment that has the line for itself.
+/// The text of a line that readers see. In a document this is the whole line; in code it is a comment that has a line of its
+/// own.
 fn prose<'l>(file: &Path, line: &'l str) -> &'l str {
     let mark = match file.extension().and_then(|ending| ending.to_str()) {
         Some("rs") => "//",
@@ -42,7 +43,7 @@ fn prose<'l>(file: &Path, line: &'l str) -> &'l str {
     line.trim_start().strip_prefix(mark).unwrap_or_default()
 }
 
-/// The words of a text outside of code, in lower case, each between two spaces.
+/// The words of a text in lower case, each between two spaces. Code between backticks is left out.
 fn words(text: &str) -> String {
     let outside: Vec<&str> = text.split('`').step_by(2).collect();
     let lower = outside.join(" ` ").to_lowercase();

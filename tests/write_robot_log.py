@@ -1,12 +1,12 @@
-"""Writes a robot log with implementations that are not ours.
+"""Writes a robot log with implementations that are independent of this project.
 
 usage: write_robot_log.py {mcap|db3|egm|egm-utc|rtde|rsi|table} FILE
        write_robot_log.py {bar-mcap|bar-db3} FILE RECORDING
        write_robot_log.py {force-mcap|force-db3|force-rtde} FILE TABLE
 
-The second form copies the joint states of a recording of ours into a bag, read and written by PyPI rosbags. The third
-writes the rows of TABLE (stamp in ns, six joints in rad, then six torques in Nm, or x, y, z of a force in N). Otherwise
-40 s at 125 Hz; joint j (from 0) at row k is 0.4 sin(0.01 k + j) rad, its speed 0.5 cos(0.01 k + j) rad/s.
+The first form writes 40 s at 125 Hz: joint j (from 0) at row k is 0.4 sin(0.01 k + j) rad, its speed 0.5 cos(0.01 k + j)
+rad/s. The second form copies the joint states of one of our recordings into a bag; PyPI rosbags reads and writes them. The
+third form writes the rows of TABLE: stamp in ns, six joints in rad, then six torques in Nm, or x, y, z of a force in N.
 """
 
 import csv
@@ -28,7 +28,7 @@ def angle(row, joint):
 
 @contextmanager
 def joint_states(path, storage):
-    """A bag by PyPI rosbags that ends up as one file. Gives a function that writes a message."""
+    """Opens a bag of PyPI rosbags, which becomes one file when it is closed. Yields a function that writes a message."""
     import numpy
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
@@ -53,7 +53,7 @@ def joint_states(path, storage):
 
 
 def bag(path, storage):
-    """Two topics, of which one has other joints; ours has an extra joint and another order."""
+    """Writes a bag with two topics. One has other joints; that of the robot has an extra joint, and its joints in another order."""
     order = [5, 0, 3, 1, 4, 2]
     names = ["gripper"] + [f"left_joint_{j + 1}" for j in order]
     with joint_states(path, storage) as write:
@@ -63,14 +63,14 @@ def bag(path, storage):
             velocity = [0.0] + [0.5 * math.cos(0.01 * row + j) for j in order]
             if row == 100:
                 position[3] = math.nan
-            # Received late, and not evenly.
+            # Messages are received late, and at uneven intervals.
             received = stamp + 1_000_000 + (row * 7919) % 700_000
             write("/left/joint_states", received, stamp, names, position, velocity)
             write("/gripper/joint_states", received, stamp, ["gripper"], position[:1])
 
 
 def bag_of_bar(path, storage, recording):
-    """PyPI rosbags reads our recording and writes what it has read, joints in another order."""
+    """Copies our recording with PyPI rosbags into a bag that has the joints in reverse order."""
     from rosbags.highlevel import AnyReader
 
     with AnyReader([recording]) as reader, joint_states(path, storage) as write:
@@ -83,14 +83,14 @@ def bag_of_bar(path, storage, recording):
 
 
 def rows_of(table):
-    """Stamp [ns], six joints [rad], and what was measured beside them."""
+    """Rows of the table: stamp [ns], six joints [rad], and the forces or torques measured with them."""
     with open(table, newline="") as source:
         for row in csv.reader(source):
             yield int(row[0]), [float(cell) for cell in row[1:7]], [float(cell) for cell in row[7:]]
 
 
 def bag_with_efforts(path, storage, table):
-    """Six torques [Nm] as efforts, behind those of another joint and in another order than the robot's."""
+    """Writes six torques [Nm] as efforts. An effort of another joint precedes them, and their order is not that of the robot."""
     order = [2, 0, 5, 1, 4, 3]
     names = ["rail"] + [f"arm_joint_{j + 1}" for j in order]
     with joint_states(path, storage) as write:
@@ -100,21 +100,21 @@ def bag_with_efforts(path, storage, table):
 
 
 def rtde_with_force(path, table):
-    """As the recorder of Universal Robots' RTDE client: outputs in the order of its guide, numbers as Python prints them."""
+    """Writes a log like the recorder of Universal Robots' RTDE client: outputs in the order of its guide, numbers as Python prints them."""
     vectors = ["target_q", "target_qd", "target_qdd", "target_current", "target_moment", "actual_q", "actual_qd",
                "actual_current", "joint_control_output", "actual_TCP_pose", "actual_TCP_speed", "actual_TCP_force"]
     with open(path, "w", newline="") as sink:
         writer = csv.writer(sink, delimiter=" ")
         writer.writerow(["timestamp"] + [f"{name}_{i}" for name in vectors for i in range(6)] + ["robot_mode"])
         for stamp, joints, force in rows_of(table):
-            # Moments at the TCP stand behind its force.
+            # The moments at the TCP follow its force.
             known = {"target_q": [q + 0.01 for q in joints], "actual_q": joints, "actual_TCP_force": force + [7.0, -8.0, 9.0]}
             cells = [value for name in vectors for value in known.get(name, [0.0] * 6)]
             writer.writerow([stamp * 1e-9] + cells + [7])
 
 
 def egm_messages():
-    """Google's protobuf: message types made from the public definition of EGM."""
+    """Message types of Google's protobuf, made from the public definition of EGM."""
     from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
     field = descriptor_pb2.FieldDescriptorProto
@@ -155,7 +155,7 @@ def egm(path, utc):
         for row in range(ROWS):
             message = robot()
             message.header.seqno = row
-            # The controller's own milliseconds wrap in the middle.
+            # The controller's counter of milliseconds wraps in the middle of the log.
             message.header.tm = (2**32 - 20_000 + row * PERIOD_NS // 1_000_000) % 2**32
             message.header.mtype = 2
             message.feedBack.joints.joints.extend(math.degrees(angle(row, j)) for j in range(6))
@@ -165,13 +165,13 @@ def egm(path, utc):
             if utc:
                 stamp = START_NS + row * PERIOD_NS
                 message.feedBack.time.sec, message.feedBack.time.usec = stamp // 10**9, stamp % 10**9 // 1000
-            # A reader that did not wait gets the same message twice.
+            # A reader that polls too early gets the same message twice.
             for _ in range(2 if row == 77 else 1):
                 sink.write(_VarintBytes(message.ByteSize()) + message.SerializeToString())
 
 
 def rtde(path):
-    """As the CSV writer of Universal Robots' RTDE client: Python's csv, blanks between cells, outputs in any order."""
+    """Writes a log like the CSV writer of Universal Robots' RTDE client: Python's csv, blanks between cells, outputs in any order."""
     with open(path, "w", newline="") as sink:
         writer = csv.writer(sink, delimiter=" ")
         joints = range(6)
@@ -184,7 +184,7 @@ def rtde(path):
 
 
 def rsi(path):
-    """Telegrams by Python's ElementTree, one after the other as a socket gives them."""
+    """Writes telegrams with Python's ElementTree, one after the other as a socket delivers them."""
     with open(path, "wb") as sink:
         for row in range(ROWS):
             telegram = ElementTree.Element("Rob", Type="KUKA")
@@ -198,7 +198,7 @@ def rsi(path):
 
 
 def table(path):
-    """A spreadsheet's export where decimals have commas: a title, UTF-8 with BOM, CRLF, everything quoted, degrees."""
+    """Writes a spreadsheet export with decimal commas: a title line, UTF-8 with BOM, CRLF, all cells quoted, angles in degrees."""
     with open(path, "w", newline="", encoding="utf-8-sig") as sink:
         writer = csv.writer(sink, delimiter=";", quoting=csv.QUOTE_ALL)
         writer.writerow(["Prüfstand 3; Lauf 7"])

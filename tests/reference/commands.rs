@@ -1,4 +1,4 @@
-//! `commands.md`, and what the help of every command must contain.
+//! Generates `commands.md`, and checks that the help of every command is complete.
 
 use std::ffi::OsString;
 
@@ -22,7 +22,7 @@ fn check_help(mut program: clap::Command, parse: impl Fn(Vec<String>) -> Result<
     for command in commands(&program) {
         let name = name(command);
         let example = example(command).unwrap_or_else(|| panic!("{name}: no line `Example: ` in after_help"));
-        // The word of a hidden command may be omitted.
+        // If the command is hidden, users may omit its name.
         let begin = if command.is_hide_set() { name.rsplit_once(' ').unwrap().0 } else { name };
         assert!(example.starts_with(begin), "{name}: {example}");
         let words = crate::documents::commands(&example).remove(0);
@@ -32,7 +32,7 @@ fn check_help(mut program: clap::Command, parse: impl Fn(Vec<String>) -> Result<
             assert!(argument.get_help().is_some(), "{name}: {id} has no text");
             let is_known = heading.map_or(argument.is_positional(), |heading| HEADINGS.contains(&heading));
             assert!(is_known, "{name}: --{id} needs one of the headings {HEADINGS:?}, not {heading:?}");
-            // Names of shells need no text.
+            // Shell names need no help text.
             for value in argument.get_possible_values().iter().filter(|_| id != "shell") {
                 assert!(value.get_help().is_some(), "{name}: {id} {} has no text", value.get_name());
             }

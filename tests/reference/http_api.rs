@@ -1,4 +1,4 @@
-//! `http-api.md`: the OpenAPI document of the service.
+//! Generates `http-api.md` from the OpenAPI document of the service.
 
 use std::fmt::Write;
 
@@ -7,22 +7,22 @@ use serde_json::Value;
 
 use super::check;
 
-/// A text of the document, as the content of a cell.
+/// A text of the OpenAPI document, formatted as a table cell.
 fn text(value: &Value) -> String {
     cell(value.as_str().unwrap_or_default())
 }
 
-/// Members of an object, or none.
+/// Members of an object; empty if the value is no object.
 fn members(value: &Value) -> impl Iterator<Item = (&String, &Value)> {
     value.as_object().into_iter().flatten()
 }
 
-/// Elements of a list, or none.
+/// Elements of a list; empty if the value is no list.
 fn elements(value: &Value) -> impl Iterator<Item = &Value> {
     value.as_array().into_iter().flatten()
 }
 
-/// A JSON schema as words, with links to the named ones.
+/// Describes a JSON schema in words. Named schemas become links.
 fn kind(schema: &Value) -> String {
     let any = |list: &Value| elements(list).map(kind).collect::<Vec<_>>().join(" or ");
     if let Some(name) = schema["$ref"].as_str().and_then(|path| path.rsplit('/').next()) {

@@ -1,4 +1,5 @@
-//! Generated pages and pictures of the book: their committed text is what programs, configuration files and tables give today.
+//! Generates pages and pictures of the book from programs, configuration files and tables. The tests fail if the committed
+//! files differ from the generated text.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 mod commands;
@@ -8,7 +9,7 @@ mod parameters;
 
 use crate::documents::repository;
 
-/// Set, the tests write the pages instead of comparing them.
+/// Environment variable. If it is set, the tests write the pages instead of comparing them.
 const WRITE: &str = "WRITE_REFERENCE";
 /// The command that writes all generated pages.
 const RENEW: &str = "WRITE_REFERENCE=1 cargo test -p system-tests --test all reference";
@@ -16,7 +17,7 @@ const RENEW: &str = "WRITE_REFERENCE=1 cargo test -p system-tests --test all ref
 /// Longest line of prose \[characters\].
 const WIDTH: usize = 120;
 
-/// Breaks lines of prose; tables, headings and code stay as they are.
+/// Wraps lines of prose. Tables, headings and code are not changed.
 fn wrapped(text: &str) -> String {
     let options = textwrap::Options::new(WIDTH).word_splitter(textwrap::WordSplitter::NoHyphenation);
     let mut is_code = false;
@@ -28,7 +29,7 @@ fn wrapped(text: &str) -> String {
     lines.map(|line| line + "\n").collect()
 }
 
-/// Compares a page with its generated content, or writes it.
+/// Compares a page with its generated content, or writes the page if [`WRITE`] is set.
 fn check(name: &str, title: &str, source: &str, content: &str) {
     let head = format!(
         "# {title}\n\nGenerated from {source}; do not edit. To write it again:\n\n```sh\n{RENEW}\n```\n"
@@ -36,7 +37,7 @@ fn check(name: &str, title: &str, source: &str, content: &str) {
     check_file(&format!("reference/{name}"), &wrapped(&format!("{head}\n{}", content.trim())));
 }
 
-/// Compares a file of the book with its generated text, or writes it.
+/// Compares a file of the book with its generated text, or writes the file if [`WRITE`] is set.
 fn check_file(name: &str, text: &str) {
     let path = repository("docs/src").join(name);
     if std::env::var_os(WRITE).is_some() {

@@ -1,4 +1,4 @@
-//! `parameters.md`: the table of parameters in `identify/core/src/model/parameter.rs`.
+//! Generates `parameters.md` from the table of parameters in `identify/core/src/model/parameter.rs`.
 
 use std::fmt::Write;
 
@@ -13,7 +13,7 @@ Result files have the SI unit; `[priors]`, the terminal and the report have the 
 In a calibration from several data sets, a parameter that each of them has for itself is called `NAME@2` in the second one.
 ";
 
-/// Parameters of one row, by their names without numbers.
+/// Parameters of one table row, grouped by their names without digits.
 type ParameterRow = Vec<(String, Vec<ParameterId>)>;
 
 const fn heading(owner: Owner) -> &'static str {
