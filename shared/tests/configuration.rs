@@ -1,4 +1,4 @@
-//! Messages on configuration files that cannot be read.
+//! Messages about configuration files that cannot be read.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::path::Path;

@@ -1,4 +1,4 @@
-//! The drawing of the bar: its lengths and its joints.
+//! The drawing of the bar shows its configured lengths and its joints.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::path::{Path, PathBuf};
@@ -14,7 +14,7 @@ fn shipped() -> BallBarConfig {
     config::load(&repository("config/ball_bar.toml")).unwrap()
 }
 
-/// Lines of the SVG with this text.
+/// Lines of the SVG that contain this text.
 fn lines<'a>(svg: &'a str, text: &str) -> Vec<&'a str> {
     svg.lines().filter(|line| line.contains(text)).collect()
 }
@@ -51,6 +51,6 @@ fn axes_that_point_the_other_way_are_turned_the_other_way() {
     assert_eq!(lines(&bar, "\"body\""), lines(&other, "\"body\""));
     let turns = lines(&bar, "\"turn\"").into_iter().zip(lines(&other, "\"turn\""));
     let differ: Vec<bool> = turns.map(|(one, other)| one != other).collect();
-    // Drawn in the order 1, 3, 2, 5, 4.
+    // The joints are drawn in the order 1, 3, 2, 5, 4.
     assert_eq!(differ, [false, false, true, false, true]);
 }

@@ -1,4 +1,4 @@
-//! Files left behind in a directory: they are found, completed and labelled; files in use are not touched.
+//! Files that crashed runs left in a directory are found, completed and labelled. Files in use are not touched.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 use std::fs::File;
@@ -15,7 +15,7 @@ use shared::recording::{
 
 use crate::support::run::{START, cycle, run};
 
-/// A run of 40 cycles in a directory, not yet finished.
+/// Starts a run in a directory and writes 40 cycles. The run is not finished.
 fn running(directory: &Path, name: &str) -> RecordingWriter<RunFile> {
     let mut writer = RecordingWriter::create(directory, &run(name)).unwrap();
     for number in 0..40 {
@@ -27,7 +27,7 @@ fn running(directory: &Path, name: &str) -> RecordingWriter<RunFile> {
     writer
 }
 
-/// The same after a kill of the process: its file without its lock.
+/// The file of such a run after its process was killed: it has the same content, but no lock.
 fn left_behind(directory: &Path, name: &str) -> PathBuf {
     let elsewhere = tempfile::tempdir().unwrap();
     let writer = running(elsewhere.path(), name);
@@ -44,7 +44,7 @@ fn names(directory: &Path) -> Vec<String> {
     names
 }
 
-/// The shared lock of another process that checks whether a file is in use.
+/// Locks a file as another process does while it checks whether the file is in use.
 fn checking(path: &Path) -> Flock<File> {
     Flock::lock(File::open(path).unwrap(), FlockArg::LockSharedNonblock).unwrap()
 }
@@ -59,7 +59,8 @@ fn two_checks_at_once_do_not_take_each_other_for_the_writer() {
     assert!(is_in_use(&SystemDisk, writer.sink().place().path()).unwrap());
 }
 
-/// A disk with a file that another process checks until the first attempt to lock it.
+/// A disk with a file that another process is checking. That process releases its lock on the first
+/// attempt to lock the file.
 #[derive(Debug)]
 struct Checked(Mutex<Option<Flock<File>>>);
 
@@ -120,7 +121,7 @@ fn the_original_of_a_torn_file_is_kept() {
     bytes.truncate(bytes.len() - 5);
     std::fs::write(&left, &bytes).unwrap();
     let Ok(Recovery::Recovered { torn: Some(torn), content, .. }) = recover_file(&left) else { panic!() };
-    // The last chunk is complete; only an index behind it is truncated.
+    // The last chunk is complete. Only an index behind it is truncated.
     assert_eq!((content.cycles, std::fs::read(torn).unwrap()), (40, bytes));
     assert_eq!(names(directory.path()), ["torn.mcap", "torn.mcap.torn"]);
 }
@@ -138,7 +139,7 @@ fn a_damaged_finished_recording_is_replaced_by_what_is_whole_and_kept() {
     let recording = Recording::open(&path).unwrap();
     assert_eq!(recording.cycles.len() as u64, content.cycles);
     assert!(recording.end.recovered);
-    // Two chunks of 20 cycles: one is lost, the other is kept at any position.
+    // The file has two chunks of 20 cycles. At any position of the damage, one chunk is lost and the other is kept.
     assert_eq!((content.cycles, content.cycles_lost, recording.end.cycles_lost), (40, 20, 20));
     assert_eq!(std::fs::read(torn).unwrap(), bytes);
 }
@@ -159,7 +160,7 @@ fn a_crash_during_recovery_leaves_nothing_to_choose_between() {
     let left = left_behind(directory.path(), "twice");
     let bytes = std::fs::read(&left).unwrap();
     recover_file(&left).unwrap();
-    // The original was not removed yet, and a partial file of an earlier attempt exists.
+    // The original was not removed yet, and a partial file of an earlier recovery exists.
     std::fs::write(&left, &bytes).unwrap();
     std::fs::write(directory.path().join("twice.mcap.recovering"), "half").unwrap();
     assert!(recover_leftovers(directory.path())[0].outcome.is_ok());
@@ -190,7 +191,8 @@ fn what_was_never_a_recording_is_set_aside_once() {
 #[test]
 fn of_files_without_a_byte_nothing_is_kept() {
     let directory = tempfile::tempdir().unwrap();
-    // Empty files: after a kill between name and first byte, after one between creation and name, and of a starting process.
+    // Three empty files. The first two are from kills: between the name and the first byte, and between creation and name.
+    // The third belongs to a process that is starting.
     let living = format!(".{}-0.new", std::process::id());
     for name in ["empty.mcap.active", ".999999999-0.new", &living] {
         std::fs::write(directory.path().join(name), "").unwrap();
@@ -199,7 +201,7 @@ fn of_files_without_a_byte_nothing_is_kept() {
     assert_eq!(names(directory.path()), [living]);
 }
 
-/// A disk that stores wrong bytes without an error.
+/// A disk that stores wrong bytes and reports no error.
 #[derive(Debug)]
 struct Forgetful;
 

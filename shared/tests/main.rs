@@ -1,4 +1,4 @@
-//! Tests of the recording's format, of configuration files and of the drawing, in one program.
+//! Tests of the format of recordings, of configuration files, and of the drawing of the bar. They form one program.
 
 mod support;
 

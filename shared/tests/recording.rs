@@ -139,7 +139,8 @@ fn encoders_that_no_configuration_allows_are_refused() {
     }
 }
 
-/// A file from before records had the number of their origin: cycle 6 has the flag of a new origin, 12 to 14 are lost.
+/// A file of an earlier version, in which records did not have the number of their origin. Cycle 6 is flagged as having a
+/// new origin, and cycles 12 to 14 are lost.
 const FLAGGED_ORIGINS: &[u8] = include_bytes!("data/flagged_origins.mcap");
 
 #[test]
@@ -157,7 +158,7 @@ fn in_a_file_that_only_flags_new_origins_lost_records_may_have_been_one() {
 
 #[test]
 fn such_a_file_is_recovered_with_what_its_cycles_said() {
-    // A byte of the first chunk is wrong, which contains the schemas.
+    // Damages a byte in the first chunk, which contains the schemas.
     let mut damaged = FLAGGED_ORIGINS.to_vec();
     let at = damaged.windows(4).position(|window| window == b"zstd").unwrap();
     damaged[at + 40] ^= 1;

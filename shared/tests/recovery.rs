@@ -1,5 +1,5 @@
-//! Recovery of recordings after a crash, a disk failure or a flipped bit: the undamaged cycles are recovered, or the file
-//! is refused. The result never contains wrong data.
+//! Recovery of recordings after a crash, a disk failure or a flipped bit. Either the undamaged cycles are recovered, or the
+//! file is refused. The result never contains wrong data.
 #![allow(unsafe_code, clippy::unwrap_used, clippy::panic, reason = "tests; an allocator that looks")]
 
 use std::alloc::{GlobalAlloc, Layout, System};
@@ -14,14 +14,14 @@ use shared::recording::{Recording, RecordingWriter, SalvageError, WriteError, sa
 use crate::support::disk::DiskFile;
 use crate::support::run::{START, cycle, run, timing};
 
-/// Stores the largest single allocation of the calling thread \[bytes\].
+/// An allocator that stores the size of the largest allocation of the calling thread \[bytes\].
 struct Watching;
 
 thread_local! {
     static LARGEST: Cell<usize> = const { Cell::new(0) };
 }
 
-// SAFETY: all calls are passed to the system's allocator unchanged.
+// SAFETY: all calls are passed to the system allocator unchanged.
 unsafe impl GlobalAlloc for Watching {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         LARGEST.set(LARGEST.get().max(layout.size()));
@@ -41,10 +41,10 @@ unsafe impl GlobalAlloc for Watching {
 #[global_allocator]
 static ALLOCATOR: Watching = Watching;
 
-/// Cycles between two synchronisations.
+/// Number of cycles between two synchronisations.
 const SYNC_CYCLES: u64 = 4;
 const CYCLES: u64 = 16;
-/// Stride of the bytes that a test damages; the campaign damages each of them.
+/// Distance between the bytes that a test damages. The campaign damages every byte.
 const STEP: usize = 29;
 
 fn small_run() -> RunMetadata {
@@ -62,7 +62,7 @@ trait OnlyUsed {
 }
 
 impl OnlyUsed for CycleRecord {
-    /// Entries after the used encoders are not in the file.
+    /// Clears the entries after the used encoders, because the file does not contain them.
     fn only_used(mut self) -> Self {
         let used = usize::from(self.encoder_count);
         self.encoders[used..].fill_with(Default::default);
@@ -80,7 +80,7 @@ fn marker(number: u64) -> Event {
     }
 }
 
-/// Writes cycles until all are written or the disk refuses.
+/// Writes the run until all cycles are written or the disk refuses a write.
 fn write_until_refused(disk: DiskFile) -> Result<RecordingWriter<DiskFile>, WriteError> {
     let mut writer = RecordingWriter::begin(disk, &small_run())?;
     for number in 0..CYCLES {
@@ -93,7 +93,7 @@ fn write_until_refused(disk: DiskFile) -> Result<RecordingWriter<DiskFile>, Writ
     Ok(writer)
 }
 
-/// A run without an end: its bytes and the lengths at its synchronisations.
+/// The bytes of an unfinished run, and the lengths of its file at its synchronisations.
 fn unfinished() -> (Vec<u8>, Vec<usize>) {
     let disk = DiskFile::default();
     let writer = write_until_refused(disk.clone()).unwrap();
@@ -110,8 +110,8 @@ fn finished() -> Vec<u8> {
     disk.bytes()
 }
 
-/// Number of recovered cycles in `bytes`, whose data must be the original ones; `None` if the file is refused. All other
-/// cycles must be flagged as lost.
+/// Recovers `bytes` and returns the number of recovered cycles, or `None` if the file is refused. Recovered cycles must
+/// equal the original ones. All other cycles must be flagged as lost.
 fn true_cycles_in(bytes: &[u8]) -> Option<u64> {
     let (salvaged, recovered) = match salvage(Cursor::new(bytes), Cursor::new(Vec::new())) {
         Ok(whole) => whole,
@@ -132,7 +132,7 @@ fn true_cycles_in(bytes: &[u8]) -> Option<u64> {
     Some(kept)
 }
 
-/// Number of cycles equal to `truth`. Each of the others must be flagged as lost and have no data.
+/// Number of cycles that equal those of `truth`. Each other cycle must be flagged as lost and have no data.
 fn true_cycles_of(recording: &Recording, truth: impl Fn(u64) -> CycleRecord) -> u64 {
     let lost: Vec<_> = recording.cycles.iter().filter(|cycle| cycle.flags & flags::LOST != 0).collect();
     for cycle in &lost {
@@ -147,7 +147,7 @@ fn true_cycles_of(recording: &Recording, truth: impl Fn(u64) -> CycleRecord) -> 
 }
 
 fn cycles_synced_within(length: usize, synced: &[usize]) -> Option<u64> {
-    // The first synchronisation is that of the metadata.
+    // The first synchronisation only covers the metadata.
     (synced.iter().filter(|&&at| at <= length).count() as u64).checked_sub(1).map(|n| n * SYNC_CYCLES)
 }
 
@@ -166,7 +166,7 @@ fn every_prefix_gives_all_that_was_synchronised_in_it_by(step: usize) {
     assert_eq!(true_cycles_in(&bytes), Some(CYCLES));
 }
 
-/// Flips each single bit of these bytes in turn, and calls `look` with the result.
+/// Flips each single bit of the bytes at these positions in turn, and calls `look` with the damaged bytes and a description.
 fn for_each_flipped_bit(
     bytes: &[u8],
     positions: impl Iterator<Item = usize>,
@@ -195,7 +195,7 @@ fn a_flipped_bit_in_any_byte_costs_one_chunk_at_most_which_is_reported_and_falsi
     });
 }
 
-/// Every fifth byte, or all of them with `CAMPAIGNS=full`.
+/// Distance between the bytes whose bits are flipped: 5, or 1 with `CAMPAIGNS=full`.
 fn campaign_step() -> usize {
     if std::env::var_os("CAMPAIGNS").is_some_and(|size| size == "full") { 1 } else { 5 }
 }
@@ -213,7 +213,7 @@ fn every_flipped_bit_costs_one_chunk_at_most_which_is_reported_and_falsifies_not
 }
 
 fn flips_cost_one_chunk_at_most(flips: impl Fn(usize, usize) -> Box<dyn Iterator<Item = (usize, usize)>>) {
-    // Up to its end the finished file is the unfinished one.
+    // The finished file begins with all bytes of the unfinished one.
     let (bytes, end) = (finished(), unfinished().0.len());
     assert_eq!(bytes[..end], unfinished().0);
     for (name, bytes, from) in [("unfinished", &bytes[..end], 0), ("finished", &bytes, end)] {
@@ -226,7 +226,7 @@ fn flips_cost_one_chunk_at_most(flips: impl Fn(usize, usize) -> Box<dyn Iterator
     }
 }
 
-/// Half a minute of five encoders, and the lengths at its synchronisations.
+/// A finished run of half a minute with five encoders: its bytes, and the lengths of its file at its synchronisations.
 fn long_run() -> (Vec<u8>, Vec<usize>) {
     const SYNC_CYCLES: u64 = 50;
     let disk = DiskFile::default();
@@ -244,7 +244,7 @@ fn long_run() -> (Vec<u8>, Vec<usize>) {
 
 const LONG_CYCLES: u64 = 3000;
 
-/// Number of undamaged cycles that are recovered from a damaged copy of the long run.
+/// Recovers a damaged copy of the long run. Returns the number of undamaged cycles.
 fn long_cycles_in(bytes: &[u8]) -> u64 {
     let (salvaged, recovered) = salvage(Cursor::new(bytes), Cursor::new(Vec::new())).unwrap();
     verify(&recovered.get_ref()[..], &salvaged).unwrap();
@@ -253,7 +253,8 @@ fn long_cycles_in(bytes: &[u8]) -> u64 {
     true_cycles_of(&recording, cycle)
 }
 
-/// Checks the share of rows that survive one flipped bit, in `count` random cases.
+/// Flips one random bit of the long run in `count` cases. Checks the percentage of cycles that survive on average, and the
+/// smallest number in one case.
 fn rows_kept_over_flips(count: u64) {
     let (bytes, _) = long_run();
     let mut random = StdRng::seed_from_u64(11);
@@ -268,7 +269,7 @@ fn rows_kept_over_flips(count: u64) {
     assert!(share >= 0.97 && least >= LONG_CYCLES - 50, "{share}, {least}");
 }
 
-/// Checks in `count` random truncations that all synchronised cycles are recovered.
+/// Truncates the long run at random in `count` cases. All synchronised cycles must be recovered.
 fn whole_chunks_kept_over_cuts(count: u64) {
     let (bytes, synced) = long_run();
     let mut random = StdRng::seed_from_u64(12);
@@ -305,7 +306,7 @@ fn a_thousand_random_cuts_cost_no_whole_chunk() {
 #[test]
 fn a_beginning_that_is_lost_costs_only_the_cycles_in_it() {
     let (bytes, synced) = unfinished();
-    // Metadata, schemas and the first cycles are lost; the second copy of the metadata is kept.
+    // Metadata, schemas and the first cycles are lost. The second copy of the metadata is not damaged.
     let mut damaged = bytes.clone();
     damaged[..synced[0] + 100].fill(0);
     assert_eq!(true_cycles_in(&damaged), Some(CYCLES - SYNC_CYCLES));
@@ -332,7 +333,7 @@ fn old_blocks_of_another_run_behind_the_end_add_nothing() {
     assert_eq!(true_cycles_in(&on_disk), Some(SYNC_CYCLES));
 }
 
-/// A disk with one unreadable sector.
+/// A disk with one sector that cannot be read.
 struct BadSector {
     bytes: Cursor<Vec<u8>>,
     bad: std::ops::Range<u64>,
@@ -399,13 +400,14 @@ fn no_flipped_bit_asks_for_more_memory_than_a_record_may_have_by(step: usize) {
     let mut bytes = finished();
     LARGEST.set(0);
     for position in (0..bytes.len()).step_by(step) {
-        // The highest bit of a length is in its last byte (little-endian).
+        // A length is stored with its last byte highest (little-endian), so at some position this flips the
+        // highest bit of a length.
         bytes[position] ^= 0x80;
         let _ = salvage(Cursor::new(&bytes[..]), Cursor::new(Vec::new()));
         let _ = Recording::read(&bytes[..]);
         bytes[position] ^= 0x80;
     }
-    // 64 MB, and the spare capacity of a growing buffer.
+    // A record may have 64 MB. A growing buffer has spare capacity in addition.
     assert!(LARGEST.get() <= 160 << 20, "{} bytes at once", LARGEST.get());
 }
 
@@ -442,7 +444,7 @@ fn every_prefix_of_a_finished_recording_is_recovered_with_what_is_whole_by(step:
 #[test]
 fn a_recovered_recording_keeps_how_well_its_loop_kept_its_time() {
     let bytes = finished();
-    // Without the last bytes of the footer.
+    // The last bytes of the footer are missing.
     let (_, recovered) = salvage(Cursor::new(&bytes[..bytes.len() - 5]), Cursor::new(Vec::new())).unwrap();
     assert_eq!(Recording::read(&recovered.into_inner()[..]).unwrap().timing, Some(timing()));
 }
@@ -462,7 +464,7 @@ fn what_a_killed_run_said_last_of_its_timing_is_what_is_read_of_it() {
         })
         .collect();
     for (length, timing) in said {
-        // The next record is torn.
+        // The record after the timing is torn.
         let torn = &disk.bytes()[..disk.bytes().len().min(length + 30)];
         let (salvaged, recovered) = salvage(Cursor::new(torn), Cursor::new(Vec::new())).unwrap();
         assert_eq!((salvaged.cycles, salvaged.timing.as_ref()), (CYCLES, Some(&timing)));
@@ -511,7 +513,7 @@ fn a_disk_that_refuses_once_at_any_offset_and_then_goes_on_leaves_no_wrong_recor
     let (bytes, _) = unfinished();
     for offset in (0..bytes.len()).step_by(step) {
         let disk = DiskFile::refusing_once_at(offset, nix::libc::EIO);
-        // The unfinished writer is dropped, which may write its buffered data behind the gap.
+        // The unfinished writer is dropped here. This may write its buffered data behind the gap.
         assert!(write_until_refused(disk.clone()).is_err(), "byte {offset}");
         let expected = cycles_synced_within(offset, &disk.0.borrow().synced);
         assert!(true_cycles_in(&disk.bytes()) >= expected, "byte {offset}");
@@ -537,7 +539,8 @@ fn a_tear_at_any_offset_with_what_follows_on_disk_falsifies_nothing_by(step: usi
     for &keep in &synced {
         let expected = cycles_synced_within(keep, &synced);
         for tear in (keep..bytes.len()).step_by(step) {
-            // The later write reached the disk and the earlier one did not; then the reverse.
+            // In one case, only the later of two writes reached the disk. In the other case, both are on
+            // the disk in reverse order.
             let hole = [&bytes[..keep], &vec![0; tear - keep], &bytes[tear..]].concat();
             let exchanged = [&bytes[..keep], &bytes[tear..], &bytes[keep..tear]].concat();
             for on_disk in [hole, exchanged] {
@@ -607,7 +610,7 @@ fn the_same_at_every_single_byte() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(100))]
 
-    /// Data that were not synchronised at a power failure are on the disk in parts, in any order, torn, or not at all.
+    /// After a power failure, data that were not synchronised may be on the disk partly, in any order, torn, or not at all.
     #[test]
     fn unsynchronised_writes_in_any_order_never_give_a_wrong_record(
         last_sync in 0_usize..5,
@@ -618,7 +621,7 @@ proptest! {
         let (bytes, synced) = unfinished();
         let keep = synced[last_sync.min(synced.len() - 1)];
         let mut on_disk = bytes[..keep].to_vec();
-        // Remaining sectors, each written, torn, or unchanged.
+        // Each remaining sector is written, torn, or unchanged.
         for (index, sector) in bytes[keep..].chunks(64).take(extra_writes).enumerate() {
             let (kept, part) = fate[index % fate.len()];
             let whole = if kept { sector.len() } else { (sector.len() as f64 * part * 0.99) as usize };
@@ -629,7 +632,7 @@ proptest! {
         prop_assert!(true_cycles_in(&on_disk) >= expected);
     }
 
-    /// Random bytes, alone and appended to the beginning of a recording.
+    /// Random bytes, alone and appended to the beginning of a recording. Alone they are refused; appended they add no cycle.
     #[test]
     fn any_bytes_are_refused_or_add_nothing(bytes in prop::collection::vec(any::<u8>(), 0..2000), at in 0_usize..5) {
         prop_assert_eq!(true_cycles_in(&bytes), None);
@@ -639,7 +642,7 @@ proptest! {
         prop_assert_eq!(true_cycles_in(&tail), Some(at as u64 * SYNC_CYCLES));
     }
 
-    /// Bytes moved to another place in a recording.
+    /// A block of a recording overwrites another place in it.
     #[test]
     fn shuffled_parts_never_give_a_wrong_record(
         from in any::<prop::sample::Index>(),

@@ -1,5 +1,5 @@
-//! A run's file on a disk that fails, is removed or fills up: no recoverable data are lost, and every reported file
-//! exists.
+//! The file of a run on a disk that fails, is removed or becomes full. No data that can be recovered are lost,
+//! and every reported file exists.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 use std::fs::File;
@@ -12,7 +12,7 @@ use shared::recording::{Disk, Recording, RecordingWriter, RunFile, WriteError};
 
 use crate::support::run::{START, cycle, run};
 
-/// A disk that accepts this number of bytes, at most 1000 with each write, and is then full.
+/// A disk that accepts this number of bytes in total, at most 1000 with each write.
 #[derive(Debug)]
 struct Full(AtomicU64);
 
@@ -66,7 +66,7 @@ fn a_run_whose_file_was_removed_has_all_of_it_in_another_place() {
     place.check().unwrap();
     std::fs::remove_file(place.path()).unwrap();
     assert!(matches!(place.check(), Err(WriteError::Lost(_))));
-    // Another file has its name there, and the next name is used too.
+    // In the spare directory, another file has the name of the run, and the next name is used too.
     std::fs::write(spare.path().join("gone.mcap"), "precious").unwrap();
     std::fs::write(spare.path().join("gone-2.mcap.active"), "precious").unwrap();
     writer.sink_mut().move_to(spare.path()).unwrap();
@@ -77,7 +77,7 @@ fn a_run_whose_file_was_removed_has_all_of_it_in_another_place() {
     assert_eq!(std::fs::read(spare.path().join("gone.mcap")).unwrap(), b"precious");
 }
 
-/// A change of a directory and of the run's file in it.
+/// A function that changes a directory and the run's file in it.
 type Way<'a> = &'a dyn Fn(&Path, &Path);
 
 #[test]
@@ -122,7 +122,7 @@ fn what_a_full_disk_refused_goes_out_first_where_there_is_room() {
                 full.0.store(u64::MAX, Ordering::Relaxed);
                 writer.sink_mut().move_to(spare.path()).unwrap();
                 writer.write_out().unwrap();
-                // The copy is complete: the space of the original is free again.
+                // The copy is complete, so the original was removed.
                 assert_eq!(names(directory.path()), [""; 0]);
             }
         }
@@ -131,7 +131,7 @@ fn what_a_full_disk_refused_goes_out_first_where_there_is_room() {
     }
 }
 
-/// A disk that returns other bytes than were written.
+/// A disk that returns other bytes than those that were written.
 #[derive(Debug)]
 struct Forgetful;
 

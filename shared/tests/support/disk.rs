@@ -1,10 +1,10 @@
-//! A disk in memory that loses unsynchronised data, and fails on request.
+//! A disk in memory. It loses data that were not synchronised, and fails on request.
 
 use std::cell::RefCell;
 use std::io::{self, Seek, SeekFrom, Write};
 use std::rc::Rc;
 
-/// All written bytes, and the state of their synchronisation.
+/// All written bytes, and which of them were synchronised.
 #[derive(Debug, Default)]
 pub struct Disk {
     /// The file as the writing program sees it.
@@ -13,11 +13,11 @@ pub struct Disk {
     pub synced: Vec<usize>,
     /// Begin and end of each unsynchronised write \[bytes\].
     pub unsynced: Vec<(usize, usize)>,
-    /// Writes beyond this length are refused.
+    /// Length of the file beyond which writes are refused \[bytes\].
     pub capacity: Option<usize>,
-    /// The write that crosses this length is refused, once.
+    /// Length \[bytes\]. The first write that crosses it is refused, later ones are not.
     pub refuse_once_at: Option<usize>,
-    /// Largest number of bytes that one write accepts.
+    /// Largest number of bytes that a single write accepts.
     pub at_once: Option<usize>,
     /// Error number of a refused write.
     pub errno: i32,
@@ -25,7 +25,7 @@ pub struct Disk {
     pub syncs_left: Option<usize>,
 }
 
-/// The file on that disk. Clones share the file.
+/// The file on such a disk. Clones share the file.
 #[derive(Debug, Clone, Default)]
 pub struct DiskFile(pub Rc<RefCell<Disk>>);
 
@@ -40,12 +40,12 @@ impl DiskFile {
         Self(Rc::new(RefCell::new(Disk { refuse_once_at: Some(offset), errno, ..Disk::default() })))
     }
 
-    /// A disk that accepts at most `bytes` with each write.
+    /// A disk that accepts at most `bytes` bytes with each write.
     pub fn taking_at_most(bytes: usize) -> Self {
         Self(Rc::new(RefCell::new(Disk { at_once: Some(bytes), ..Disk::default() })))
     }
 
-    /// A disk whose synchronisation fails permanently after `syncs` of them.
+    /// A disk on which `syncs` synchronisations succeed and all later ones fail.
     pub fn failing_after(syncs: usize, errno: i32) -> Self {
         Self(Rc::new(RefCell::new(Disk { syncs_left: Some(syncs), errno, ..Disk::default() })))
     }
@@ -88,7 +88,7 @@ impl Write for DiskFile {
 
 impl Seek for DiskFile {
     fn seek(&mut self, position: SeekFrom) -> io::Result<u64> {
-        // Recordings are only appended to.
+        // A recording is only ever appended to, so no other position is needed.
         match position {
             SeekFrom::Current(0) | SeekFrom::End(0) => Ok(self.0.borrow().bytes.len() as u64),
             other => Err(io::Error::other(format!("a recording must not seek: {other:?}"))),

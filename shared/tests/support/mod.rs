@@ -1,4 +1,4 @@
-//! Shared by the tests: a run, and a disk that fails.
+//! Helpers of the tests: a generated run, and a disk that fails.
 
 pub mod disk;
 pub mod run;

@@ -1,4 +1,4 @@
-//! A generated run, the same in all tests.
+//! A generated run that all tests use.
 
 use shared::encoder::EncoderScale;
 use shared::recording::schema::{
@@ -42,7 +42,7 @@ pub fn run(name: &str) -> RunMetadata {
     }
 }
 
-/// Timing statistics of its cycles.
+/// Timing statistics of the generated run.
 #[allow(dead_code, reason = "not every user needs it")]
 pub fn timing() -> TimingSummary {
     let durations = |ns: u64| Durations {
@@ -57,7 +57,7 @@ pub fn timing() -> TimingSummary {
     TimingSummary { cycles: 10, lateness, round_trip, duration, disk }
 }
 
-/// Cycle of this number; all cycles differ.
+/// The generated cycle with this number. All cycles differ.
 pub fn cycle(number: u64) -> CycleRecord {
     let encoders = std::array::from_fn(|index| EncoderSample {
         joint: index as u8 + 1,
