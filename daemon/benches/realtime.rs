@@ -1,8 +1,9 @@
-//! Timing of the cycle on this machine, under a load made here: `cargo bench -p ballbard`.
+//! Measures the timing of the cycle on this machine, without and with a load: `cargo bench -p ballbard`.
 //!
-//! Lateness and, alternately under the same load, that of `cyclictest`; error of sample times against the true sampling
-//! instants of the simulated terminals; processor share and memory of the daemon; the highest rate without a lost
-//! cycle. Everything in one run on one machine, so that ratios are meaningful when absolute figures are not.
+//! The benchmark prints the lateness of the cycle, and that of `cyclictest` under the same load; the two run alternately. It
+//! prints the error of sample times against the true sampling instants of the simulated terminals. It also prints processor
+//! time and memory of the daemon, and the highest rate without a lost cycle. All figures come from one run on one machine,
+//! so that their ratios are meaningful even if the absolute figures are not.
 #![allow(clippy::unwrap_used, clippy::print_stderr, reason = "a benchmark")]
 
 #[path = "realtime/load.rs"]
@@ -17,12 +18,12 @@ mod support;
 use load::Load;
 use measure::{Bus, Distribution, cyclictest, run_cycles};
 
-/// Alternations of the cycle and cyclictest at each rate.
+/// Number of times that the cycle and cyclictest alternate at each rate.
 const REPEATS: usize = 7;
 const PRIORITY: i32 = 80;
 
 fn main() {
-    // `cargo test --benches` runs this, too: it measures nothing then.
+    // `cargo test --benches` runs this program too, but without the argument `--bench`. It then measures nothing.
     if !std::env::args().any(|argument| argument == "--bench") {
         return;
     }
@@ -62,7 +63,7 @@ fn lateness(cores: usize, bus: &Bus) {
             if !theirs.is_empty() {
                 println!("{rate_hz:5} Hz {state:7} cyclictest  {}", theirs.row());
                 println!("{rate_hz:5} Hz {state:7} ratio       {}", ours.ratio_row(&theirs));
-                // The host may stop this machine for milliseconds: a median of repeats is not affected.
+                // A virtual machine may be stopped for milliseconds. The median of repeats is not affected by this.
                 let [p50, p99] = ratios.map(Distribution::range);
                 println!(
                     "{rate_hz:5} Hz {state:7} ratio, least, median and most of the repeats: p50 {p50}, p99 {p99}"
@@ -96,7 +97,8 @@ fn time_stamps(cores: usize, veth: Option<&Bus>) {
     println!();
 }
 
-/// A cycle that is late by more than half a period follows the next sample; for cyclictest a wake-up so late counts.
+/// Prints the highest rate that the machine sustains. A cycle that is late by more than half a period comes after the next
+/// sample. For cyclictest, wake-ups that are late by more than half a period are therefore counted.
 fn highest_rate(cores: usize) {
     println!(
         "highest rate, 4 s each: cycles flagged (none is ever missing)   beside: cyclictest late by half a period"

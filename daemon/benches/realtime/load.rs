@@ -1,4 +1,4 @@
-//! A load for the machine: threads of ordinary priority without pauses, which end when the value is dropped.
+//! A load for the machine. Its threads have ordinary priority, never pause, and end when the value is dropped.
 
 use std::hint::black_box;
 use std::sync::Arc;

@@ -1,4 +1,4 @@
-//! Cycles on the simulated segment in real time, and cyclictest.
+//! Runs cycles on the simulated segment in real time, and runs cyclictest.
 
 use std::process::Command;
 use std::sync::Arc;
@@ -14,7 +14,7 @@ use shared::recording::schema::CycleRecord;
 
 use crate::support::{TrueInstants, plan};
 
-/// Durations \[ns\].
+/// A sample of durations \[ns\], in ascending order.
 #[derive(Debug, Clone, Default)]
 pub struct Distribution(Vec<i64>);
 
@@ -33,13 +33,13 @@ impl Distribution {
         self.0.is_empty()
     }
 
-    /// The smallest value that this part of all does not exceed \[us\].
+    /// The smallest duration that is not exceeded by the fraction `part` of all durations \[us\].
     pub fn quantile_us(&self, part: f64) -> f64 {
         let place = ((part * self.0.len() as f64).ceil() as usize).max(1) - 1;
         self.0.get(place).map_or(f64::NAN, |ns| *ns as f64 * 1e-3)
     }
 
-    /// Number of values above a limit.
+    /// Number of durations above a limit \[us\].
     pub fn above_us(&self, limit_us: f64) -> usize {
         self.0.iter().filter(|ns| **ns as f64 * 1e-3 > limit_us).count()
     }
@@ -50,7 +50,7 @@ impl Distribution {
         Self::QUANTILES.map(|part| format!("{:8.1}", self.quantile_us(part))).join(" ")
     }
 
-    /// Minimum, median and maximum of some figures.
+    /// Minimum, median and maximum of these figures, as text.
     pub fn range(mut figures: Vec<f64>) -> String {
         figures.sort_by(f64::total_cmp);
         let at = |place: usize| figures.get(place).copied().unwrap_or(f64::NAN);
@@ -66,26 +66,26 @@ impl Distribution {
 
 pub struct Measured {
     pub lateness: Distribution,
-    /// Absolute error of sample times.
+    /// Absolute errors of the sample times.
     pub errors: Distribution,
     pub sigma: Distribution,
-    /// Share of errors within three stated sigmas \[%\].
+    /// Percentage of the errors that are within three times the stated uncertainty.
     pub covered_percent: f64,
     pub cycles: usize,
-    /// Cycles that are not valid.
+    /// Number of cycles that are not valid.
     pub flagged: usize,
 }
 
-/// Location of the simulated segment.
+/// Where the simulated segment runs.
 #[derive(Debug, Clone)]
 pub enum Bus {
-    /// In the thread of the cycle.
+    /// In the thread of the cycle, called without a network.
     InProcess,
-    /// In another thread, on the far end of a veth pair: near and far.
+    /// In another thread, at the far end of a veth pair. The names are those of the near and the far end.
     Veth([String; 2]),
 }
 
-/// Runs cycles on a thread with the scheduling of the daemon's.
+/// Runs cycles on a thread with the same scheduling as the daemon's cycle, and returns their statistics.
 pub fn run_cycles(bus: Bus, rate_hz: u64, cycles: u64, priority: i32) -> Measured {
     let realtime = RealtimeConfig { core: None, fifo_priority: priority };
     std::thread::spawn(move || {
@@ -96,7 +96,8 @@ pub fn run_cycles(bus: Bus, rate_hz: u64, cycles: u64, priority: i32) -> Measure
     .unwrap()
 }
 
-/// Answers frames until `stop`. Inherits the scheduling of the cycle, because real terminals have no other load.
+/// Answers frames until `stop` is set. The thread inherits the scheduling of the cycle, because real terminals are not
+/// delayed by other load either.
 fn serve(mut segment: SimulatedSegment, mut wire: EthernetWire, stop: &AtomicBool) {
     let (mut frame, mut reply) = ([0; FRAME_BYTES_MAX], [0; FRAME_BYTES_MAX]);
     while !stop.load(Ordering::Relaxed) {
@@ -104,7 +105,8 @@ fn serve(mut segment: SimulatedSegment, mut wire: EthernetWire, stop: &AtomicBoo
         let Ok(Some(length)) = wire.receive(&mut frame, until) else { continue };
         let arrival = Clock::Real.now();
         if let Some(length) = segment.exchange(arrival.0, &frame[..length], &mut reply) {
-            // A veth pair transmits a frame in no time; a wire takes the round trip.
+            // A veth pair transmits a frame immediately. On a wire the frame would take the round trip,
+            // so the reply is delayed.
             let back = arrival.plus_ns(segment.round_trip_ns(length));
             while Clock::Real.now() < back {
                 std::hint::spin_loop();
@@ -116,7 +118,7 @@ fn serve(mut segment: SimulatedSegment, mut wire: EthernetWire, stop: &AtomicBoo
 
 fn cycle(bus: &Bus, rate_hz: u64, cycles: u64) -> Measured {
     let plan = plan(rate_hz);
-    // The bus comes up and its clock fit converges within some seconds' worth of cycles before the run.
+    // Before the run, the bring-up and the convergence of the clock fit need cycles of some seconds. They are stored too.
     let (source, instants) = TrueInstants::watch(SmoothMotion::new(5, 3600, 1), cycles as usize + 100_000);
     let segment = SimulatedSegment::new(&SegmentConfig::default(), Box::new(source));
     let stop = Arc::new(AtomicBool::new(false));
@@ -139,7 +141,7 @@ fn cycle(bus: &Bus, rate_hz: u64, cycles: u64) -> Measured {
         lateness_ns.extend(acquisition.last_timing().map(|timing| timing.late_ns));
     }
     stop.store(true, Ordering::Relaxed);
-    // The thread uses the far end until it ends, and the next run needs that.
+    // The next run needs the far end of the veth pair, so this waits until the thread no longer uses it.
     serving.into_iter().for_each(|serving| serving.join().unwrap());
     let offset_ns = acquisition.utc_minus_monotonic_ns();
     let stamped = instants.judge(&records, offset_ns);
@@ -154,7 +156,8 @@ fn cycle(bus: &Bus, rate_hz: u64, cycles: u64) -> Measured {
     }
 }
 
-/// One thread of cyclictest with the same period, priority and locked memory; `None` if it is not installed.
+/// Lateness that one thread of cyclictest measures with the same period and priority, and with locked memory. `None`
+/// if cyclictest is not installed.
 pub fn cyclictest(rate_hz: u64, cycles: u64, priority: i32) -> Option<Distribution> {
     let interval = (1_000_000 / rate_hz).to_string();
     let output = Command::new("cyclictest")
@@ -162,7 +165,7 @@ pub fn cyclictest(rate_hz: u64, cycles: u64, priority: i32) -> Option<Distributi
         .args(["-i", &interval, "-l", &cycles.to_string()])
         .output()
         .ok()?;
-    // Each sample: `thread: number: latency in ns`.
+    // A line has the form `thread: number: latency in ns`.
     let text = String::from_utf8_lossy(&output.stdout).into_owned();
     let sample = |line: &str| line.rsplit(':').next()?.trim().parse::<i64>().ok();
     let samples: Vec<i64> =

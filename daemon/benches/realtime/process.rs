@@ -1,5 +1,5 @@
-//! Processor share and memory of the daemon and of the segment: two processes on the ends of a veth pair in a
-//! network namespace made here. Needs root and iproute2.
+//! Processor time and memory of the daemon and of the segment. They are two processes on the ends of a veth pair, in a
+//! network namespace that is created here. Needs root and iproute2.
 
 use std::fs;
 use std::io::Read;
@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 const SECONDS: u64 = 14;
 const CONFIG: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../config");
 
-/// Records at each rate and prints the cost, and the daemon's output.
+/// Records at each rate. Prints processor time and memory, and the output of the daemon.
 pub fn cost(rates_hz: &[u32]) {
     if !nix::unistd::geteuid().is_root() {
         println!("processor share and memory: skipped, needs root for a network namespace\n");
@@ -33,7 +33,7 @@ fn record(namespace: &str, rate_hz: u32) {
     let out = std::env::temp_dir().join(namespace);
     configure(&out, rate_hz);
     let directory = out.to_string_lossy();
-    // Real terminals have no other load.
+    // The segment has a high priority, because real terminals are not delayed by other load.
     let segment = Ended(ballbard(namespace, &["chrt", "-f", "81"], &["segment", "--interface", "far"]));
     std::thread::sleep(Duration::from_millis(500));
     let duration = format!("{SECONDS}s");
@@ -54,7 +54,7 @@ fn record(namespace: &str, rate_hz: u32) {
             &directory,
         ],
     ));
-    // The bus comes up within three seconds.
+    // The bring-up of the bus takes at most three seconds.
     std::thread::sleep(Duration::from_secs(3));
     let (begun, before) = (Instant::now(), [&daemon, &segment].map(|child| cpu_s(child.0.id())));
     std::thread::sleep(Duration::from_secs(SECONDS - 4));
@@ -71,7 +71,7 @@ fn record(namespace: &str, rate_hz: u32) {
     let _ = fs::remove_dir_all(out);
 }
 
-/// The shipped configuration at another rate.
+/// Writes the shipped configuration with another rate to this directory.
 fn configure(directory: &Path, rate_hz: u32) {
     let shipped = |name: &str| fs::read_to_string(Path::new(CONFIG).join(name)).unwrap();
     fs::create_dir_all(directory).unwrap();
@@ -80,11 +80,11 @@ fn configure(directory: &Path, rate_hz: u32) {
     fs::write(directory.join("daemon.toml"), daemon).unwrap();
 }
 
-/// A veth pair in this network namespace, for a segment in this process.
+/// A veth pair in the network namespace of this process, whose far end is for a segment in this process.
 pub struct Veth(u32);
 
 impl Veth {
-    /// `None` without permission.
+    /// Creates the pair. `None` if this process lacks the permission.
     pub fn new() -> Option<Self> {
         let veth = Self(std::process::id());
         let [near, far] = veth.ends();
@@ -94,7 +94,7 @@ impl Veth {
         made.then_some(veth)
     }
 
-    /// Names of both ends.
+    /// Names of the near and the far end.
     pub fn ends(&self) -> [String; 2] {
         [format!("bbn{}", self.0), format!("bbf{}", self.0)]
     }
@@ -115,7 +115,7 @@ impl Drop for Namespace {
     }
 }
 
-/// A child that does not outlive the benchmark.
+/// A child process that is killed when the benchmark ends.
 struct Ended(Child);
 
 impl Drop for Ended {
@@ -139,7 +139,7 @@ fn ballbard(namespace: &str, under: &[&str], arguments: &[&str]) -> Child {
     command.env("RUST_LOG", "warn").stdout(Stdio::piped()).spawn().unwrap()
 }
 
-/// Processor time of all threads of a process so far \[s\], from the scheduler's statistics in ns.
+/// Processor time that all threads of a process have used up to now \[s\]. The scheduler reports it in ns.
 fn cpu_s(pid: u32) -> f64 {
     let tasks = fs::read_dir(format!("/proc/{pid}/task")).into_iter().flatten().flatten();
     let ran_ns = |text: String| text.split(' ').next().and_then(|field| field.parse::<f64>().ok());
