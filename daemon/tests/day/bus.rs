@@ -1,4 +1,4 @@
-//! Reports of the service while the bus or an encoder fails, and the effect on runs.
+//! Reports of the service while the bus or an encoder fails, and the effect of the failure on runs.
 
 use std::time::Duration;
 
@@ -10,7 +10,7 @@ use super::rig::live_on_bus;
 use crate::support::assert_bad_cycles_have_reasons;
 use crate::support::world::{now, since, sleep};
 
-/// The line of a check about this subject.
+/// The line about this subject in the output of a check.
 pub fn line<'a>(lines: &'a Value, subject: &str) -> &'a Value {
     lines.as_array().unwrap().iter().find(|line| line["subject"] == subject).unwrap()
 }
@@ -23,7 +23,7 @@ fn terminals_that_are_gone_are_a_fault_at_once_and_no_run_begins() {
         day.wait(Duration::from_secs(10), is_silent).await;
         let silent = now();
         day.wait_for(ServiceState::Fault).await;
-        // A fault after 50 ms, checked every 100 ms.
+        // The service is in fault after 50 ms without samples, and checks this every 100 ms.
         assert!(since(silent) <= Duration::from_millis(200), "a fault after {:?}", since(silent));
         assert_eq!(day.post("/start", &json!({"name": "refused"})).await.0, 409);
         let (_, lines) = day.get("/check").await;
@@ -63,7 +63,7 @@ fn an_encoder_without_signal_needs_a_reason_for_a_run_which_is_in_the_file() {
         assert!(is_named(&writing.reason.unwrap()));
         assert_eq!(day.post("/start", &json!({"name": "four"})).await.1["answer"], "running");
         assert_eq!(day.post("/stop", &json!({})).await.0, 200);
-        // The end of the run is not the end of the problem.
+        // The end of the run does not end the problem, so the problem is not counted again.
         sleep(Duration::from_secs(1)).await;
         assert_eq!(day.service.status().totals.problems["encoder_invalid"], 1);
         let events = day.recording("four").events;
@@ -83,10 +83,10 @@ fn the_check_has_a_line_for_each_thing_and_a_remedy_for_each_problem() {
             assert!(line(&before, subject)["remedy"].is_null(), "{before}");
         }
         for subject in ["real time", "clock"] {
-            // Its content depends on this machine; it must exist.
+            // The content of this line depends on the machine, so the test only requires that it is not empty.
             assert!(!line(&before, subject)["finding"].as_str().unwrap().is_empty());
         }
-        // A file that appears while the service runs changes exactly its line.
+        // If a file appears while the service runs, only the line about such files changes.
         std::fs::write(day.home().join("old.mcap.active"), "left").unwrap();
         let (_, after) = day.get("/check").await;
         for (before, after) in before.as_array().unwrap().iter().zip(after.as_array().unwrap()) {
@@ -117,7 +117,7 @@ fn a_bad_cable_is_in_status_and_check_before_it_costs_a_cycle() {
 fn a_bus_that_is_gone_for_good_ends_the_run_and_the_service_is_ready_again_when_it_is_back() {
     live_on_bus(&["gone:0@7s-20s"], async |day| {
         day.begin_run().await;
-        // The run ends, and no run can start while the bus is missing.
+        // The run ends, and no new run can start while the bus is missing.
         let fault = day.wait_for(ServiceState::Fault).await;
         let reason = fault.reason.unwrap();
         assert_eq!(fault.problems[0].code(), "bus_no_answer");
@@ -131,7 +131,7 @@ fn a_bus_that_is_gone_for_good_ends_the_run_and_the_service_is_ready_again_when_
         let blind = recording.cycles.iter().rev().take_while(|cycle| !cycle.is_valid()).count();
         assert!(blind >= 300, "{blind} cycles");
         assert_bad_cycles_have_reasons(&recording.cycles);
-        // Power returns and the service recovers without help.
+        // When power returns, the service recovers without any request.
         day.wait_for(ServiceState::Waiting).await;
         assert_eq!(day.post("/start", &json!({"name": "next", "duration_s": 1.0})).await.0, 200);
         let is_next = |status: &Status| status.last.as_ref().is_some_and(|last| last.name == "next");
@@ -148,10 +148,10 @@ fn a_short_fault_leaves_the_run_as_it_is_and_the_status_says_so() {
         day.begin_run().await;
         let troubled = day.wait_for_reason("terminal 3 and all behind it do not answer").await;
         assert_eq!(troubled.state, ServiceState::Writing);
-        // The devices before the missing terminals stay in use.
+        // The terminals before the missing ones stay in use.
         let valid: Vec<bool> = troubled.encoders.iter().map(|encoder| encoder.valid).collect();
         assert_eq!(valid, [true, true, false, false, false]);
-        // The reason names the expected and the detected devices while the run continues.
+        // While the run continues, the reason names the expected and the detected devices.
         let reason = troubled.reason.unwrap();
         for part in ["joint 3, 4, 5: terminal 3", "found [EK1100", "check terminal 3 (bus position 3)"] {
             assert!(reason.contains(part), "`{part}` is missing in: {reason}");
@@ -185,7 +185,7 @@ fn a_homing_is_followed_while_a_joint_is_turned_and_stopped_in_the_middle() {
         let early = day.wait(Duration::from_secs(60), |status| turned(status) > 1.0).await;
         assert_eq!(early.state, ServiceState::Homing);
         let later = day.wait(Duration::from_secs(60), |status| turned(status) > turned(&early)).await;
-        // Cycles continue, as they do without homing.
+        // After the homing has ended, cycles continue as they would without a homing.
         assert!(later.sampled > early.sampled && later.encoders.iter().all(|encoder| encoder.valid));
         let (status, answer) = day.post("/stop", &json!({"cause": "enough"})).await;
         assert!(status == 200 && answer["homing"]["error"].as_str().unwrap().contains("enough"), "{answer}");

@@ -1,4 +1,4 @@
-//! Each fault of the bus has one code in all places: status, page, metrics, log and file.
+//! Each fault of the bus is reported with the same code everywhere: in status, page, metrics, log and file.
 
 use std::io;
 use std::sync::{Arc, Mutex};
@@ -11,7 +11,7 @@ use super::rig::live_on_bus;
 use crate::support::world::sleep;
 use crate::support::{has_problem, is_in_metrics};
 
-/// The log of this thread.
+/// A writer that collects the log of this thread in memory.
 #[derive(Clone, Default)]
 struct Log(Arc<Mutex<Vec<u8>>>);
 
@@ -41,14 +41,14 @@ fn check(faults: &'static [&'static str], code: &'static str) {
         assert_eq!(day.post("/start", &json!({"name": "run", "reason": "a test"})).await.0, 200);
         let status = day.wait(Duration::from_secs(60), |status| has_problem(status, code)).await;
         assert!(has_problem(&status, code), "{code} is not in the status: {status:?}");
-        // The page is up to a tenth of a second behind the status.
+        // The page may lag behind the status by up to a tenth of a second.
         sleep(Duration::from_millis(200)).await;
         let page = day.text("/api/live").await;
         assert!(page.contains(&format!("\"code\":\"{code}\"")), "{code} is not on the page: {page}");
         let metrics = day.text("/metrics").await;
         assert!(is_in_metrics(&metrics, code), "{code} is not in {metrics}");
         assert!(log.text().contains(&format!("code=\"{code}\"")), "{code} is not in the log: {}", log.text());
-        // Cycles without samples are written when samples return.
+        // Cycles without samples are written to the file only when samples return.
         day.wait(Duration::from_secs(60), |status| status.problems.is_empty()).await;
         day.post("/stop", &json!({})).await;
         let events = day.recording("run").events;
@@ -60,7 +60,7 @@ fn check(faults: &'static [&'static str], code: &'static str) {
 
 #[test]
 fn each_fault_of_the_bus_has_the_same_code_wherever_it_is_reported() {
-    // A step of the bus clock, and a terminal that falls to SAFE-OP, end before a status shows them.
+    // A step of the bus clock and a terminal in SAFE-OP are missing here, because both end before a status shows them.
     let cases: [(&[&str], &str); 7] = [
         (&["gone:3@7s-9s"], "bus_device_missing"),
         (&["gone:0@7s-9s"], "bus_no_answer"),

@@ -1,4 +1,4 @@
-//! Reports and reactions of the service when directories and files change.
+//! Reports and reactions of the service when directories and files are changed by other programs.
 
 use std::path::Path;
 use std::time::Duration;
@@ -36,7 +36,7 @@ fn a_file_that_was_missed_once_is_safe_again_when_it_is_in_its_place() {
     live(None, async |day| {
         day.wait_for(ServiceState::Waiting).await;
         day.start_run("missed").await;
-        // The storage's next look at the file fails; the recorder's own does not.
+        // The next check of the file by the storage fails. The recorder checks the file itself and still finds it.
         day.wall.strike_next(Call::IdAt, Fault::Fails);
         day.wait_until_struck().await;
         sleep(Duration::from_secs(3)).await;
@@ -54,7 +54,7 @@ fn a_run_that_has_no_place_left_is_no_success_for_whoever_stops_it() {
     live(None, async |day| {
         day.wait_for(ServiceState::Waiting).await;
         day.start_run("lost").await;
-        // Neither directory accepts a file any more.
+        // Replaces both directories by files, so that neither accepts a recording any more.
         std::fs::write(day.spare(), "in the way").unwrap();
         std::fs::remove_dir_all(day.home()).unwrap();
         std::fs::write(day.home(), "in the way").unwrap();
@@ -62,7 +62,7 @@ fn a_run_that_has_no_place_left_is_no_success_for_whoever_stops_it() {
         let last = status.last.unwrap();
         assert!(last.error.as_ref().unwrap().contains("no part of the run is saved"), "{last:?}");
         assert_eq!((last.file, last.cycles), (None, 0));
-        // A directory that accepts no file gets no further runs, also after the recovery of this run.
+        // The directory accepts no files. It therefore gets no further runs, even after this run has been recovered.
         day.wait_for(ServiceState::Waiting).await;
         let (status, refused) = day.post("/start", &json!({"name": "next"})).await;
         assert_eq!(status, 409);
@@ -77,7 +77,8 @@ fn a_run_left_behind_while_the_service_goes_on_is_recovered_when_the_next_one_st
         day.wait_for(ServiceState::Waiting).await;
         leave(&day.home(), "behind", 40, false);
         std::fs::write(day.home().join("empty.mcap.active"), "").unwrap();
-        // The file that was left keeps its name when it is recovered, which comes first and is reported.
+        // The file left by a crash keeps its name when it is recovered. The recovery comes before the new run,
+        // and the answer reports it.
         let (status, refused) = day.post("/start", &json!({"name": "behind"})).await;
         let error = refused["error"].as_str().unwrap();
         assert!(
@@ -86,7 +87,7 @@ fn a_run_left_behind_while_the_service_goes_on_is_recovered_when_the_next_one_st
         );
         let recording = day.recording("behind");
         assert!(recording.end.recovered && !recording.cycles.is_empty());
-        // An empty file does not block its name.
+        // An empty file does not prevent a run of the same name.
         day.start_run("empty").await;
         day.granted("/stop", &json!({})).await;
         assert!(!day.recording("empty").cycles.is_empty());
@@ -143,7 +144,7 @@ fn a_directory_that_is_a_file_is_a_problem_before_a_run() {
         day.wait_for(ServiceState::Waiting).await;
         std::fs::remove_dir_all(day.home()).unwrap();
         std::fs::write(day.home(), "a file").unwrap();
-        // A check of the disk is due each tenth of a second.
+        // The service checks the disk every tenth of a second.
         sleep(Duration::from_secs(1)).await;
         let (_, lines) = day.get("/check").await;
         let disk = line(&lines, "disk");

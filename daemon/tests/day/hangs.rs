@@ -1,4 +1,4 @@
-//! While the disk hangs, every request gets a true answer.
+//! While the disk hangs, the service answers every request, and the answer is true.
 
 use std::cell::Cell;
 use std::io::{self, Write};
@@ -22,7 +22,7 @@ const HANG: Duration = Duration::from_secs(3);
 
 #[test]
 fn a_marker_that_is_set_while_the_disk_hangs_is_answered_at_once_and_has_its_instant() {
-    // Whichever call of the recorder hangs.
+    // Calls of the recorder. The test must pass no matter which of them hangs.
     let cases = [Call::Write, Call::Sync];
     in_parallel(&cases, cases.len(), |call| {
         let call = *call;
@@ -145,7 +145,8 @@ fn marks_that_the_disk_refuses_were_found_but_are_not_kept() {
     });
 }
 
-/// A day whose run gets no file, because the disk does not create one.
+/// Runs a day in which creating the next file hangs for this time, then calls `then`. A run that is started there has no
+/// file until the hang ends.
 fn without_file<T: 'static>(hang: Duration, then: impl AsyncFnOnce(Rc<Day>) -> T + 'static) -> T {
     live(None, async move |day| {
         day.wait_for(ServiceState::Waiting).await;
@@ -182,7 +183,7 @@ fn while_the_disk_makes_no_file_everybody_is_answered_and_no_cycle_is_lost() {
         assert!(answered.get().is_some_and(|after| after >= HANG), "{answered:?}");
         day.end().await;
         let recording = Recording::open(&day.home().join("late.mcap")).unwrap();
-        // Counted from the request, seconds before there was a file.
+        // Cycles count from the request for the run, which was seconds before the file existed.
         assert!(recording.cycles.len() > 300 && recording.end.cycles_lost == 0, "{:?}", recording.end);
         assert!(recording.cycles.iter().all(|cycle| cycle.is_valid()));
     });
@@ -272,7 +273,7 @@ fn while_a_run_is_at_its_spare_place_the_disk_of_that_one_does_not_answer() {
     });
 }
 
-/// The log in memory.
+/// A writer that collects the log in memory.
 struct Log(Arc<Mutex<Vec<u8>>>);
 
 impl Write for Log {

@@ -1,4 +1,5 @@
-//! A day of a service on virtual time: the bus fails, or the disk hangs, refuses or dies.
+//! A day of a service on virtual time. Tests of this folder let the bus fail, or let the disk hang, refuse
+//! calls or fail for good.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 mod bus;

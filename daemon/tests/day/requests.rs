@@ -1,4 +1,4 @@
-//! Invalid requests, and the names of runs.
+//! Answers to invalid requests, and the names that the service gives to runs.
 
 use ballbard::control::status::{NameReply, ServiceState};
 use serde_json::{Value, json};
@@ -48,7 +48,7 @@ fn hostile_requests_are_refused_and_leave_nothing() {
     });
 }
 
-/// The name that a run would get.
+/// Returns the name that a run with these details would get.
 async fn named(day: &Day, request: &Value) -> NameReply {
     serde_json::from_value(day.post("/name", request).await.1).unwrap()
 }
@@ -76,7 +76,7 @@ fn whatever_a_run_is_called_its_file_lies_in_the_directory_under_a_plain_name() 
         }
         let asked = named(&day, &json!({"name": "???"})).await;
         assert!(asked.name.is_empty() && asked.problem.unwrap().contains("no letter or digit"));
-        // The default name is date, robot, bar and a number, for the page and for the command.
+        // The page and the command both use the same default name: date, robot, bar and a number.
         let about = json!({"robot": "IRB 2400", "bar": "short"});
         let NameReply { name, .. } = named(&day, &about).await;
         assert!(name.ends_with("_irb-2400_short_01"), "{name}");

@@ -1,4 +1,4 @@
-//! A service with its API and a client, all on virtual time.
+//! A service with its API and a client. All of them run on virtual time in one thread.
 
 use std::collections::BTreeMap;
 use std::future::Future;
@@ -24,14 +24,14 @@ use crate::support::runs::{daemon_in, leave, settings};
 use crate::support::wall::{Call, Fault, Wall};
 use crate::support::world::{World, now, since, sleep};
 
-/// Cycles of the run that an earlier service left.
+/// Number of cycles in the unfinished run that an earlier service left.
 const LEFT_CYCLES: u64 = 40;
-/// Polling period of a client.
+/// Interval at which a client polls the service.
 const POLL_PERIOD: Duration = Duration::from_millis(10);
-/// Longest shutdown of a service on which no run waits for the disk.
+/// Longest time that a service needs for its shutdown if no run waits for the disk.
 pub const ENDS_WITHIN: Duration = Duration::from_secs(2);
 
-/// Status code and answer of each request, by its path.
+/// Status code and answer to each request. The key names the request.
 pub type Answers = BTreeMap<&'static str, (u16, Value)>;
 
 pub struct Day {
@@ -41,7 +41,7 @@ pub struct Day {
     routes: Router,
 }
 
-/// Simulates a day with a fault of the disk, on virtual time.
+/// Simulates a day on virtual time, with this fault of the disk.
 pub fn live<T: 'static, F: Future<Output = T> + 'static>(
     fault: Option<(Call, usize, Fault)>,
     day: impl FnOnce(Rc<Day>) -> F + 'static,
@@ -49,7 +49,7 @@ pub fn live<T: 'static, F: Future<Output = T> + 'static>(
     World::live(async move { day(Rc::new(Day::begin(fault, &[]))).await })
 }
 
-/// Simulates a day with faults of the bus, on virtual time. A run ends after three seconds without a valid sample.
+/// Simulates a day on virtual time, with these faults of the bus. A run ends after three seconds without a valid sample.
 pub fn live_on_bus<T: 'static, F: Future<Output = T> + 'static>(
     faults: &'static [&'static str],
     day: impl FnOnce(Rc<Day>) -> F + 'static,
@@ -83,7 +83,7 @@ impl Day {
         (status, String::from_utf8(answer.into()).unwrap())
     }
 
-    /// Content of a path that need not be JSON.
+    /// Content of a path as text, because it may not be JSON.
     pub async fn text(&self, path: &str) -> String {
         self.ask("GET", path, &json!({})).await.1
     }
@@ -98,19 +98,19 @@ impl Day {
         (status, serde_json::from_str(&answer).unwrap())
     }
 
-    /// The reply to a request that must be granted.
+    /// Posts a request that the service must grant. Returns its reply.
     pub async fn granted(&self, path: &str, body: &Value) -> Reply {
         let (status, reply) = self.post(path, body).await;
         assert_eq!(status, 200, "{path}: {reply}");
         serde_json::from_value(reply).unwrap()
     }
 
-    /// The recordings, the latest first.
+    /// The recordings that the service lists, the latest first.
     pub async fn runs(&self) -> Vec<RunLine> {
         serde_json::from_value(self.get("/runs").await.1).unwrap()
     }
 
-    /// Waits for the condition, or until the time-out.
+    /// Waits until the condition holds, the service ends, or the time `within` has passed. Returns the last status.
     pub async fn wait(&self, within: Duration, is_it: impl Fn(&Status) -> bool) -> Status {
         let begun = now();
         loop {
@@ -122,14 +122,14 @@ impl Day {
         }
     }
 
-    /// Waits for a state and requires it.
+    /// Waits for a state of the service. Panics if the service does not reach the state.
     pub async fn wait_for(&self, state: ServiceState) -> Status {
         let status = self.wait(Duration::from_secs(40), |status| status.state == state).await;
         assert_eq!(status.state, state, "{status:?}");
         status
     }
 
-    /// Waits for a reason and requires it.
+    /// Waits until the reason in the status contains this text. Panics if it never does.
     pub async fn wait_for_reason(&self, part: &str) -> Status {
         let has_it = |status: &Status| status.reason.as_ref().is_some_and(|reason| reason.contains(part));
         let status = self.wait(Duration::from_secs(40), has_it).await;
@@ -152,7 +152,7 @@ impl Day {
         self.has_ended()
     }
 
-    /// Ends the service normally.
+    /// Shuts the service down and waits until it has ended.
     pub async fn end(&self) {
         self.service.shutdown("test over");
         assert!(self.has_ended_within(ENDS_WITHIN).await, "{:?}", self.service.status());
@@ -167,7 +167,7 @@ impl Day {
         self.directory.path().join("spare")
     }
 
-    /// Sends a request; returns the answer.
+    /// Performs all requests of a complete run: check, start, mark, stop and list. Returns the answers.
     pub async fn record(&self) -> Answers {
         let mut answers = BTreeMap::new();
         self.wait(Duration::from_secs(15), |status| status.state == ServiceState::Waiting).await;
@@ -188,13 +188,13 @@ impl Day {
         answers
     }
 
-    /// Starts a run of this name and waits until it is being written.
+    /// Starts a run of this name and waits until its file is being written.
     pub async fn start_run(&self, name: &str) {
         self.granted("/start", &json!({"name": name})).await;
         self.wait_for(ServiceState::Writing).await;
     }
 
-    /// Starts a run and waits until it is being written.
+    /// Starts the run `day` and waits until its file is being written.
     pub async fn begin_run(&self) {
         self.wait_for(ServiceState::Waiting).await;
         let start = json!({"name": "day", "reason": "the disk is what is tried"});
@@ -207,11 +207,11 @@ impl Day {
         Recording::open(&self.home().join(format!("{name}.mcap"))).unwrap()
     }
 
-    /// A disk without faults recovers every leftover exactly once.
+    /// Recovers all unfinished files on a disk without faults. Each of them must be recovered exactly once.
     pub fn check_files(&self) {
         for place in [self.home(), self.spare()] {
             for leftover in recover_leftovers(&place) {
-                // A run has none if its disk died before the first bytes were complete.
+                // If the disk failed before the first bytes were complete, the file of the run has no content to recover.
                 let is_begun = leftover.file.file_stem().is_some_and(|name| name == "day.mcap");
                 let error = leftover.outcome.err().map_or(String::new(), |error| error.to_string());
                 assert!(

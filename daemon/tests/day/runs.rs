@@ -1,4 +1,4 @@
-//! Complete runs, as programs request them.
+//! Complete runs that are requested by programs.
 
 use std::time::Duration;
 

@@ -1,4 +1,5 @@
-//! Problem codes in the outputs of the program: status, log, metrics, page, API and file. `day/codes.rs` has each fault of the bus.
+//! Codes of problems in all outputs of the program: status, log, metrics, page, API and file. `day/codes.rs` tests this for
+//! each fault of the bus.
 
 use std::fs::File;
 use std::path::Path;
@@ -20,7 +21,7 @@ pub fn assert_reported(service: &Running, log: &Path, code: &str) {
         is_in_metrics(&agent().get(&url).call().unwrap().body_mut().read_to_string().unwrap(), code)
     };
     let logged = || std::fs::read_to_string(log).unwrap().contains(&format!("code=\"{code}\""));
-    // The page is behind the status, and the log has a queue.
+    // The page lags behind the status, and lines of the log wait in a queue. Each place therefore gets some time.
     let places: [(&str, &dyn Fn() -> bool); 3] = [("page", &page), ("metrics", &metrics), ("log", &logged)];
     for (place, is_there) in places {
         let is_there = (0..200).any(|_| {

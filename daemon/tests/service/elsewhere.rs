@@ -1,4 +1,5 @@
-//! Commands to the service of another machine: their effect, and that they send nothing to a third party.
+//! Commands that are sent to the service of another machine. The tests check their effect, and that they send
+//! nothing to any other machine.
 
 use std::io::Read;
 use std::net::TcpListener;
@@ -18,7 +19,7 @@ use tokio_rustls::rustls::{ServerConfig, ServerConnection};
 use super::rig::{Running, text};
 use crate::support::ballbard;
 
-/// A service that other machines reach, with its address, token and certificate.
+/// A service that accepts other machines, with the address, token and certificate that these need.
 struct Far {
     service: Running,
     url: String,
@@ -38,7 +39,7 @@ impl Far {
         self.service.directory.path().join("token")
     }
 
-    /// A command in `directory` of another machine.
+    /// Runs a command of another machine. `directory` is its working directory there.
     fn command(&self, directory: &Path, arguments: &[&str]) -> Output {
         ask(directory, arguments, &self.url, &self.token(), &self.fingerprint)
     }
@@ -72,7 +73,8 @@ fn a_run_is_recorded_marked_noted_and_exported_on_another_machine() {
     done(&["note", "far", "after"]);
     let lines: Vec<RunLine> = serde_json::from_str(&done(&["runs", "--json"])).unwrap();
     assert_eq!((lines[0].name.as_str(), lines[0].note.as_str()), ("far", "after"));
-    // The same table as on the other machine, in a directory without recordings, with the current note.
+    // The exported table must equal the one on the service's machine and contain the current note. The command runs
+    // in a directory without recordings.
     done(&["export", "far", "--csv", "--relative"]);
     let there = tempfile::tempdir().unwrap();
     let table = there.path().join("far.csv");
@@ -81,7 +83,7 @@ fn a_run_is_recorded_marked_noted_and_exported_on_another_machine() {
     let fetched = std::fs::read_to_string(here.path().join("far.csv")).unwrap();
     assert_eq!(fetched, std::fs::read_to_string(&table).unwrap());
     assert!(fetched.contains("note: after") && fetched.contains("mark: half"));
-    // An existing table is not replaced, and a local file is not taken for a run of the other machine.
+    // An existing table is not overwritten. A local file is not used in place of a run of the other machine.
     let again = far.command(here.path(), &["export", "far", "--csv"]);
     assert!(!again.status.success() && text(&again).contains("--force"), "{}", text(&again));
     let own = far.service.directory.path().join("far.mcap");
@@ -138,13 +140,13 @@ fn what_is_wrong_with_address_token_or_network_is_said_with_the_remedy() {
             assert!(text(&output).contains(told), "`{told}` is missing in: {}", text(&output));
         }
     };
-    // No listener, a listener without TLS, and a listener that never answers.
+    // An address without a listener, and an address whose listener does not use TLS.
     let free = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     let nobody = format!("https://{free}");
     refused(&nobody, &far.token(), &[&nobody, "refused", "ballbard run --listen"]);
     let plain = format!("https://127.0.0.1:{}", far.service.port);
     refused(&plain, &far.token(), &[&plain, "does not use TLS", "--listen"]);
-    // No token, a token that others may read, a wrong token.
+    // A missing token file, a token file that other users may read, and a wrong token.
     let token = here.path().join("token");
     refused(&far.url, &token, &["token", "copy the file `token`"]);
     std::fs::write(&token, "a".repeat(64)).unwrap();
@@ -152,7 +154,7 @@ fn what_is_wrong_with_address_token_or_network_is_said_with_the_remedy() {
     refused(&far.url, &token, &["chmod 600"]);
     std::fs::set_permissions(&token, std::fs::Permissions::from_mode(0o600)).unwrap();
     refused(&far.url, &token, &[&far.url, token.to_str().unwrap(), "the token is wrong", "state directory"]);
-    // Invalid addresses are refused without a request.
+    // Commands with an invalid address are refused before any request is sent.
     for (arguments, told) in [
         (vec!["status", "--service", &far.url], "--token-file"),
         (vec!["status", "--token-file", "x"], "--service"),
@@ -212,7 +214,7 @@ fn before_the_certificate_is_known_nothing_of_the_token_is_on_the_wire() {
     let far = Far::new();
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let url = format!("https://{}", listener.local_addr().unwrap());
-    // Accepts all that is sent, then closes.
+    // A listener that receives everything that is sent, and then closes the connection.
     let sent = std::thread::spawn(move || {
         let (mut stream, _) = listener.accept().unwrap();
         let mut sent = vec![0; 4096];

@@ -1,4 +1,4 @@
-//! Ends of runs, and the files that they leave.
+//! How runs end, and which files they leave.
 
 use std::process::Command;
 use std::time::Duration;
@@ -14,7 +14,7 @@ use crate::support::runs::in_parallel;
 
 #[test]
 fn a_signal_ends_service_and_run_with_a_finished_file_that_the_list_calls_too_short() {
-    // The second one: its terminal is closed.
+    // The second signal is sent when the terminal of a program is closed.
     let signals = [Signal::SIGTERM, Signal::SIGHUP];
     in_parallel(&signals, signals.len(), |signal| {
         let mut service = Running::start();
@@ -48,7 +48,7 @@ fn a_run_that_a_kill_left_behind_is_there_finished_when_the_service_starts_again
     assert!(again.recording("killed").end.cause.contains("recovered"));
 }
 
-/// A file system of 8 MB, which is unmounted when the test ends.
+/// A file system of 8 MB that is mounted on a directory. It is unmounted when the test ends.
 struct SmallDisk(tempfile::TempDir);
 
 impl SmallDisk {

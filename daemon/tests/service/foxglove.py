@@ -1,8 +1,8 @@
-"""A client of Foxglove's WebSocket protocol during a run; compares the data that it received with the recording.
+"""Receives a run as a client of Foxglove's WebSocket protocol, and compares the received data with the recording.
 
 usage: foxglove.py PORT
 
-WebSocket by websocket-client, messages by mcap-ros2-support: neither shares code with the service.
+Uses websocket-client for WebSocket and mcap-ros2-support for messages. Neither of them shares code with the service.
 """
 
 import io
@@ -32,7 +32,7 @@ def connect(protocol):
     socket = websocket.create_connection(
         f"ws://127.0.0.1:{port}/foxglove", subprotocols=[protocol], suppress_origin=True, timeout=20)
     assert socket.getsubprotocol() == protocol, socket.getsubprotocol()
-    # The connection stays open during the run.
+    # The connection must remain open during the run.
     assert socket.headers["connection"].lower() == "upgrade", socket.headers
     info = json.loads(socket.recv())
     assert (info["op"], info["name"], info["capabilities"]) == ("serverInfo", "ballbard", []), info
@@ -44,7 +44,7 @@ def connect(protocol):
 
 
 def messages(socket, count):
-    """Subscription, log time and bytes of each message."""
+    """The next `count` messages: subscription, log time and bytes of each."""
     for _ in range(count):
         opcode, data = socket.recv_data()
         assert opcode == websocket.ABNF.OPCODE_BINARY and data[0] == 1, (opcode, data[:80])
@@ -54,7 +54,7 @@ def messages(socket, count):
 def record(protocol):
     socket, channels = connect(protocol)
     subscribed = {40: "/ballbard/joint_states", 41: "/ballbard/cycle", 42: "/ballbard/event", 43: "/diagnostics"}
-    # Most of them before the run, one during it.
+    # Most subscriptions are made before the run, one during it.
     of = lambda ids: [{"id": one, "channelId": channels[subscribed[one]]["id"]} for one in ids]
     socket.send(json.dumps({"op": "subscribe", "subscriptions": of([40, 41, 42])}))
     name = protocol.replace(".", "-")
@@ -66,7 +66,7 @@ def record(protocol):
     socket.send(json.dumps({"op": "unsubscribe", "subscriptionIds": [40, 41, 42, 43]}))
     ask("stop", {"cause": "enough"})
     socket.close()
-    # The same bytes in the same order as in the file, from its start and without gaps.
+    # The received bytes must be the same, in the same order, as those of the file. They begin at its start and have no gaps.
     recorded = {}
     reader = make_reader(io.BytesIO(ask(f"runs/{name}/mcap")))
     for schema, channel, message in reader.iter_messages(log_time_order=False):
@@ -79,7 +79,7 @@ def record(protocol):
         first = recorded[topic].index(live[0])
         assert first == 0 or one == 43, f"{topic} begins with number {first}"
         assert recorded[topic][first:first + len(live)] == live, f"{topic} is not what is recorded"
-    # Decoded with the advertised schemas only.
+    # Messages are decoded with only the advertised schemas.
     decoded = {}
     for one, topic in subscribed.items():
         channel = channels[topic]
@@ -97,7 +97,7 @@ def record(protocol):
 
 counts = [record(protocol) for protocol in ["foxglove.websocket.v1", "foxglove.sdk.v1"]]
 
-# Requests that are invalid, duplicate or not permitted get an answer, and the connection stays open.
+# Requests that are invalid, duplicate or not permitted are answered, and the connection remains open.
 socket, channels = connect("foxglove.sdk.v1")
 for asked, told in [
     ("nonsense", "invalid request"),
@@ -109,7 +109,7 @@ for asked, told in [
     assert (said["op"], said["level"]) == ("status", 2) and told in said["message"], said
 socket.close()
 
-# The number of clients is limited; the place of a client that leaves is free again.
+# The number of clients is limited. When a client leaves, another client can connect.
 open_ones = [connect("foxglove.sdk.v1")[0] for _ in range(8)]
 try:
     connect("foxglove.sdk.v1")

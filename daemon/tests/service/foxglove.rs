@@ -1,4 +1,4 @@
-//! Live data of a run: to an independent client of Foxglove's protocol, and to a client that reads nothing.
+//! Live data of a run, sent to an independent client of Foxglove's protocol and to a client that reads nothing.
 
 use std::net::TcpStream;
 use std::path::Path;
@@ -31,7 +31,7 @@ fn an_independent_client_is_shown_what_is_recorded_and_nothing_else() {
     assert!(output.status.success(), "{}", text(&output));
 }
 
-/// The answer to an upgrade request from a page of `origin`.
+/// Sends an upgrade request from a page of `origin`. Returns the status code and text of the answer.
 fn asked(service: &Running, origin: Option<&str>, protocol: &str) -> (u16, String) {
     let url = format!("http://127.0.0.1:{}/foxglove", service.port);
     let request = agent().get(&url).header("Connection", "upgrade").header("Upgrade", "websocket");
@@ -64,12 +64,12 @@ fn nobody_listens_to_a_service_that_was_not_asked_to_let_them_or_from_a_foreign_
     ] {
         assert_eq!(asked(&wider, origin, protocol).0, expected, "{origin:?}");
     }
-    // It has no access to the rest of the service.
+    // A page of this origin still has no access to the rest of the service.
     let url = wider.url("status");
     assert_eq!(agent().get(&url).header("Origin", app).call().unwrap().status(), 403);
 }
 
-/// Serves a tap in this process; returns its port.
+/// Starts a service in this process that serves the live data of `tap`. Returns the service and its port.
 fn served(directory: &Path, tap: &LiveTap) -> (Service, u16) {
     let daemon: DaemonConfig = config::load(&shipped().join("daemon.toml")).unwrap();
     let bar: BallBarConfig = config::load(&shipped().join("ball_bar.toml")).unwrap();
@@ -99,7 +99,7 @@ fn served(directory: &Path, tap: &LiveTap) -> (Service, u16) {
     (service, at.recv().unwrap())
 }
 
-/// The next text message, and the log time of the last data before it.
+/// Reads up to the next text message. Returns it, and the log time of the last data message before it.
 fn next_text(socket: &mut WebSocket<TcpStream>) -> (Value, Option<u64>) {
     let mut latest = None;
     loop {
@@ -124,12 +124,13 @@ fn a_client_that_takes_nothing_misses_messages_is_told_so_and_holds_up_nobody() 
     let (mut socket, _) = tungstenite::client(request, stream).unwrap();
     assert_eq!(next_text(&mut socket).0["op"], "serverInfo");
     assert_eq!(next_text(&mut socket).0["op"], "advertise");
-    // The second marker is refused, which shows that the first was received.
+    // The second subscription is refused. The refusal shows that the service has processed the first one.
     let subscribe = r#"{"op":"subscribe","subscriptions":[{"id":7,"channelId":0},{"id":8,"channelId":99}]}"#;
     socket.send(Message::text(subscribe)).unwrap();
     let (refused, _) = next_text(&mut socket);
     assert!(refused["message"].as_str().unwrap().contains("subscription 8"), "{refused}");
-    // 40 MB, of which the kernel buffers some: a service that waited for this client would wait for ever.
+    // The data have 40 MB, of which the kernel buffers only some. A service that waited for this
+    // client would therefore wait forever.
     let mut write = tap.writer_end();
     let mut longest = Duration::ZERO;
     for log_time_ns in 0..MESSAGES {
@@ -144,7 +145,7 @@ fn a_client_that_takes_nothing_misses_messages_is_told_so_and_holds_up_nobody() 
     let (told, latest) = next_text(&mut socket);
     assert!(told["message"].as_str().unwrap().contains("messages were not sent"), "{told}");
     assert!(latest.is_some_and(|latest| latest < MESSAGES - 1), "{latest:?}");
-    // The stream continues with new data.
+    // After the loss, the stream continues with new data.
     write(TOPICS[0], MESSAGES, &[1]);
     let newest = loop {
         if let Message::Binary(data) = socket.read().unwrap()
@@ -157,7 +158,8 @@ fn a_client_that_takes_nothing_misses_messages_is_told_so_and_holds_up_nobody() 
         (newest[0], &newest[1..5], &newest[13..]),
         (1, 7_u32.to_le_bytes().as_slice(), [1].as_slice())
     );
-    // The recording has ended. The loss of a client would be detected even then, and would free its place.
+    // When the recording has ended, the service still sends pings, so that it notices a lost client
+    // and can accept another one.
     while !matches!(socket.read().unwrap(), Message::Ping(_)) {}
     service.shutdown("test over");
     service.join().unwrap();

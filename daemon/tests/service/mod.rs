@@ -1,5 +1,5 @@
-//! The service over loopback: requests are idempotent, one run at a time, invalid input is refused, and every file is
-//! closed.
+//! The service over loopback. Requests are idempotent, only one run is recorded at a time, invalid input is refused,
+//! and every file is finished.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 mod check;

@@ -1,4 +1,5 @@
-//! File systems that are unmounted, become read-only or fill during a run, each in a mount namespace of the service.
+//! File systems that are unmounted, become read-only or become full during a run. Each is mounted in a
+//! mount namespace of the service.
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -13,23 +14,24 @@ use super::codes::{assert_reported, is_in_file};
 use super::rig::{Running, copied};
 use crate::support::PROGRAM;
 
-/// Longest delay on a busy machine; tests on virtual time check the promised second.
+/// Longest time until a report on a busy machine. Tests on virtual time check that the report comes within a second.
 const REPORTED_WITHIN: Duration = Duration::from_secs(20);
 
-/// A service that records to a file system of its own.
+/// A service that records to a file system of its own, and has a run in progress.
 struct Mounted {
     service: Running,
-    /// Holds the spare directory, the log, and the image of that file system if it has one.
+    /// Holds the spare directory, the log, and the image of the file system if it has one.
     outside: tempfile::TempDir,
 }
 
 impl Mounted {
-    /// The command `mount` mounts it at `$1` and may use the file `$2`.
+    /// Starts the service and a run. The shell command `mount` mounts the file system at `$1` and may use the
+    /// file `$2` as its image.
     fn begin(mount: &str) -> Self {
         Self::with_ring(mount, 60)
     }
 
-    /// With a ring of this length.
+    /// Like [`Self::begin`], with a ring of this length \[s\].
     fn with_ring(mount: &str, ring_s: u32) -> Self {
         let outside = tempfile::tempdir().unwrap();
         let config = copied();
@@ -52,7 +54,7 @@ impl Mounted {
         Self { service, outside }
     }
 
-    /// A command in the namespace of the service, with its directory as `$1`.
+    /// Runs a shell command in the namespace of the service. `$1` is the directory of its recordings.
     fn does(&self, script: &str) {
         let mut command = Command::new("nsenter");
         command.arg("--target").arg(self.service.child.id().to_string()).args(["--mount", "sh", "-ec"]);
@@ -60,7 +62,7 @@ impl Mounted {
         assert!(status.success(), "{script}; namespaces and mounts need root");
     }
 
-    /// Runs the command during a run, waits until status and log report the effect, and returns the status.
+    /// Runs the shell command during a run. Waits until status and log contain one of these words, and returns the status.
     fn reported_after(&self, script: &str, words: &[&str]) -> Status {
         let is_in = |text: &str| words.iter().any(|word| text.contains(word));
         self.does(script);
@@ -80,7 +82,7 @@ impl Mounted {
         std::fs::read_to_string(self.outside.path().join("log")).unwrap()
     }
 
-    /// Waits a second, stops the run, and reads the file that `stop` names.
+    /// Waits a second and stops the run. Reads the file that the answer names, which must be in the directory `place`.
     fn stopped(&self, place: &Path) -> LastRun {
         let before = self.service.wait_for("writing").run.unwrap().cycles;
         std::thread::sleep(Duration::from_secs(1));
@@ -108,7 +110,7 @@ fn a_file_system_that_is_unmounted_in_mid_run_is_reported_and_no_cycle_is_lost()
     let mounted = Mounted::begin(TMPFS);
     let told = mounted.reported_after("umount --lazy \"$1\"", &["not there any more"]);
     assert!(told.last.is_none(), "{told:?}");
-    // Its directory exists on the file system beneath.
+    // After the unmount, the directory of the underlying file system is visible at the same path.
     mounted.stopped(mounted.service.directory.path());
 }
 
@@ -116,7 +118,7 @@ fn a_file_system_that_is_unmounted_in_mid_run_is_reported_and_no_cycle_is_lost()
 #[ignore = "needs root for a mount namespace and a loop device"]
 fn a_file_system_that_becomes_read_only_in_mid_run_is_reported_and_the_run_goes_on_in_the_spare_place() {
     let mounted = Mounted::begin(EXT4);
-    // The kernel remounts a damaged file system like this.
+    // The kernel remounts a damaged file system in the same way.
     let told = mounted.reported_after("mount -o remount,abort \"$1\"", &["the run continues in"]);
     assert!(told.last.is_none(), "{told:?}");
     mounted.stopped(&mounted.spare());
@@ -135,7 +137,7 @@ fn a_file_system_that_takes_nothing_for_a_while_is_reported_in_status_and_log_an
         let reason = mounted.service.get::<Status>("status").reason.unwrap_or_default();
         reason.contains(word) && mounted.log().contains(word)
     };
-    // A warning follows after more than two periods of synchronisation.
+    // The warning comes after more than two periods of synchronisation.
     while !is_reported() && frozen.elapsed() < REPORTED_WITHIN {
         std::thread::sleep(Duration::from_millis(20));
     }
@@ -150,8 +152,8 @@ fn a_file_system_that_takes_nothing_for_a_while_is_reported_in_status_and_log_an
 #[ignore = "needs root for a mount namespace"]
 fn a_run_on_a_file_system_that_becomes_full_at_once_is_whole_where_there_is_room() {
     let mounted = Mounted::begin(TMPFS);
-    // Until the disk is full and the end of the file does not fit. The run ends at the limit of free space; if the disk
-    // refuses the recorder earlier, the run continues in the spare directory.
+    // Fills the disk until even the end of the file does not fit. The run ends at the limit of free space. If the disk
+    // refuses a write of the recorder earlier, the run continues in the spare directory.
     let fill = "dd if=/dev/zero of=\"$1\"/others bs=65536 2>/dev/null || true";
     mounted.reported_after(fill, &["disk floor", "No space left"]);
     mounted.service.granted("stop", &json!({}));
@@ -178,11 +180,11 @@ fn a_run_whose_file_system_is_hidden_and_that_has_no_spare_place_is_no_success_f
     let (status, answer) = mounted.service.post("stop", &json!({}));
     let last = mounted.service.get::<Status>("status").last.or(told.last).unwrap();
     assert!(last.file.is_none() && last.error.is_some(), "{last:?}");
-    // Stopped while the directory was missing, or after the run had ended.
+    // The request came while the directory was missing (500), or after the run had ended (idle).
     assert!(status == 500 || answer["answer"] == "idle", "{status} {answer}");
 }
 
-/// A change of the file system, and its reversal.
+/// Applies a change to the file system during a run and reverses it. The problem must be reported everywhere with this code.
 fn check_code(mount: &str, ring_s: u32, [begin, end]: [&str; 2], code: &str) {
     let mounted = Mounted::with_ring(mount, ring_s);
     mounted.does(begin);

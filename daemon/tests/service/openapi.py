@@ -2,7 +2,8 @@
 
     openapi.py URL
 
-Every object of the document is closed and every field of it required, so that a field too many and one too few both fail.
+Before the check, every object of the document is closed and each of its fields is required. Both an additional and a missing
+field then fail.
 """
 
 import copy
@@ -65,7 +66,7 @@ BODIES = {
     "/api/restore": {"name": "described"},
     "/api/bin/empty": {},
 }
-# A run is started before requests about it, and deleted last.
+# A run must be started before requests about it, and is deleted last.
 ORDER = ["/api/start", "/api/mark", "/api/status", "/api/live", "/api/stop"]
 LAST = ["/api/home", "/api/delete", "/api/restore", "/api/bin/empty"]
 paths = [path for path in document["paths"] if path not in ORDER + LAST]
@@ -83,7 +84,7 @@ for path in ORDER + paths + LAST:
         if "schema" in content[media_type]:
             holds(content[media_type]["schema"], json.loads(text), where)
     if path == "/api/start":
-        # Time for the first cycles to reach the disk.
+        # Waits until the first cycles are on disk.
         time.sleep(2.5)
 status, _, text = ask("post", "/api/mark", {"text": ""})
 assert status == 422

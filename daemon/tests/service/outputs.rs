@@ -1,4 +1,4 @@
-//! Standard error and standard output that are full, closed, or without a reader.
+//! A service or command whose standard error or standard output is full, closed, or has no reader.
 
 use std::fs::{File, OpenOptions};
 use std::io::{PipeReader, Write, pipe};
@@ -16,10 +16,10 @@ use super::rig::{Running, shipped, text};
 use crate::support::ballbard;
 use crate::support::runs::in_parallel;
 
-/// A standard error of the service, and the reader of it, if it has one.
+/// A standard error for the service. If it is a pipe with a reader, the reader is kept so that the pipe stays open.
 type Log = (Stdio, Option<PipeReader>);
 
-/// A log under its name.
+/// Name of a log, and a function that creates it.
 type Case = (&'static str, fn() -> Log);
 
 const BROKEN_LOGS: [Case; 5] = [
@@ -34,12 +34,12 @@ fn full() -> Stdio {
     OpenOptions::new().write(true).open("/dev/full").unwrap().into()
 }
 
-/// A pipe whose reader has gone.
+/// A pipe whose reading end is closed.
 fn gone() -> Stdio {
     pipe().unwrap().1.into()
 }
 
-/// A full pipe whose reader reads nothing.
+/// A full pipe that has a reading end, but nothing reads from it.
 fn blocked() -> Log {
     let (reader, mut writer) = pipe().unwrap();
     let bytes = fcntl(&writer, FcntlArg::F_SETPIPE_SZ(4096)).unwrap();
@@ -47,7 +47,7 @@ fn blocked() -> Log {
     (writer.into(), Some(reader))
 }
 
-/// The journal of a service manager that has died.
+/// A standard error like that to the journal of a service manager that has died.
 fn without_journal() -> Log {
     (OwnedFd::from(UnixStream::pair().unwrap().1).into(), None)
 }
@@ -64,7 +64,7 @@ fn a_log_that_cannot_be_written_costs_lines_and_nothing_else() {
         assert_eq!(service.recording("logged").cycles.len() as u64, last.cycles, "{name}");
         let lines: Vec<CheckLine> = service.get("check");
         let log = lines.iter().find(|line| line.subject == "log").unwrap();
-        // A queue without a reader keeps its lines until it is full.
+        // If nothing reads the pipe, lines stay in the queue until the queue is full. Until then no line is lost.
         assert_eq!(log.remedy.is_some(), *name != "without a reader", "{name}: {log:?}");
         service.signal(Signal::SIGTERM);
         assert!(service.ended(Duration::from_secs(20)).success(), "{name}");
@@ -91,7 +91,7 @@ fn a_run_is_recorded_whatever_becomes_of_the_log() {
         command.arg(shipped()).arg("--out").arg(out.path()).stderr(stderr).stdout(Stdio::null());
         assert!(command.status().unwrap().success(), "{name}");
         assert!(out.path().join("logged.mcap").exists(), "{name}");
-        // The last message of a command that fails does not delay its end.
+        // The last message of a command that fails cannot be written. This must not delay its end.
         command.arg("--replay").arg("nothing.mcap");
         assert_eq!(command.status().unwrap().code(), Some(1), "{name}");
     });
@@ -117,11 +117,11 @@ fn a_service_whose_standard_output_fails_serves() {
     });
 }
 
-/// Every command that prints, with a service that records.
+/// Runs a command that prints, while the service records. `stdout` is its standard output.
 fn typed(service: &Running, arguments: &[&str], stdout: Stdio) -> Output {
     let mut command = ballbard();
     if arguments[0] == "stop" {
-        // A run that is stopped before its first cycle has no data, and `stop` reports that.
+        // If a run is stopped before its first cycle, it has no data and `stop` fails. So this waits for a cycle.
         service.wait_until("a cycle", |status| status.run.as_ref().is_some_and(|run| run.cycles > 0));
     }
     command.env("RUST_LOG", "off").args(arguments).stdout(stdout).stderr(Stdio::piped());
@@ -161,7 +161,7 @@ fn commands_whose_reader_has_gone_end_quietly_and_a_full_disk_is_an_error() {
         let output = typed(&service, arguments, gone());
         assert!(output.status.success() && output.stderr.is_empty(), "{arguments:?}: {}", text(&output));
     }
-    // The verdict does not depend on whether the details are read.
+    // The exit code must not depend on whether the details can be printed.
     for arguments in [&["check"][..], &["tune", "--config", config]] {
         let verdicts = [gone(), Stdio::null()].map(|stdout| typed(&service, arguments, stdout));
         assert_eq!(verdicts[0].status, verdicts[1].status, "{}", text(&verdicts[0]));

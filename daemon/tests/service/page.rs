@@ -1,4 +1,4 @@
-//! Requests of a page: current state, recordings, deletion.
+//! Requests that the page sends: current state, recordings, deletion.
 
 use ballbard::control::status::Granted;
 use std::io::{BufRead, BufReader, Read, Write};
@@ -14,7 +14,7 @@ use serde_json::json;
 
 use super::rig::{Running, agent, quick, text};
 
-/// Subscribes to the events.
+/// Subscribes to the events of the service. Returns the stream of events.
 fn listen(service: &Running) -> BufReader<TcpStream> {
     let mut stream = TcpStream::connect(format!("127.0.0.1:{}", service.port)).unwrap();
     let port = &service.port;
@@ -50,7 +50,7 @@ fn events_come_ten_times_a_second_with_what_moves_and_end_with_the_service() {
     while next::<Live>(&mut events).unwrap().joints.iter().any(|joint| joint.speed_deg_per_s.is_none()) {}
     let moments: Vec<Live> = (0..10).map(|_| next(&mut events).unwrap()).collect();
     let (first, last) = (&moments[0], &moments[9]);
-    // A busy machine may take longer for them, but never less.
+    // A busy machine may need more time for 10 events, but never less.
     let lasted_ms = last.at_ms - first.at_ms;
     assert!(lasted_ms >= 800, "10 events in {lasted_ms} ms");
     assert_eq!(last.joints.len(), 5);
@@ -59,14 +59,14 @@ fn events_come_ten_times_a_second_with_what_moves_and_end_with_the_service() {
         assert!(after.speed_deg_per_s.unwrap().abs() < 30.0);
     }
     assert!(last.disk_hours.unwrap() > 0.0);
-    // A new subscriber gets the current values.
+    // A new subscriber first gets the values of the last minute.
     let Minute { at_ms, angles_deg } = next(&mut listen(&service)).unwrap();
     assert!(at_ms.iter().rev().zip(at_ms.iter().rev().skip(1)).all(|(after, before)| after > before));
     let place = at_ms.iter().position(|at| *at == first.at_ms).unwrap();
     for (angles, joint) in angles_deg.iter().zip(&first.joints) {
         assert!((angles[place].unwrap() - joint.angle_deg.unwrap()).abs() < 0.006, "{joint:?}");
     }
-    // CHECK for a second after a delay of a busy machine that cost cycles.
+    // If a busy machine delayed cycles, the headline is CHECK for a second.
     let mut words = (0..100).map(|_| next::<Live>(&mut events).unwrap().headline.word);
     assert!(words.any(|word| word == "READY"), "never READY in ten seconds");
     service.signal(nix::sys::signal::Signal::SIGTERM);
@@ -98,12 +98,12 @@ fn clients_that_take_no_event_hold_up_nobody_and_leave_places_for_others() {
     service.wait_for("writing");
     let stuck: Vec<_> = (0..50).map(|_| listen(&service)).collect();
     std::thread::sleep(Duration::from_millis(500));
-    // Subscribers beyond the limit get a message with the alternative.
+    // A subscriber beyond the limit gets an error with an alternative.
     let mut refused = listen(&service);
     let mut line = String::new();
     refused.read_line(&mut line).unwrap();
     assert!(line.contains("503"), "{line}");
-    // They read no events during the test.
+    // The subscribers read no events during the test, and the service still answers.
     let live: Live = service.get("live");
     assert_eq!(live.status.run.unwrap().name, "watched");
     let last = service.granted("stop", &json!({})).last.unwrap();
@@ -136,7 +136,7 @@ fn a_recording_is_downloaded_as_it_is_and_as_a_table_and_deleted_by_its_name_alo
     let lines: Vec<RunLine> = service.get("runs");
     let RunLine { robot, operator, bar, payload, .. } = &lines[0];
     assert_eq!([robot, operator, bar, payload], ["IRB 2400", "A", "short", "12 kg"]);
-    // Files elsewhere are not its own.
+    // The service neither shows nor deletes files in other directories.
     let secret = outside.path().join("secret.mcap");
     std::fs::write(&secret, "secret").unwrap();
     for name in [
@@ -189,7 +189,7 @@ fn the_page_is_served_with_all_that_it_needs() {
                     seen.push(file);
                 }
             }
-            // No access from elsewhere.
+            // A page must not load anything from other servers.
             assert!(!text.contains("https://") && !text.contains("//cdn"), "{path}");
         }
         next += 1;

@@ -1,8 +1,8 @@
-"""Rights of a client on another machine, with the TLS of Python.
+"""Checks the rights of a client on another machine. The client uses the TLS implementation of Python.
 
 usage: remote.py PORT STATE WORDS
 
-STATE has certificate and token; WORDS is the address line of the service. Ends with an error if any check fails.
+STATE is the directory with certificate and token. WORDS is the address line of the service. A failed check ends with an error.
 """
 
 import hashlib
@@ -15,7 +15,7 @@ from pathlib import Path
 
 port, state, words = int(sys.argv[1]), Path(sys.argv[2]), sys.argv[3]
 token = (state / "token").read_text()
-# The certificate and its name are verified.
+# Verifies the certificate and its name.
 trusting = ssl.create_default_context(cafile=state / "certificate.pem")
 
 
@@ -38,7 +38,7 @@ with socket.create_connection(("127.0.0.1", port)) as raw, trusting.wrap_socket(
     digest = hashlib.sha256(tls.getpeercert(binary_form=True)).hexdigest()
     assert ":".join(digest[at:at + 2] for at in range(0, 64, 2)) in words, words
 
-# The right token in each permitted form.
+# Sends the right token in each permitted form.
 status, _, said = asked(Authorization=bearer)
 assert status == 200 and json.loads(said)["state"] == "waiting", said
 status, headers, _ = asked(f"/?token={token}")
@@ -52,7 +52,7 @@ own = f"https://ballbard:{port}"
 status, _, said = asked("/api/stop", "POST", "{}", Cookie=cookie.split(";")[0], Origin=own, Content_Type="application/json")
 assert status == 200, said
 
-# With the code for a phone, which works once and only on the page.
+# The code for a phone works only once, and only for the page.
 status, _, said = asked("/api/pair", "POST", "{}", Authorization=bearer, Content_Type="application/json")
 pairing = json.loads(said)
 assert status == 200 and pairing["fingerprint"] in words and "<svg" in pairing["links"][0]["svg"], said
@@ -64,7 +64,7 @@ status, headers, _ = asked(f"/?pair={code}")
 assert status == 200 and headers["Set-Cookie"] == cookie and headers["Refresh"] == "0; url=/", headers
 assert asked(f"/?pair={code}")[0] == 401
 
-# As the OpenAPI document states.
+# The OpenAPI document must describe the same forms of the token.
 document = json.loads(asked("/api/openapi.json", Authorization=bearer)[2])
 schemes = document["components"]["securitySchemes"]
 assert {} in document["security"] and "--listen" in document["info"]["description"], document["info"]
@@ -73,7 +73,7 @@ assert (schemes["token"]["type"], schemes["token"]["scheme"]) == ("http", "beare
 browser = schemes["browser"]
 assert (browser["type"], browser["in"]) == ("apiKey", "cookie") and cookie.startswith(browser["name"] + "="), browser
 
-# Without a token there is no page, no file of the page, no reading and no action.
+# Without a token, nothing is accessible: no page, no file of the page, no data and no action.
 for method, path in [("GET", "/api/status"), ("GET", "/api/events"), ("GET", "/metrics"), ("GET", "/app.js"),
                      ("GET", "/api/runs/x/mcap"), ("POST", "/api/start"), ("POST", "/api/delete"), ("POST", "/api/pair"),
                      ("GET", "/nowhere")]:
@@ -83,7 +83,7 @@ for method, path in [("GET", "/api/status"), ("GET", "/api/events"), ("GET", "/m
 status, _, said = asked("/")
 assert status == 401 and "<form" in said and "missing" in said, said
 
-# The right token with a foreign origin, or with two Host headers.
+# Requests with the right token are refused if they have a foreign origin or two Host headers.
 assert asked(Authorization=bearer, Origin="https://evil.example")[0] == 403
 assert asked(Authorization=bearer, Origin=own.replace("https", "http"))[0] == 403
 twice = Connection("ballbard", port)
@@ -93,7 +93,7 @@ twice.putheader("Authorization", bearer)
 twice.endheaders()
 assert twice.getresponse().status in (400, 403)
 
-# Each wrong token is refused. After too many the client must wait, but the right token still works.
+# Each wrong token is refused. After too many wrong tokens the client must wait, but the right token still works.
 wrong = [token[:-1], token + "0", token[:-1] + ("1" if token[-1] == "0" else "0"), token.upper() + "x", "a" * 4000]
 for attempt in wrong:
     status, _, said = asked(Authorization=f"Bearer {attempt}")
@@ -105,7 +105,7 @@ told = [asked(Authorization="Bearer x")[0] for _ in range(8)]
 assert told[0] == 401 and told[-1] == 429, told
 assert asked(Authorization=bearer)[0] == 200
 
-# A client without TLS and a silent client get no data.
+# A client without TLS gets no data, and neither does a client that sends nothing.
 with socket.create_connection(("127.0.0.1", port), timeout=20) as plain:
     plain.sendall(b"GET /api/status HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
     assert b"HTTP" not in plain.recv(4096)

@@ -1,4 +1,4 @@
-//! Other machines: access only with the token, by an independent client and in a real browser.
+//! Access from other machines is possible only with the token. An independent client and a real browser check this.
 
 use std::fs;
 use std::io::{Read, Write};
@@ -22,7 +22,7 @@ fn token(service: &Running) -> String {
     fs::read_to_string(service.directory.path().join("token")).unwrap()
 }
 
-/// Port of the TLS listener, as the status states it.
+/// Port of the TLS listener, taken from the status.
 fn port(service: &Running) -> String {
     let status: Status = service.get("status");
     let words = status.remote.unwrap();
@@ -45,7 +45,7 @@ fn over_tls_an_independent_client_is_served_with_the_token_and_with_nothing_else
         .output()
         .unwrap();
     assert!(said.status.success(), "{}", super::rig::text(&said));
-    // Local programs are served as before.
+    // Local programs still need no token.
     assert_eq!(service.get::<Status>("status").state, ServiceState::Waiting);
 }
 
@@ -75,7 +75,7 @@ fn a_browser_that_was_given_the_token_once_shows_the_page() {
     assert!(status.contains("waiting"), "{status}");
 }
 
-/// Sends a request of a reverse proxy as raw bytes; returns status and answer.
+/// Sends a request over a stream as a reverse proxy does, byte by byte as given. Returns status code and answer.
 fn passed_on(mut stream: impl Read + Write, request: &str, headers: &[&str], body: &str) -> (u16, String) {
     let headers: String = headers.iter().map(|header| format!("{header}\r\n")).collect();
     let length = body.len();
@@ -90,7 +90,7 @@ fn passed_on(mut stream: impl Read + Write, request: &str, headers: &[&str], bod
 fn through_a_reverse_proxy_nothing_is_reached_without_the_token_whatever_host_it_names() {
     let directory = tempfile::tempdir().unwrap();
     let socket = directory.path().join("proxy.sock");
-    // The file as a killed service leaves it.
+    // The socket file exists already, as if a killed service had left it.
     drop(UnixListener::bind(&socket).unwrap());
     let arguments = ["--behind-proxy", socket.to_str().unwrap()];
     let mut service = Running::in_directory(directory, quick().path(), &arguments);
@@ -105,7 +105,7 @@ fn through_a_reverse_proxy_nothing_is_reached_without_the_token_whatever_host_it
     let status = |headers: &[&str]| {
         passed_on(UnixStream::connect(&socket).unwrap(), "GET /api/status HTTP/1.1", headers, "")
     };
-    // The Host that nginx and Apache send by default, including loopback names.
+    // nginx and Apache send one of these hosts by default. Some of them are names of loopback.
     for host in ["localhost", "127.0.0.1:7311", "127.0.0.1", "[::1]:7311", "lab.example"] {
         for origin in [vec![], vec![format!("Origin: https://{host}")]] {
             let headers = [vec![format!("Host: {host}")], origin].concat();
@@ -120,7 +120,7 @@ fn through_a_reverse_proxy_nothing_is_reached_without_the_token_whatever_host_it
         (vec!["Host: lab.example", &bearer], 200),
         (vec!["Host: localhost", "X-Forwarded-For: 192.0.2.7", &bearer], 200),
         (vec!["Host: lab.example:8443", "Origin: https://lab.example:8443", &bearer], 200),
-        // A scheme has no case (RFC 9110, section 11.1).
+        // The scheme of an Authorization header is case-insensitive (RFC 9110, section 11.1).
         (vec!["Host: lab.example", &bearer.replace("Bearer", "bearer")], 200),
         (vec!["Host: lab.example", "Authorization: Bearer x"], 401),
         (vec!["Host: lab.example", "Origin: https://evil.example", &bearer], 403),
@@ -132,7 +132,7 @@ fn through_a_reverse_proxy_nothing_is_reached_without_the_token_whatever_host_it
     }
     let (_, answer) = status(&["Host: lab.example"]);
     assert!(answer.contains("state directory") && answer.contains("?token="), "no remedy in: {answer}");
-    // A proxy that passes the Host of the browser on.
+    // The Host header does not match the origin, because the proxy does not pass on the Host of the browser.
     let (code, answer) = status(&["Host: localhost", "Origin: https://lab.example", &bearer]);
     assert!(code == 403 && answer.contains("proxy_set_header Host $http_host"), "{answer}");
     service.signal(nix::sys::signal::Signal::SIGTERM);
@@ -154,7 +154,7 @@ fn what_a_reverse_proxy_passes_on_to_the_loopback_port_is_refused_with_the_remed
         ("1.1", "Forwarded: for=192.0.2.7"),
         ("1.1", "X-Real-IP: 192.0.2.7"),
         ("1.1", "Via: 1.1 lab.example"),
-        // All headers and the version that nginx uses by default.
+        // By default nginx sends this version and this header, and no others.
         ("1.0", "Connection: close"),
     ] {
         let (code, answer) = ask(version, header);
@@ -169,7 +169,8 @@ fn what_a_reverse_proxy_passes_on_to_the_loopback_port_is_refused_with_the_remed
 fn a_request_of_a_system_account_is_refused_with_the_remedy_but_for_the_metrics() {
     let service = Running::start();
     service.wait_for("waiting");
-    // A new nginx by default: HTTP/1.1 without headers of its own. The thread's sockets belong to the account.
+    // Sends a request as the current nginx does by default: HTTP/1.1 without additional headers. Sockets that this thread
+    // opens belong to the account.
     let ask = |account: u32, path: &str| {
         std::thread::scope(|scope| {
             let asked = scope.spawn(|| {
@@ -234,7 +235,7 @@ fn token_and_key_are_made_once_for_their_owner_alone() {
     assert_eq!(first, second);
 }
 
-/// Starts the service with the content of the directory; returns its message when it refuses.
+/// Starts a service whose state directory is `directory`. The service must refuse to start; returns its message.
 fn refused(directory: &Path, arguments: &[&str]) -> String {
     let mut command = ballbard();
     command.env("STATE_DIRECTORY", directory).env("RUST_LOG", "off");
@@ -265,7 +266,7 @@ fn certificates_that_are_no_certificates_are_refused_with_the_remedy() {
     let said =
         refused(directory.path(), &["--listen", "127.0.0.1:0", "--certificate", given, "--key", given]);
     assert!(said.contains("given.pem") && said.contains("--certificate"), "{said}");
-    // Certificate and key are only valid together.
+    // A certificate is only accepted together with its key.
     let said = refused(directory.path(), &["--listen", "127.0.0.1:0", "--certificate", given]);
     assert!(said.contains("--key"), "{said}");
 }

@@ -1,4 +1,4 @@
-//! A service of the built program, and its clients.
+//! A process of the built program that runs as a service, and helpers that send requests to it.
 
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
@@ -15,7 +15,8 @@ pub fn shipped() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../config")
 }
 
-/// A program that reacts to SIGHUP even if these tests run under `nohup`, whose children would ignore it.
+/// A command for a program that reacts to SIGHUP. If these tests run under `nohup`, child processes
+/// would otherwise ignore the signal.
 pub fn heeding_hangups(program: &str) -> Command {
     let ignored = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let ignored = ignored.lines().find_map(|line| line.strip_prefix("SigIgn:"));
@@ -28,7 +29,7 @@ pub fn heeding_hangups(program: &str) -> Command {
     command
 }
 
-/// A service on the simulated bus, on its own port.
+/// A service on the simulated bus that listens on a port of its own.
 pub struct Running {
     pub child: Child,
     pub port: String,
@@ -40,28 +41,28 @@ impl Running {
         Self::given(&[])
     }
 
-    /// With additional command-line arguments.
+    /// Starts a service with additional command-line arguments.
     pub fn given(arguments: &[&str]) -> Self {
         Self::logging_to(Stdio::null(), arguments)
     }
 
-    /// With a log whose output may fail.
+    /// Starts a service whose log is written to `stderr`, which may fail.
     pub fn logging_to(stderr: Stdio, arguments: &[&str]) -> Self {
         let mut command = heeding_hangups(PROGRAM);
         command.stderr(stderr);
         Self::by(command, tempfile::tempdir().unwrap(), quick().path(), arguments)
     }
 
-    /// With its recordings and its state in this directory.
+    /// Starts a service that keeps recordings and state in this directory.
     pub fn in_directory(directory: tempfile::TempDir, config: &Path, arguments: &[&str]) -> Self {
         let mut command = heeding_hangups(PROGRAM);
         command.stderr(Stdio::null());
         Self::by(command, directory, config, arguments)
     }
 
-    /// Started by a command that replaces itself with the program.
+    /// Starts a service by a command that replaces itself with the program.
     pub fn by(mut command: Command, directory: tempfile::TempDir, config: &Path, arguments: &[&str]) -> Self {
-        // No file of the user who runs the tests is read or changed.
+        // The service must neither read nor change files of the user who runs the tests.
         command.env("STATE_DIRECTORY", directory.path());
         command
             .env_remove("RUST_LOG")
@@ -88,8 +89,8 @@ impl Running {
         (response.status().as_u16(), response.body_mut().read_json().unwrap())
     }
 
-    /// Repeats the request until it succeeds: on a busy machine emulated terminals may answer too late for a moment,
-    /// and the start of a run is then refused.
+    /// Repeats a request until the service grants it, and returns the reply. On a busy machine, emulated terminals may
+    /// answer too late for a moment, and the start of a run is then refused.
     pub fn granted(&self, path: &str, body: &Value) -> Reply {
         let begun = Instant::now();
         loop {
@@ -108,7 +109,8 @@ impl Running {
         self.wait_until(state, |status| json!(status.state) == state)
     }
 
-    /// Waits for a status; `what` names it in the panic after the time-out.
+    /// Waits until the status meets the condition, and returns the status. After the time-out it
+    /// panics with the text `what`.
     pub fn wait_until(&self, what: &str, is_it: impl Fn(&Status) -> bool) -> Status {
         let begun = Instant::now();
         loop {
@@ -121,18 +123,18 @@ impl Running {
         }
     }
 
-    /// Waits until a run can begin without a reason: after a delay of a busy machine that takes a second.
+    /// Waits until a run can be started without giving a reason. This takes a second after a busy machine delayed cycles.
     pub fn wait_until_ready(&self) {
         self.wait_until("readiness", |status| status.headline().word == "READY");
     }
 
-    /// Waits until the run has this number of cycles on disk.
+    /// Waits until this number of cycles of the run are on disk.
     pub fn wait_for_cycles(&self, cycles: u64) {
         let has_them = |status: &Status| status.run.as_ref().is_some_and(|run| run.cycles >= cycles);
         self.wait_until("enough cycles", has_them);
     }
 
-    /// Runs a command of the program.
+    /// Runs a command of the program that uses this service.
     pub fn command(&self, arguments: &[&str]) -> Output {
         let mut command = ballbard();
         command.env("RUST_LOG", "off").args(arguments).args(["--port", &self.port]).output().unwrap()
@@ -143,7 +145,7 @@ impl Running {
         nix::sys::signal::kill(pid, signal).unwrap();
     }
 
-    /// Waits until its process ends without a signal.
+    /// Waits until the process of the service has ended, without sending a signal.
     pub fn ended(&mut self, within: Duration) -> ExitStatus {
         let begun = Instant::now();
         loop {
@@ -175,7 +177,7 @@ pub fn text(output: &Output) -> String {
     format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr))
 }
 
-/// A copy of the shipped configuration that the test may change.
+/// A copy of the shipped configuration. The test may change the copy.
 pub fn copied() -> tempfile::TempDir {
     let config = tempfile::tempdir().unwrap();
     for name in ["ball_bar.toml", "daemon.toml"] {
@@ -184,12 +186,12 @@ pub fn copied() -> tempfile::TempDir {
     config
 }
 
-/// The shipped configuration with more frequent synchronisations: a run is being written sooner.
+/// The shipped configuration with more frequent synchronisations, so that a run is reported as being written earlier.
 pub fn quick() -> tempfile::TempDir {
     changed("sync_period_ms = 1000", "sync_period_ms = 300")
 }
 
-/// The shipped configuration with a changed `daemon.toml`.
+/// The shipped configuration in which `from` is replaced by `to` in `daemon.toml`.
 pub fn changed(from: &str, to: &str) -> tempfile::TempDir {
     let config = copied();
     let file = config.path().join("daemon.toml");

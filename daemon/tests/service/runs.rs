@@ -1,4 +1,4 @@
-//! Complete runs, requested by programs and by people.
+//! Complete runs, requested by programs and by users.
 
 use std::time::Duration;
 
@@ -45,7 +45,8 @@ fn many_clients_at_once_get_one_run_at_a_time_and_every_file_is_whole() {
     }
 }
 
-/// A service in operation. The parts of a test share it: its bring-up takes longer than they do.
+/// Starts a service and waits until it is ready. All sections of a test share it, because a bring-up
+/// takes longer than a section.
 fn ready() -> Running {
     let service = Running::start();
     service.wait_for("waiting");
@@ -95,7 +96,7 @@ fn the_commands_say_what_they_did(service: &Running) {
     for simulated in [text(&begun), text(&status), text(&stopped), runs.clone()] {
         assert!(simulated.contains("SIMULATED"), "{simulated}");
     }
-    // In local time, as in default names, with the zone.
+    // The list shows the start in local time with its time zone, as default names do.
     let started = service.recording("typed").run.started.to_datetime().with_timezone(&chrono::Local);
     assert!(runs.contains(&started.format("%Y-%m-%d %H:%M:%S %:z").to_string()), "{runs}");
 }
@@ -136,7 +137,8 @@ fn a_note_is_changed_after_the_run_and_the_recorded_file_is_not(service: &Runnin
     }
     assert_eq!(listed(), "");
 
-    // A note follows its recording, and an orphaned note is not used for a new run of the same name.
+    // If a recording is deleted, its note is deleted too. A note without its recording is not used for a new
+    // run of the same name.
     let beside = service.directory.path().join("noted.note.json");
     let left = std::fs::read(&beside).unwrap();
     service.granted("delete", &json!({"name": "noted"}));
@@ -165,7 +167,7 @@ fn a_deleted_run_lies_in_the_bin_until_it_is_restored_or_the_bin_is_emptied(serv
     assert!(text(&deleted).contains("ballbard restore one"), "{}", text(&deleted));
     assert_eq!((names("runs"), names("bin")), (vec![], vec![named("one", "changed")]));
     assert_eq!(service.post("delete", &json!({"name": "one"})).0, 404);
-    // Another run gets the name and follows it.
+    // Another run gets the same name and is deleted too.
     record("second");
     service.granted("delete", &json!({"name": "one"}));
     assert_eq!(names("bin"), [named("one-2", "second"), named("one", "changed")]);
@@ -189,7 +191,7 @@ fn marks_are_numbered_by_the_service_and_stand_in_status_list_and_file(service: 
     let reason = json!({"name": "marked", "reason": "the clock is known to be off"});
     service.granted("start", &reason);
     service.wait_for("writing");
-    // Page and command continue the same numbering.
+    // The page and the command share one numbering of marks.
     assert_eq!(service.granted("mark", &json!({})).mark.as_deref(), Some("mark 1"));
     assert!(text(&service.command(&["mark"])).contains("mark 2"));
     assert_eq!(service.granted("mark", &json!({"text": "here"})).mark.as_deref(), Some("here"));
@@ -246,7 +248,7 @@ fn what_the_service_knows_is_asked_for_by_name_and_as_json(service: &Running) {
     assert!(told.contains(&last.verdict.unwrap().to_string()), "{told}");
     assert!(stopped["last"]["simulated"] == true && listed[0]["simulated"] == true, "{stopped} {listed}");
     assert!(json(&["check"]).as_array().unwrap().len() > 5);
-    // By its name alone, which has a dot, from any directory.
+    // The export finds the run by its name alone, which contains a dot, from any directory.
     let elsewhere = tempfile::tempdir().unwrap();
     let mut export = ballbard();
     export.current_dir(&elsewhere).args(["export", "--csv", "asked.v2", "--port", &service.port]);
@@ -254,7 +256,7 @@ fn what_the_service_knows_is_asked_for_by_name_and_as_json(service: &Running) {
     assert!(output.status.success(), "{}", text(&output));
     let table = std::fs::read_to_string(elsewhere.path().join("asked.v2.csv")).unwrap();
     assert!(table.contains("mark: here"));
-    // For spreadsheets: by the link of the page and by the command.
+    // The link of the page and the command must return the same table for spreadsheets.
     let fetched =
         |query: &str| agent().get(&service.url(&format!("runs/asked.v2/csv?{query}"))).call().unwrap();
     let excel = fetched("excel=true&relative").body_mut().read_to_string().unwrap();

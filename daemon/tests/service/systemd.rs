@@ -1,4 +1,4 @@
-//! Messages to the service manager, and lines in its journal.
+//! Messages that the service sends to the service manager, and its lines in the journal.
 
 use std::fs::File;
 use std::os::unix::fs::MetadataExt;
@@ -11,7 +11,7 @@ use serde_json::json;
 use super::rig::{Running, quick};
 use crate::support::ballbard;
 
-/// With the environment of systemd and this standard error.
+/// Starts a service with this standard error and with environment variables that systemd would set.
 fn under_systemd(stderr: Stdio, environment: &[(&str, String)]) -> Running {
     let mut command = ballbard();
     command.stderr(stderr).envs(environment.iter().map(|(name, value)| (name, value)));

@@ -1,4 +1,4 @@
-//! Reports of the service while the bus, the encoders or another process fail.
+//! Reports of the service are true while the bus, the encoders or another process fail.
 
 use std::fs::File;
 use std::process::{Command, Stdio};
@@ -21,7 +21,8 @@ fn terminals_that_were_gone_are_in_the_log() {
     let service = Running::logging_to(stderr, &faults);
     service.wait_for("waiting");
     service.wait_for("fault");
-    // Cycles that this PC misses give no evidence that the terminals are back.
+    // While the process is stopped, this PC misses cycles. Such cycles must not be taken as evidence
+    // that the terminals are back.
     for _ in 0..3 {
         service.signal(Signal::SIGSTOP);
         std::thread::sleep(Duration::from_millis(100));
@@ -29,7 +30,7 @@ fn terminals_that_were_gone_are_in_the_log() {
         std::thread::sleep(Duration::from_millis(200));
     }
     service.wait_for("waiting");
-    // The log keeps it for later.
+    // The log still contains the fault after its end.
     let log = std::fs::read_to_string(log).unwrap();
     assert!(log.contains("WARN bus: no samples from"), "{log}");
     assert_eq!(log.matches("INFO bus: samples again after").count(), 1, "{log}");
@@ -87,7 +88,7 @@ fn a_run_without_a_valid_cycle_is_no_success() {
     assert_eq!(lines[0].verdict.as_ref().unwrap().level, Level::Bad);
 }
 
-/// The end of a run of two seconds whose terminal is closed after half a second.
+/// Records a run of two seconds and closes its terminal after half a second. Returns the cause of its end.
 fn cause_after_hangup(mut command: Command) -> String {
     let out = tempfile::tempdir().unwrap();
     command.args(["record", "--bus", "simulated", "--name", "hangup", "--duration", "2s"]);
@@ -137,7 +138,7 @@ fn a_second_process_in_a_directory_is_refused_with_who_has_it() {
     let refused = other.output().unwrap();
     assert_eq!(refused.status.code(), Some(1), "{}", text(&refused));
     assert!(text(&refused).contains(&pid), "{}", text(&refused));
-    // The claim ends with its process, for any cause.
+    // The kernel releases the claim of a process when the process ends for any cause.
     service.signal(Signal::SIGKILL);
     service.child.wait().unwrap();
     let output = command.output().unwrap();
