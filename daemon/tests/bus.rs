@@ -1,4 +1,4 @@
-//! A bus that differs from the configuration is refused with the reason.
+//! A bus that differs from the configuration is refused, and the error names the difference.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 use std::collections::HashSet;
@@ -74,7 +74,7 @@ fn a_missing_or_surplus_terminal_is_named_by_its_position() {
     }
 }
 
-/// A cable without a device at its end.
+/// A network cable with no device at its end: frames are sent, but no reply arrives.
 struct Nowhere(Clock);
 
 impl FrameWire for Nowhere {
@@ -88,7 +88,7 @@ impl FrameWire for Nowhere {
     }
 }
 
-/// An interface that is down.
+/// A network interface that is down, so that every call fails.
 struct Dead;
 
 impl FrameWire for Dead {
@@ -111,7 +111,7 @@ fn silence_is_reported_as_no_answer() {
     }
 }
 
-/// A segment whose replies are duplicated, truncated and mixed with other traffic.
+/// A segment that repeats every third reply. A repeated reply may be truncated.
 struct Noisy {
     inner: InProcessWire,
     repeat: Option<Vec<u8>>,
@@ -155,11 +155,11 @@ fn repeated_and_broken_replies_do_not_stop_the_bus() {
     assert!(bus.wire_counters().rejected > 1000, "{:?}", bus.wire_counters());
 }
 
-/// A segment that loses frames before they arrive, or loses the replies to them.
+/// A segment that loses some frames. A frame is lost before it arrives, or its reply is lost on the way back.
 struct Losing<F> {
     inner: InProcessWire,
     sent: Arc<AtomicUsize>,
-    /// True if the frame with this number is lost.
+    /// Returns true for the numbers of the frames that are lost. Frames are numbered from 0.
     loses: F,
     on_the_way_back: bool,
 }
@@ -172,7 +172,7 @@ impl<F: Fn(usize) -> bool + Send> FrameWire for Losing<F> {
 
     fn receive(&mut self, buffer: &mut [u8; FRAME_BYTES_MAX], until: MonoNs) -> io::Result<Option<usize>> {
         let received = self.inner.receive(buffer, until)?;
-        // At most one request is pending.
+        // At most one request is pending, so the reply belongs to the frame that was sent last.
         let number = self.sent.load(Ordering::Relaxed).saturating_sub(1);
         if self.on_the_way_back && received.is_some() && (self.loses)(number) {
             return self.inner.receive(buffer, until);
@@ -181,7 +181,7 @@ impl<F: Fn(usize) -> bool + Send> FrameWire for Losing<F> {
     }
 }
 
-/// Number of frames that the bring-up of such a segment takes.
+/// Brings up a bus on a [`Losing`] segment; returns the number of frames that this takes.
 fn bring_up_losing(
     loses: impl Fn(usize) -> bool + Send + 'static,
     on_the_way_back: bool,
@@ -220,7 +220,7 @@ fn the_bus_comes_up_while_one_frame_in_a_hundred_is_lost() {
     }
 }
 
-/// A segment that replies late, and a record of the frames sent to it.
+/// A segment that delays its replies. It stores the frames that are sent to it.
 struct Late {
     inner: InProcessWire,
     clock: Clock,
@@ -262,7 +262,7 @@ fn however_long_a_cyclic_frame_waits_for_its_reply_it_is_sent_once() {
         reply: None,
         sent: Arc::clone(&sent),
     };
-    // Twice the time-out of a frame during bring-up.
+    // The reply time-out of the cycle is twice the time-out of a frame during bring-up.
     let reply_timeout = Duration::from_millis(40);
     let cycle_period = Duration::from_millis(100);
     let plan = BusPlan { cycle_period, sync0_shift: cycle_period / 2, reply_timeout, ..plan(5) };
@@ -279,7 +279,7 @@ fn however_long_a_cyclic_frame_waits_for_its_reply_it_is_sent_once() {
     assert!(after.received - before.received >= CYCLES as u64, "replies in time were not taken: {after:?}");
 }
 
-/// A segment that sets a flag after a number of frames.
+/// A segment that sets the flag `interrupt` when it has received `patience` frames.
 struct Impatient {
     inner: InProcessWire,
     frames: Arc<AtomicUsize>,
@@ -315,7 +315,7 @@ fn whenever_somebody_asks_for_the_end_the_bus_is_not_brought_up_any_further() {
     };
     let (whole, frames) = bring_up(usize::MAX);
     whole.unwrap();
-    // The last frame reads that all devices are in OP.
+    // The last frame only reads that all devices are in OP, so the bring-up is not interrupted there.
     for place in 0..PLACES {
         let patience = 1 + place * (frames - 2) / PLACES;
         let (ended, sent) = bring_up(patience);
@@ -325,7 +325,7 @@ fn whenever_somebody_asks_for_the_end_the_bus_is_not_brought_up_any_further() {
     }
 }
 
-/// A segment whose clock is ahead of the host's by this.
+/// A segment whose bus clock is ahead of the host's clock by `by_ns`.
 struct Shifted {
     inner: InProcessWire,
     by_ns: Arc<AtomicI64>,
@@ -337,7 +337,7 @@ impl FrameWire for Shifted {
     }
 
     fn receive(&mut self, buffer: &mut [u8; FRAME_BYTES_MAX], until: MonoNs) -> io::Result<Option<usize>> {
-        /// The command FRMW, which distributes the time, and its data.
+        /// Position and code of the command FRMW in a frame. This command distributes the bus time.
         const COMMAND: (usize, u8) = (16, 14);
         const DATA: std::ops::Range<usize> = 26..34;
         let received = self.inner.receive(buffer, until)?;
@@ -354,7 +354,7 @@ impl FrameWire for Shifted {
 fn a_bus_clock_that_shows_anything_is_followed_or_doubted_and_overflows_nothing() {
     let period_ns = 10_000_000;
     let round = |ns: i64| ns / period_ns * period_ns;
-    // Before, during and after the bring-up; the last time overflows in mid-cycle.
+    // The clock overflows before, during and after the bring-up. The last shift makes it overflow in the middle of a cycle.
     for from_the_beginning in [true, false] {
         for by_ns in [round(i64::MAX - 1_700_000_000), i64::MAX, i64::MIN, i64::MIN + 1, -round(i64::MAX)] {
             let clock = Clock::virtual_from(UtcNs(0));
@@ -363,7 +363,7 @@ fn a_bus_clock_that_shows_anything_is_followed_or_doubted_and_overflows_nothing(
             let wire = Shifted { inner, by_ns: Arc::clone(&shift) };
             let plan = plan(5);
             let bus = Bus::new(Box::new(wire), clock.clone(), plan.reply_timeout);
-            // A clock that is not synchronous with SYNC0 may be refused.
+            // The bring-up may refuse a clock that is not synchronous with SYNC0.
             let Ok(mut acquisition) = Acquisition::start(bus, &plan, clock) else { continue };
             shift.store(by_ns, Ordering::Relaxed);
             let mut cycles = Vec::new();

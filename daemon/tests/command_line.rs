@@ -1,4 +1,4 @@
-//! The command line: exit codes, messages, files.
+//! The command line of `ballbard`: exit codes, messages and files.
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 
 use std::ffi::OsStr;
@@ -31,7 +31,7 @@ fn record(out: &Path, arguments: &[&str]) -> Output {
     command.output().unwrap()
 }
 
-/// The command fails with the message `why` and leaves nothing in `out`.
+/// Checks that the command failed, that its message contains all texts of `why`, and that the directory `out` is empty.
 fn refused(output: &Output, why: &[&str], out: &Path) {
     let text = String::from_utf8_lossy(&output.stderr);
     assert!(!output.status.success(), "{text}");
@@ -61,7 +61,7 @@ fn a_run_is_recorded_and_exported_with_counts_and_angles() {
         assert_eq!(row[0], cycle.sample_time.to_string());
         for (index, encoder) in cycle.encoders().iter().enumerate() {
             assert_eq!(row[1 + index], encoder.count.to_string());
-            // 3600 lines at 12 bits, counted from the zero of the encoder.
+            // The encoder has 3600 lines, each interpolated with 12 bits. Its count is relative to the zero of the encoder.
             let angle_rad = f64::from(encoder.count as i32) * std::f64::consts::TAU / 14_745_600.0;
             assert!((row[6 + index].parse::<f64>().unwrap() - angle_rad).abs() < 1e-8);
         }
@@ -77,7 +77,7 @@ fn no_bus_is_assumed() {
         let output = bare.env_remove("STATE_DIRECTORY").output().unwrap();
         assert_eq!(output.status.code(), Some(2), "{}", said(&output));
         refused(&output, &["--bus INTERFACE", "--bus simulated", "this machine: ", "lo"], out.path());
-        // Started as the systemd unit of the package starts it.
+        // Starts the command with the environment that the package's systemd unit sets.
         let output = bare.env("STATE_DIRECTORY", out.path()).output().unwrap();
         assert_eq!(output.status.code(), Some(2), "{}", said(&output));
         refused(&output, &["BALLBARD_OPTIONS in /etc/default/ballbard", "lo"], out.path());
@@ -104,7 +104,7 @@ fn simulated_data_are_called_that_from_the_beginning_to_the_end() {
     let output = recorded(&arguments);
     let (begin, end) = (String::from_utf8_lossy(&output.stderr), String::from_utf8_lossy(&output.stdout));
     assert!(begin.contains("SIMULATED") && end.contains("SIMULATED"), "{}", said(&output));
-    // A replay of simulated data is simulated; a replay of measured data is not.
+    // A replay of simulated data is marked as simulated. A replay of measured data is not.
     let made_up = out.path().join("made-up.mcap");
     let Recording { run, cycles, .. } = Recording::open(&made_up).unwrap();
     let ended = run.started;
@@ -203,20 +203,21 @@ fn what_goes_wrong_on_the_simulated_bus_is_chosen_by_hand() {
 #[test]
 fn a_bus_gone_for_good_ends_the_run_with_a_finished_file_that_says_so() {
     let out = tempfile::tempdir().unwrap();
-    // `full_fault_s` ends the run long before its duration.
+    // The limit `full_fault_s` ends the run long before its requested duration.
     let output =
         record(out.path(), &["--name", "gone", "--duration", "1h", "--fast", "--fault", "link-down@3s"]);
-    // Most of its cycles are invalid: a batch job must notice.
+    // Most cycles of the run are invalid. The exit code must be nonzero so that a batch job notices this.
     assert_eq!(output.status.code(), Some(1), "{}", said(&output));
     assert!(said(&output).contains("run `gone` is unusable: 60"), "{}", said(&output));
     let recording = Recording::open(&out.path().join("gone.mcap")).unwrap();
     assert!(recording.end.cause.contains("limit `full_fault_s`"), "{}", recording.end.cause);
     let blind = recording.cycles.iter().rev().take_while(|cycle| !cycle.is_valid()).count();
-    // 60 s, and the longest check of the bus.
+    // The run ends after 60 s without a valid cycle, plus at most the longest check of the bus.
     assert!((6000..6100).contains(&blind), "{blind} cycles");
 }
 
-/// Every reply arrives after the end of its cycle, so that the bus never reaches OP. A warning follows after 5 s.
+/// Delays every reply beyond the end of its cycle, so that the bus never reaches OP. The command must print
+/// a warning after 5 s.
 #[test]
 fn a_bus_that_does_not_come_into_operation_is_not_waited_for_in_silence() {
     let out = tempfile::tempdir().unwrap();
@@ -394,7 +395,7 @@ fn a_signal_ends_a_run_with_a_finished_file_that_states_it() {
     assert!(!recording.cycles.is_empty() && !active.exists());
 }
 
-/// The output of a command for programs, a single JSON value, and its exit code.
+/// Runs a command with `--json`. Returns its output, which must be a single JSON value, and its exit code.
 fn json(arguments: &[&str]) -> (serde_json::Value, Option<i32>) {
     let output = ballbard().args(arguments).arg("--json").output().unwrap();
     let value = serde_json::from_slice(&output.stdout).unwrap();
@@ -410,7 +411,7 @@ fn commands_without_a_service_answer_programs_too() {
         let arguments = [&arguments[..], &["--duration", "2s", "--fast"]].concat();
         json(&[&arguments[..], &["--config", config, "--out", directory]].concat())
     };
-    // A complete run, and a run without a valid cycle, which fails but has an answer.
+    // Records a complete run, and a run without a valid cycle. The second command fails but still prints a result.
     let (last, code) = recorded("whole", "lost:1@2s-2100ms");
     let file = out.path().join("whole.mcap");
     let recording = Recording::open(&file).unwrap();
@@ -470,14 +471,15 @@ fn tune_refuses_an_interface_that_is_not_there() {
     assert!(output.stdout.is_empty());
 }
 
-/// In an empty directory without configuration.
+/// Runs a command in an empty directory that has no configuration. Returns this directory and the output.
 fn nowhere(arguments: &[&str]) -> (tempfile::TempDir, Output) {
     let directory = tempfile::tempdir().unwrap();
     let output = ballbard().current_dir(&directory).args(arguments).output().unwrap();
     (directory, output)
 }
 
-/// A command in namespaces where no service runs or is installed, if this user may create namespaces.
+/// Runs a command in network and mount namespaces in which no service runs or is installed. Without the right to create
+/// namespaces, the command runs directly.
 fn alone(arguments: &[&str]) -> Output {
     const WITHIN: [&str; 5] = ["--map-root-user", "--net", "--mount", "sh", "-c"];
     const INSTALLED: &str = "[ ! -d /etc/ballbard ] || mount -t tmpfs none /etc/ballbard";
@@ -519,7 +521,7 @@ fn a_directory_that_was_typed_is_meant_and_what_is_missing_in_it_is_named() {
         "{}",
         said(&output)
     );
-    // Without a port file, the command prints where the port came from.
+    // Without a port file, the command prints where the port number came from.
     let output = alone(&["status"]);
     let text = said(&output);
     let counts = ["no daemon.toml in config or /etc/ballbard", "7311"].map(|part| text.matches(part).count());

@@ -1,5 +1,5 @@
-//! Homing on the simulated segment on virtual time: the marks are the true ones, the same pose has the same angle after
-//! a power cycle, and wrong wiring is detected.
+//! Homing on the simulated segment, on virtual time. Homing finds the true reference marks and detects wrong wiring. After a
+//! power cycle and a new homing, the same pose has the same angles.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 use std::f64::consts::TAU;
@@ -28,7 +28,7 @@ fn encoders() -> Vec<EncoderConfig> {
     (1..=TERMINALS as u8).map(EncoderConfig::ern_1080).collect()
 }
 
-/// A bus whose joints stand still until the hand turns one.
+/// A bus whose joints do not move until the simulated hand of an operator turns one.
 struct Bench {
     acquisition: Acquisition,
     hand: Hand,
@@ -37,7 +37,7 @@ struct Bench {
     positions: Positions,
 }
 
-/// Position of each encoder at its last conversion.
+/// Position of each encoder at its last conversion, shared with the test.
 type Positions = Arc<Mutex<[Periods; TERMINALS]>>;
 
 struct Watched(HandTurned, Positions);
@@ -77,7 +77,8 @@ impl Bench {
         Self { acquisition, hand, faults, true_marks, positions }
     }
 
-    /// Homes `encoders`; `obeys` is the reaction of the operator to a requested turn.
+    /// Homes these encoders. `obeys` simulates the operator: it is called for each joint that the
+    /// homing requests to be turned.
     fn home(
         &mut self,
         encoders: &[EncoderConfig],
@@ -106,7 +107,7 @@ impl Bench {
         last.unwrap()
     }
 
-    /// Angles of all joints from the marks of `homing` while the terminals still show them.
+    /// Angles of all joints \[rad\], counted from the marks of `homing`, and the joints whose marks are no longer valid.
     fn angles_rad(&mut self, homing: &HomingConfig) -> (Vec<f64>, Vec<u8>) {
         let record = self.record();
         assert!(record.is_valid());
@@ -120,7 +121,8 @@ impl Bench {
         (infos.iter().zip(record.encoders()).map(angle).collect(), stale)
     }
 
-    /// For any start values of the counters an angle is the distance from the mark on the disc, modulo whole turns.
+    /// Checks that each angle is the distance of the encoder from the mark on its disc, modulo whole turns. This must hold
+    /// for any start value of the counters.
     fn assert_angles_are_those_from_the_true_marks(&mut self, homing: &HomingConfig) {
         let (angles_rad, stale) = self.angles_rad(homing);
         assert!(stale.is_empty(), "the terminals show their marks");
@@ -147,7 +149,7 @@ fn the_marks_found_are_the_true_ones() {
         let mut bench = Bench::new(seed);
         let found = bench.home(&encoders(), obedient).unwrap();
         for (found, true_mark) in verify(&encoders(), &found).unwrap().iter().zip(&bench.true_marks) {
-            // One mark in each revolution.
+            // The disc has one mark in each revolution, so the difference is a whole number of revolutions.
             let apart = found.wrapping_sub((true_mark.0 >> 20) as u32) as i32;
             assert_eq!(apart % COUNTS_PER_REVOLUTION as i32, 0);
         }
@@ -170,7 +172,7 @@ fn after_a_power_cycle_and_homing_again_the_same_pose_reads_the_same_angle() {
     while !bench.record().is_valid() {}
     let counts_after = bench.record().encoders.map(|encoder| encoder.count);
     assert!(counts.iter().zip(counts_after).all(|(before, after)| before.abs_diff(after) > 4096));
-    // Old marks are not applied to new counts.
+    // After a power cycle the counts are new, so the old marks are not applied to them.
     assert_eq!(bench.angles_rad(&homing).1, [1, 2, 3, 4, 5]);
 
     let again = bench.home(&encoders(), obedient).unwrap();
@@ -185,7 +187,7 @@ fn miswired(found: &[FoundMark], encoders: &[EncoderConfig]) -> String {
 
 #[test]
 fn encoders_on_each_others_terminals_are_named_with_what_to_write() {
-    // The configuration lists joint 2 first and joint 1 second; the wiring swaps them.
+    // The configuration lists joint 2 first and joint 1 second, but the first terminal is wired to joint 1.
     let mut swapped = encoders();
     swapped.swap(0, 1);
     let found = Bench::new(4).home(&swapped, obedient).unwrap();

@@ -1,7 +1,8 @@
-//! `kill -9` at random instants loses at most one second, and a finished recording can be recovered from the file.
+//! `kill -9` at a random instant loses at most one second of data. The remaining file can be
+//! recovered to a finished recording.
 //!
-//! Several processes record for up to 2.5 s at 100 Hz. The number of cycles follows from the clock: one every
-//! 10 ms since its first.
+//! The tests kill several processes that record for up to 2.5 s at 100 Hz. The number of cycles that are due follows from
+//! the clock: one every 10 ms since the first cycle.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::path::{Path, PathBuf};
@@ -15,9 +16,10 @@ use shared::time::{NS_PER_S, UtcNs};
 
 use crate::support::ballbard;
 
-/// Processes that record in parallel.
+/// Number of processes that record in parallel.
 const AT_ONCE: usize = 6;
-/// A second, the drain period of the ring, and the delay with which a busy machine notices the kill \[ns\].
+/// Longest time that a kill may lose, one second \[ns\]. [`SLACK_NS`] adds the drain period of the ring, and the delay with
+/// which a busy machine notices the kill.
 const LOST_NS_MAX: i64 = NS_PER_S;
 const SLACK_NS: i64 = 250_000_000;
 
@@ -34,13 +36,14 @@ fn record(directory: &Path, name: &str) -> Child {
     command.arg("--out").arg(directory).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
 }
 
-/// Records, kills the process `life` after its file appeared, and returns the instant of the kill.
+/// Starts a recording and kills the process when the time `life` has passed since its file appeared. Returns
+/// the instant of the kill.
 fn record_and_kill(directory: &Path, name: &str, life: Duration) -> UtcNs {
     let mut child = record(directory, name);
     let active = directory.join(format!("{name}.mcap.active"));
     let begun = Instant::now();
     while !active.exists() {
-        // With this many processes on a small machine the bring-up may time out; it is then repeated.
+        // If a small machine runs this many processes, the bring-up may time out. The recording is then started again.
         if child.try_wait().unwrap().is_some() {
             child = record(directory, name);
         }
@@ -54,19 +57,19 @@ fn record_and_kill(directory: &Path, name: &str, life: Duration) -> UtcNs {
     killed
 }
 
-/// What a kill left behind.
+/// Files that a killed process left.
 struct Left {
-    /// Time between the last cycle and the kill \[ns\].
+    /// Time between the last recorded cycle and the kill \[ns\].
     lost_ns: i64,
-    /// The recovered file and its content; `None` if there was only an empty file.
+    /// The recovered file and its content. `None` if the killed process left only an empty file.
     recovered: Option<(PathBuf, Recording)>,
 }
 
-/// Recovers the files of the killed process.
+/// Recovers the file of a killed process and checks its cycles. `killed` is the instant of the kill.
 fn recover(directory: &Path, name: &str, killed: UtcNs) -> Left {
     let active = directory.join(format!("{name}.mcap.active"));
     let Ok(Recovery::Recovered { file, content, .. }) = recover_file(&active) else {
-        // Killed between creation and first synchronisation: the file was empty.
+        // The process was killed between the creation of the file and its first synchronisation, so the file is empty.
         let bytes = std::fs::metadata(&active).unwrap().len();
         assert!(bytes < 8192, "{name}: {bytes} bytes and nothing recovered");
         return Left { lost_ns: 0, recovered: None };
@@ -78,13 +81,13 @@ fn recover(directory: &Path, name: &str, killed: UtcNs) -> Left {
         assert_eq!(pair[1].cycle, pair[0].cycle + 1);
         assert!(pair[1].sample_time > pair[0].sample_time, "{name}: time runs backwards");
     }
-    // The first synchronisation with a cycle was followed by another, so its content is there.
+    // At least one more synchronisation followed the first one with a cycle, so the timing must be in the file.
     assert!(recording.timing.is_some() || recording.cycles.len() < 200, "{name}: the timing is missing");
     let last = recording.cycles.last().map_or(recording.run.started, |last| last.sample_time);
     Left { lost_ns: killed.ns_since(last), recovered: Some((file, recording)) }
 }
 
-/// Two independent readers decode every message of the recovered files.
+/// Checks that two independent readers decode every message of the recovered files.
 fn read_by_others(recovered: &[(PathBuf, Recording)]) {
     let python = std::env::var_os("BALLBAR_PYTHON").unwrap_or_else(|| "python3".into());
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/read_recording.py");
@@ -109,7 +112,7 @@ fn read_by_others(recovered: &[(PathBuf, Recording)]) {
     });
 }
 
-/// Kills this many processes, and returns the recovered runs of those that had recorded anything.
+/// Kills this number of processes. Returns the recovered runs of all processes that had recorded any cycle.
 fn kill_at_random(directory: &Path, kills: usize) -> Vec<(PathBuf, Recording)> {
     let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(11);
     let lives: Vec<Duration> =
@@ -121,7 +124,8 @@ fn kill_at_random(directory: &Path, kills: usize) -> Vec<(PathBuf, Recording)> {
             && let Some(life) = lives.get(index)
         {
             let name = format!("kill-{index}");
-            // A process recovers the leftovers of its folder when it starts, so each process has its own.
+            // A process recovers the unfinished files in its directory when it starts. Each process therefore
+            // has a directory of its own.
             let own = directory.join(&name);
             std::fs::create_dir(&own).unwrap();
             let killed = record_and_kill(&own, &name, *life);

@@ -1,4 +1,4 @@
-//! The cycle never allocates, and waits for nothing but its deadline and its reply.
+//! The cycle allocates no memory. It waits only for its deadline and for the reply to its frame.
 #![allow(unsafe_code, clippy::unwrap_used, reason = "tests; an allocator that counts")]
 
 use std::alloc::{GlobalAlloc, Layout, System};
@@ -16,12 +16,12 @@ use ballbard::segment::{EthernetWire, FrameWire, InProcessWire};
 use nix::sched::{CloneFlags, unshare};
 use shared::time::UtcNs;
 
-/// Counts the allocations of the calling thread only, so that other test threads do not disturb.
+/// An allocator that counts allocations for each thread separately, so that other test threads do not disturb the count.
 struct Counting;
 
 thread_local! {
     static CALLS: Cell<u64> = const { Cell::new(0) };
-    /// Bytes that this thread holds, and the maximum so far.
+    /// Number of bytes that this thread has allocated and not freed, and its maximum so far.
     static HELD: Cell<i64> = const { Cell::new(0) };
     static HELD_MOST: Cell<i64> = const { Cell::new(0) };
 }
@@ -32,7 +32,7 @@ fn note(freed_bytes: usize, allocated_bytes: usize) {
     HELD_MOST.set(HELD_MOST.get().max(HELD.get()));
 }
 
-/// Peak memory of `work` beyond what its thread held before \[bytes\].
+/// Largest amount of memory that `work` allocates in addition to the memory that its thread held before \[bytes\].
 pub fn peak_bytes(work: impl FnOnce()) -> i64 {
     let before = HELD.get();
     HELD_MOST.set(before);
@@ -40,7 +40,7 @@ pub fn peak_bytes(work: impl FnOnce()) -> i64 {
     HELD_MOST.get() - before
 }
 
-// SAFETY: all calls are passed to the system's allocator unchanged.
+// SAFETY: all calls are passed to the system allocator unchanged.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         note(0, layout.size());
@@ -61,7 +61,7 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// Number of times that the calling thread waited and gave up the processor.
+/// Number of times that the calling thread had to wait and therefore released the processor.
 fn voluntary_switches() -> u64 {
     let status = std::fs::read_to_string("/proc/thread-self/status").unwrap();
     let line = status.lines().find_map(|line| line.strip_prefix("voluntary_ctxt_switches:"));
@@ -77,16 +77,16 @@ fn acquisition(clock: &Clock, rate_hz: u64) -> Acquisition {
         let bus = Bus::new(Box::new(wire), clock.clone(), plan.reply_timeout);
         Acquisition::start(bus, &plan, clock.clone()).ok()
     };
-    // On a machine that is busy with other tests, real-time time-outs may pass during the bring-up.
+    // If other tests keep the machine busy, the bring-up may exceed a time-out. It is then repeated.
     let mut acquisition = (0..10).find_map(|_| start()).unwrap();
     acquisition.begin_run(|_| ());
     acquisition
 }
 
-/// Allocations and waits of `cycles` cycles and of the records and times that they pass to the recorder.
+/// Number of allocations and of waits in `cycles` cycles. They include passing the records and times to the recorder.
 fn cost(clock: &Clock, rate_hz: u64, cycles: u64) -> (u64, u64) {
     let mut acquisition = acquisition(clock, rate_hz);
-    // Rings as in real time, large enough for the test, which does not empty them.
+    // The rings are of the same type as in real time. They are large enough, because the test never empties them.
     let (mut sink, _source) = record::ring(cycles as usize + 1000, record::FullRing::Drops);
     acquisition.next_cycle(&mut |record| sink.push(record));
     let live = LatestSamples::default();
@@ -107,7 +107,7 @@ fn cost(clock: &Clock, rate_hz: u64, cycles: u64) -> (u64, u64) {
 
 #[test]
 fn on_virtual_time_a_cycle_allocates_nothing_and_waits_for_nothing() {
-    // Virtual time does not sleep, so each wait is for a lock or a file.
+    // On virtual time no thread sleeps, so each wait would be for a lock or a file.
     let (calls, waits) = cost(&Clock::virtual_from(UtcNs(0)), 100, 20_000);
     assert_eq!((calls, waits), (0, 0));
 }
@@ -117,7 +117,7 @@ fn on_real_time_a_cycle_allocates_nothing_and_waits_for_its_deadline_and_its_rep
     let cycles = 500;
     let (calls, waits) = cost(&Clock::Real, 500, cycles);
     assert_eq!(calls, 0);
-    // Also the port counters of six devices, which are read once a second.
+    // Each cycle waits at most twice. In addition, the port counters of six devices are read once a second.
     assert!(waits <= 2 * cycles + 2 * 6, "{waits} waits in {cycles} cycles");
 }
 
@@ -126,7 +126,7 @@ fn on_real_time_a_cycle_allocates_nothing_and_waits_for_its_deadline_and_its_rep
 fn while_its_interface_is_gone_the_wire_allocates_nothing() {
     let ip = |arguments: &[&str]| assert!(Command::new("ip").args(arguments).status().unwrap().success());
     let calls = std::thread::spawn(move || {
-        // In this thread only.
+        // Only this thread enters the new network namespace.
         unshare(CloneFlags::CLONE_NEWNET).unwrap();
         ip(&["link", "add", "near", "up", "type", "veth", "peer", "far"]);
         ip(&["link", "set", "far", "up"]);
@@ -135,7 +135,7 @@ fn while_its_interface_is_gone_the_wire_allocates_nothing() {
         ip(&["link", "delete", "near"]);
         let clock = Clock::Real;
         let calls_before = CALLS.get();
-        // Checked each tenth of a second.
+        // The wire checks its interface every tenth of a second.
         for _ in 0..10 {
             assert!(wire.send(&[0; 60]).is_err());
             clock.sleep_until(clock.now().plus_ns(50_000_000));

@@ -1,9 +1,10 @@
 #!/usr/bin/env bash
-# The Debian package in a clean root: installed, run with nothing but what its unit grants, upgraded, removed, purged.
+# Tests the Debian package in a clean root directory. The package is installed, upgraded, removed and purged. Its service
+# runs with only the rights that its unit grants.
 #
-# daemon/tests/package.sh [PROFILE], as root. Needs cargo-deb, debootstrap, iproute2 and systemd, and Debian's mirror. The bus is
-# the simulated segment at the other end of a virtual cable, in a network of its own. The unit's system call filter is applied by
-# tests/unit_filter.py.
+# Usage: daemon/tests/package.sh [PROFILE], as root. Needs cargo-deb, debootstrap, iproute2 and systemd, and Debian's mirror.
+# The bus is the simulated segment at the other end of a virtual cable, in a network of its own. tests/unit_filter.py applies
+# the system call filter of the unit.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 if [ "${PACKAGE_TEST:-}" != inside ]; then
@@ -12,7 +13,7 @@ fi
 profile=${1:-release}
 root=${PACKAGE_ROOT:-target/package-root}
 network=ballbard-package
-# The unit's capability and limits. Where nobody may raise limits, as in some containers, capabilities stand for them.
+# Capability and limits of the unit. If limits cannot be raised here, as in some containers, capabilities replace them.
 capabilities=+net_raw effective=0000000000002000 limits=(prlimit --rtprio=99 --memlock=unlimited)
 if ! "${limits[@]}" true 2>/dev/null; then
   echo "limits cannot be raised here; CAP_SYS_NICE and CAP_IPC_LOCK stand for them"
@@ -29,8 +30,8 @@ wait_for() { # what, command...
   fail "$what never came"
 }
 
-# The unit's User, AmbientCapabilities, CapabilityBoundingSet, NoNewPrivileges, limits, WorkingDirectory, StateDirectory,
-# SystemCallFilter.
+# Applies these settings of the unit: User, AmbientCapabilities, CapabilityBoundingSet,
+# NoNewPrivileges, limits, WorkingDirectory, StateDirectory, SystemCallFilter.
 as_the_unit=(ip netns exec "$network" chroot "$root" "${limits[@]}"
   setpriv --reuid=ballbard --regid=ballbard --clear-groups --no-new-privs
   --bounding-set="-all,$capabilities" --inh-caps="-all,$capabilities" --ambient-caps="-all,$capabilities"
@@ -70,7 +71,7 @@ systemd-analyze security --offline=yes --threshold=30 "$unit" | tail -1
 step "without an interface it ends with what to set, and is not restarted"
 grep -q '^RestartPreventExitStatus=2$' daemon/debian/ballbard.service || fail "it would be restarted"
 (. "$root/etc/default/ballbard"; [ -z "${BALLBARD_OPTIONS:-}" ]) || fail "the package assumes an interface"
-# /etc/ballbard is found without an option.
+# The program finds /etc/ballbard without an option.
 code=0
 inside env STATE_DIRECTORY=/var/lib/ballbard ballbard run 2>"$root/tmp/usage.log" || code=$?
 [ "$code" = 2 ] || fail "exit code $code without an interface"
@@ -83,7 +84,7 @@ ip -n "$network" link set lo up
 ip -n "$network" link add near type veth peer name far
 ip -n "$network" link set near up
 ip -n "$network" link set far up
-# Not by `inside`, whose shell alone would be ended.
+# Does not use `inside`, because ending the job would then end only the shell of `inside`.
 ip netns exec "$network" chroot "$root" ballbard segment --interface far </dev/null >/dev/null 2>&1 &
 "${as_the_unit[@]}" ballbard run --config /etc/ballbard --bus near >/dev/null 2>"$root/tmp/service.log" &
 service=$!

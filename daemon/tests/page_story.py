@@ -1,9 +1,9 @@
-"""The technician's page in a real browser, from a red preflight to the downloaded file.
+"""Operates the technician's page in a real browser, from a check with a red line to the downloaded file.
 
 usage: page_story.py CHROMIUM URL URL_FROM_ELSEWHERE TOKEN_FILE SCREENSHOTS READERS
 
-Drives the browser over its DevTools protocol. A line `> TEXT` on standard output asks the test that started this to do
-something with the service; it answers with a line on standard input. A failed check ends the program with an error.
+Drives the browser over its DevTools protocol. A line `> TEXT` on standard output asks the test that started this program to do
+something with the service. The test answers with a line on standard input. A failed check ends the program with an error.
 """
 
 import base64
@@ -21,7 +21,7 @@ WAIT_S = 30
 
 
 class Page:
-    """One page of one browser."""
+    """A browser with one page."""
 
     def __init__(self, chromium, directory):
         self.downloads = directory / "downloads"
@@ -58,7 +58,7 @@ class Page:
             self.note(said)
 
     def note(self, said):
-        """Errors of the page, without the refusals that belong to the story."""
+        """Collects errors of the page. Refused requests belong to the test and are not collected."""
         if said.get("method") == "Runtime.exceptionThrown":
             self.complaints.append(json.dumps(said["params"]["exceptionDetails"]))
         entry = said.get("params", {}).get("entry", {})
@@ -109,7 +109,7 @@ class Page:
         return self.run(f"document.querySelector({json.dumps(selector)})?.innerText ?? ''")
 
     def pictures(self, directory, name):
-        """At the widths of a phone, a tablet and a desktop, light and dark, the page fits its width."""
+        """Checks that the page fits the width of a phone, a tablet and a desktop, in light and in dark colours."""
         for width, height in [(375, 812), (820, 1180), (1440, 900)]:
             for scheme in ["light", "dark"]:
                 self.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 600)
@@ -144,7 +144,7 @@ def reload(page):
 
 
 def login(page, url, token, pictures):
-    """From another machine the page opens only after the token is typed."""
+    """From another machine, the page opens only after the token has been typed."""
     page.call("Page.navigate", url=url)
     page.wait("document.readyState === 'complete' && document.querySelector('form')", "the form for the token")
     assert "token is missing" in page.shown("[role=alert]") and not page.run("document.getElementById('word')")
@@ -159,7 +159,7 @@ def login(page, url, token, pictures):
 
 
 def preflight(page, pictures):
-    # The line is red during the bring-up, too, and so are the encoders.
+    # The line about the encoders is also red during the bring-up, so the test first waits until the bus is in operation.
     page.wait("document.querySelector('#checks [data-subject=encoders][data-level=good]')", "a bus in operation")
     service("on no-signal:2")
     page.wait(
@@ -173,7 +173,7 @@ def preflight(page, pictures):
     page.pictures(pictures, "red")
     page.click("#begin")
     page.wait("document.getElementById('ask').open", "the question for the reason")
-    # No run starts without it.
+    # No run starts without a reason.
     page.click("#ask-yes")
     time.sleep(0.5)
     assert page.run("document.getElementById('ask').open") and page.shown("#word") == "CHECK"
@@ -201,7 +201,7 @@ def focused(page):
 
 
 def names(page):
-    """The name of the file is shown at its field before the run begins."""
+    """Before a run begins, its field for the name shows the name that the file will have."""
     page.type("#run-form [name=name]", "Montag 1/ä")
     page.wait("document.getElementById('name-hint').textContent === 'is saved as Montag-1-ä'", "the name of the file")
     page.type("#run-form [name=name]", "???")
@@ -212,7 +212,7 @@ def names(page):
     assert page.shown("#word") == "READY" and page.shown("#said") == ""
     page.run("(field => { field.value = ''; field.dispatchEvent(new Event('input')); })(document.querySelector('[name=name]'))")
     page.wait("document.getElementById('name-hint').textContent === ''", "a name without a problem")
-    # Enter in a field does not start a run.
+    # The key Enter in a field does not start a run.
     for field in ["operator", "name", "minutes"]:
         page.run(f"document.querySelector('#run-form [name={field}]').focus()")
         page.key("Enter")
@@ -221,8 +221,8 @@ def names(page):
 
 
 def marks(page):
-    """Marks get their numbers from the service, also with Shift or Caps Lock, and appear in the list and on the strip."""
-    # A key that is held sets one mark.
+    """Marks are numbered by the service, also if Shift or Caps Lock is on. They appear in the list and on the strip chart."""
+    # A key that is held down sets only one mark.
     page.key("m", repeats=5)
     page.wait("document.getElementById('said').innerText.includes('mark 1')", "the mark")
     page.key("M")
@@ -251,7 +251,7 @@ def first_run(page, pictures):
     assert "SIMULATED" in page.shown("#simulated")
     page.wait("document.activeElement.id === 'progress-title'", "the focus at the run")
     marks(page)
-    # A lasting fault is shown while it lasts, and only then.
+    # A fault that lasts is shown as long as it lasts, and no longer.
     service("on no-signal:3")
     page.wait("document.getElementById('joint3').dataset.level === 'bad'", "the silent encoder")
     assert "stale" in page.shown("#joint3 .angle") and "signal too low" in page.shown("#joint3")
@@ -276,7 +276,7 @@ def stop(page):
     name = page.shown("#run-name")
     page.click("#stop")
     page.wait("document.getElementById('ask').open", "the question")
-    # Enter does not confirm by accident.
+    # The question opens with the focus on its button that cancels, so Enter does not confirm accidentally.
     assert focused(page) == "ask-no"
     page.key("Enter")
     page.wait("!document.getElementById('ask').open", "the end of the question")
@@ -285,7 +285,7 @@ def stop(page):
     page.wait("document.getElementById('ask').open", "the question")
     page.click("#ask-yes")
     word(page, "READY")
-    # The verdict, and the next step.
+    # The page shows the verdict of the run and the next step.
     page.wait(f"!document.getElementById('after').hidden && document.getElementById('after-title').textContent.startsWith({json.dumps(name)})",
               "what became of the run")
     page.wait("document.activeElement.id === 'after-title'", "the focus at what became of the run")
@@ -300,11 +300,11 @@ def second_run(page):
     assert "still growing" not in page.shown("#cover-text"), page.shown("#cover-text")
     page.click("#begin")
     word(page, "RECORDING")
-    # The previous run's result goes, and the list has this one.
+    # The result of the previous run disappears, and the list contains the new run.
     page.wait("document.getElementById('after').hidden", "the end of the previous run's result")
     current = "document.querySelector(`#runs [data-run='${document.getElementById('run-name').textContent}']`)"
     page.wait(f"{current}?.innerText.includes('is being recorded')", "the run in the list")
-    # Long enough for a calibration, and that no joint was at a turning point throughout.
+    # The run is long enough for a calibration. Within this time, each joint also leaves the turning points of its motion.
     page.wait("Number(document.getElementById('run-disk').textContent) > 1100", "eleven seconds on disk")
     page.wait("[...document.querySelectorAll('.joint .moved')].every(light => light.classList.contains('on'))", "every joint moved")
     return stop(page)
@@ -322,7 +322,7 @@ def joint_asked_for(page, joint):
               " && !document.getElementById('homing-now').hidden", f"the question for joint {joint}")
     assert page.shown("#homing-stop").startswith("Stop homing") and page.shown("#homing-error") == ""
     assert page.shown("#homing-close") == "Close here"
-    # The drawing shows this joint, and no other, in the colour of an action.
+    # The drawing shows only this joint in the colour of an action.
     assert page.run("[...document.querySelectorAll('#homing-now .asked')].map(drawn => drawn.id)") == [f"bar-joint-{joint}"]
     colour = "getComputedStyle(document.querySelector('{}')).fill"
     encoders = [page.run(colour.format(f"#bar-joint-{one} .encoder")) for one in range(1, 6)]
@@ -331,7 +331,7 @@ def joint_asked_for(page, joint):
 
 
 def homing_ends(page, error):
-    """The dialog shows the end, requests no further joint, and closes."""
+    """The dialog shows the end of the homing, requests no further joint, and can be closed."""
     page.wait("document.getElementById('homing-close').textContent === 'Close'", "the end of the homing")
     assert page.run("document.getElementById('homing-stop').hidden")
     said = page.shown("#homing-error")
@@ -347,7 +347,7 @@ def stop_homing(page):
 
 
 def bystander(page):
-    """On another page, or on this page after a reload, no accidental key ends the homing."""
+    """Neither on another page nor on this page after a reload does a key that is pressed by accident end the homing."""
     reload(page)
     word(page, "HOMING")
     page.wait("!document.getElementById('homing-show').hidden", "the button that shows the homing")
@@ -370,14 +370,14 @@ def close_homing(page):
 
 
 def homing(page, pictures):
-    # A result that cannot be saved is reported before a joint is turned.
+    # If the result cannot be saved, the page reports this before any joint has to be turned.
     service("state in the way")
     begin_homing(page)
     page.wait("document.getElementById('said').innerText.includes('could not be saved')", "the refusal")
     assert not page.run("document.getElementById('homing').open")
     service("state free")
     page.click("#said button")
-    # Joints that turn together, once the page has asked for the first one.
+    # Joints turn together after the page has requested the first joint. This ends the homing with an error.
     service("hold")
     begin_homing(page)
     joint_asked_for(page, 1)
@@ -386,7 +386,7 @@ def homing(page, pictures):
     homing_ends(page, "moved together")
     word(page, "READY")
     close_homing(page)
-    # Stopped on the page that started it.
+    # The homing is stopped on the page that started it.
     service("hold")
     begin_homing(page)
     joint_asked_for(page, 1)
@@ -395,7 +395,7 @@ def homing(page, pictures):
     homing_ends(page, "stopped on the page")
     close_homing(page)
     assert "not homed" in page.shown("#checks [data-subject='reference marks']")
-    # Joint by joint, as the page requests them.
+    # The operator turns one joint after the other, as the page requests them.
     begin_homing(page)
     page.run("""window.turned = []; new MutationObserver(([change]) => window.turned.push(change.target.textContent))
         .observe(document.getElementById('homing-turned'), {childList: true})""")
@@ -411,7 +411,7 @@ def homing(page, pictures):
     assert "homing.toml" in page.shown("#homing-lines li:last-child"), page.shown("#homing-lines")
     unseen = "(list => list.scrollHeight - list.clientHeight - list.scrollTop)(document.getElementById('homing-lines'))"
     assert page.run(unseen) < 2, "the last line lies below what is seen of the list"
-    # The distance and the positive direction, while a joint is turned.
+    # While a joint is turned, the page shows its distance, and its positive direction as a sign.
     turned = page.run("window.turned")
     assert any(re.fullmatch(r"\+[1-9][0-9]*\.[0-9]°", said) for said in turned), turned
     assert not any(said.startswith("−") for said in turned), turned
@@ -423,7 +423,7 @@ def homing(page, pictures):
 
 
 def judged(page, name, reason):
-    """The line of a run; its verdict follows from its cycles."""
+    """Returns the line of a run, its verdict and its number of cycles. Checks that the verdict follows from the valid cycles."""
     line = page.shown(f"#runs [data-run={json.dumps(name)}]")
     valid, total = map(int, line.split(" cycles valid")[0].split(", ")[-1].split(" of "))
     wanted = "GOOD" if valid >= 0.99 * total else "CHECK" if valid >= 0.5 * total else "BAD"
@@ -437,7 +437,7 @@ def to_the_bin_and_back(page, name):
     delete = f"{row} .tools button[aria-label^=Delete]"
     page.click(delete)
     page.wait("document.getElementById('ask').open", "the question before a run is deleted")
-    # Enter, pressed twice, deletes nothing.
+    # Pressing Enter twice deletes nothing.
     page.key("Enter")
     page.wait("!document.getElementById('ask').open", "the end of the question")
     assert page.run(f"Boolean({there})")
@@ -467,7 +467,8 @@ def downloaded(page, name, counted, readers):
     return content | read_recording.beside_messages(file)
 
 
-# True if the left half of the strip shows data from before the page was opened: more than the two colours of the grid.
+# JavaScript that is true if the left half of the strip chart shows data from before the page was opened. The grid
+# alone has only two colours.
 LINE_BEGINS_LEFT = """(() => {
   const canvas = document.querySelector('#strip canvas');
   if (!canvas) return false;
@@ -495,12 +496,12 @@ def main():
             first = first_run(page, pictures)
             assert first.endswith("_irb-2400_short_01"), first
             line, verdict, total = judged(page, first, "cycles are flagged")
-            # Joint, kind, duration and time of the fault.
+            # The line of the run states joint, type, duration and time of the fault.
             assert re.search(r"joint 3 signal too low \([0-9.]+ s( in [0-9]+ periods)?, first at 0:[0-9]{2}\)", line), line
             assert "mark 3" in line and "stopped on the page" in line, line
             assert verdict != "GOOD"
             assert "IRB 2400" in line and "12 kg" in line and "A. Nilsson" in line, line
-            # Text of users is not interpreted as HTML.
+            # Text that users entered is not interpreted as HTML.
             assert NOTE in line and page.run("window.hacked === undefined")
             content = downloaded(page, first, total, readers)
             assert any(event["text"] == "mark 1" for event in content["events"]), content["events"]
@@ -508,7 +509,7 @@ def main():
             second = second_run(page)
             assert second.endswith("_02"), second
             line_too, verdict_too, total_too = judged(page, second, "")
-            # On a busy machine cycles can be late.
+            # On a busy machine, cycles can be late and are then flagged.
             assert verdict_too == "GOOD" or "cycles are flagged" in line_too, line_too
             downloaded(page, second, total_too, readers)
             page.click(f"#runs [data-run={json.dumps(second)}] .tools button")
@@ -518,7 +519,7 @@ def main():
             page.run("document.getElementById('plot').close()")
             page.click(f"#runs [data-run={json.dumps(second)}] .tools button[aria-label^=Note]")
             page.wait("document.getElementById('ask').open", "the question for the note")
-            # A note keeps its lines. Enter begins a new line, Ctrl and Enter save the note.
+            # A note may have several lines. Enter begins a new line, and Ctrl with Enter saves the note.
             assert page.run("document.getElementById('ask-input').value") == NOTE
             page.pictures(pictures, "note")
             page.type("#ask-input", "gripper closed <img>\nat the")
@@ -534,14 +535,14 @@ def main():
             page.wait("document.querySelectorAll('#runs li').length === 0", "an empty search")
             page.type("#search", f"12 kg {verdict}")
             page.wait("document.querySelectorAll('#runs li').length === 1", "the run that is searched")
-            # What was typed is there tomorrow.
+            # Values that were typed are still there after the page is opened again.
             page.call("Page.reload")
             word(page, "READY")
             assert page.run("document.querySelector('#run-form [name=robot]').value") == "IRB 2400"
-            # Nor is the chart of the last minute empty: the line of the first joint begins far left.
-            # New values take 33 s to get there.
+            # The chart of the last minute also keeps its data: the line of the first joint begins at the far left. New
+            # values alone would take 33 s to get there.
             page.wait(LINE_BEGINS_LEFT, "the last minute in the chart", within_s=20)
-            # In the middle of a homing: nobody is asked to go on with it, and nobody is kept in its dialog.
+            # The service ends during a homing. The page then requests no further turn, and its dialog can be closed.
             service("hold")
             begin_homing(page)
             joint_asked_for(page, 1)
@@ -550,7 +551,7 @@ def main():
             homing_ends(page, "is unknown")
             close_homing(page)
             assert page.run("[...document.querySelectorAll('.joint .angle')].every(angle => angle.textContent === 'stale')")
-            # Nothing that is old looks as if it were so now.
+            # Values from before the loss of the connection are not shown as current ones.
             assert page.run("document.querySelectorAll('.light.on, .joint[data-level=good], #so-far[data-level=good]').length") == 0
             shown = page.shown("main")
             assert "signal good" not in shown and "so far" not in shown and "still growing" not in shown, shown

@@ -1,4 +1,5 @@
-//! One run of `ballbard record` on virtual time: what ends it, what it leaves, and what it does not wait for.
+//! One run of `ballbard record` on virtual time. The tests check when the run ends, which files it leaves, and that it never
+//! waits for a hanging disk.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 use std::cell::Cell;
@@ -16,12 +17,12 @@ use crate::support::runs::{bar, daemon_in, in_parallel, leave};
 use crate::support::wall::{Call, Fault, Wall};
 use crate::support::world::{World, now, since, sleep};
 
-/// Longer than any client waits.
+/// Duration of a hang that is longer than any client waits.
 const EVER: Duration = Duration::from_secs(60);
-/// The longest shutdown of a command whose run has no file.
+/// Longest time that a command needs to end if its run has no file.
 const ENDS_WITHIN: Duration = Duration::from_secs(2);
 
-/// A command, the disk that it records to, and its interrupt.
+/// The command `ballbard record` with its configuration, the disk that it records to, and the means to interrupt it.
 struct Command {
     _directory: tempfile::TempDir,
     daemon: DaemonConfig,
@@ -40,7 +41,7 @@ impl Command {
         Self { _directory: directory, daemon, wall, request, stop: Stop::default() }
     }
 
-    /// The result, and the time since the start.
+    /// Runs the command. Returns its result and the time that it took.
     async fn run(&self) -> (Result<RunSummary, RunError>, Duration) {
         let scheduler = World::here().unwrap().scheduler();
         let begun = now();
@@ -50,7 +51,7 @@ impl Command {
         (outcome, since(begun))
     }
 
-    /// Interrupts the command after this time; returns the instant.
+    /// Interrupts the command after this time. The cell holds the instant of the interruption once it has happened.
     fn stop_after(&self, time: Duration) -> Rc<Cell<Option<MonoNs>>> {
         let (stop, asked) = (self.stop.clone(), Rc::<Cell<Option<MonoNs>>>::default());
         let at = Rc::clone(&asked);
@@ -103,7 +104,7 @@ fn what_is_taken_is_in_a_file_while_the_run_goes_on() {
             }
             let before = length();
             sleep(Duration::from_millis(1100)).await;
-            // Five encoders at 100 Hz.
+            // Five encoders at 100 Hz write more than 5000 bytes a second.
             assert!(length() > before + 5_000, "{before} bytes, a second later {}", length());
             watched.stop.stop("seen");
         });
@@ -125,7 +126,7 @@ fn a_run_that_is_refused_leaves_no_file_and_the_next_one_can_begin() {
                 && !command.names().contains(&"day.mcap.active".into())
         );
 
-        // With a floor of free space above the size of any disk.
+        // The limit of free space is larger than any disk, so the run must be refused.
         let full =
             Command { daemon: DaemonConfig { disk_floor_mb: u32::MAX, ..command.daemon.clone() }, ..command };
         let (outcome, _) = full.run().await;
@@ -162,7 +163,8 @@ fn a_bus_that_is_not_there_is_waited_for_until_somebody_ends_it() {
     });
 }
 
-/// Interrupted while the disk hangs before the run has a file. `second` hangs too, after the first returned.
+/// Interrupts a command while the disk hangs in `call`, before the run has a file. If `second` is given, the first hang ends
+/// and the call `second` then hangs.
 fn check_hang(call: Call, second: Option<Call>) {
     World::live(async move {
         let hang = if second.is_some() { Duration::from_millis(1300) } else { EVER };
@@ -194,7 +196,7 @@ fn check_hang(call: Call, second: Option<Call>) {
 
 #[test]
 fn a_command_that_is_asked_to_end_before_the_disk_gave_its_run_a_file_does_not_wait_for_the_disk() {
-    // The claim, its lock, and the calls that create the file.
+    // Calls that claim the directory, lock the claim, and create the file of the run.
     let calls =
         [Call::MakeDirectory, Call::Lock, Call::List, Call::Rename, Call::SyncDirectory, Call::Create];
     let mut cases: Vec<_> = calls.map(|call| (call, None)).into();

@@ -1,4 +1,5 @@
-//! The smoke test on the simulated segment on virtual time: a fault of the bus fails the check of that name only.
+//! The smoke test of the simulated segment on virtual time. A fault of the bus must fail only the check
+//! that is named after it.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::path::Path;
@@ -11,7 +12,7 @@ use shared::config::{self, DaemonConfig, Kind};
 
 use crate::support::runs::bar;
 
-/// All checks of the shipped configuration for ten seconds, and homing.
+/// The shipped configuration with homing, and with each check of cycles shortened to ten seconds.
 fn shipped() -> SmokeConfig {
     let shipped: SmokeConfig = config::parse(Kind::Smoke.built_in("smoke"), Path::new("smoke.toml")).unwrap();
     let cycles = shipped.cycles.iter().map(|asked| CyclesConfig { duration_s: 10, ..*asked }).collect();
@@ -63,10 +64,10 @@ fn a_healthy_bus_passes_every_check_and_the_report_has_its_figures() {
         assert_eq!(figures.working_counters, [(15, cycles)].into());
         assert!(figures.encoders.iter().all(|encoder| encoder.valid == cycles && encoder.sync_errors == 0));
         assert_eq!(figures.clocks.devices.len(), 5);
-        // The crystals of the segment are off by up to 20 ppm.
+        // The crystals of the segment deviate by up to 20 ppm.
         assert!(figures.clocks.host_rate_ppm.unwrap().abs() < 25.0);
     }
-    // The bus was reinitialised and came back.
+    // After the cable was pulled, the bus was initialised again and returned to operation.
     let pulled = report.pulled_cable.as_ref().unwrap();
     assert!(pulled.events.contains_key("bus_restored") && pulled.flags["bus_down"] > 0, "{pulled:?}");
     let asked = told.iter().filter(|line| line.contains("turn it slowly")).count();
@@ -105,7 +106,7 @@ fn terminals_that_are_there_are_in_the_report_of_a_bus_that_does_not_come_up() {
     assert_eq!(report.devices.len(), 4);
     let not_done =
         |check: &&Check| check.outcome == Outcome::NotDone { because: Reason::After(Subject::Devices) };
-    // All checks at two rates, homing and cable.
+    // These are all checks of cycles at two rates, homing, and the pulled cable.
     assert_eq!(report.checks.iter().filter(not_done).count(), 2 * 6 + 2);
     let report = tested(&shipped(), &["abort:2,0x06090011"]);
     assert_eq!(

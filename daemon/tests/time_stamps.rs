@@ -1,5 +1,5 @@
-//! Sample times against the true sampling instants of the simulated terminals, on virtual time: delays, drift, late
-//! wake-ups, and steps of each clock.
+//! Compares sample times with the true sampling instants of the simulated terminals, on virtual time. The tests vary delays
+//! and drift, wake up the cycle late, and set the clocks to another time.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::io;
@@ -16,23 +16,24 @@ use rand::{Rng, SeedableRng, rngs::StdRng};
 use shared::recording::schema::{CycleRecord, flags};
 use shared::time::{MonoNs, UtcNs};
 
-/// Delays of the host in addition to the wire: system calls, interrupts, a busy processor.
+/// Delays that the host adds to those of the wire, caused by system calls, interrupts and a busy processor. Pairs
+/// are for sending and receiving.
 #[derive(Clone, Copy)]
 struct Delays {
-    /// Least round-trip delay \[ns\].
+    /// Smallest additional delay \[ns\].
     least_ns: (i64, i64),
-    /// Mean of the additional delay, which is exponentially distributed \[ns\].
+    /// Mean of the exponentially distributed delay that is added to `least_ns` \[ns\].
     mean_ns: (f64, f64),
-    /// One frame in this number is a millisecond late, and so is one reply.
+    /// One in this number of frames is a millisecond late, and one in this number of replies.
     rare: u32,
 }
 
 const QUIET: Delays = Delays { least_ns: (5_000, 8_000), mean_ns: (500.0, 1_000.0), rare: u32::MAX };
 const LOADED: Delays = Delays { least_ns: (6_000, 15_000), mean_ns: (10_000.0, 40_000.0), rare: 200 };
-/// Delayed interrupts, as by a network card that coalesces them.
+/// Interrupts are delayed as by a network card that coalesces them, so mainly replies are late.
 const ONE_SIDED: Delays = Delays { least_ns: (5_000, 60_000), mean_ns: (1_000.0, 60_000.0), rare: 50 };
 
-/// A simulated segment behind such a host, with changes of their clocks.
+/// A simulated segment behind a host with these delays. The test can change the clocks of both.
 struct DelayedWire {
     segment: SimulatedSegment,
     clock: Clock,
@@ -45,9 +46,9 @@ struct DelayedWire {
 
 #[derive(Default)]
 struct Clocks {
-    /// Offset of the true bus time to the host's clock, which changes when the machine is suspended \[ns\].
+    /// Difference between true bus time and the host's clock. It changes when the machine is suspended \[ns\].
     leap_ns: AtomicI64,
-    /// Step of the reference clock with the next frame \[ns\].
+    /// Step of the reference clock that occurs with the next frame \[ns\].
     step_ns: AtomicI64,
 }
 
@@ -122,7 +123,7 @@ impl Experiment {
         self.cycles_woken_late(count, || 0)
     }
 
-    /// Each wake-up of the cycle is late by `late_ns`.
+    /// Records `count` cycles. `late_ns` returns for each cycle by how much its wake-up is late \[ns\].
     fn cycles_woken_late(&mut self, count: usize, mut late_ns: impl FnMut() -> i64) -> Vec<CycleRecord> {
         let mut records: Vec<CycleRecord> = Vec::new();
         while records.len() < count {
@@ -161,14 +162,14 @@ fn assert_within(stamped: &[Stamped], sigmas: i64) {
 
 #[test]
 fn sample_times_are_right_within_their_uncertainty_on_quiet_and_loaded_hosts() {
-    // The last column is an upper limit of the sigmas: they must not be so wide that they are useless.
+    // The last column limits the stated uncertainties, because uncertainties that are too large would be useless.
     for (delays, bound_ns, sigma_bound_ns) in
         [(QUIET, 3_000, 10_000), (LOADED, 20_000, 40_000), (ONE_SIDED, 50_000, 60_000)]
     {
         for seed in 0..3 {
             let mut experiment = Experiment::new(&plan(100), delays, seed);
             let mut random = StdRng::seed_from_u64(seed);
-            // Late wake-ups, some of them after the next sample.
+            // Some wake-ups are late, and a few of them come only after the next sample.
             let late_ns = || if random.random_ratio(1, 50) { random.random_range(0..8_000_000) } else { 0 };
             let records = experiment.cycles_woken_late(5_000, late_ns);
             let stamped = experiment.judge(&records);
@@ -186,7 +187,7 @@ fn sample_times_are_right_within_their_uncertainty_on_quiet_and_loaded_hosts() {
 fn a_frame_that_meets_the_conversion_of_the_next_sample_is_flagged_as_late() {
     let mut experiment = Experiment::new(&plan(100), QUIET, 5);
     let mut cycles = 0;
-    // Each fifth frame passes around the next SYNC0, half a period after its deadline, or the end of its conversion.
+    // Each fifth frame is sent about half a period late, when the next SYNC0 or the end of its conversion is due.
     let late_ns = || {
         cycles += 1;
         if cycles % 5 == 0 { 4_960_000 + 100 * cycles } else { 0 }
@@ -271,7 +272,8 @@ fn without_distributed_clocks_the_age_is_bounded_and_says_so() {
     let records = experiment.cycles(500);
     for record in &records {
         assert!(record.flags & flags::NO_DC != 0 && record.dc_time.0 == 0);
-        // A uniform distribution of one period.
+        // The true age is uniformly distributed over one period. This is the width of a uniform distribution
+        // with the stated standard deviation.
         let width_ns = f64::from(record.sample_time_uncertainty_ns) * 12f64.sqrt();
         assert!((9_999_000.0..10_001_000.0).contains(&width_ns), "{width_ns}");
     }

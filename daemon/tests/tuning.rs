@@ -1,4 +1,4 @@
-//! `ballbard tune` on recorded texts of machines.
+//! `ballbard tune` on files that were recorded from machines.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::fs;
@@ -13,10 +13,10 @@ const LIMITS: &str = "Limit                     Soft Limit           Hard Limit 
 const COALESCING: &str = "Coalesce parameters for eth1:\nAdaptive RX: off  TX: off\nstats-block-usecs: n/a\n\
     rx-usecs: 3\nrx-frames: n/a\n\ntx-usecs: 0\n";
 
-/// At the usual rate, where a frame may be late by 5 ms.
+/// Period at the usual rate of 100 Hz. A frame may then be late by 5 ms.
 const PERIOD: Duration = Duration::from_millis(10);
 
-/// A machine with these files.
+/// A machine whose system files are in a directory of the test.
 struct Recorded {
     machine: Machine,
     root: tempfile::TempDir,
@@ -30,7 +30,7 @@ impl Recorded {
         Self { machine: Machine { interface, coalescing, ..machine }, root }.with(files)
     }
 
-    /// With these files besides the others, or instead of them.
+    /// Adds these files (path, text) to the machine, or replaces existing ones.
     fn with(self, files: &[(&str, &str)]) -> Self {
         for (file, text) in files {
             let path = self.root.path().join(file);
@@ -40,7 +40,7 @@ impl Recorded {
         self
     }
 
-    /// The same machine otherwise.
+    /// The same machine with a change.
     fn but(mut self, change: impl FnOnce(&mut Machine)) -> Self {
         change(&mut self.machine);
         self
@@ -57,7 +57,7 @@ impl Deref for Recorded {
 
 const LIMITS_FILE: &str = "proc/self/limits";
 
-/// A new machine without any setting, and a cycle without time reserve.
+/// A new machine without any proposed setting, and with a cycle that has no time reserve.
 fn untuned() -> Recorded {
     let files = [
         ("sys/devices/system/cpu/isolated", "\n"),
@@ -76,7 +76,7 @@ fn untuned() -> Recorded {
     Recorded::new(None, Duration::from_millis(1), &files)
 }
 
-/// The same machine with all proposed settings.
+/// The same machine after all proposed settings were made.
 fn tuned() -> Recorded {
     let files = [
         ("sys/devices/system/cpu/isolated", "2-3\n"),
@@ -129,7 +129,7 @@ fn every_problem_of_an_untuned_machine_says_what_to_type() {
     }
 }
 
-/// The package's service runs with fewer capabilities than a program with these has, so it could not start.
+/// The package's service may use fewer capabilities than these. If the program file had them, the service could not start it.
 #[test]
 fn the_program_of_the_package_is_given_no_capabilities() {
     let installed = untuned().but(|machine| machine.is_package = true);

@@ -1,8 +1,8 @@
 """Runs a program under the system call filter of a systemd unit: unit_filter.py UNIT PROGRAM [ARGUMENT...]
 
-systemd need not run: `systemd-analyze` lists its sets of calls, and the kernel applies the lines of the unit in systemd's
-order (systemd.exec(5)). A call outside the filter kills the program, where the unit would return EPERM: an error that the
-caller handles would hide a missing call.
+systemd itself need not run. `systemd-analyze` lists its sets of system calls, and the lines of the unit are applied to the kernel
+in systemd's order (systemd.exec(5)). A call outside the filter kills the program, although under the unit it would return EPERM.
+If the program handled EPERM, a call that is missing in the filter would go unnoticed.
 """
 
 import ctypes
@@ -14,7 +14,7 @@ KILL_PROCESS, ALLOW = 0x80000000, 0x7FFF0000
 
 
 def sets():
-    """System calls and nested sets of each named set."""
+    """System calls and nested sets that each named set contains."""
     found = {}
     listing = subprocess.run(["systemd-analyze", "syscall-filter"], check=True, capture_output=True, text=True).stdout
     for line in listing.splitlines():
@@ -32,7 +32,7 @@ def expand(name, known):
 
 
 def allowed(unit, known):
-    """The first line allows its calls and @default; each further line adds calls or, with ~, removes them."""
+    """System calls that the unit allows. The first line allows its calls and @default. Each further line adds or, with ~, removes calls."""
     calls = set()
     for line in unit.splitlines():
         key, _, value = line.partition("=")
@@ -51,7 +51,7 @@ def apply(calls):
     rules = seccomp.seccomp_init(KILL_PROCESS)
     for call in calls:
         number = seccomp.seccomp_syscall_resolve_name(call.encode())
-        # Negative: a call of another architecture.
+        # A negative number is a call of another architecture.
         assert number < 0 or seccomp.seccomp_rule_add(rules, ALLOW, number, 0) == 0, call
     assert seccomp.seccomp_load(rules) == 0, "the kernel takes no filter"
 

@@ -1,5 +1,6 @@
-//! Each disk call of a recovery fails, is cut short, or is the last that the disk answers, as when the program is
-//! killed there. Afterwards every recording exists once, either complete or unchanged.
+//! Injects a fault into each disk call of a recovery. The call fails or transfers a single byte, or the disk
+//! fails from this call on, as if the program were killed there. Afterwards every recording exists exactly
+//! once, either complete or unchanged.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -10,11 +11,12 @@ use shared::recording::{Recording, Recovery, SystemDisk, recover_file_on, recove
 use crate::support::runs::{in_parallel, leave};
 use crate::support::wall::{Call, Fault, Wall};
 
-/// Cases that run in parallel.
+/// Number of faults that are tested in parallel.
 const AT_ONCE: usize = 4;
 const CYCLES: u64 = 40;
 
-/// Leftovers of earlier runs in one directory.
+/// Writes the files that earlier runs may leave into one directory: unfinished, torn, damaged,
+/// empty and already recovered ones.
 fn fill(directory: &Path) {
     let active = |name: &str| directory.join(format!("{name}.mcap.active"));
     let finished = |name: &str| directory.join(format!("{name}.mcap"));
@@ -31,11 +33,11 @@ fn fill(directory: &Path) {
     damaged[middle] ^= 1;
     std::fs::write(finished("damaged"), damaged).unwrap();
     std::fs::rename(finished("named"), active("named")).unwrap();
-    // Already recovered; only the removal of the original is missing.
+    // This file is already recovered, but its original was not removed yet.
     let twice = std::fs::read(active("twice")).unwrap();
     recover_file_on(&SystemDisk, &active("twice")).unwrap();
     std::fs::write(active("twice"), twice).unwrap();
-    // Another run has its name.
+    // Another run already has the name of this file.
     std::fs::copy(finished("good"), active("taken")).unwrap();
     std::fs::write(active("taken"), b"not of that run").unwrap();
     for name in ["empty.mcap.active", ".999999999-0.new"] {
@@ -43,14 +45,14 @@ fn fill(directory: &Path) {
     }
 }
 
-/// Start of the service, and `ballbard recover` with the damaged file.
+/// Recovers all unfinished files as the start of the service does, then the damaged file as `ballbard recover` does.
 fn recover(disk: &dyn shared::recording::Disk, directory: &Path) {
     let damaged = directory.join("damaged.mcap");
     let outcomes = recover_leftovers_on(disk, directory).into_iter().map(|leftover| leftover.outcome);
     for outcome in outcomes.chain([recover_file_on(disk, &damaged)]) {
         match outcome {
             Ok(Recovery::Whole { .. }) => {}
-            // Every file that is reported exists.
+            // Every file that is reported must exist and have the reported number of cycles.
             Ok(Recovery::Renamed { file, content } | Recovery::Recovered { file, content, .. }) => {
                 assert_eq!(Recording::open(&file).unwrap().cycles.len() as u64, content.cycles, "{file:?}");
             }
@@ -59,7 +61,7 @@ fn recover(disk: &dyn shared::recording::Disk, directory: &Path) {
     }
 }
 
-/// Cycles of each finished recording.
+/// The cycles of each finished recording, by the name of its file.
 fn finished(directory: &Path) -> BTreeMap<String, Vec<CycleRecord>> {
     files(directory)
         .into_iter()
@@ -101,7 +103,8 @@ impl Clean {
         cases.filter(|(call, _, fault)| *fault != Fault::CutsShort || call.moves_bytes()).collect()
     }
 
-    /// With the fault, then again on a disk without faults, as at the next start.
+    /// Recovers the files with this fault of the disk. Then recovers them again on a disk without
+    /// faults, as the next start does.
     fn check(&self, fault: (Call, usize, Fault)) {
         let directory = tempfile::tempdir().unwrap();
         let directory = directory.path();
@@ -111,7 +114,7 @@ impl Clean {
         let now = finished(directory);
         assert!(now.keys().eq(self.finished.keys()), "{:?}", now.keys());
         for (name, cycles) in &self.finished {
-            // The quarantined file may hold a part that the disk did not return then.
+            // The file that was set aside may contain cycles that the disk did not return during the first recovery.
             let torn = directory.join(format!("{name}.mcap.torn"));
             let is_kept = || {
                 [format!("{name}.mcap.active"), format!("{name}.mcap")].iter().any(|original| {

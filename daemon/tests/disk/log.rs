@@ -1,5 +1,6 @@
-//! Each write of the log fails, hangs, is cut short, or is the last that the disk accepts. A thread that logs never
-//! waits, and the log counts its missing lines at the place where they are missing.
+//! Injects a fault into each write of the log: the write fails, hangs or transfers a single byte, or the disk
+//! fails from there on. A thread that logs never waits. The log states the number of missing lines at the
+//! position where they are missing.
 
 use std::fs::File;
 use std::path::Path;
@@ -12,7 +13,7 @@ use crate::support::runs::in_parallel;
 use crate::support::wall::{Call, Fault, Wall};
 
 const LINES: usize = 20;
-/// Longer than the program's shutdown may wait, with the delay of a busy machine.
+/// Duration of a hang. It is longer than the shutdown of the program may take, including the delay of a busy machine.
 const HANG: Duration = Duration::from_secs(10);
 
 fn check(nth: usize, fault: Fault) {
@@ -25,7 +26,7 @@ fn check(nth: usize, fault: Fault) {
     assert!(begun.elapsed() < HANG / 2, "it waited {:?}", begun.elapsed());
     lines.flush();
     assert!(begun.elapsed() < HANG, "its end waited {:?}", begun.elapsed());
-    // Only this test waits: for the rest of a write that hung, or for a busy machine.
+    // Only this test waits, either for the rest of a write that hung or for a busy machine.
     wall.release();
     while !lines.flush() {}
     let text = std::fs::read_to_string(path).unwrap();

@@ -1,4 +1,4 @@
-//! A run of several days is drawn and exported as a table within the memory that a short run takes.
+//! A run of several days is drawn, and exported as a table, with no more memory than a short run needs.
 
 use std::io;
 
@@ -11,7 +11,7 @@ use crate::support::runs::leave;
 
 #[test]
 fn what_a_plot_or_a_table_holds_does_not_grow_with_the_run() {
-    // The additional cycles of the long run are 9 MB of records.
+    // The additional cycles of the long run take 9 MB of records.
     let (short, long) = (600, 60_000);
     let directory = tempfile::tempdir().unwrap();
     let peaks = [short, long].map(|cycles| {

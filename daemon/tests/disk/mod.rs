@@ -1,4 +1,4 @@
-//! Recovery, log, downloads and `ballbard record` on disks that hang or refuse, in real time.
+//! Recovery, log, downloads and `ballbard record` in real time, on disks that hang or refuse calls.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 mod leftovers;

@@ -1,4 +1,5 @@
-//! Effects of a hanging disk in real time: download threads, and a cycle that advances virtual time itself.
+//! Effects of a hanging disk in real time: on threads that serve downloads, and on a cycle that
+//! advances its own virtual time.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -20,9 +21,9 @@ use tower::ServiceExt;
 use crate::support::runs::{bar, daemon_in, in_parallel, settings};
 use crate::support::wall::{Call, Fault, Wall};
 
-/// Longest time for a few answers on a busy machine.
+/// Longest time that a few answers take on a busy machine.
 const SLACK: Duration = Duration::from_secs(20);
-/// Longer than any client waits.
+/// Duration of a hang that is longer than any client waits.
 const EVER: Duration = Duration::from_secs(60);
 
 struct Day {
@@ -72,7 +73,7 @@ impl Day {
         self.ask("POST", path, body)
     }
 
-    /// Waits for a state.
+    /// Waits for a state of the service. Panics if the service does not reach the state.
     fn wait_for(&self, state: ServiceState) {
         let begun = Instant::now();
         let is_there = |status: &Status| status.state == state;
@@ -98,7 +99,7 @@ fn runtime() -> tokio::runtime::Runtime {
     tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap()
 }
 
-/// A download of the run `day` while another is recorded.
+/// Downloads the run `day` as `what` while the disk hangs and another run is recorded.
 fn check_download(day: &Day, what: &str) {
     day.record(&format!("besides-{what}"));
     day.wall.strike_next(Call::Read, Fault::Hangs(SLACK));
@@ -144,8 +145,8 @@ fn a_download_that_waits_for_the_disk_holds_up_nobody_else() {
     day.service.join().unwrap();
 }
 
-/// Result of `ballbard record` with one run on its own virtual time, interrupted while the disk hangs at `call` before
-/// the run has a file.
+/// Runs `ballbard record` with a run on its own virtual time. Interrupts it while the disk hangs at `call`, before the run
+/// has a file. The command must end soon and report the interruption and the disk.
 fn check_record(call: Call) {
     let directory = tempfile::tempdir().unwrap();
     let daemon = daemon_in(directory.path());

@@ -1,4 +1,4 @@
-//! A bus time that cannot be true, right after the bring-up.
+//! The bus reports an impossible time immediately after its bring-up.
 
 use std::io;
 use std::sync::Arc;
@@ -15,12 +15,12 @@ use shared::time::{MonoNs, UtcNs};
 use super::rig::plan;
 
 const FRMW: u8 = 14;
-/// Ethernet and EtherCAT headers.
+/// Size of the Ethernet and EtherCAT headers.
 const HEADERS_BYTES: usize = 16;
 const DATAGRAM_HEADER_BYTES: usize = 10;
 const HOUR_NS: u64 = 3_600_000_000_000;
 
-/// While its flag is set, returns replies whose bus time is an hour ahead.
+/// A wire that returns replies whose bus time is an hour ahead while the flag `misread` is set.
 struct HourAhead {
     wire: InProcessWire,
     misread: Arc<AtomicBool>,

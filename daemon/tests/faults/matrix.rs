@@ -1,4 +1,4 @@
-//! The fault matrix: for each fault, the records that it produces and its duration.
+//! The fault matrix. For each fault it lists the expected flags of the records, and how long they last.
 
 use ballbard::problem::CODES;
 use ballbard::segment::faults::Fault;
@@ -6,20 +6,20 @@ use shared::recording::schema::{EventKind, flags};
 
 use super::rig::Rig;
 
-/// First cycle with faults.
+/// Number of the first cycle with faults.
 const BEGIN: usize = 200;
 
 struct Row {
     name: &'static str,
-    /// Each fault, with its number of cycles.
+    /// Each fault, with the number of cycles that it lasts.
     faults: &'static [(Fault, usize)],
-    /// Flags of the cycles without a valid sample.
+    /// Flags that are permitted in cycles without a valid sample.
     flags: u32,
-    /// Most cycles from the end of the fault to the first valid one.
+    /// Largest number of cycles from the end of the last fault to the first valid cycle.
     recovered_within: usize,
-    /// True if counts have a new origin afterwards.
+    /// True if the counters have a new origin after the fault.
     origin_changed: bool,
-    /// Texts of the events that are expected.
+    /// Texts that the events must contain.
     told: &'static [&'static str],
 }
 
@@ -46,7 +46,7 @@ const ABORT: Fault = Fault::MailboxAbort { position: 2, code: 0x0800_0022 };
 const SILENT: Fault = Fault::MailboxSilent { position: 3 };
 const EMERGENCY: Fault = Fault::MailboxEmergency { position: 1, code: 0xff00 };
 
-/// Bring-up of the bus: about 0.7 s.
+/// Number of cycles that a bring-up of the bus takes, about 0.7 s.
 const BRING_UP: usize = 90;
 const SILENCE: u32 = flags::NO_REPLY | flags::STALE_INPUT | flags::TERMINAL_ERROR;
 const DOWN: u32 = flags::BUS_DOWN;
@@ -104,7 +104,7 @@ const ROWS: [Row; 30] = [
     powered_off(row("emergency after a power cycle", &[(gone(3), 20), (EMERGENCY, 20)], GONE | DOWN, 2 * BRING_UP + 60, &["attempts", "without power"])),
 ];
 
-/// Result of a row.
+/// Result of a row: number of cycles without a valid sample, their flags, and the number of cycles until recovery.
 struct Outcome {
     flagged: usize,
     flags: u32,

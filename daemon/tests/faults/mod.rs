@@ -1,4 +1,4 @@
-//! Faults of the simulated segment, and the acquisition under them. All on virtual time.
+//! The acquisition while the simulated segment has faults. All tests run on virtual time.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 mod bus_time;

@@ -1,4 +1,4 @@
-//! Many cycles under random faults.
+//! Runs of many cycles with random faults.
 
 use ballbard::segment::faults::Fault;
 use rand::{Rng, SeedableRng, rngs::StdRng};
@@ -27,7 +27,8 @@ fn any_fault(random: &mut StdRng) -> Fault {
     }
 }
 
-/// Runs with up to three faults at a time, each followed by a time without faults.
+/// Runs `cycles` cycles. Repeatedly starts up to three random faults at once, ends them, and waits
+/// for a time without faults.
 fn play(mut rig: Rig, seed: u64, cycles: usize) -> Rig {
     let mut random = StdRng::seed_from_u64(seed);
     while rig.records.len() < cycles {
@@ -42,7 +43,7 @@ fn play(mut rig: Rig, seed: u64, cycles: usize) -> Rig {
     rig
 }
 
-/// Number of valid records, after each record was compared with the truth.
+/// Compares each record with the true counts of the encoders. Returns the number of valid records.
 fn judge(rig: &Rig) -> usize {
     rig.assert_complete();
     for record in &rig.records {

@@ -1,4 +1,5 @@
-//! An acquisition on a segment whose faults the test controls, and the truth for comparison.
+//! An acquisition on a simulated segment whose faults the test controls. The rig also has the true motion of the encoders,
+//! for comparison with the records.
 
 use std::f64::consts::TAU;
 use std::time::Duration;
@@ -16,7 +17,7 @@ use shared::time::UtcNs;
 const TERMINALS: usize = 5;
 const LINES: u32 = 3600;
 const BITS: u8 = 12;
-/// 0.4 rad/s.
+/// Largest speed of an encoder, 0.4 rad/s, in counts per second.
 const COUNTS_PER_S_MAX: f64 = 0.4 / TAU * 3600.0 * 4096.0;
 
 pub struct Rig {
@@ -41,12 +42,12 @@ pub fn plan(period_ns: i64, distributed_clocks: bool) -> BusPlan {
 }
 
 impl Rig {
-    /// In OP at 100 Hz with distributed clocks; the next cycle is number 0 of a run.
+    /// Brings the bus into OP at 100 Hz with distributed clocks. The next cycle is number 0 of a run.
     pub fn new(seed: u64) -> Self {
         Self::with(seed, 10_000_000, true)
     }
 
-    /// With another period, or without distributed clocks.
+    /// Brings the bus into OP with this period \[ns\], with or without distributed clocks.
     pub fn with(seed: u64, period_ns: i64, distributed_clocks: bool) -> Self {
         let config = SegmentConfig { seed, ..SegmentConfig::default() };
         let motion = SmoothMotion::new(TERMINALS, LINES, seed);
@@ -61,7 +62,7 @@ impl Rig {
         Self { acquisition, faults, clock, motion, records: Vec::new(), events: Vec::new(), period_ns }
     }
 
-    /// Runs until this many cycles were recorded.
+    /// Runs the acquisition until it has recorded this number of cycles.
     pub fn run_to(&mut self, cycles: usize) {
         while self.records.len() < cycles {
             let records = &mut self.records;
@@ -71,7 +72,7 @@ impl Rig {
         }
     }
 
-    /// All events up to now, as in the file.
+    /// All events up to now, in the form in which the file stores them.
     pub fn told(&self) -> Vec<Event> {
         let names = BusNames {
             bus: "simulated".into(),
@@ -81,7 +82,8 @@ impl Rig {
         self.events.iter().map(|event| event.to_event(&names)).collect()
     }
 
-    /// Each due cycle is there once, in order, and time advances at the cycle's rate.
+    /// Checks that each due cycle has exactly one record, that records are in order, and that their times advance at
+    /// the rate of the cycle.
     pub fn assert_complete(&self) {
         for (number, record) in self.records.iter().enumerate() {
             assert_eq!(record.cycle, number as u64);
@@ -93,11 +95,11 @@ impl Rig {
         let (first, last) = (self.records.first().unwrap(), self.records.last().unwrap());
         let span_ns = last.sample_time.ns_since(first.sample_time);
         let due = 1 + (span_ns as f64 / self.period_ns as f64).round() as i64;
-        // The crystal of the bus is within 20 ppm, and its clock is set to within a few ms.
+        // The crystal of the bus is within 20 ppm, and the bus clock is set to within a few ms.
         let tolerance = 1 + span_ns / self.period_ns / 40_000;
         assert!((self.records.len() as i64 - due).abs() <= tolerance, "{due} cycles were due");
         let now = self.clock.now().plus_ns(self.acquisition.utc_minus_monotonic_ns());
-        // The clock of a bus that has just come back may be off by an amount that the record states.
+        // The clock of a bus that has just recovered may have an error. The record states its uncertainty.
         let (late_ns, uncertain_ns) =
             (now.0 - last.sample_time.0, i64::from(last.sample_time_uncertainty_ns));
         assert!(
@@ -106,9 +108,9 @@ impl Rig {
         );
     }
 
-    /// All valid counts, also in cycles where another encoder is invalid, equal those of the encoders at the sample
-    /// time. After a stated change of origin they may differ by a constant number of whole periods. Returns the number
-    /// of valid counts.
+    /// Checks all valid counts, also in cycles where another encoder is invalid. Each must equal the count of the encoder at
+    /// the sample time. After a recorded change of origin, the two may differ by a constant whole number of periods. Returns
+    /// the number of valid records.
     pub fn assert_true(&self) -> usize {
         let mut origins = [Some(0i64); TERMINALS];
         let (mut valid, mut origin) = (0, 0);
@@ -118,7 +120,8 @@ impl Rig {
             }
             valid += usize::from(record.is_valid());
             let tolerance = 3.0 + 3e-9 * f64::from(record.sample_time_uncertainty_ns) * COUNTS_PER_S_MAX;
-            // A sample time that is known to less than a period does not determine the period of the origin.
+            // If the uncertainty of the sample time exceeds a period, the period of the origin cannot be determined. The
+            // count may then be off by one period.
             let tolerance = if tolerance > 2048.0 { tolerance + 4096.0 } else { tolerance };
             for (joint, (encoder, origin)) in record.encoders().iter().zip(&mut origins).enumerate() {
                 if !encoder.valid {

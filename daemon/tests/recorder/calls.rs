@@ -1,7 +1,8 @@
-//! Each disk call of a recorder fails, hangs, is cut short, or is the last that the disk answers.
+//! Injects a fault into each disk call of a recorder. The call fails, hangs or transfers a single byte, or the disk
+//! fails from this call on.
 //!
-//! As in SQLite's tests of I/O errors, the calls of a run without faults are counted; then each call gets each fault in
-//! a run of its own.
+//! The method is that of SQLite's tests of I/O errors: a run without faults counts its calls. Each call then gets each
+//! fault in a separate run.
 
 use std::path::Path;
 use std::time::Duration;
@@ -13,9 +14,9 @@ use super::rig::{Look, Outcome, Plan, record};
 use crate::support::runs::in_parallel;
 use crate::support::wall::{Call, Fault, Wall};
 
-/// Longer than a check of the disk.
+/// Duration of a hang that is longer than a check of the disk takes.
 const HANG: Duration = Duration::from_millis(1300);
-/// Runs in parallel, which use processor time only.
+/// Number of runs in parallel. A run needs processor time only.
 const AT_ONCE: usize = 4;
 
 fn plan(cycles: u64) -> Plan {
@@ -29,9 +30,9 @@ fn plan(cycles: u64) -> Plan {
     }
 }
 
-/// Removes the run's file, so that the recorder copies it.
+/// Removes the file of the run, so that the recorder must copy its data to a new file.
 fn remove(home: &Path) {
-    // A fault may already have moved it.
+    // If a fault already moved the file, there is nothing to remove.
     let _ = std::fs::remove_file(home.join("run.mcap.active"));
 }
 
@@ -68,10 +69,11 @@ fn run_of(cycles: u64, is_removed: bool, fault: Option<(Call, usize, Fault)>) ->
     record(&Plan { interfere, ..plan(cycles) }, |home| Wall::new(home, fault))
 }
 
-/// Data reported as safe is kept, every report is true, and the run continues or ends as stated.
+/// Records a run with this fault. Data that were reported as safe must be kept, every report must be true, and the run must
+/// either continue or end as it reports.
 fn check(case: &Case, cycles: u64) {
     let Case { call, nth, fault, is_removed } = *case;
-    // The run must be long enough for a warning about a hanging call.
+    // If a call hangs, the run must be long enough for a warning about the hang.
     let cycles = if matches!(fault, Fault::Hangs(_)) { cycles.max(320) } else { cycles };
     let outcome = run_of(cycles, is_removed, Some((call, nth, fault)));
     match &outcome.result {
@@ -82,7 +84,7 @@ fn check(case: &Case, cycles: u64) {
             assert!(recording.cycles.iter().all(|cycle| cycle.is_valid() && cycle.flags & flags::LOST == 0));
             assert_eq!(recording.cycles.len() as u64, cycles);
             assert!(!summary.path.with_extension("mcap.active").exists());
-            // A move to another directory was reported with its reason.
+            // If the run moved to another directory, the recorder must have reported this with its reason.
             let is_elsewhere = |look: &Look| look.snapshot.file.starts_with(outcome.spare());
             assert!(!outcome.looks.iter().any(is_elsewhere) || outcome.was_told("the run continues in"));
             outcome.check_claims(&bytes);
@@ -91,7 +93,7 @@ fn check(case: &Case, cycles: u64) {
             let text = error.to_string();
             assert!(text.contains("run"), "no word of which file: {text}");
             if outcome.looks.is_empty() {
-                // The run did not start and leaves nothing that it could remove.
+                // The run did not start. Its directory must not contain a file that the recorder could have removed.
                 let left = std::fs::read_dir(outcome.home()).map_or(0, Iterator::count);
                 assert!(left == 0 || fault != Fault::Fails || call == Call::Remove, "{left} files left");
             } else {
@@ -100,7 +102,7 @@ fn check(case: &Case, cycles: u64) {
                     .iter()
                     .flat_map(|place| [place.join("run.mcap"), place.join("run.mcap.active")])
                     .find(|path| path.exists());
-                // Otherwise the test removed the file.
+                // If the test removed the file itself, there is nothing to check.
                 if !is_removed {
                     outcome.check_claims(&std::fs::read(left.unwrap()).unwrap());
                 }

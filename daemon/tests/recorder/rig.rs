@@ -1,4 +1,5 @@
-//! A recorder between a cycle that never waits and a disk, and an observer: all on virtual time.
+//! A recorder on virtual time. Its input is a cycle that never waits, its output is a simulated disk,
+//! and an observer checks its reports.
 
 use std::cell::RefCell;
 use std::collections::HashMap;
@@ -25,46 +26,46 @@ use crate::support::runs::{daemon_in, metadata, record_of};
 use crate::support::wall::Wall;
 use crate::support::world::World;
 
-/// The run to record.
+/// Length, rates and disturbances of the run to record.
 #[derive(Debug, Clone)]
 pub struct Plan {
     pub period: Duration,
     pub cycles: u64,
     pub sync_period: Duration,
     pub ring_cycles: usize,
-    /// Cycles at whose instant a marker is set.
+    /// Numbers of the cycles during which a marker is set.
     pub marks: Vec<u64>,
-    /// The change of the directory, after this cycle.
+    /// Number of a cycle, and the change of the run's directory that happens after it.
     pub interfere: Option<(u64, Way)>,
 }
 
-/// A change of the run's directory.
+/// A function that changes the directory of the run.
 pub type Way = fn(&Path);
 
-/// An observation during the recording.
+/// An observation of the recorder and its disk during the recording.
 #[derive(Debug)]
 pub struct Look {
     pub snapshot: Snapshot,
-    /// State of the disk as a place for recordings.
+    /// Problem of the disk as a place for recordings, if the storage reports one.
     pub problem: Option<Problem>,
-    /// Bytes of the run's file that a power cut at this instant would leave.
+    /// Number of bytes of the run's file that would survive a power cut at this instant.
     pub synced_bytes: u64,
-    /// Bytes that a kill at this instant would leave.
+    /// Number of bytes of the run's file that would survive a kill of the process at this instant.
     pub written_bytes: u64,
-    /// True if the run stayed in one place during the observation.
+    /// True if the file of the snapshot still existed when its bytes were counted.
     pub is_steady: bool,
-    /// Time since the start of the run.
+    /// Time from the first cycle to the observation.
     pub at: Duration,
 }
 
-/// Result of a recording.
+/// Result of a recording, with all observations.
 pub struct Outcome {
     pub result: Result<RunSummary, WriteError>,
     pub looks: Vec<Look>,
     pub wall: Arc<Wall>,
-    /// Time from the first cycle to the fault; `None` if it came earlier.
+    /// Time from the first cycle to the fault. `None` if the fault came before the first cycle or never.
     pub struck: Option<Duration>,
-    /// Time from the last cycle to the end.
+    /// Time from the last cycle until the file was finished.
     pub finishing: Duration,
     /// Sample time of cycle 0.
     pub first: UtcNs,
@@ -80,12 +81,12 @@ impl Outcome {
         self.directory.path().join("spare")
     }
 
-    /// Maximum of a duration over all observations.
+    /// Largest value of a duration over all observations. `of` gets the duration from a snapshot.
     pub fn worst(&self, of: impl Fn(&Snapshot) -> f64) -> f64 {
         self.looks.iter().map(|look| of(&look.snapshot)).fold(0.0, f64::max)
     }
 
-    /// True if a report contained this word.
+    /// True if any observation has a problem whose text contains this word.
     pub fn was_told(&self, word: &str) -> bool {
         let told = |look: &Look| {
             let is_in = |problem: &Problem| problem.text.contains(word);
@@ -94,8 +95,9 @@ impl Outcome {
         self.looks.iter().any(told)
     }
 
-    /// Data that an observation reported as safe is in the first `bytes`: the file at the end starts with the bytes
-    /// that it had then.
+    /// Checks the reports of all observations. `bytes` is the file at the end of the run, whose beginning is the
+    /// file at the time of an observation. All cycles that an observation reported as safe must be readable from the
+    /// bytes that were safe then.
     pub fn check_claims(&self, bytes: &[u8]) {
         let mut known = HashMap::new();
         let mut cycles_in = |length| *known.entry(length).or_insert_with(|| cycles_in(bytes, length));
@@ -113,14 +115,15 @@ impl Outcome {
     }
 }
 
-/// Cycles that can be read from the first `length` bytes.
+/// Number of cycles that can be read from the first `length` bytes.
 fn cycles_in(bytes: &[u8], length: u64) -> u64 {
     let cut = &bytes[..bytes.len().min(length as usize)];
     salvage(Cursor::new(cut), Cursor::new(Vec::new()))
         .map_or(0, |(salvaged, _)| salvaged.cycles - salvaged.cycles_lost)
 }
 
-/// Records on a disk, on virtual time. Without a file the result is an error without observations.
+/// Records the run on a simulated disk, on virtual time. If the run gets no file, the result
+/// is an error without observations.
 pub fn record(plan: &Plan, wall: impl FnOnce(&Path) -> Wall) -> Outcome {
     let world = World::begin();
     let outcome = record_in(&world, plan, wall);
@@ -147,7 +150,7 @@ fn record_in(world: &World, plan: &Plan, wall: impl FnOnce(&Path) -> Wall) -> Ou
         Ok(writer) => writer,
         Err(error) => return Outcome { result: Err(error), ..outcome },
     };
-    // As in real time, the cycle does not wait.
+    // The cycle drops records when the ring is full, as it does in real time. It never waits.
     let (sink, source) = record::ring(plan.ring_cycles, record::FullRing::Drops);
     let limits = Limits {
         cycle_period: plan.period,
@@ -202,7 +205,7 @@ fn since(at: MonoNs, from: MonoNs) -> Duration {
     Duration::from_nanos(at.ns_since(from).max(0) as u64)
 }
 
-/// How a run ended.
+/// Result of a run, the instant of its end, and the instant of its last cycle.
 #[derive(Default)]
 struct Ended {
     result: Option<Result<RunSummary, WriteError>>,
@@ -210,7 +213,7 @@ struct Ended {
     last_cycle: MonoNs,
 }
 
-/// The cycle: one record per period, without waiting.
+/// Simulates the cycle: passes one record per period to the recorder and never waits.
 struct Cycle {
     plan: Plan,
     next: u64,
@@ -228,7 +231,8 @@ impl Stepper for Cycle {
         let sink = self.sink.as_mut()?;
         let (cycle, period_ns) = (self.next, self.plan.period.as_nanos() as i64);
         if cycle == self.plan.cycles || sink.is_abandoned() {
-            // Before the ring is dropped, as the cycle does it: the file counts as present while it is being finished.
+            // Like the real cycle, sets this before the ring is dropped. The file then counts as present
+            // while it is being finished.
             self.stop.stop("test over");
             self.sink = None;
             self.ended.borrow_mut().last_cycle = now;
@@ -238,7 +242,7 @@ impl Stepper for Cycle {
         sink.push(&record_of(cycle, UtcNs(at.0)));
         sink.push_timing(CycleTiming { late_ns: 1000, round_trip_ns: Some(1), duration_ns: 1 });
         if self.plan.marks.contains(&cycle) {
-            // In the middle of the cycle.
+            // A marker is set in the middle of the cycle.
             let at = at.plus_ns(period_ns / 2);
             self.marks.send(Marker { at, text: format!("cycle {cycle}") }).unwrap();
         }
@@ -252,7 +256,7 @@ impl Stepper for Cycle {
     }
 }
 
-/// Polls the recorder and finishes its file.
+/// Polls the recorder, and finishes its file at the end of the run.
 struct Writing {
     recorder: Option<Recorder>,
     ended: Rc<RefCell<Ended>>,
@@ -273,7 +277,7 @@ impl Stepper for Writing {
     }
 }
 
-/// Observes run and disk every 5 ms.
+/// Observes the run and its disk every 5 ms.
 struct Looker {
     storage: Storage,
     progress: Arc<RunProgress>,
@@ -285,7 +289,8 @@ struct Looker {
 impl Stepper for Looker {
     fn poll(&mut self, now: MonoNs) -> Option<Duration> {
         let (problem, snapshot) = (self.storage.problem(), self.progress.get());
-        // Measured after the snapshot whose statements it must cover, all from one file.
+        // Measures the lengths after taking the snapshot, because they must cover what the snapshot reports. All of
+        // them are from one file.
         let file = std::fs::metadata(&snapshot.file).ok();
         let written_bytes = file.as_ref().map_or(0, Metadata::len);
         let synced_bytes = file.as_ref().map_or(0, |file| self.wall.synced_bytes(file.ino()));

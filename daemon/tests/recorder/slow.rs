@@ -1,4 +1,4 @@
-//! Slow disks: their effects, the time of the effects, and the reports.
+//! The effects of slow disks on a recording, the time at which they occur, and the reports about them.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -15,7 +15,7 @@ use super::rig::{Outcome, Plan, Way, record};
 use crate::support::runs::{in_parallel, metadata};
 use crate::support::wall::{Call, Fault, Wall};
 
-/// Period at which the recorder empties the ring.
+/// Interval at which the recorder empties the ring \[s\].
 const SLACK_S: f64 = Recorder::PERIOD.as_millis() as f64 * 1e-3;
 
 fn plan(rate_hz: u32, seconds: f64) -> Plan {
@@ -33,7 +33,7 @@ fn recording_of(outcome: &Outcome) -> Recording {
     Recording::open(&outcome.result.as_ref().unwrap().path).unwrap()
 }
 
-/// Each marker has the instant at which it was set and the cycle of that instant.
+/// Checks that each marker has the instant at which it was set, and the number of the cycle of that instant.
 fn check_marks(plan: &Plan, outcome: &Outcome, recording: &Recording) {
     let found: Vec<_> = recording.events.iter().filter(|event| event.kind == EventKind::Marker).collect();
     assert_eq!(found.len(), plan.marks.len());
@@ -54,12 +54,12 @@ fn check_slow_sync(rate_hz: u32, sync: Duration) {
     assert_eq!((recording.cycles.len() as u64, lost), (plan.cycles, 0));
     outcome.check_claims(&std::fs::read(&outcome.result.as_ref().unwrap().path).unwrap());
     check_marks(&plan, &outcome, &recording);
-    // The machine's own disk adds to the time of each synchronisation; the file states the total.
+    // The disk of this machine adds to the duration of each synchronisation. The file states the total.
     let disk = recording.timing.unwrap().disk;
     let [longest_s, write_s] = [disk.sync_longest_ns, disk.write_longest_ns].map(|ns| ns as f64 * 1e-9);
     assert!(longest_s >= sync_s, "the file says {longest_s} s");
     let period_s = plan.sync_period.as_secs_f64();
-    // A kill loses data independent of the disk's synchronisation; a power cut depends on it.
+    // The data that a kill would lose do not depend on the disk's synchronisation. Those that a power cut would lose do.
     let (kill_s, cut_s) = (outcome.worst(|seen| seen.backlog_s), outcome.worst(|seen| seen.unsynced_s));
     assert!(kill_s <= period_s + write_s + SLACK_S, "a kill costs {kill_s} s, a write {write_s} s");
     assert!(
@@ -69,7 +69,7 @@ fn check_slow_sync(rate_hz: u32, sync: Duration) {
     let is_reported = outcome.was_told("a power failure now would cost");
     assert_eq!(is_reported, cut_s > 2.0 * period_s, "{sync_s} s, a power cut costs {cut_s} s");
     assert!(is_reported || sync_s < 1.0, "{sync_s} s");
-    // One in progress, and the last one.
+    // Finishing waits for the synchronisation in progress and for the last one.
     let finishing_s = outcome.finishing.as_secs_f64();
     assert!(finishing_s < 2.0 * longest_s + 2.0, "finished {finishing_s} s after the end");
     println!(
@@ -98,14 +98,14 @@ fn synchronisations_of_up_to_five_seconds() {
 #[test]
 fn while_a_write_hangs_cycles_and_markers_wait_and_that_is_reported() {
     let mut plan = plan(100, 5.0);
-    // Before, during and after the hang.
+    // Markers are set before, during and after the hang.
     plan.marks = vec![50, 150, 250, 251, 450];
     let hang = Fault::Hangs(Duration::from_secs(3));
     let outcome = record(&plan, |home| Wall::new(home, Some((Call::Write, 3, hang))));
     let recording = recording_of(&outcome);
     assert!(recording.cycles.iter().all(|cycle| cycle.is_valid()) && recording.cycles.len() == 500);
     check_marks(&plan, &outcome, &recording);
-    // With text and a true figure before data is at risk.
+    // While no data is lost yet, a report must warn with a text and the true duration.
     assert!(outcome.was_told("wait to be written, above 60 s cycles are lost"));
     let backlog_s = outcome.worst(|seen| seen.backlog_s);
     assert!((2.9..3.5 + SLACK_S).contains(&backlog_s), "{backlog_s} s");
@@ -124,7 +124,7 @@ fn cycles_that_a_full_ring_refuses_are_counted_at_once() {
     let while_it_hung = |at: Duration| at > struck && at < struck + Duration::from_secs(2);
     let mut told: Vec<u64> =
         outcome.looks.iter().filter(|look| while_it_hung(look.at)).map(|look| look.snapshot.lost).collect();
-    // They rise one by one while the disk hangs, and the file states the final number.
+    // The lost cycles are counted one by one while the disk hangs, and the file states their final number.
     told.dedup();
     assert!(told.len() > 20 && told.is_sorted(), "{told:?}");
     assert_eq!(outcome.looks.last().unwrap().snapshot.lost, summary.cycles_lost);
@@ -137,7 +137,7 @@ fn cycles_that_a_full_ring_refuses_are_counted_at_once() {
 #[test]
 fn a_file_or_directory_that_vanishes_is_reported_within_a_second_and_the_run_goes_on() {
     let file = |home: &Path| std::fs::remove_file(home.join("run.mcap.active")).unwrap();
-    // Renamed first, because a run could add files while the directory is being removed.
+    // Renames the directory before removing it, because a run could add files while the directory is being removed.
     let directory = |home: &Path| {
         let gone = home.with_file_name("gone");
         std::fs::rename(home, &gone).unwrap();
@@ -146,7 +146,7 @@ fn a_file_or_directory_that_vanishes_is_reported_within_a_second_and_the_run_goe
     let moved = |home: &Path| std::fs::rename(home, home.with_file_name("elsewhere")).unwrap();
     let replaced = |home: &Path| {
         let in_the_way = home.with_file_name("in the way");
-        // A path that is not a directory takes no files, so only the spare directory is left.
+        // A path that is not a directory accepts no files, so the run can only continue in the spare directory.
         std::fs::write(&in_the_way, "in the way").unwrap();
         renameat2(AT_FDCWD, &in_the_way, AT_FDCWD, home, RenameFlags::RENAME_EXCHANGE).unwrap();
         std::fs::remove_dir_all(in_the_way).unwrap();
@@ -166,7 +166,8 @@ fn a_file_or_directory_that_vanishes_is_reported_within_a_second_and_the_run_goe
     });
 }
 
-/// A check takes as long as the disk does, and the copy of a run may have the name that its file had.
+/// A check of a file takes as long as the disk needs. If the run moves during this time, its new file may have the path of
+/// the old one. The result of the check must not be applied to the new file.
 #[test]
 fn a_look_that_began_before_a_run_moved_reports_nothing_about_its_new_file() {
     let (directory, period) = (tempfile::tempdir().unwrap(), Duration::from_millis(10));

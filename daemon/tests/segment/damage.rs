@@ -1,11 +1,11 @@
-//! For any data on the wire the segment neither panics nor changes the length of a frame.
+//! For any data on the wire, the segment does not panic and does not change the length of a frame.
 
 use proptest::prelude::*;
 
 use super::frames::*;
 use super::operation::Ramp;
 
-/// A terminal in OP, and one in its initial state.
+/// A wire with one terminal in OP and one in its initial state.
 fn operating() -> Wire {
     let mut wire = Wire::new(2, Ramp);
     wire.enter_safeop(TERMINAL);
@@ -31,7 +31,7 @@ fn any_datagram() -> impl Strategy<Value = Datagram> {
         .prop_map(|(command, device, memory, data)| datagram(command, device, memory, &data))
 }
 
-/// A request that reaches the object dictionary.
+/// Any mailbox request whose header lets it reach the object dictionary.
 fn any_mailbox_request() -> impl Strategy<Value = Datagram> {
     (prop::collection::vec(any::<u8>(), 128..=128), 0u16..140, any::<bool>()).prop_map(
         |(mut data, length, coe)| {

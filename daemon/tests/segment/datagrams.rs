@@ -1,4 +1,4 @@
-//! The rules of single datagrams: addressing, exchange, working counter.
+//! Rules of single datagrams: addressing of devices, exchange of data, and the working counter.
 
 use super::frames::*;
 use super::operation::Ramp;
@@ -102,7 +102,7 @@ fn logical_commands_count_inputs_and_outputs_once_they_are_open() {
     let [reply] = wire.send([logical(LRW, 0, &data)]);
     assert_eq!(reply.data[10..], data[10..], "outputs pass on as they came");
     assert_ne!(reply.data[..10], data[..10], "inputs are put in");
-    // An FMMU without its sync manager returns nothing.
+    // An FMMU without its sync manager transfers no data.
     wire.sync_manager(TERMINAL, 3, 0x1180, 0, 0x20);
     assert_eq!(count(&mut wire), [0, 1, 2]);
 }

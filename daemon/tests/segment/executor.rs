@@ -1,4 +1,5 @@
-//! Runs ethercrab's futures against a segment on a virtual clock, which only frames advance.
+//! Runs the futures of ethercrab against a segment on a virtual clock. Each exchange of frames advances this clock,
+//! and so does idle waiting.
 
 use std::future::Future;
 use std::pin::pin;
@@ -12,11 +13,11 @@ use shared::time::UtcNs;
 
 const FRAMES: usize = 16;
 const FRAME_DATA: usize = PduStorage::element_size(1100);
-/// Step of the time while no frame is on the wire.
+/// Time by which the clock advances while no frame is on the wire \[ns\].
 const IDLE_NS: i64 = 50_000;
 
 thread_local! {
-    /// Each test has its own thread, so its own time.
+    /// Each test runs in its own thread and therefore has its own time.
     static CLOCK: Clock = Clock::virtual_from(UtcNs(0));
 }
 
@@ -30,7 +31,7 @@ pub fn pass_ns(duration_ns: i64) {
     CLOCK.with(|clock| clock.sleep_until(clock.now().plus_ns(duration_ns)));
 }
 
-/// A master with a segment on its network interface.
+/// An ethercrab MainDevice whose network interface is connected to a simulated segment.
 pub struct Bench {
     pub segment: SimulatedSegment,
     pub maindevice: &'static MainDevice<'static>,
@@ -48,7 +49,7 @@ impl Bench {
         Self { segment, maindevice, tx, rx }
     }
 
-    /// Polls a future to its end while frames go back and forth.
+    /// Polls a future until it is ready, and transfers the frames that it sends and receives.
     pub fn run<F: Future>(&mut self, future: F) -> F::Output {
         let mut future = pin!(future);
         let mut context = Context::from_waker(Waker::noop());
@@ -62,7 +63,7 @@ impl Bench {
         }
     }
 
-    /// Transfers the frames that are to be sent; false if there were none.
+    /// Transfers all frames that ethercrab wants to send. Returns false if there were none.
     fn carry_frames(&mut self) -> bool {
         let mut carried = false;
         while let Some(frame) = self.tx.next_sendable_frame() {

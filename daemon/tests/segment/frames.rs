@@ -1,4 +1,4 @@
-//! A master that sends single frames, each defined by the test.
+//! A master that sends single frames. The test defines the content of each frame.
 
 use ballbard::segment::simulated::{EncoderSource, Revision, SegmentConfig, SimulatedSegment};
 
@@ -23,11 +23,11 @@ pub const PREOP: u8 = 2;
 pub const SAFEOP: u8 = 4;
 pub const OP: u8 = 8;
 
-/// Station address of the coupler; the terminals follow.
+/// Station address of the coupler. The terminals have the addresses after it.
 pub const STATION: u16 = 0x1000;
 pub const TERMINAL: u16 = STATION + 1;
 
-/// A command, or its result.
+/// A datagram as it is sent, or as it returns from the devices.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Datagram {
     pub command: u8,
@@ -91,7 +91,7 @@ pub struct Wire {
 }
 
 impl Wire {
-    /// A segment whose devices have their station addresses.
+    /// A segment whose devices already have their station addresses.
     pub fn new(terminals: usize, source: impl EncoderSource + 'static) -> Self {
         Self::with_revision(terminals, Revision::default(), source)
     }
@@ -131,7 +131,7 @@ impl Wire {
         self.send([datagram(FPWR, station, register, data)])[0].working_counter
     }
 
-    /// Requests a state and waits; returns AL status and AL status code.
+    /// Requests a state and waits 5 ms. Returns AL status and AL status code.
     pub fn request(&mut self, station: u16, control: u8) -> (u8, u16) {
         self.write(station, 0x0120, &[control, 0]);
         self.pass_ms(5);
@@ -169,7 +169,7 @@ impl Wire {
         assert_eq!(self.request(station, PREOP), (PREOP, 0));
     }
 
-    /// Sync managers and FMMUs of the process data: inputs at logical 0, outputs at logical 16.
+    /// Sets the sync managers and FMMUs of the process data. Inputs are at logical address 0, outputs at 16.
     pub fn map(&mut self, station: u16) {
         self.sync_manager(station, 2, 0x1100, 6, 0x24);
         self.sync_manager(station, 3, 0x1180, 10, 0x20);
@@ -183,7 +183,7 @@ impl Wire {
         assert_eq!(self.request(station, SAFEOP), (SAFEOP, 0));
     }
 
-    /// SYNC0 every 10 ms, first at 20 ms.
+    /// Activates SYNC0 every 10 ms. The first one is due 20 ms from now.
     pub fn activate_dc(&mut self, station: u16, sync1_ns: u32, activation: u8) {
         let now = i64::from_le_bytes(self.read(station, 0x0910));
         self.start_dc(station, now + 20_000_000, sync1_ns, activation);
@@ -197,7 +197,7 @@ impl Wire {
         assert_eq!(self.write(station, 0x0981, &[activation]), 1);
     }
 
-    /// Exchanges process data with the mapped terminal: sends control word and set value, returns the inputs.
+    /// Exchanges process data with the mapped terminal. Sends control byte and set value; returns working counter and inputs.
     pub fn process_data(&mut self, control: u8, value: u32) -> (u16, [u8; 10]) {
         let mut data = [0; 22];
         data[16] = control;
@@ -206,7 +206,7 @@ impl Wire {
         (reply.working_counter, reply.data[..10].try_into().unwrap())
     }
 
-    /// Sends an SDO request through the mailbox; takes and returns the content after the CoE header.
+    /// Sends an SDO request through the mailbox. Request and answer are the content after the CoE header.
     pub fn sdo(&mut self, station: u16, content: &[u8]) -> Vec<u8> {
         let answer = self.mailbox(station, 3, &[&[0, 0x20], content].concat());
         answer[8..].to_vec()

@@ -1,4 +1,4 @@
-//! From INIT to OP with an unmodified ethercrab, and the cycles that follow.
+//! The segment goes from INIT to OP with an unmodified ethercrab, and then exchanges cycles.
 
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -18,7 +18,7 @@ const SYNC1: Duration = Duration::from_micros(25);
 pub type PreOpGroup = SubDeviceGroup<16, 128, DefaultLock, PreOp>;
 pub type OpGroup = SubDeviceGroup<16, 128, DefaultLock, Op, HasDc>;
 
-/// Every encoder turns at two periods per millisecond of system time, each from its own start.
+/// An encoder source whose position is a linear function of system time. Each encoder starts at a position of its own.
 pub struct Ramp;
 
 impl Ramp {
@@ -27,7 +27,7 @@ impl Ramp {
     }
 
     fn position(channel: usize, time_ns: i64) -> i64 {
-        // 2^32 fraction steps a period, a period in 2^22 ns (4.2 ms): 1024 steps a nanosecond.
+        // A period has 2^32 fraction steps and lasts 2^22 ns (4.2 ms), so the position advances by 1024 steps a nanosecond.
         (time_ns << 10).wrapping_add(channel as i64 * 7 * Periods::ONE)
     }
 }
@@ -58,7 +58,8 @@ pub fn preop(bench: &mut Bench) -> PreOpGroup {
     bench.run(maindevice.init_single_group::<16, 128>(|| now_ns() as u64)).expect("PRE-OP")
 }
 
-/// Into OP as the daemon does it: SYNC0 every 10 ms, SYNC1 25 us later, frames half way between.
+/// Brings the group into OP as the daemon does it. SYNC0 occurs every 10 ms and SYNC1 25 us after it. Frames are sent half
+/// way between two SYNC0 events.
 pub fn operational(bench: &mut Bench, mut group: PreOpGroup) -> OpGroup {
     let maindevice = bench.maindevice;
     for mut subdevice in group.iter_mut(maindevice) {
@@ -89,7 +90,7 @@ pub struct Cycle {
     pub dc_time_ns: i64,
 }
 
-/// One bus cycle, and the wait for the next.
+/// Exchanges the frame of one bus cycle, then waits until the next cycle is due.
 pub fn cycle(bench: &mut Bench, group: &OpGroup) -> Cycle {
     let response = bench.run(group.tx_rx_dc(bench.maindevice)).expect("a cycle");
     pass_ns(response.extra.next_cycle_wait.as_nanos() as i64);
@@ -223,7 +224,7 @@ fn the_counter_follows_the_interpolation_that_is_set() {
     }
 }
 
-/// Notes the times of its conversions.
+/// Passes an encoder source through and logs channel and time of each conversion.
 struct Logged<S>(S, Arc<Mutex<Vec<(usize, Conversion)>>>);
 
 impl<S: EncoderSource> EncoderSource for Logged<S> {
@@ -269,7 +270,7 @@ fn the_bus_comes_back_after_a_restart_of_the_master() {
     let group = bench.run(group.into_safe_op(maindevice)).expect("OP to SAFE-OP");
     let group = bench.run(group.into_pre_op(maindevice)).expect("SAFE-OP to PRE-OP");
     bench.run(group.into_init(maindevice)).expect("PRE-OP to INIT");
-    // Once in order, and once at an arbitrary time.
+    // After the orderly shutdown, the master also restarts without any shutdown.
     let group = preop(&mut bench);
     operational(&mut bench, group);
     let group = preop(&mut bench);
@@ -292,7 +293,7 @@ fn without_distributed_clocks_counts_are_one_cycle_old() {
         assert_eq!(response.working_counter, 6);
         let bytes: [u8; 10] = group.subdevice(maindevice, 1).unwrap().inputs_raw()[..].try_into().unwrap();
         let shown = u32::from_le_bytes(bytes[2..6].try_into().unwrap());
-        // The first terminal is one hop after the coupler; a count lasts 4 us.
+        // The first terminal is one hop behind the coupler. A count lasts 4 us.
         if number > 1 {
             assert!(Ramp::count(0, before_ns + 150, 10).abs_diff(shown) <= 1, "cycle {number}");
         }

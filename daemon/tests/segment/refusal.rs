@@ -1,4 +1,4 @@
-//! Requests that the terminal refuses, and the status code of each refusal.
+//! Requests that a terminal must refuse, and the AL status code of each refusal.
 
 use super::frames::*;
 use super::operation::Ramp;
@@ -12,7 +12,7 @@ fn preop() -> Wire {
     wire
 }
 
-/// A terminal in SAFE-OP on distributed clocks.
+/// A wire with a terminal in SAFE-OP that is synchronous with distributed clocks.
 fn safeop_on_clock(sync1_ns: u32) -> Wire {
     let mut wire = preop();
     wire.map(TERMINAL);

@@ -1,4 +1,4 @@
-//! A recording passes through the bus unchanged.
+//! A recording that is replayed passes through the bus unchanged.
 
 use ballbard::segment::simulated::{
     Conversion, EncoderSource, Replay, ReplayError, SegmentConfig, Signal, SimulatedSegment,
@@ -76,20 +76,20 @@ fn without_distributed_clocks_rows_follow_the_frames() {
         shown.push(u32::from_le_bytes(wire.process_data(0, 0).1[2..6].try_into().unwrap()));
         wire.now_ns = frame_ns + PERIOD_NS;
     }
-    // A terminal that is synchronous with frames returns the conversion of the previous frame.
+    // A terminal that is synchronous with frames returns the conversion of the previous frame, so counts are one cycle late.
     assert_eq!(shown[1..], counts);
     assert!(handle.has_ended());
 }
 
 #[test]
 fn after_the_clock_of_the_bus_was_set_encoders_stand_between_two_rows() {
-    // Past the overflow of the counter, 1000 counts a row.
+    // Counts increase by 1000 a row and pass the overflow of the counter.
     let counts: Vec<u32> = (0..40u32).map(|row| (row * 1000).wrapping_sub(10_500)).collect();
     let (mut replay, handle) = Replay::new(counts.clone(), 1, PERIOD_NS).unwrap();
     handle.start_at(0);
     for (row, &recorded) in counts.iter().enumerate().take(39) {
         let nominal_ns = row as i64 * PERIOD_NS;
-        // With a drift of 0.1 us a cycle, then set by a quarter of a cycle.
+        // The clock drifts by 0.1 us a cycle. From row 10 on, it is also set back by a quarter of a cycle.
         let later_ns = if row < 10 { 0 } else { -PERIOD_NS / 4 };
         let true_time_ns = nominal_ns + 100 * row as i64 + later_ns;
         let Signal::Recorded { count } =

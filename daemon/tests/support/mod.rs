@@ -1,4 +1,4 @@
-//! Shared by tests and benchmarks of the real-time loop.
+//! Helpers that tests and benchmarks of the real-time loop share.
 #![allow(dead_code, clippy::unwrap_used, reason = "each user takes a part")]
 
 pub mod runs;
@@ -16,12 +16,12 @@ use ballbard::segment::simulated::{Conversion, EncoderSource, Signal};
 use shared::config::EncoderConfig;
 use shared::recording::schema::CycleRecord;
 
-/// Whether the status has a problem of this code.
+/// True if the status has a problem with this code.
 pub fn has_problem(status: &Status, code: &str) -> bool {
     status.problems.iter().chain(&status.bad_cables).any(|problem| problem.code() == code)
 }
 
-/// Whether the metrics have a problem of this code, now and in the total.
+/// True if the metrics have a problem with this code, both as a current problem and in the totals.
 pub fn is_in_metrics(text: &str, code: &str) -> bool {
     text.contains(&format!("ballbard_problem{{code=\"{code}\""))
         && text.contains(&format!("ballbard_problems_total{{code=\"{code}\"}}"))
@@ -30,12 +30,12 @@ pub fn is_in_metrics(text: &str, code: &str) -> bool {
 /// Path of the built `ballbard`.
 pub const PROGRAM: &str = env!("CARGO_BIN_EXE_ballbard");
 
-/// The built program, without state of the user or the machine and without a service manager.
+/// A command for the built program that uses no state of the user or the machine, and no service manager.
 pub fn ballbard() -> Command {
     isolated(Command::new(PROGRAM))
 }
 
-/// Removes from a command all state that the test did not make.
+/// Removes all environment variables from a command through which it could use state that the test did not create.
 pub fn isolated(mut command: Command) -> Command {
     const NOWHERE: &str = "/nonexistent";
     command.env("HOME", NOWHERE).env("STATE_DIRECTORY", NOWHERE);
@@ -45,13 +45,14 @@ pub fn isolated(mut command: Command) -> Command {
     command
 }
 
-/// In real time a busy machine may be late for any number of cycles; the file marks each of them.
+/// Checks that some cycles are valid and that each invalid cycle is flagged. In real time, a busy machine may be late
+/// for any number of cycles.
 pub fn assert_bad_cycles_have_reasons(cycles: &[CycleRecord]) {
     assert!(cycles.iter().any(CycleRecord::is_valid), "none of {} cycles is valid", cycles.len());
     assert!(cycles.iter().all(|cycle| cycle.is_valid() || cycle.flags != 0), "a bad cycle has no reason");
 }
 
-/// Five terminals on distributed clocks, with the frame half a period after the sample.
+/// A bus of five terminals on distributed clocks. The frame is sent half a period after the sample.
 pub fn plan(rate_hz: u64) -> BusPlan {
     let period = Duration::from_nanos(1_000_000_000 / rate_hz);
     BusPlan {
@@ -64,17 +65,17 @@ pub fn plan(rate_hz: u64) -> BusPlan {
     }
 }
 
-/// True sampling instants of the first terminal.
+/// Conversions of the first terminal with their true instants, collected by a [`Watched`] source.
 #[derive(Debug, Clone, Default)]
 pub struct TrueInstants(Arc<Mutex<Vec<Conversion>>>);
 
-/// Passes an encoder source through and notes its conversions.
+/// An encoder source that returns the signals of `source` and stores the conversions of the first terminal.
 pub struct Watched<S> {
     source: S,
     instants: TrueInstants,
 }
 
-/// Error of a sample time against the truth, and the sigma that the record states \[ns\].
+/// Error of the sample time of a record, and the standard uncertainty that the record states \[ns\].
 #[derive(Debug, Clone, Copy)]
 pub struct Stamped {
     pub cycle: u64,
@@ -83,14 +84,15 @@ pub struct Stamped {
 }
 
 impl TrueInstants {
-    /// Watches a source, with room for `conversions` of them, so that noting one allocates nothing.
+    /// Wraps a source and returns it with the instants that it will store. They have room for `conversions` entries, so
+    /// that storing one allocates nothing.
     pub fn watch<S: EncoderSource>(source: S, conversions: usize) -> (Watched<S>, Self) {
         let instants = Self(Arc::new(Mutex::new(Vec::with_capacity(conversions))));
         (Watched { source, instants: instants.clone() }, instants)
     }
 
-    /// Sample times of valid records on distributed clocks against the truth. `utc_minus_true_ns` is the UTC of the
-    /// records minus the true time.
+    /// Compares the sample times of valid records with the true instants, for terminals on distributed clocks.
+    /// `utc_minus_true_ns` is the UTC of the records minus the true time \[ns\].
     pub fn judge(&self, records: &[CycleRecord], utc_minus_true_ns: i64) -> Vec<Stamped> {
         let instants = self.0.lock().unwrap();
         let true_ns: HashMap<i64, i64> =
@@ -102,7 +104,8 @@ impl TrueInstants {
         records.iter().filter(|record| record.is_valid()).filter_map(stamped).collect()
     }
 
-    /// The same without distributed clocks: a frame returns the last sample before it was sent.
+    /// Compares the sample times of valid records without distributed clocks. A frame then returns the last
+    /// sample before it was sent.
     pub fn judge_free_running(&self, records: &[CycleRecord], utc_minus_true_ns: i64) -> Vec<Stamped> {
         let instants = self.0.lock().unwrap();
         let judge = |record: &CycleRecord| {

@@ -1,4 +1,4 @@
-//! Configurations, runs of one encoder, and parallel execution of many cases.
+//! Helpers that create configurations and runs of one encoder, and execute many test cases in parallel.
 
 use std::fmt::Debug;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -17,7 +17,7 @@ use shared::recording::RecordingWriter;
 use shared::recording::schema::{CycleRecord, EncoderInfo, EncoderSample, RunMetadata};
 use shared::time::UtcNs;
 
-/// The default configuration with its recordings in `runs` and `spare` of this directory, without a floor of free space.
+/// The default configuration without a limit of free space. Recordings are written to `runs` and `spare` in this directory.
 pub fn daemon_in(directory: &Path) -> DaemonConfig {
     DaemonConfig {
         directory: directory.join("runs"),
@@ -32,7 +32,8 @@ pub fn bar() -> BallBarConfig {
     config::parse(Kind::BallBar.built_in("ball_bar"), Path::new("ball_bar.toml")).unwrap()
 }
 
-/// A service on the simulated bus with these faults. Its marks are beside its recordings.
+/// Settings of a service on the simulated bus with these faults. The file with its reference marks is in
+/// the directory of its recordings.
 pub fn settings(daemon: DaemonConfig, faults: &[&str]) -> Settings {
     Settings {
         bus: BusChoice::Simulated,
@@ -73,7 +74,7 @@ pub fn record_of(cycle: u64, time: UtcNs) -> CycleRecord {
     record
 }
 
-/// A run of this many cycles, finished or as a crash leaves it.
+/// Writes a run of this many cycles to `directory`, either finished or in the form that a crash leaves.
 pub fn leave(directory: &Path, name: &str, cycles: u64, is_finished: bool) {
     let period = Duration::from_millis(10);
     let run = RunMetadata { name: name.into(), ..metadata(period) };
@@ -85,7 +86,7 @@ pub fn leave(directory: &Path, name: &str, cycles: u64, is_finished: bool) {
             writer.cut().unwrap();
         }
     }
-    // Copied under the lock, so that no holder of the lock is killed with it.
+    // Copies the file while its writer holds the lock. The copy itself is not locked, like the file of a killed process.
     let (file, _writer) = if is_finished {
         (writer.finish("test over", UtcNs(0)).unwrap(), None)
     } else {
@@ -94,7 +95,7 @@ pub fn leave(directory: &Path, name: &str, cycles: u64, is_finished: bool) {
     std::fs::copy(&file, directory.join(file.file_name().unwrap())).unwrap();
 }
 
-/// Runs all `cases`, this many in parallel, and names the failed ones at the end.
+/// Runs all `cases`, `at_once` of them in parallel. Panics at the end with a list of the cases that failed.
 pub fn in_parallel<T: Sync + Debug>(cases: &[T], at_once: usize, body: impl Fn(&T) + Sync) {
     let (next, failed) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
     let work = || {

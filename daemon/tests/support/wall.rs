@@ -1,4 +1,4 @@
-//! A disk that injects the faults of disks and knows which bytes of each file would survive a power cut.
+//! A disk that injects a fault into one call. It counts for each file the bytes that would survive a power cut.
 
 use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
@@ -15,7 +15,7 @@ use shared::time::MonoNs;
 
 use super::world::{World, pass};
 
-/// A call of the `Disk` trait.
+/// Identifies a call of the `Disk` trait.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Call {
     MakeDirectory,
@@ -39,39 +39,39 @@ pub enum Call {
 }
 
 impl Call {
-    /// Calls that still succeed on a dead disk, because their data is in memory.
+    /// True for calls that still succeed on a disk that has failed, because the data that they need is in memory.
     fn asks_only(self) -> bool {
         use Call::{IdAt, IdOf, Length, List, Open, Read, Space};
         matches!(self, Open | List | Read | Length | IdAt | IdOf | Space)
     }
 
-    /// The call transfers bytes.
+    /// True for calls that transfer bytes.
     pub fn moves_bytes(self) -> bool {
         matches!(self, Self::Write | Self::Read | Self::Append)
     }
 }
 
-/// A fault of one call.
+/// Effect of a fault on the call that it hits, and on later calls.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Fault {
-    /// Refuses this call only.
+    /// Refuses only this call.
     Fails,
-    /// Refuses this call and all later ones that reach the run's own directory.
+    /// Refuses this call, and all later calls that reach the run's own directory.
     Dies,
-    /// Refuses this call and all later ones.
+    /// Refuses this call, and all later calls.
     DiesEverywhere,
-    /// Delays this call only, on real time until [`Wall::release`] at most.
+    /// Delays only this call. In real time, the hang also ends on [`Wall::release`].
     Hangs(Duration),
-    /// Transfers a single byte, in this call only.
+    /// Transfers a single byte in this call.
     CutsShort,
 }
 
-/// A simulated disk, shared by its clones.
+/// A simulated disk with one fault. Files are stored on the real disk.
 #[derive(Debug)]
 pub struct Wall {
-    /// Duration of each synchronisation.
+    /// Duration that each synchronisation takes in addition to that of the real disk.
     sync_takes: Duration,
-    /// The run's own directory.
+    /// The directory of the run. [`Fault::Dies`] affects only this directory.
     home: PathBuf,
     state: Mutex<State>,
     released: Condvar,
@@ -79,21 +79,22 @@ pub struct Wall {
 
 #[derive(Debug, Default)]
 struct State {
-    /// The fault of each call by number, from 0.
+    /// The fault with its call and the number of this call among calls of the same kind, from 0.
     fault: Option<(Call, usize, Fault)>,
     calls: BTreeMap<Call, usize>,
-    /// By inode: bytes written, and bytes that were written before the start of a completed synchronisation.
+    /// By inode: number of bytes that were written. `synced` counts those that were written before the
+    /// start of a completed synchronisation.
     written: HashMap<u64, u64>,
     synced: HashMap<u64, u64>,
     inodes: HashMap<u64, bool>,
     is_dead: bool,
     is_released: bool,
     struck: Option<Instant>,
-    /// The same on virtual time.
+    /// Virtual time of the fault; `struck` is its real time.
     struck_at: Option<MonoNs>,
 }
 
-/// Permitted effect of a call.
+/// Number of bytes that a call may transfer.
 enum Permit {
     All,
     OneByte,
@@ -105,7 +106,7 @@ impl Wall {
         Self { sync_takes: Duration::ZERO, home: home.to_owned(), state, released: Condvar::new() }
     }
 
-    /// A disk whose synchronisation takes this time.
+    /// A disk without faults on which each synchronisation takes this time.
     pub fn slow(home: &Path, sync_takes: Duration) -> Self {
         Self { sync_takes, ..Self::new(home, None) }
     }
@@ -114,35 +115,35 @@ impl Wall {
         self.state.lock().unwrap()
     }
 
-    /// Number of calls of each kind.
+    /// Number of calls of each kind up to now.
     pub fn calls(&self) -> BTreeMap<Call, usize> {
         self.state().calls.clone()
     }
 
-    /// Injects this fault into the next call of this kind.
+    /// Injects this fault into the next call of this kind. It replaces the earlier fault.
     pub fn strike_next(&self, call: Call, fault: Fault) {
         let mut state = self.state();
         let nth = state.calls.get(&call).copied().unwrap_or(0);
         (state.fault, state.struck, state.is_released) = (Some((call, nth, fault)), None, false);
     }
 
-    /// Ends a hang on real time.
+    /// Ends a hang in real time.
     pub fn release(&self) {
         self.state().is_released = true;
         self.released.notify_all();
     }
 
-    /// Real time of the fault.
+    /// Real time at which the fault occurred; `None` before.
     pub fn struck(&self) -> Option<Instant> {
         self.state().struck
     }
 
-    /// Virtual time of the fault.
+    /// Virtual time at which the fault occurred; `None` before.
     pub fn struck_at(&self) -> Option<MonoNs> {
         self.state().struck_at
     }
 
-    /// Bytes of a file that survive a power cut.
+    /// Number of bytes of a file that would survive a power cut now.
     pub fn synced_bytes(&self, inode: u64) -> u64 {
         self.state().synced.get(&inode).copied().unwrap_or(0)
     }
@@ -281,7 +282,7 @@ impl Disk for Wall {
         file.read_at(&mut buffer[..length], offset)
     }
 
-    /// Data written during a synchronisation is not covered, and a failed synchronisation covers none.
+    /// A synchronisation does not cover data that are written while it runs. A failed synchronisation covers no data.
     fn sync(&self, file: &File) -> io::Result<()> {
         let inode = file.metadata()?.ino();
         let covered = self.state().written.get(&inode).copied().unwrap_or(0);

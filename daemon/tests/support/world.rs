@@ -1,5 +1,5 @@
-//! Virtual time for time-outs and disk calls in one thread: the clock advances from one due stepper to the next. A call
-//! that hangs keeps its stepper busy until its end while the others continue.
+//! Virtual time for time-outs and disk calls, in one thread. The clock advances from one stepper that is due to the next. If
+//! a call hangs, its stepper is busy until the call returns, while the other steppers continue.
 
 use std::cell::{Cell, RefCell};
 use std::future::Future;
@@ -15,16 +15,16 @@ use ballbard::scheduler::{Begin, Scheduler, Stepper, Task};
 use shared::time::{MonoNs, UtcNs};
 use tokio::sync::oneshot;
 
-/// Polling period of a future.
+/// Interval at which a pending future is polled.
 const POLL_PERIOD: Duration = Duration::from_millis(1);
 
-/// A stepper and when it is due.
+/// A stepper, and the instant at which it is polled next. `None` if it has ended.
 struct Due {
     at: Cell<Option<MonoNs>>,
     stepper: RefCell<Box<dyn Stepper>>,
 }
 
-/// The steppers and their clock, shared by clones.
+/// The virtual clock with all its steppers. Clones share them.
 #[derive(Clone)]
 pub struct World {
     pub clock: Clock,
@@ -37,7 +37,7 @@ thread_local! {
 }
 
 impl World {
-    /// Starts virtual time in this thread.
+    /// Starts virtual time in this thread, at zero.
     pub fn begin() -> Self {
         let clock = Clock::virtual_from(UtcNs(0));
         let handle = Arc::new(Handle { clock: clock.clone(), begun: Mutex::default() });
@@ -46,18 +46,18 @@ impl World {
         world
     }
 
-    /// The world of this thread; `None` on real time.
+    /// The world of this thread. `None` if the thread runs in real time.
     pub fn here() -> Option<Self> {
         HERE.with_borrow(Option::clone)
     }
 
-    /// Returns this thread to real time.
+    /// Ends virtual time in this thread, which then runs in real time.
     pub fn end(self) {
         HERE.set(None);
         self.steppers.borrow_mut().clear();
     }
 
-    /// The result of a client's actions on virtual time.
+    /// Runs the actions of a client on virtual time, in a new world. Returns their result.
     pub fn live<T: 'static>(person: impl Future<Output = T> + 'static) -> T {
         let world = Self::begin();
         let result = Rc::<Cell<Option<T>>>::default();
@@ -73,30 +73,30 @@ impl World {
         result
     }
 
-    /// The scheduler for a service in this world.
+    /// A scheduler that runs the steppers of a service in this world.
     pub fn scheduler(&self) -> Arc<dyn Scheduler> {
         self.handle.clone()
     }
 
-    /// Adds a stepper that is due at once.
+    /// Adds a stepper that is due immediately.
     pub fn add(&self, stepper: impl Stepper + 'static) {
         let due = Due { at: Cell::new(Some(self.clock.now())), stepper: RefCell::new(Box::new(stepper)) };
         self.steppers.borrow_mut().push(Rc::new(due));
     }
 
-    /// Adds a client that acts beside the others.
+    /// Adds a client whose actions run concurrently with the other steppers.
     pub fn spawn(&self, person: impl Future<Output = ()> + 'static) {
         self.add(Person(Box::pin(person)));
     }
 
-    /// Steps the next stepper that is due by `until` and not busy; false if there is none.
+    /// Polls the stepper that is due next, if it is due by `until` and not busy. Returns false if there is none.
     pub fn step(&self, until: MonoNs) -> bool {
         for begun in std::mem::take(&mut *self.handle.begun.lock().unwrap()) {
             self.add(Beginning::Begin(Some(begun)));
         }
         let idle =
             |due: &&Rc<Due>| due.stepper.try_borrow().is_ok() && due.at.get().is_some_and(|at| at <= until);
-        // The first of those due at the same time.
+        // Among steppers that are due at the same time, the first one is polled.
         let next = self.steppers.borrow().iter().filter(idle).min_by_key(|due| due.at.get()).cloned();
         let Some(due) = next else { return false };
         self.clock.sleep_until(due.at.get().unwrap_or(until));
@@ -108,7 +108,7 @@ impl World {
         true
     }
 
-    /// Advances the time while the calling stepper is busy.
+    /// Lets time pass for the calling stepper. It is busy until then, while other steppers continue.
     pub fn pass(&self, time: Duration) {
         let until = self.clock.now().plus_ns(time.as_nanos() as i64);
         while self.step(until) {}
@@ -116,7 +116,7 @@ impl World {
     }
 }
 
-/// Sleeps on the time of this thread.
+/// Lets time pass, on virtual time if this thread has a world, else in real time.
 pub fn pass(time: Duration) {
     match World::here() {
         Some(world) => world.pass(time),
@@ -124,7 +124,7 @@ pub fn pass(time: Duration) {
     }
 }
 
-/// Time of this thread's world.
+/// Current time of this thread's world.
 pub fn now() -> MonoNs {
     World::here().unwrap().clock.now()
 }
@@ -133,12 +133,12 @@ pub fn since(begun: MonoNs) -> Duration {
     Duration::from_nanos(now().ns_since(begun).unsigned_abs())
 }
 
-/// Is ready after this time; other steppers continue.
+/// Is ready after this time. Other steppers continue until then.
 pub async fn sleep(time: Duration) {
     World::here().unwrap().handle.sleep(time).await;
 }
 
-/// Side of the scheduler: steppers that wait to be added.
+/// The scheduler of a world, which services use. It collects new steppers until [`World::step`] adds them.
 struct Handle {
     clock: Clock,
     begun: Mutex<Vec<Begin>>,
@@ -176,7 +176,7 @@ impl Scheduler for Handle {
     }
 }
 
-/// Starts in its first step, which may hang.
+/// A stepper that is created in its first step, because its creation may hang.
 enum Beginning {
     Begin(Option<Begin>),
     Begun(Box<dyn Stepper>),
@@ -192,7 +192,7 @@ impl Stepper for Beginning {
     }
 }
 
-/// A client: a future that performs actions in order.
+/// A client as a stepper: a future that performs actions in order.
 struct Person<F: ?Sized>(Pin<Box<F>>);
 
 impl<F: Future<Output = ()> + ?Sized> Stepper for Person<F> {
@@ -204,7 +204,7 @@ impl<F: Future<Output = ()> + ?Sized> Stepper for Person<F> {
     }
 }
 
-/// Wakes a future after a time.
+/// A stepper that wakes a future after a time.
 struct Alarm {
     time: Option<Duration>,
     wake: Option<oneshot::Sender<()>>,

@@ -1,5 +1,5 @@
-//! The daemon and its segment over raw sockets: a veth pair in a network namespace. Needs root and iproute2; each test
-//! creates its namespace and removes it.
+//! The daemon and the simulated segment over raw sockets, on a veth pair in a network namespace. Each test creates its
+//! namespace and removes it, which needs root and iproute2.
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 
 mod namespace;

@@ -1,11 +1,11 @@
-//! A network namespace with a veth pair, and a segment served at its far end.
+//! A network namespace with a veth pair, and a segment that is served at its far end.
 
 use std::ffi::OsStr;
 use std::io::{BufRead, BufReader};
 use std::process::{Child, Command, Stdio};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// Tests run one at a time, because each has a bus with a real-time cycle.
+/// Only one test runs at a time, because each has a bus with a real-time cycle.
 static TURN: Mutex<()> = Mutex::new(());
 
 pub struct Namespace {
@@ -23,7 +23,7 @@ impl Namespace {
         namespace
     }
 
-    /// Creates the pair and takes both ends up.
+    /// Creates the veth pair and sets both ends up.
     pub fn plug_in(&self) {
         run(&["-n", &self.name, "link", "add", "near", "type", "veth", "peer", "name", "far"]);
         for end in ["near", "far"] {
@@ -31,7 +31,7 @@ impl Namespace {
         }
     }
 
-    /// `ip link` within the namespace.
+    /// Runs `ip link` in the namespace.
     pub fn link(&self, arguments: &[&str]) {
         run(&[&["-n", &self.name, "link"], arguments].concat());
     }
@@ -53,7 +53,7 @@ impl Drop for Namespace {
     }
 }
 
-/// A process that ends with the test.
+/// A process that is killed when the test ends.
 pub struct Ended(pub Child);
 
 impl Drop for Ended {
@@ -63,7 +63,7 @@ impl Drop for Ended {
     }
 }
 
-/// Serves a segment at the far end; returns when it answers.
+/// Serves a segment at the far end of the veth pair. Returns when the segment answers frames.
 pub fn serve_segment(namespace: &Namespace, arguments: &[&str]) -> Ended {
     let mut command = namespace.ballbard();
     command.args(["segment", "--interface", "far"]).args(arguments);

@@ -1,7 +1,7 @@
-"""SOEM brings the segment on interface `near` into OP and reads it for two seconds.
+"""Brings the segment on interface `near` into OP with SOEM, and reads it for two seconds.
 
-Prints JSON: devices, and for each cycle the reading of the bus clock, the host's monotonic time around the frame [ns], the
-working counter, and status and counter of each terminal.
+Prints JSON with the devices and the cycles. A cycle has the reading of the bus clock, the host's monotonic time before and after
+the frame [ns], the working counter, and status and counter of each terminal.
 """
 import json
 import sys
@@ -36,7 +36,7 @@ def cycle(master):
 
 
 def sleep_to_phase(master):
-    """Waits until half way between two SYNC0 events."""
+    """Waits until the middle between two SYNC0 events."""
     time.sleep((PERIOD_NS + PERIOD_NS // 2 - master.dc_time % PERIOD_NS) % PERIOD_NS * 1e-9 + 1e-3)
 
 
@@ -55,7 +55,7 @@ def bring_up(master):
     for terminal in master.slaves[1:]:
         terminal.dc_sync(True, PERIOD_NS, 0, SYNC1_NS)
     assert master.state_check(pysoem.SAFEOP_STATE, 2_000_000) == pysoem.SAFEOP_STATE, "SAFE-OP"
-    # Time for the clocks to synchronise and for SYNC0 to start.
+    # Gives the clocks time to synchronise and SYNC0 time to start.
     for _ in range(200):
         exchange(master)
         time.sleep(1e-3)

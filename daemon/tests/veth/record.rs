@@ -1,4 +1,4 @@
-//! Runs over a raw socket.
+//! Runs that are recorded over a raw socket.
 
 use std::io::Write;
 use std::path::Path;
@@ -19,7 +19,7 @@ fn record(namespace: &Namespace, out: &Path, duration: &str) -> Command {
     record
 }
 
-/// Waits until the run of `record` has its file: the bring-up takes several seconds on a loaded machine.
+/// Waits until the run of `record` has its file. On a loaded machine the bring-up takes several seconds.
 fn wait_until_begun(out: &Path) {
     let deadline = Instant::now() + Duration::from_secs(60);
     while !out.join("veth.mcap.active").exists() {
@@ -41,7 +41,7 @@ fn a_run_over_a_raw_socket_is_complete() {
     assert!(recording.run.distributed_clocks && recording.run.bus == "near");
     assert_bad_cycles_have_reasons(&recording.cycles);
     for pair in recording.cycles.windows(2).filter(|pair| pair.iter().all(|cycle| cycle.is_valid())) {
-        // Joints move at 0.4 rad/s at most: about 9400 counts a cycle.
+        // Joints move at 0.4 rad/s at most, which is about 9400 counts a cycle.
         for (before, after) in pair[0].encoders().iter().zip(pair[1].encoders()) {
             assert!((after.count.wrapping_sub(before.count) as i32).abs() < 10_000);
         }
@@ -77,7 +77,7 @@ fn an_interface_that_is_unplugged_and_plugged_in_again_is_found_again() {
     let running = record(&namespace, out.path(), "14s").spawn().unwrap();
     wait_until_begun(out.path());
     thread::sleep(Duration::from_secs(2));
-    // Both interfaces are removed; the new ones have the same names and other numbers.
+    // Removes both interfaces. The new ones have the same names, but other interface numbers.
     namespace.link(&["delete", "near"]);
     thread::sleep(Duration::from_secs(2));
     namespace.plug_in();
@@ -140,7 +140,7 @@ fn a_recording_is_repeated_on_an_interface_when_play_is_typed() {
         cycles.iter().map(|cycle| (cycle.is_valid(), row(cycle))).collect()
     };
     let (made, repeated) = (counts(&file), counts(&out.path().join("veth.mcap")));
-    // The first row is shown until the replay starts, the last one after its end.
+    // The segment shows the first row until the replay starts, and the last row after the replay has ended.
     let moved = repeated.iter().position(|(valid, row)| *valid && *row != made[0].1).unwrap();
     let at = made.iter().position(|(_, row)| *row == repeated[moved].1).unwrap();
     let pairs = repeated[moved..].iter().zip(&made[at..]);

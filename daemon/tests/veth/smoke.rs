@@ -1,10 +1,10 @@
-//! The smoke test over a raw socket.
+//! The smoke test over a raw socket and a veth pair.
 
 use serde_json::Value;
 
 use super::namespace::{Namespace, serve_segment};
 
-/// Outcome of a check in a report.
+/// Outcome of the check with this subject in a report.
 fn outcome<'a>(report: &'a Value, subject: &str) -> &'a Value {
     let checks = report["checks"].as_array().unwrap();
     &checks.iter().find(|check| check["subject"] == subject).unwrap()["outcome"]
@@ -27,7 +27,7 @@ fn a_smoke_test_reports_the_devices_and_how_the_bus_came_up() {
     assert_eq!(output.status.code(), Some(1), "{text}");
     assert!(text.contains("FAILED    revisions: EL5021 r22"), "{text}");
     let report: Value = serde_json::from_slice(&std::fs::read(&file).unwrap()).unwrap();
-    // The other checks depend on the load of the machine.
+    // Only these checks do not depend on the load of the machine.
     for (subject, expected) in [
         ("interface", "passed"),
         ("devices", "passed"),
@@ -35,7 +35,7 @@ fn a_smoke_test_reports_the_devices_and_how_the_bus_came_up() {
         ("bring_up", "passed"),
         ("cables", "passed"),
         ("homing", "not_done"),
-        // No person is at a terminal.
+        // No person can pull the cable here, so this check is not done.
         ("pulled_cable", "not_done"),
     ] {
         assert_eq!(outcome(&report, subject), expected, "{subject}: {text}");
