@@ -12,12 +12,12 @@ fn text(value: &Value) -> String {
     cell(value.as_str().unwrap_or_default())
 }
 
-/// Members of an object; empty if the value is no object.
+/// Members of an object; empty for a value of any other type.
 fn members(value: &Value) -> impl Iterator<Item = (&String, &Value)> {
     value.as_object().into_iter().flatten()
 }
 
-/// Elements of a list; empty if the value is no list.
+/// Elements of a list; empty for a value of any other type.
 fn elements(value: &Value) -> impl Iterator<Item = &Value> {
     value.as_array().into_iter().flatten()
 }
