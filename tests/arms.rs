@@ -29,8 +29,8 @@ fn imported((name, base, tip): (&str, &str, &str)) -> RobotConfig {
     import(&std::fs::read_to_string(file(name)).unwrap(), Some(base), Some(tip)).unwrap().config
 }
 
-/// Deterministic postures that are spread over the joint limits. The increments of the axes have no common multiple, so no
-/// posture repeats.
+/// Deterministic postures that are spread over the joint limits. The increments of the axes have no common
+/// multiple, so no posture repeats.
 fn postures(robot: &RobotConfig, count: usize) -> Vec<Joints> {
     let part = |posture: usize, axis: usize| (posture as f64 * (0.618_034 + 0.137 * axis as f64)).fract();
     let limits = robot.joint_limits();

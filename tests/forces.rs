@@ -35,8 +35,8 @@ fn simulated() -> Simulated {
         .unwrap()
 }
 
-/// One row of the table that `write_robot_log.py` reads: stamp \[ns\], joints \[rad\], and the output of the robot's force
-/// sensor.
+/// One row of the table that `write_robot_log.py` reads: stamp \[ns\], joints \[rad\], and the
+/// output of the robot's force sensor.
 type ForceRow = (i64, Joints, Vec<f64>);
 
 /// The rows of a run. `sensor` computes the output of the force sensor from the robot, its joints \[rad\], and the force of
@@ -148,8 +148,8 @@ fn holding_torques_nm(robot: &Chain, q: &Joints, force_n: [f64; 3]) -> Vec<f64> 
     (0..6).map(|joint| (moved(joint, 1e-4) - moved(joint, -1e-4)) / 2e-4).collect()
 }
 
-/// Mapping for a driver that uses its own joint names and the opposite sign for joint 4. The text `more` is inserted before
-/// the joints.
+/// Mapping for a driver that uses its own joint names and the opposite sign for joint 4. The text `more`
+/// is inserted before the joints.
 fn mapping(more: &str) -> LogOptions {
     let joint = |n: usize| {
         let sign = if n == 4 { -1 } else { 1 };

@@ -60,8 +60,8 @@ pub fn record(directory: &Path, request: &RunRequest, bar: &BallBarConfig) -> (P
     (summary.path, recording)
 }
 
-/// Python interpreter with the given modules: the interpreter in `BALLBAR_PYTHON`, or else `python3`. Panics if a module is
-/// missing.
+/// Python interpreter with the given modules: the interpreter in `BALLBAR_PYTHON`, or else `python3`. Panics
+/// if a module is missing.
 pub fn python_with(modules: &[&str]) -> PathBuf {
     let python = std::env::var_os("BALLBAR_PYTHON").map_or_else(|| "python3".into(), PathBuf::from);
     let import = format!("import {}", modules.join(", "));

@@ -140,8 +140,8 @@ fn compare_events(ours: &Recording, theirs: &Value) {
     }
 }
 
-/// There is one diagnostics message per second. It contains the number of valid cycles, for all encoders together and for
-/// each encoder.
+/// There is one diagnostics message per second. It contains the number of valid cycles, for all encoders
+/// together and for each encoder.
 fn compare_diagnostics(ours: &Recording, theirs: &[Value]) {
     let seconds = ours.cycles.chunks_exact(100);
     assert_eq!(theirs.len(), seconds.len());

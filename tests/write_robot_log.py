@@ -53,7 +53,7 @@ def joint_states(path, storage):
 
 
 def bag(path, storage):
-    """Writes a bag with two topics. One has other joints; that of the robot has an extra joint, and its joints in another order."""
+    """Writes a bag with two topics. One has other joints. That of the robot has an extra joint and another order."""
     order = [5, 0, 3, 1, 4, 2]
     names = ["gripper"] + [f"left_joint_{j + 1}" for j in order]
     with joint_states(path, storage) as write:
@@ -90,7 +90,7 @@ def rows_of(table):
 
 
 def bag_with_efforts(path, storage, table):
-    """Writes six torques [Nm] as efforts. An effort of another joint precedes them, and their order is not that of the robot."""
+    """Writes six torques [Nm] as efforts, after an effort of another joint and in another order than that of the robot."""
     order = [2, 0, 5, 1, 4, 3]
     names = ["rail"] + [f"arm_joint_{j + 1}" for j in order]
     with joint_states(path, storage) as write:

@@ -423,7 +423,7 @@ def homing(page, pictures):
 
 
 def judged(page, name, reason):
-    """Returns the line of a run, its verdict and its number of cycles. Checks that the verdict follows from the valid cycles."""
+    """Returns the line of a run, its verdict and its number of cycles. Checks the verdict against the valid cycles."""
     line = page.shown(f"#runs [data-run={json.dumps(name)}]")
     valid, total = map(int, line.split(" cycles valid")[0].split(", ")[-1].split(" of "))
     wanted = "GOOD" if valid >= 0.99 * total else "CHECK" if valid >= 0.5 * total else "BAD"

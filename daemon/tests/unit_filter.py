@@ -1,8 +1,8 @@
 """Runs a program under the system call filter of a systemd unit: unit_filter.py UNIT PROGRAM [ARGUMENT...]
 
-systemd itself need not run. `systemd-analyze` lists its sets of system calls, and the lines of the unit are applied to the kernel
-in systemd's order (systemd.exec(5)). A call outside the filter kills the program, although under the unit it would return EPERM.
-If the program handled EPERM, a call that is missing in the filter would go unnoticed.
+systemd itself need not run. `systemd-analyze` lists its sets of system calls. The lines of the unit are applied to the kernel
+in systemd's order (systemd.exec(5)). A call outside the filter kills the program; under the unit it would return EPERM. If the
+program handled EPERM, a call that is missing in the filter would go unnoticed.
 """
 
 import ctypes
@@ -32,7 +32,7 @@ def expand(name, known):
 
 
 def allowed(unit, known):
-    """System calls that the unit allows. The first line allows its calls and @default. Each further line adds or, with ~, removes calls."""
+    """System calls that the unit allows: those of the first line and @default. Further lines add or, with ~, remove calls."""
     calls = set()
     for line in unit.splitlines():
         key, _, value = line.partition("=")

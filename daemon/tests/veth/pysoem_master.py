@@ -1,7 +1,7 @@
 """Brings the segment on interface `near` into OP with SOEM, and reads it for two seconds.
 
-Prints JSON with the devices and the cycles. A cycle has the reading of the bus clock, the host's monotonic time before and after
-the frame [ns], the working counter, and status and counter of each terminal.
+Prints JSON with the devices and the cycles. A cycle has the reading of the bus clock, the host's monotonic time before and
+after the frame [ns], the working counter, and status and counter of each terminal.
 """
 import json
 import sys
