@@ -1,10 +1,10 @@
-//! The figures that the project holds itself to, printed in one run: `cargo bench -p identify --bench figures`.
+//! Prints the figures of speed and memory that the project must hold: `cargo bench -p identify --bench figures`.
 //!
-//! - One iteration at 1500 poses x 12 residuals x 40 parameters on one core, and a whole solve beside the crate
-//!   `levenberg-marquardt` on the same residuals and Jacobian. What is compared runs in turns, so that a busy machine is
-//!   busy for both.
-//! - Time by pose from ten thousand to a million poses, on one thread and on all, and the memory that a solve adds.
-//! - A whole default calibration of a two-minute run, after reading.
+//! - Duration of one iteration at 1500 poses x 12 residuals x 40 parameters on one core. Duration of a whole solve, and that
+//!   of the crate `levenberg-marquardt` on the same residuals and Jacobian. The two solvers run alternately, so that other
+//!   load of the machine affects both.
+//! - Time per pose for ten thousand to a million poses, on one thread and on all threads, and the memory that a solve adds.
+//! - Duration of a whole calibration with default settings of a two-minute run, without reading the files.
 #![allow(clippy::unwrap_used, reason = "a benchmark stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "its figures")]
 
@@ -37,7 +37,8 @@ fn ms(duration: Duration) -> f64 {
     duration.as_secs_f64() * 1e3
 }
 
-/// Shortest and median duration [ms]. The shortest is that of the code; longer ones include other work of the machine.
+/// Shortest and median duration [ms]. The shortest one is that of the code alone. Longer durations include
+/// other work of the machine.
 fn shortest_and_median(mut durations: Vec<Duration>) -> (f64, f64) {
     durations.sort();
     (ms(durations[0]), ms(durations[durations.len() / 2]))
@@ -53,7 +54,8 @@ fn model() -> Model {
     model
 }
 
-/// Milliseconds of one pass with its step: a descent of three iterations over the passes that it made.
+/// Duration of one pass, including the step that follows it [ms]. It is measured as the duration of a solve of three
+/// iterations, divided by its number of passes.
 fn iteration(problem: &dyn LeastSquares, start: &[f64]) -> f64 {
     let options = Options { iterations_max: 3, ..alone() };
     let passes = minimise(problem, start, &options).unwrap().1.evaluations as f64;
@@ -90,7 +92,7 @@ fn beside_another_solver() {
     println!("  ours {ours:.1} ms, levenberg-marquardt {theirs:.1} ms: {:.1} times", theirs / ours);
 }
 
-/// Resident memory, now and at its highest [MB].
+/// Resident memory of this process, current and maximum [MB].
 fn memory_mb() -> Option<(f64, f64)> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let of = |key: &str| {

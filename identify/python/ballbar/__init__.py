@@ -1,10 +1,11 @@
 """Calibration of industrial robots with a sensed double ball-bar.
 
-The functions run the commands of ``identify`` in this process. Their keywords are the commands' options, ``robot_log=`` for
-``--robot-log``: ``True`` for an option without a value, a list for one that is given several times. What a command prints is
-logged by the logger ``ballbar`` as information, what it warns of as warnings; what it refuses is an :class:`Error`.
+The functions run the commands of ``identify`` in this process. Their keywords are the options of the commands, such as
+``robot_log=`` for ``--robot-log``. The value ``True`` sets an option that has no value, and a list repeats an option. The
+logger ``ballbar`` logs the output of a command as information and its warnings as warnings. If a command refuses, an
+:class:`Error` is raised.
 
-Numbers are in SI units: metres, radians, nanoseconds where a name ends in ``_ns``.
+Numbers are in SI units: metres, radians, and nanoseconds if the name ends in ``_ns``.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened during a run."""
+    """An event of a run."""
 
     time_ns: int
     cycle: int
@@ -48,29 +49,29 @@ class Event:
 
 @dataclass(frozen=True)
 class Recording:
-    """A finished recording: a row for each cycle, where there are several encoders a column for each of ``joints``."""
+    """A finished recording. Arrays have one row per cycle; arrays of encoders have one column per entry of ``joints``."""
 
     joints: tuple[int, ...]
     """The bar's joints that have an encoder, 1 to 5."""
     cycle: NDArray[np.uint64]
     time_ns: NDArray[np.int64]
-    """When the encoders were sampled, UTC since 1970."""
+    """Instants at which the encoders were sampled: UTC since 1970."""
     time_uncertainty_ns: NDArray[np.uint32]
-    """One standard deviation."""
+    """Standard deviation of ``time_ns``."""
     flags: NDArray[np.uint32]
-    """Why a cycle cannot be used, as bits; 0 for a good one."""
+    """Reasons why a cycle cannot be used, as bits; 0 for a cycle without faults."""
     origin: NDArray[np.uint32]
-    """Angles of two cycles belong together where this is the same."""
+    """Number of the counters' origin. Angles of two cycles are only comparable if this number is equal."""
     count: NDArray[np.uint32]
-    """Counters as the terminals gave them, wrapping."""
+    """Counters of the terminals as recorded. They wrap at 32 bits."""
     valid: NDArray[np.bool_]
     angle_rad: Numbers
     """NaN where a count is not valid."""
     events: tuple[Event, ...]
     run: dict[str, Any]
-    """Who, what, with which settings."""
+    """Metadata of the run, such as operator, robot and settings."""
     end: dict[str, Any]
-    """How the run ended."""
+    """Cause and statistics of the end of the run."""
 
 
 def read_recording(path: File) -> Recording:
@@ -95,17 +96,17 @@ def read_recording(path: File) -> Recording:
 
 
 def simulate(out: File, *, instrument: str | None = None, **options: Option) -> Path:
-    """``identify simulate``: an experiment with known errors and its truth in the directory ``out``, which is returned."""
+    """``identify simulate``: writes an experiment and its known errors to the directory ``out``, and returns ``out``."""
     _run("simulate", *_named(instrument), *_options(out=out, **options))
     return Path(out)
 
 
 def calibrate(*files: File, instrument: str | None = None, out: File | None = None, **options: Option) -> Calibration:
-    """``identify calibrate``: what was measured to a calibrated robot.
+    """``identify calibrate``: calibrates a robot from measurements.
 
-    ``calibrate(recording=.., robot_log=.., robot=.., bar=..)`` is of a ball-bar's run, ``calibrate("grid.csv",
-    instrument="tracker", mapping=.., robot=..)`` of measured poses, ``calibrate(experiment=..)`` of what a file names. The
-    page and all other files are in ``out``; without one they are gone in the end.
+    ``calibrate(recording=.., robot_log=.., robot=.., bar=..)`` uses a run with the ball-bar. ``calibrate("grid.csv",
+    instrument="tracker", mapping=.., robot=..)`` uses measured poses. ``calibrate(experiment=..)`` uses all data that an
+    experiment file names. The report and all other files are written to ``out``. Without ``out`` they are removed at the end.
     """
     with _directory(out) as directory:
         _run("calibrate", *_named(instrument), *files, *_options(out=directory, **options))
@@ -113,13 +114,13 @@ def calibrate(*files: File, instrument: str | None = None, out: File | None = No
 
 
 class Calibration:
-    """A robot as a calibration found it.
+    """A calibrated robot.
 
-    ``directory`` is that of ``calibration.json``. The configurations of robot and bar are those that it names, where they still
-    are and have not changed, unless they are given.
+    ``directory`` is the directory that contains ``calibration.json``. This file names the configurations of robot and bar. If
+    they were moved or changed since, ``robot`` and ``bar`` must name them.
 
-    Arrays of postures have the robot's joints last, [rad, m], and any shape before; the robot stands still in them. Its end is the
-    flange, or the end of the ball-bar's plate where a ball-bar measured.
+    Arrays of postures have any shape; their last dimension is the joints of the robot [rad, m]. The robot is at rest in each
+    posture. The end of the robot is its flange, or the end of the offset plate if a ball-bar measured.
     """
 
     file: dict[str, Any]
@@ -151,27 +152,27 @@ class Calibration:
 
     @property
     def axes(self) -> int:
-        """Axes of the robot."""
+        """Number of axes of the robot."""
         return self._robot.axes
 
     @property
     def values(self) -> dict[str, float]:
-        """Every parameter's value."""
+        """Value of every parameter, by its name."""
         return {one["name"]: one["value"] for one in self.file["parameters"]}
 
     @property
     def sigmas(self) -> dict[str, float]:
-        """One standard deviation of each parameter that is not taken as exact."""
+        """Standard deviation of each parameter, by its name. Parameters that are assumed to be exact are not included."""
         return {one["name"]: one["sigma"] for one in self.file["parameters"] if one.get("sigma") is not None}
 
     def forward(self, joints: ArrayLike) -> Numbers:
-        """Poses (.., 4, 4) of the robot's end in its base at postures (.., axes)."""
+        """Poses (.., 4, 4) of the robot's end in its base at the postures (.., axes)."""
         q = self._postures(joints)
         poses = _table(self._robot.forward(q.tobytes()), 4, 4)
         return poses.reshape(*q.shape[:-1], 4, 4)
 
     def inverse(self, poses: ArrayLike, near: ArrayLike) -> Numbers:
-        """Postures (.., axes) that the robot reports at poses (.., 4, 4), of all the ones nearest to ``near`` (.., axes)."""
+        """Postures (.., axes) that the robot reports at poses (.., 4, 4): the solutions nearest to ``near`` (.., axes)."""
         poses = _finite(poses, "poses")
         if poses.shape[-2:] != (4, 4):
             raise Error(f"poses have the shape {poses.shape}; give (.., 4, 4)")
@@ -179,9 +180,9 @@ class Calibration:
         return _table(self._robot.inverse(poses.tobytes(), near.tobytes()), self.axes).reshape(near.shape)
 
     def uncertainty(self, joints: ArrayLike) -> Numbers:
-        """Covariances (.., 6, 6) of position [m] and rotation vector [rad] in the robot's base at postures (.., axes).
+        """Covariances (.., 6, 6) of position [m] and rotation vector [rad] in the robot's base, at the postures (.., axes).
 
-        An error if a parameter of the robot is not identified.
+        Raises an error if a parameter of the robot is not identified.
         """
         q = self._postures(joints)
         return _table(self._robot.covariance(q.tobytes()), 6, 6).reshape(*q.shape[:-1], 6, 6)
@@ -195,18 +196,18 @@ class Calibration:
 
 @dataclass(frozen=True)
 class Study:
-    """What a study found."""
+    """Results of a study."""
 
     summary: dict[str, Any]
-    """The content of ``summary.json``: every curve and answer."""
+    """The content of ``summary.json``: every curve and every answer."""
     points: dict[str, NDArray[Any]]
-    """Every estimate, the columns of ``points.csv``."""
+    """Every estimate of the study: the columns of ``points.csv``."""
 
 
 def study(*study: File, out: File | None = None, **options: Option) -> Study | None:
     """``identify study``: ``study("thesis")``, ``study("my.toml", seeds=3)``, ``study("merge", "shard-1", "shard-2", out="all")``.
 
-    None for a shard: what it says is seen when all are merged.
+    Returns None for a shard, because only merged shards have results.
     """
     with _directory(out) as directory:
         _run("study", *study, *_options(out=directory, **options))

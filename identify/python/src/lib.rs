@@ -1,5 +1,5 @@
-//! What the Python package `ballbar` is made of: `identify`'s commands, its calibrated robots, and recordings. Tables cross as
-//! bytes in the machine's order, which NumPy takes without a copy.
+//! Native module of the Python package `ballbar`. It provides the commands of `identify`, calibrated robots, and recordings.
+//! Tables are passed as bytes in the byte order of the machine, which NumPy uses without a copy.
 
 use std::ffi::OsString;
 use std::io;
@@ -21,9 +21,9 @@ use shared::output::{captured, explained};
 use shared::recording::Recording;
 use shared::recording::schema::CycleRecord;
 
-/// Period in which the calling thread checks whether the command has ended, and for Ctrl-C.
+/// Interval at which the calling thread checks whether the command has ended and whether Ctrl-C was pressed.
 const POLL_PERIOD: Duration = Duration::from_millis(10);
-/// Largest deviation of an entry of `R^T R` from the unit matrix, for a rotation `R`.
+/// Largest permitted entry of `R^T R - I` for a rotation matrix `R`.
 const ROTATION_TOLERANCE: f64 = 1e-6;
 
 create_exception!(ballbar, Error, PyValueError, "What is wrong, where, and what to do.");
@@ -32,12 +32,13 @@ fn py_error(error: impl Into<Box<dyn std::error::Error>>) -> PyErr {
     Error::new_err(explained(error.into().as_ref()))
 }
 
-/// Runs a command line, which begins with the program's name. Returns standard output and warnings. Ctrl-C ends the command.
+/// Runs a command line, whose first word is the name of the program. Returns standard output and
+/// warnings. Ctrl-C ends the command.
 #[pyfunction]
 fn run(py: Python<'_>, words: Vec<OsString>) -> PyResult<(String, String)> {
     let arguments =
         IdentifyArguments::from_words(words).map_err(|error| Error::new_err(error.render().to_string()))?;
-    // Forget a Ctrl-C that ended an earlier command.
+    // Clears a Ctrl-C that ended an earlier command.
     allow_commands();
     let warnings = LogLines::default();
     let writer = warnings.clone();
@@ -70,7 +71,7 @@ fn run(py: Python<'_>, words: Vec<OsString>) -> PyResult<(String, String)> {
     Ok((printed, warnings.text()))
 }
 
-/// Collects log lines.
+/// A writer that collects log lines in memory.
 #[derive(Clone, Default)]
 struct LogLines(Arc<Mutex<Vec<u8>>>);
 
@@ -90,7 +91,7 @@ impl io::Write for LogLines {
     }
 }
 
-/// Encoded numbers of `N` bytes one after the other.
+/// Concatenates numbers that are encoded as `N` bytes each.
 fn bytes<'py, const N: usize>(
     py: Python<'py>,
     numbers: impl Iterator<Item = [u8; N]>,
@@ -98,19 +99,19 @@ fn bytes<'py, const N: usize>(
     PyBytes::new(py, &numbers.flatten().collect::<Vec<u8>>())
 }
 
-/// The numbers in `bytes` as rows of `width`.
+/// Decodes `bytes` into rows of `width` numbers.
 fn rows(bytes: &[u8], width: usize) -> Vec<Vec<f64>> {
     let (numbers, _) = bytes.as_chunks::<8>();
     let rows = numbers.chunks_exact(width);
     rows.map(|row| row.iter().map(|number| f64::from_ne_bytes(*number)).collect()).collect()
 }
 
-/// A calibrated robot. The numbers of a matrix are row by row, as in NumPy.
+/// A calibrated robot. Matrices are passed row by row, as in NumPy.
 #[pyclass(frozen)]
 struct Robot(CalibratedRobot);
 
 impl Robot {
-    /// Calls `of` with each row of joints and returns the results one after the other.
+    /// Calls `of` with each row of joints and concatenates the results.
     fn map_rows<'py, const N: usize>(
         &self,
         py: Python<'py>,
@@ -139,7 +140,7 @@ impl Robot {
         self.0.axes()
     }
 
-    /// Rows of joints \[rad, m\] to homogeneous matrices \[m\], 16 numbers each.
+    /// Converts rows of joints \[rad, m\] to homogeneous matrices \[m\] of 16 numbers each.
     fn forward<'py>(&self, py: Python<'py>, joints: &[u8]) -> PyResult<Bound<'py, PyBytes>> {
         self.map_rows::<16>(py, joints, |q| {
             let pose = self.0.forward(q).map_err(py_error)?.to_homogeneous();
@@ -147,7 +148,7 @@ impl Robot {
         })
     }
 
-    /// Rows of joints \[rad, m\] to covariances of position \[m\] and rotation vector \[rad\], 36 numbers each.
+    /// Converts rows of joints \[rad, m\] to covariances of position \[m\] and rotation vector \[rad\], 36 numbers each.
     fn covariance<'py>(&self, py: Python<'py>, joints: &[u8]) -> PyResult<Bound<'py, PyBytes>> {
         self.map_rows::<36>(py, joints, |q| {
             let covariance = self.0.covariance(q).map_err(py_error)?;
@@ -155,7 +156,8 @@ impl Robot {
         })
     }
 
-    /// Homogeneous matrices \[m\], and a row of joints near which each is to be reached, to rows of joints \[rad, m\].
+    /// Converts homogeneous matrices \[m\] to rows of joints \[rad, m\]. Of several solutions, each row is the one nearest
+    /// to the row of `near`.
     fn inverse<'py>(&self, py: Python<'py>, poses: &[u8], near: &[u8]) -> PyResult<Bound<'py, PyBytes>> {
         let mut reached = Vec::new();
         for (pose, near) in rows(poses, 16).iter().zip(rows(near, self.0.axes())) {
@@ -165,7 +167,7 @@ impl Robot {
     }
 }
 
-/// The pose of a homogeneous matrix, row by row; an error if it is none.
+/// The pose of a homogeneous matrix whose entries are given row by row. Returns an error if the matrix is not a pose.
 fn pose_of(matrix: &[f64]) -> PyResult<Pose> {
     let at = |row: usize, column: usize| matrix.get(4 * row + column).copied().unwrap_or(f64::NAN);
     let rotation = Matrix3::from_fn(at);
@@ -181,7 +183,8 @@ fn pose_of(matrix: &[f64]) -> PyResult<Pose> {
     Ok(Pose::from_parts(position.into(), Rotation3::from_matrix_unchecked(rotation)))
 }
 
-/// A recording; its tables are bytes, a row for each cycle, in it a column for each encoder.
+/// A recording whose tables are encoded as bytes. A table has one row per cycle. If it is a table of encoders, a row
+/// has one column per encoder.
 #[pyclass(frozen, get_all)]
 struct RecordingTables {
     joints: Vec<u8>,

@@ -1,4 +1,4 @@
-//! The package `ballbar` in Python, made of the module that was just compiled; what the wheel adds is its packing.
+//! Tests the Python package `ballbar` with the native module that was just compiled. A wheel only packs the same files.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 
 use std::path::Path;
@@ -8,7 +8,7 @@ use std::process::Command;
 #[ignore = "needs Python with tests/requirements.txt"]
 fn the_package_does_what_the_command_does() {
     let here = Path::new(env!("CARGO_MANIFEST_DIR"));
-    // Beside the directory of the test programs.
+    // The compiled module is in the parent directory of the test programs.
     let test = std::env::current_exe().unwrap();
     let built = test.parent().unwrap().parent().unwrap();
     let installed = tempfile::tempdir().unwrap();
@@ -20,7 +20,7 @@ fn the_package_does_what_the_command_does() {
     let tests = Command::new(python)
         .arg(here.join("tests/test_ballbar.py"))
         .env("PYTHONPATH", installed.path())
-        // Not here, where Python would find the package without the module.
+        // In the directory of the sources, Python would find the package without its native module.
         .current_dir(installed.path())
         .env("BALLBAR_IDENTIFY", built.join("identify"))
         .status();

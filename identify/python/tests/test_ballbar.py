@@ -1,4 +1,4 @@
-"""The package as a user has it: against the command, against independent readers, and in a notebook."""
+"""Tests the package as users call it: compared with the command, compared with independent readers, and in a notebook."""
 
 import json
 import os
@@ -20,7 +20,7 @@ POSTURES = np.radians([[10, 20, -10, 30, 40, 50], [0, 10, 0, 10, 20, 10], [-50, 
 
 
 def without_places(calibration):
-    """What does not say when and where it was made."""
+    """The calibration without the entries that depend on the time and place of its creation."""
     inputs = [(one["role"], one["sha256"]) for one in calibration["inputs"]]
     return {**calibration, "created": None, "inputs": inputs}
 
@@ -52,7 +52,7 @@ class Package(unittest.TestCase):
     def test_poses_are_those_that_yourdfpy_finds_in_the_urdf(self):
         import yourdfpy
 
-        # Without errors of gears, which a URDF cannot have.
+        # A URDF cannot describe errors of gears, so the simulated robot has none.
         run = ballbar.simulate(self.home / "exact", robot=ROBOT, bar=BAR, exact=True, duration="40s")
         files = {"recording": run / "recording.mcap", "robot_log": run / "robot_log.csv"}
         out = self.home / "urdf"
@@ -118,7 +118,7 @@ class Package(unittest.TestCase):
     def test_ctrl_c_ends_a_study_and_python_goes_on(self):
         program = (
             "import ballbar, signal\n"
-            # Who starts these tests in the background has it ignored.
+            # If these tests run in the background, the shell makes them ignore SIGINT. The default handler is restored here.
             "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
             "try:\n"
             "    print('begun', flush=True)\n"
