@@ -1,4 +1,4 @@
-//! Forces in robot logs and in separate files: read with the intended meaning, or refused with a remedy.
+//! Forces in robot logs and in separate files are read with the intended meaning, or refused with a remedy.
 
 use identify::kinematics::Joints;
 use std::path::Path;
@@ -16,7 +16,7 @@ fn joints(row: usize) -> [f64; 6] {
     std::array::from_fn(|joint| 0.5 * (0.02 * row as f64 * (joint as f64 + 2.0) + joint as f64).sin())
 }
 
-/// A log of 60 rows at 4 ms with a force along the bar.
+/// A robot log of 60 rows at intervals of 4 ms, with a force along the bar.
 fn log() -> RobotLog {
     let t_s: Vec<f64> = (0..60).map(|row| f64::from(row) * 0.004).collect();
     let first_stamp_ns = 1_795_000_000_123_456_789;
@@ -46,7 +46,7 @@ fn parse_force(text: &str, mapping: Option<&ForceLogMapping>) -> Result<ForceLog
     ForceLog::read(text.as_bytes(), Path::new("force.csv"), &nj220(), mapping)
 }
 
-/// A table of 60 rows with a stamp every 4 ms and these cells after it.
+/// A table of 60 rows with a stamp every 4 ms. `cells` returns the cells after the stamp of a row.
 fn table(header: &str, cells: impl Fn(usize) -> String) -> String {
     let rows = (0..60).map(|row| format!("{},{}\n", row as f64 * 0.004, cells(row)));
     format!("t_s,{header}\n{}", rows.collect::<String>())
@@ -82,7 +82,7 @@ fn columns_say_what_they_hold_on_which_clock_and_in_which_axes() {
     assert_eq!(base.kind, ForceKind::InBase);
 }
 
-/// Motors and joints do equal work, for any gears, rods and signs between them.
+/// Motors and joints do equal work. This must hold for any gears, rods and signs between them.
 #[test]
 fn torques_of_motors_do_the_work_of_those_of_the_joints() {
     for robot in [irb2400(), nj220()] {

@@ -1,9 +1,14 @@
-//! Calibrations of every robot on every kind of path by the command: files in, result or refusal out.
+//! Calibrates every robot on every family of paths with the command `identify`. Input are the files of a run, output is
+//! a calibration or a refusal.
 //!
-//! `CAMPAIGNS=full cargo test -p identify --test all independent_campaign -- --ignored --nocapture`. `IDENTIFY_SEEDS=10` sets
-//! the number of runs of each kind, `IDENTIFY_FIRST_SEED=100` the first seed; `IDENTIFY_ROBOTS=irb2400,nj220` and
-//! `IDENTIFY_PATHS=bursts` select. `IDENTIFY_STAMPS=jittered` corrupts the stamps of the robot's log, `IDENTIFY_STAMPS=all` in
-//! all ways in turn, each compared with the same run's perfect stamps; `IDENTIFY_KEEP=directory` keeps the files.
+//! Command: `CAMPAIGNS=full cargo test -p identify --test all independent_campaign -- --ignored --nocapture`.
+//! These environment variables change it:
+//!
+//! - `IDENTIFY_SEEDS=10`: number of runs of each kind; `IDENTIFY_FIRST_SEED=100`: first seed.
+//! - `IDENTIFY_ROBOTS=irb2400,nj220`, `IDENTIFY_PATHS=bursts`: select robots and paths.
+//! - `IDENTIFY_STAMPS=jittered`: corrupts the stamps of the robot log in this way; `all`: in all ways in turn. Each run is
+//!   compared with the same run with perfect stamps.
+//! - `IDENTIFY_KEEP=directory`: keeps the files.
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
 use std::process::{Command, Output};
@@ -19,13 +24,13 @@ pub(super) enum Outcome {
     Calibrated {
         identified: usize,
         error_mm_mrad: f64,
-        /// Root mean square of the errors in standard uncertainties.
+        /// Root mean square of the parameter errors, each divided by its standard uncertainty.
         error_sigmas: f64,
-        /// Mean position error of the end over the robot's range, and the claimed error (k = 2) \[mm\].
+        /// True mean position error of the end over the range of the robot \[mm\]. `claimed_mm` is the stated one (k = 2).
         true_mm: f64,
         claimed_mm: f64,
         largest: String,
-        /// Grade of the verdict and, if it is not green, the reason.
+        /// Grade of the verdict and, if the verdict is not green, its reason.
         verdict: String,
     },
 }
@@ -39,7 +44,7 @@ pub(super) fn number(variable: &str, otherwise: u64) -> u64 {
     std::env::var(variable).map_or(otherwise, |value| value.parse().unwrap())
 }
 
-/// Stamps with the errors of controllers.
+/// Errors of stamps that controllers make.
 const STAMPS: [Stamps; 11] = [
     Stamps::Rounded(1.0),
     Stamps::Jittered(2.0),
@@ -54,7 +59,7 @@ const STAMPS: [Stamps; 11] = [
     Stamps::Jittered(1.0),
 ];
 
-/// The stamps that the environment selects, in an order that depends on seed and family.
+/// The stamps that `IDENTIFY_STAMPS` selects. If it selects several, the choice depends on seed and family.
 fn stamps(family: Family, seed: u64) -> Stamps {
     let kind = std::env::var("IDENTIFY_STAMPS").unwrap_or_default();
     let chosen = |stamps: &&Stamps| kind == "all" || format!("{stamps:?}").to_lowercase().starts_with(&kind);
@@ -64,7 +69,7 @@ fn stamps(family: Family, seed: u64) -> Stamps {
     if kind.is_empty() { Stamps::Perfect } else { *chosen[(begin + seed as usize) % chosen.len()] }
 }
 
-/// Sizes of a run: rates of all kinds of controllers, the speed that the path needs, and the selected stamps.
+/// Settings of a run: a rate of the log that controllers have, the speed that the path needs, and the selected stamps.
 pub(super) fn sizes(family: Family, seed: u64) -> Sizes {
     let rates_hz = match family {
         Family::Fast => &[250.0, 500.0, 1000.0][..],
@@ -99,7 +104,7 @@ fn calibrated(run: &Run, directory: &Path) -> Outcome {
 }
 
 impl Outcome {
-    /// Compares a successful calibration with the truth of its run.
+    /// Compares a successful calibration with the true values of its run.
     pub(super) fn of(run: &Run, output: &Output, out: &Path) -> Self {
         if !output.status.success() {
             let directory = format!("{}/", out.parent().unwrap().display());
@@ -113,13 +118,14 @@ impl Outcome {
         let correction =
             |entry: &toml::Value| Some((entry["name"].as_str()?.to_owned(), entry["correction"].as_float()?));
         let found: BTreeMap<String, f64> = entries.iter().filter_map(correction).collect();
-        // Of parallel axes the last one has the sum of all offsets; the first one alone is wrong.
+        // Offsets along parallel axes cannot be separated, so the last of these axes has their sum. The error of the
+        // first one alone is meaningless.
         let mut truth = run.truth.robot.clone();
         let last = run.robot.undetermined.iter().rfind(|name| name.starts_with("rd"));
         if let Some(last) = last.filter(|last| **last != "rd1") {
             truth.insert((*last).to_owned(), truth["rd2"]);
         }
-        // Name, error and its standard uncertainty [mm, mrad].
+        // For each parameter its name, error and standard uncertainty [mm, mrad].
         let errors: Vec<(&str, f64, f64)> = entries
             .iter()
             .filter(|entry| entry["status"].as_str() != Some("fixed"))

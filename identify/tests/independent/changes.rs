@@ -1,4 +1,5 @@
-//! Changes at one instant of a run: messages by kind and size of the change, and for runs without a change.
+//! Runs in which something changes at one instant, and runs without a change. The tests check the messages of the program by
+//! type and size of the change.
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
 use super::campaign::{Outcome, calibrate, chosen, number, sizes};
@@ -8,35 +9,35 @@ use crate::support::campaign::step;
 /// Prefix of the reason of a refusal.
 const REFUSED: &str = "REFUSED";
 
-/// A change and its size.
+/// Type and size of an error that is added to a run.
 #[derive(Debug, Clone, Copy)]
 enum Injected {
     Nothing,
-    /// Encoder of a bar joint, from 0 \[mrad\].
+    /// Step of the encoder of a bar joint. Joints count from 0 \[mrad\].
     Encoder(usize, f64),
-    /// The same as a drift from the first cycle to the last.
+    /// Drift of the encoder of a bar joint by this amount, from the first cycle to the last \[mrad\].
     Drift(usize, f64),
-    /// True angle minus logged angle of a robot joint, from 0 \[mrad\].
+    /// Step of true angle minus logged angle of a robot joint. Joints count from 0 \[mrad\].
     Joint(usize, f64),
-    /// Position of the bar's base along x \[mm\].
+    /// Displacement of the bar's base along x \[mm\].
     Base(f64),
-    /// Stamps of the bar, whose clock is too irregular to reveal a step alone \[ms\].
+    /// Step of the bar's stamps \[ms\]. Stamps of the bar are too irregular to reveal the step on their own.
     Clock(f64),
-    /// Delay of a drive, from 0, in the whole log \[ms\].
+    /// Delay of a drive in the whole log. Drives count from 0 \[ms\].
     LateJoint(usize, f64),
-    /// True minus logged motion of a drive, from 0, in the whole log \[%\].
+    /// True minus logged motion of a drive in the whole log. Drives count from 0 \[%\].
     Ratio(usize, f64),
-    /// Rotation of the plate about the flange's axis, in the whole run \[deg\].
+    /// Rotation of the plate about the axis of the flange in the whole run \[deg\].
     Plate(f64),
 }
 
 impl Injected {
-    /// Whether it lasts from the first row to the last.
+    /// True if the error is the same from the first row to the last.
     fn lasts(self) -> bool {
         matches!(self, Self::LateJoint(..) | Self::Ratio(..) | Self::Plate(_))
     }
 
-    /// Required message of the program, as a refusal or as a warning.
+    /// Texts that the program must output: one if it refuses the run, the other if it warns.
     fn named(self) -> [String; 2] {
         let both = |refused: &str, warned: &str| [refused.to_owned(), warned.to_owned()];
         match self {
@@ -67,7 +68,7 @@ impl Injected {
 }
 
 impl Run {
-    /// True angles, interpolated between the rows of the log.
+    /// True angles of the robot, interpolated between the rows of the log \[rad\].
     fn true_angles(&self, time_s: f64) -> RowVector6<f64> {
         let after = self.true_rows.partition_point(|row| row.0 <= time_s).clamp(1, self.true_rows.len() - 1);
         let [(from_s, from), (to_s, to)] = [self.true_rows[after - 1], self.true_rows[after]];
@@ -75,7 +76,7 @@ impl Run {
         RowVector6::from_fn(|_, joint| from[joint] + part * (to[joint] - from[joint]))
     }
 
-    /// The files of a run with a change after this part of it.
+    /// Writes the files of a run with a change. The change occurs after the fraction `part` of the run.
     fn write_changed(&self, injected: Injected, part: f64, directory: &Path) -> Files {
         let (mut rows, mut cycles) = (self.rows.clone(), self.cycles.clone());
         let at_s = part * self.motion.duration_s;
@@ -111,7 +112,7 @@ impl Run {
                 _ => {}
             }
             let mut raw = more * raw_from_joints;
-            // Columns of the log, not joints.
+            // These errors are those of columns of the log, not of joints.
             let reported = |time_s: f64| self.true_angles(time_s) * raw_from_joints;
             match injected {
                 Injected::LateJoint(column, ms) => {
@@ -126,8 +127,8 @@ impl Run {
     }
 }
 
-/// Messages of the program for a run with a change, and the result: the reason of a refusal, or all output of a
-/// calibration.
+/// Calibrates a run with a change. Returns the messages of the program and the outcome. The messages are the reason of a
+/// refusal, or the report of a calibration.
 fn said_of(run: &Run, injected: Injected, part: f64) -> (String, Outcome) {
     let directory = tempfile::tempdir().unwrap();
     let (files, out) = (run.write_changed(injected, part, directory.path()), directory.path().join("out"));
@@ -160,9 +161,9 @@ fn what_changes_is_named_and_nothing_is_named_that_does_not() {
     }
 }
 
-/// `cargo test -p identify --test all changes_by_size -- --ignored --nocapture`; environment variables select as for
-/// `independent_campaign`. `IDENTIFY_SIZES=none` runs only sound runs, `lasting` only these and changes from the first row to
-/// the last.
+/// `cargo test -p identify --test all changes_by_size -- --ignored --nocapture`. Environment variables select runs as for
+/// `independent_campaign`. `IDENTIFY_SIZES=none` evaluates only runs without a change. `lasting` evaluates these and errors
+/// that last from the first row to the last.
 #[test]
 #[ignore = "five runs with 73 changes each: minutes"]
 fn changes_by_size() {
@@ -182,7 +183,7 @@ fn changes_by_size() {
         all.extend([0.1, 0.3, 1.0].map(|percent| Injected::Ratio(2, percent)));
         all.extend([2.0, 5.0, 45.0, 90.0].map(Injected::Plate));
     }
-    // A different path for each robot.
+    // Each robot has a different path.
     let paths = Robot::all().into_iter().zip(Family::ALL).filter(|(robot, family)| {
         chosen("IDENTIFY_ROBOTS", robot.name) && chosen("IDENTIFY_PATHS", &format!("{family:?}"))
     });

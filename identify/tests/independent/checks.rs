@@ -1,11 +1,11 @@
-//! Checks of the generator itself: without them its results are not valid evidence.
+//! Checks the generator of runs. Without these checks, results that use it would not be valid evidence.
 
 use std::f64::consts::TAU;
 
 use super::kinematics::{difference, position};
 use super::*;
 
-/// A run in which only the geometry differs from the nominal one.
+/// A run in which only the geometry differs from the nominal one. Readings have no errors.
 fn exact(robot: Robot, family: Family) -> Run {
     let duration_s = Some(family.duration_s().min(60.0));
     let sizes = Sizes { duration_s, bound_mm_mrad: 1.0, ..Sizes::without_varying_errors() };
@@ -28,7 +28,7 @@ fn both_chains_end_in_the_same_pose_and_the_bar_keeps_to_its_sphere() {
             let end = run.true_arm.pose(angles);
             let apart = difference(&end, &run.true_bar.pose(&run.motion.bar_rad(*time_s), 0.0));
             assert!(apart.amax() < 1e-9, "{} at {time_s} s: {apart}", run.robot.name);
-            // Up to the bar's own tolerances, 20 um or urad each.
+            // The difference is within the tolerances of the bar, 20 um or urad for each parameter.
             assert!(((position(&end) - centre).norm() - length_m).abs() < 2e-4);
         }
     }
@@ -53,7 +53,7 @@ fn the_written_files_lead_back_to_the_true_angles() {
             assert!((row[0] - run.robot_s(*time_s)).abs() < 1e-6);
             let raw = RowVector6::from_fn(|_, joint| row[joint + 1] * run.robot.log.unit_rad);
             let joints = raw * run.robot.joints_from_raw;
-            // Resolution of the last decimal: 1e-4 deg.
+            // The log has four decimals, so its resolution is 1e-4 deg.
             (0..6).for_each(|joint| assert!((joints[joint] - angles[joint]).abs() < 2e-6));
         }
         let recording = rows(&files.recording);
@@ -63,7 +63,7 @@ fn the_written_files_lead_back_to_the_true_angles() {
             let time_s = pair[1][0] - recording[0][0];
             let (begin, now) = (run.motion.bar_rad(0.0), run.motion.bar_rad(time_s));
             for joint in 0..5 {
-                // Counters wrap at 32 bits: the shorter difference between consecutive cycles.
+                // Counters wrap at 32 bits, so the shorter difference between consecutive cycles is the true one.
                 let step = (pair[1][joint + 1] as u32).wrapping_sub(pair[0][joint + 1] as u32).cast_signed();
                 turned[joint] += i64::from(step);
                 let read_rad = turned[joint] as f64 * TAU / COUNTS_PER_TURN;
@@ -87,7 +87,7 @@ fn what_is_logged_moves_smoothly_on_every_kind_of_path() {
             let fastest = (1..run.true_rows.len()).map(|index| (of(index) - of(index - 1)).abs() / step_s);
             let jerk = (0..run.true_rows.len() - 3).map(|index| third(index).abs() / step_s.powi(3));
             assert!(fastest.fold(0.0, f64::max) < 1.05 * family.speed_rad_s().max(0.7), "{family:?}");
-            // A step of 10 urad would be a jerk of 156 rad/s^3.
+            // A step of 10 urad would appear as a jerk of 156 rad/s^3.
             let jerk = jerk.fold(0.0, f64::max);
             assert!(jerk < 100.0, "{family:?}, joint {}: {jerk} rad/s^3", joint + 1);
         }
@@ -117,7 +117,7 @@ fn errors_are_as_large_as_they_are_said_to_be() {
         let count = errors.len() as f64;
         let mean = errors.iter().sum::<f64>() / count;
         let rms = (errors.iter().map(|error| error.powi(2)).sum::<f64>() / count).sqrt();
-        // Three harmonics of 20 to 30 urad, of which the path may cover only a part, and some noise.
+        // The errors are three harmonics of 20 to 30 urad and some noise. The path may cover only a fraction of a period.
         assert!(mean.abs() < 1e-6 && (10e-6..60e-6).contains(&rms), "joint {}: {mean} {rms}", joint + 1);
     }
 }
@@ -158,7 +158,8 @@ fn what_no_motion_determines_has_no_bound() {
     let poses: Vec<_> = rows.map(|(time_s, angles)| (run.motion.bar_rad(*time_s), *angles)).collect();
     let usual = bound(run.robot.undetermined, &poses);
     assert!((0.02..0.2).contains(&usual), "{usual}");
-    // The robot's first angle rotates the position of the bar; a tenth of the path leaves a large uncertainty.
+    // The first joint of the robot rotates the position of the bar, so these parameters are not separated. A tenth of the
+    // path leaves a large uncertainty.
     assert!(bound(&["rd1", "rd3"], &poses) > 100.0);
     assert!(bound(run.robot.undetermined, &poses[..poses.len() / 10]) > 3.0 * usual);
 }

@@ -1,4 +1,4 @@
-//! Deviations of a sound robot and a sound bar from their parameters.
+//! Deviations of a healthy robot and a healthy bar from their parameters.
 
 use std::f64::consts::TAU;
 
@@ -8,7 +8,7 @@ use rand_chacha::ChaCha8Rng;
 use super::Sizes;
 use super::robots::{Gear, Robot};
 
-/// Sum of sines of one angle.
+/// A sum of sines of one angle.
 #[derive(Debug, Clone, Default)]
 pub struct Waves(Vec<Wave>);
 
@@ -25,12 +25,12 @@ impl Waves {
         self.0.push(Wave { per_turn, amplitude: amplitude_millionths * 1e-6, phase_rad });
     }
 
-    /// Value at an angle \[rad\].
+    /// Value of the sum at an angle \[rad\].
     pub fn at(&self, angle_rad: f64) -> f64 {
         self.0.iter().map(|w| w.amplitude * (w.per_turn * angle_rad + w.phase_rad).sin()).sum()
     }
 
-    /// Encoder disc with an eccentricity.
+    /// Errors of an encoder whose disc has an eccentricity \[rad\].
     pub fn of_encoder(sizes: &Sizes, random: &mut ChaCha8Rng) -> Self {
         let mut waves = Self::default();
         waves.add(1.0, sizes.encoder_once_urad, random);
@@ -38,14 +38,14 @@ impl Waves {
         waves
     }
 
-    /// Bar length \[m\] as a function of one of its joints: an oval bearing.
+    /// Deviation of the bar length \[m\] as a function of one of its joints, caused by an oval bearing.
     pub fn of_bar(sizes: &Sizes, random: &mut ChaCha8Rng) -> Self {
         let mut waves = Self::default();
         waves.add(2.0, sizes.bar_runout_um, random);
         waves
     }
 
-    /// Robot axis: orders one and two per turn, and the orders of its gear.
+    /// Errors of a robot axis: orders one and two per turn, and the orders of its gear \[rad\].
     pub fn of_axis(robot: &Robot, axis: usize, sizes: &Sizes, random: &mut ChaCha8Rng) -> Self {
         let repeats = match robot.gears[axis] {
             Gear::Cycloid => f64::from(random.random_range(sizes.lobes.0..=sizes.lobes.1)),
@@ -62,11 +62,11 @@ impl Waves {
     }
 }
 
-/// Play of a gear: after a reversal the joint follows the motor only after the whole width.
+/// Play of a gear. After a reversal, the joint follows its motor only after the motor has passed the whole play.
 #[derive(Debug, Clone, Copy)]
 pub struct Play {
     half_rad: f64,
-    /// Position of the joint within the play, -1 to 1.
+    /// Position of the joint within the play, from -1 to 1.
     place: f64,
     last_rad: Option<f64>,
 }
@@ -76,7 +76,7 @@ impl Play {
         Self { half_rad: width_urad * 0.5e-6, place: 0.0, last_rad: None }
     }
 
-    /// Lead of the motor over the joint, which has moved to `joint_rad`.
+    /// Angle by which the motor is ahead of the joint, after the joint has moved to `joint_rad` \[rad\].
     pub fn ahead_rad(&mut self, joint_rad: f64) -> f64 {
         if self.half_rad > 0.0 {
             let moved = joint_rad - self.last_rad.unwrap_or(joint_rad);

@@ -1,14 +1,15 @@
-//! Whether a motion determines the robot: if it does not, a refusal is correct.
+//! Tests whether a motion determines the parameters of the robot. If it does not, a refusal is correct.
 
 use nalgebra::{DMatrix, DVector, Matrix6, SMatrix, Vector6};
 
 use super::kinematics::{Arm, Bar, difference};
 use super::robots::Robot;
 
-/// Error of each angle by gears, resolvers and encoders \[rad\].
+/// Assumed error of each angle, caused by gears, resolvers and encoders \[rad\].
 const ANGLE_RAD: f64 = 30e-6;
 
-/// Number of poses that count as independent: gear errors are correlated over seconds, so more poses add little information.
+/// Number of poses that count as independent. Gear errors are correlated over seconds, so more
+/// poses would add little information.
 const POSES: usize = 150;
 
 /// One parameter that a calibration must identify.
@@ -18,9 +19,9 @@ enum Number {
     Link(usize, usize),
     /// Offset of an encoder.
     Offset(usize),
-    /// Position of the bar's base along an axis.
+    /// Position of the bar's base along this axis.
     Place(usize),
-    /// Base tilt about x or y.
+    /// Tilt of the bar's base about x or y.
     Lean(usize),
     Length,
 }
@@ -43,7 +44,7 @@ impl Number {
         all
     }
 
-    /// Gap between the ends of the chains if this parameter is wrong by `by`.
+    /// Difference between the ends of the two chains if this parameter is wrong by `by` \[m, rad\].
     fn apart(self, by: f64, arm: &Arm, bar: &Bar, bar_rad: &[f64; 5], robot_rad: &[f64; 6]) -> Vector6<f64> {
         let (mut arm, mut bar) = (arm.clone(), bar.clone());
         match self {
@@ -63,8 +64,8 @@ impl Number {
     }
 }
 
-/// Lower bound of the error of the robot's parameters \[mm|mrad\]: the Euclidean norm of their standard deviations
-/// (Cramer-Rao bound) for errors of 30 urad in each angle.
+/// Lower bound of the error of the robot's parameters \[mm|mrad\]. It is the Euclidean norm of their standard deviations
+/// (Cramer-Rao bound) if each angle has an error of 30 urad.
 pub fn bound_mm_mrad(robot: &Robot, arm: &Arm, bar: &Bar, poses: &[([f64; 5], [f64; 6])]) -> f64 {
     const STEP: f64 = 1e-6;
     let numbers = Number::all(robot);
@@ -86,7 +87,7 @@ pub fn bound_mm_mrad(robot: &Robot, arm: &Arm, bar: &Bar, poses: &[([f64; 5], [f
         let jacobian = DMatrix::from_fn(6, columns.len(), |row, column| columns[column][row]);
         normal += jacobian.transpose() * DMatrix::from_column_slice(6, 6, weight.as_slice()) * &jacobian;
     }
-    // Millimetres and milliradians have equal weight: no scaling is needed.
+    // Millimetres and milliradians have equal weight, so no scaling is needed.
     let Some(covariance) = normal.cholesky().map(|factor| factor.inverse()) else { return f64::INFINITY };
     let variances: DVector<f64> = covariance.diagonal();
     let of_robot =

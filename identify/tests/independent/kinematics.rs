@@ -1,9 +1,9 @@
-//! Chains of Denavit-Hartenberg links as products of 4x4 matrices, and inverse kinematics by iteration.
+//! Chains of Denavit-Hartenberg links as products of 4x4 matrices, and iterative inverse kinematics.
 
 use nalgebra::{Matrix3, Matrix4, Matrix6, Vector3, Vector6};
 
-/// One link, standard convention: `Rz(theta) Tz(d) Tx(a) Rx(alpha)`, then `Ry(beta)` \[m, rad\]; the joint's angle is added to
-/// theta.
+/// One link in the standard convention: `Rz(theta) Tz(d) Tx(a) Rx(alpha)`, then `Ry(beta)` \[m, rad\]. The angle of the
+/// joint is added to theta.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Dh {
     pub a_m: f64,
@@ -14,12 +14,12 @@ pub struct Dh {
 }
 
 impl Dh {
-    /// From the units of data sheets \[m, deg\].
+    /// A link in the units of data sheets \[m, deg\].
     pub fn new(a_m: f64, alpha_deg: f64, d_m: f64, theta_deg: f64) -> Self {
         Self { a_m, alpha_rad: alpha_deg.to_radians(), d_m, theta_rad: theta_deg.to_radians(), beta_rad: 0.0 }
     }
 
-    /// `previous_from_link` at the joint angle `angle_rad`.
+    /// The matrix `previous_from_link` at the joint angle `angle_rad`.
     fn matrix(&self, angle_rad: f64) -> Matrix4<f64> {
         let (st, ct) = (self.theta_rad + angle_rad).sin_cos();
         let (sa, ca) = self.alpha_rad.sin_cos();
@@ -42,24 +42,25 @@ impl Dh {
     }
 }
 
-/// `base_from_end` of a chain.
+/// The matrix `base_from_end` of a chain at these joint angles.
 pub fn forward(links: &[Dh], angles_rad: &[f64]) -> Matrix4<f64> {
     links.iter().zip(angles_rad).fold(Matrix4::identity(), |sum, (link, angle)| sum * link.matrix(*angle))
 }
 
-/// Rotation of a pose.
+/// Rotation matrix of a pose.
 pub fn rotation(pose: &Matrix4<f64>) -> Matrix3<f64> {
     pose.fixed_view::<3, 3>(0, 0).into_owned()
 }
 
-/// Position of a pose.
+/// Position of a pose \[m\].
 pub fn position(pose: &Matrix4<f64>) -> Vector3<f64> {
     pose.fixed_view::<3, 1>(0, 3).into_owned()
 }
 
-/// Difference from `from` to `to`: of positions, and as a rotation vector, both in the base's axes \[m, rad\].
+/// Difference of two poses: `to` minus `from`. Positions are subtracted; the rotation is a rotation vector. Both are in the
+/// axes of the base \[m, rad\].
 ///
-/// The angle is computed from sine and cosine: the arc cosine alone loses half of the digits of small angles.
+/// The angle is computed from sine and cosine, because the arc cosine alone loses half of the digits of small angles.
 pub fn difference(to: &Matrix4<f64>, from: &Matrix4<f64>) -> Vector6<f64> {
     let step = position(to) - position(from);
     let m = rotation(to) * rotation(from).transpose();
@@ -69,7 +70,7 @@ pub fn difference(to: &Matrix4<f64>, from: &Matrix4<f64>) -> Vector6<f64> {
     Vector6::new(step.x, step.y, step.z, turn.x, turn.y, turn.z)
 }
 
-/// Six links, and the inverse kinematics of their end.
+/// An arm of six links with the inverse kinematics of its end.
 #[derive(Debug, Clone)]
 pub struct Arm {
     pub links: [Dh; 6],
@@ -94,8 +95,8 @@ impl Arm {
         (end, columns)
     }
 
-    /// Angles near `start_rad` at which the arm ends at `target`, to 1e-12 m and rad; `None` if Newton's method does not
-    /// converge, as at singular poses and outside the reach.
+    /// Joint angles near `start_rad` at which the end of the arm is at `target` within 1e-12 m and rad. `None` if Newton's
+    /// method does not converge, as at singular poses and outside the reach.
     pub fn inverse_near(&self, target: &Matrix4<f64>, start_rad: &[f64; 6]) -> Option<[f64; 6]> {
         let mut angles = *start_rad;
         for _ in 0..12 {
@@ -115,12 +116,12 @@ impl Arm {
     }
 }
 
-/// Whether all joints are within their limits.
+/// True if all joints are within their limits.
 pub fn within(angles_rad: &[f64; 6], limits_rad: &[[f64; 2]; 6]) -> bool {
     angles_rad.iter().zip(limits_rad).all(|(angle, [low, high])| (low..=high).contains(&angle))
 }
 
-/// The sensed ball-bar: five links on a base with arbitrary position and a small tilt.
+/// The sensed ball-bar: five links on a base that has any position and a small tilt.
 #[derive(Debug, Clone)]
 pub struct Bar {
     pub world_from_base: Matrix4<f64>,
@@ -128,7 +129,7 @@ pub struct Bar {
 }
 
 impl Bar {
-    /// Pose of the end at the joint angles `angles_rad`, with a rod longer than its parameter by `longer_m`.
+    /// Pose of the end at these joint angles. The rod is longer than its parameter by `longer_m`.
     pub fn pose(&self, angles_rad: &[f64; 5], longer_m: f64) -> Matrix4<f64> {
         let mut links = self.links;
         links[2].d_m += longer_m;

@@ -1,4 +1,4 @@
-//! The two files of a run: the log of the robot's controller and the bar's counters.
+//! Writes the two files of a run: the log of the robot's controller, and the counters of the bar.
 
 use std::f64::consts::TAU;
 use std::fmt::Write as _;
@@ -11,7 +11,7 @@ use rand_distr::{Distribution, Normal};
 
 use super::robots::Robot;
 
-/// Counts per turn of a bar joint: 3600 lines, each divided by 4096.
+/// Counts per turn of a bar joint: 3600 lines, each interpolated 4096 times.
 pub const COUNTS_PER_TURN: f64 = 14_745_600.0;
 
 /// Errors of the stamps of a robot's log.
@@ -19,25 +19,25 @@ pub const COUNTS_PER_TURN: f64 = 14_745_600.0;
 pub enum Stamps {
     /// Each row has its sampling time.
     Perfect,
-    /// Read from a clock with this period \[ms\].
+    /// Stamps are read from a clock with this period \[ms\].
     Rounded(f64),
-    /// Stamped on arrival, with this standard deviation \[ms\]; never decreasing.
+    /// Rows are stamped on arrival, whose delay has this standard deviation \[ms\]. Stamps never decrease.
     Jittered(f64),
-    /// This part of the rows is duplicated.
+    /// This fraction of the rows occurs twice.
     Duplicated(f64),
-    /// This number of rows arrives at once; they are stamped when read, 20 us each.
+    /// This number of rows arrives at once. They are stamped when they are read, at intervals of 20 us.
     Batched(usize),
-    /// This part of the rows is stamped 10 ms late.
+    /// This fraction of the rows is stamped 10 ms late.
     Late(f64),
-    /// This part of the rows is missing, and stamps have a standard deviation \[ms\].
+    /// This fraction of the rows is missing. The stamps of the others have this standard deviation \[ms\].
     Missing(f64, f64),
 }
 
-/// A row of the robot's log: time on its clock \[s\] and raw angles \[rad\].
+/// A row of the robot's log: time on the robot's clock \[s\] and raw angles \[rad\].
 pub type Row = (f64, [f64; 6]);
 
 impl Stamps {
-    /// The rows in the order of the file.
+    /// Applies the errors to the stamps. Returns the rows in the order of the file.
     pub fn applied(self, rows: &[Row], random: &mut ChaCha8Rng) -> Vec<Row> {
         match self {
             Self::Perfect => rows.to_vec(),
@@ -70,7 +70,7 @@ impl Stamps {
     }
 }
 
-/// Delays the stamps of the rows by these times \[s\]; they never decrease.
+/// Delays the stamp of each row by the next value of `by_s` \[s\]. Stamps never decrease.
 fn later(rows: &[Row], mut by_s: impl FnMut() -> f64) -> Vec<Row> {
     let mut last_s = f64::MIN;
     let mut stamp = |time_s: f64| {
@@ -80,7 +80,7 @@ fn later(rows: &[Row], mut by_s: impl FnMut() -> f64) -> Vec<Row> {
     rows.iter().map(|(time_s, values)| (stamp(*time_s), *values)).collect()
 }
 
-/// Writes the robot's log in the format of the robot.
+/// Writes the robot's log in the format of this robot, and returns its path.
 pub fn write_robot(robot: &Robot, rows: &[Row], directory: &Path) -> PathBuf {
     let form = robot.log;
     let mut text = String::from("t_s");
@@ -98,16 +98,16 @@ pub fn write_robot(robot: &Robot, rows: &[Row], directory: &Path) -> PathBuf {
     path
 }
 
-/// Origin of time on the bar's clock.
+/// Format of the time on the bar's clock.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum BarTime {
-    /// Seconds since this instant: `t_s`.
+    /// Column `t_s`: seconds, with this value at the first cycle.
     Seconds(f64),
-    /// Seconds since 1970: `time_utc`.
+    /// Column `time_utc`: this number of seconds since 1970 at the first cycle.
     Utc(i64),
 }
 
-/// Writes the counters, one row for each cycle: seconds since the first one, and counts.
+/// Writes the counters, one row per cycle. A cycle has its seconds since the first one, and its counts.
 pub fn write_bar(begin: BarTime, cycles: &[(f64, [u32; 5])], directory: &Path) -> PathBuf {
     let name = if matches!(begin, BarTime::Utc(_)) { "time_utc" } else { "t_s" };
     let mut text = format!("{name},count1,count2,count3,count4,count5\n");
@@ -128,7 +128,7 @@ pub fn write_bar(begin: BarTime, cycles: &[(f64, [u32; 5])], directory: &Path) -
     path
 }
 
-/// Reading of a counter with zero at the count `origin`.
+/// Reading of a 32-bit counter at this angle. The counter is zero at the count `origin`.
 pub fn counter(angle_rad: f64, origin: i64) -> u32 {
     ((angle_rad / TAU * COUNTS_PER_TURN).round() as i64 - origin).rem_euclid(1 << 32) as u32
 }

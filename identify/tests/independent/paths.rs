@@ -1,4 +1,5 @@
-//! Paths of the bar: a smooth curve of its five joints, and its timing, which consists of moves with soft starts and rests.
+//! Paths of the bar. A path is a smooth curve of its five joints; its schedule consists of moves
+//! with smooth starts and rests.
 
 use std::f64::consts::{PI, TAU};
 
@@ -7,22 +8,22 @@ use rand::Rng;
 use rand::seq::IndexedRandom;
 use rand_chacha::ChaCha8Rng;
 
-/// Kind of path on the sphere.
+/// Family of paths on the sphere.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Family {
-    /// A sine with its own frequency for each joint of the bar.
+    /// Each joint of the bar follows a sine of its own frequency.
     Lissajous,
-    /// A cone of the rod about a direction, with varying width.
+    /// The rod moves on a cone about a direction. The width of the cone varies.
     Spiral,
-    /// A B-spline through random points.
+    /// A B-spline through random control points.
     Waypoints,
-    /// A sequence of imperfect circles, with a constant direction of the flange in each.
+    /// A sequence of imperfect circles. The flange has a constant direction in each of them.
     Circles,
     /// A closed curve, repeated.
     Laps,
     /// Short moves between long rests.
     Bursts,
-    /// Joint speeds up to 1.5 rad/s.
+    /// Joint speeds are up to 1.5 rad/s.
     Fast,
     /// A run of half a minute.
     Short,
@@ -49,7 +50,7 @@ impl Family {
         Self::ThroughSingular,
     ];
 
-    /// Default duration of the run \[s\].
+    /// Default duration of a run \[s\].
     pub fn duration_s(self) -> f64 {
         match self {
             Self::Short => 30.0,
@@ -60,7 +61,7 @@ impl Family {
         }
     }
 
-    /// Highest speed of any joint of robot and bar \[rad/s\].
+    /// Highest speed of any joint of robot or bar \[rad/s\].
     pub fn speed_rad_s(self) -> f64 {
         match self {
             Self::Fast => 1.5,
@@ -73,14 +74,14 @@ impl Family {
 
 type Curve = Box<dyn Fn(f64) -> [f64; 5]>;
 
-/// Joints of the bar as functions of a path coordinate; the fastest turns by at most one radian per unit.
+/// Joints of the bar as functions of a path coordinate. The fastest joint turns by at most one radian per unit.
 pub struct Path {
     curve: Curve,
     unit: f64,
 }
 
 impl Path {
-    /// A curve of length `length` about some posture.
+    /// A random curve of this length about the middle of the sweep.
     pub fn new(family: Family, length: f64, sweep: Sweep, random: &mut ChaCha8Rng) -> Self {
         let curve = curve(family, length, sweep, random);
         let step = 0.01;
@@ -95,7 +96,7 @@ impl Path {
         Self { curve, unit: 1.0 / fastest }
     }
 
-    /// Angles of the bar's joints \[rad\].
+    /// Angles of the bar's joints at this path coordinate \[rad\].
     pub fn joints_rad(&self, at: f64) -> [f64; 5] {
         (self.curve)(at * self.unit)
     }
@@ -109,8 +110,8 @@ pub struct Sweep {
 }
 
 impl Sweep {
-    /// Sweeps `scale` times as wide as by default, with the flange turned to `flange` in the bar's base: the third joint and
-    /// the cardan follow from it and the rod. `None` if the rod would be nearly along the flange's axis.
+    /// Sweeps that are `scale` times as wide as by default. The flange has the rotation `flange` in the bar's base, from
+    /// which the third joint and the cardan follow. `None` if the rod would be nearly parallel to the axis of the flange.
     pub fn about(
         flange: &Rotation3<f64>,
         family: Family,
@@ -121,12 +122,12 @@ impl Sweep {
         let mut half = [(35.0, 65.0), (18.0, 32.0), (30.0, 70.0), (20.0, 35.0), (50.0, 100.0)]
             .map(|(low, high)| scale * degrees(low, high));
         if family == Family::ThroughSingular {
-            // There the gimbal restricts the rod to one plane.
+            // Near the singular pose, the gimbal restricts the motion of the rod to one plane.
             half[0] *= 0.4;
         }
         let b1 = degrees(-150.0, 150.0);
         let b2 = match family {
-            // Smallest distance from the axis: 2 to 6 degrees.
+            // The smallest distance from the axis is 2 to 6 degrees.
             Family::NearSingular => half[1] + degrees(2.0, 6.0),
             Family::ThroughSingular => degrees(5.0, 12.0),
             _ => half[1] + degrees(10.0, 60.0),
@@ -137,7 +138,7 @@ impl Sweep {
         (b4.sin().abs() > 0.8).then_some(Self { middle: [b1, b2, b3, b4, b5], half })
     }
 
-    /// Joints at the part `share` (-1 to 1) of their sweeps.
+    /// Joint angles at the fractions `share` (-1 to 1) of the half sweeps \[rad\].
     fn at(&self, share: [f64; 5]) -> [f64; 5] {
         std::array::from_fn(|joint| self.middle[joint] + self.half[joint] * share[joint])
     }
@@ -153,12 +154,12 @@ fn curve(family: Family, length: f64, sweep: Sweep, random: &mut ChaCha8Rng) -> 
     }
 }
 
-/// Incommensurable frequencies; joints with wide sweeps are slower.
+/// Random frequencies without a common multiple, so that the curve does not close. Joints with wide sweeps have lower ones.
 fn open_frequencies(random: &mut ChaCha8Rng) -> [f64; 5] {
     [0.9, 2.1, 1.0, 1.7, 0.6].map(|frequency: f64| frequency * random.random_range(0.8..1.25))
 }
 
-/// Integers, so that the curve is closed.
+/// Integer frequencies, so that the curve is closed.
 fn closed_frequencies(random: &mut ChaCha8Rng) -> [f64; 5] {
     let mut of = |choice: &[f64]| *choice.choose(random).unwrap();
     [of(&[1.0, 2.0]), of(&[2.0, 3.0]), of(&[1.0, 2.0]), of(&[2.0, 3.0]), 1.0]
@@ -178,7 +179,7 @@ fn spiral(sweep: Sweep, random: &mut ChaCha8Rng) -> Curve {
     let phases = phases(random);
     let turns = random.random_range(6.0..10.0);
     Box::new(move |at| {
-        // One motion out and back in this number of turns, without a standstill at the centre.
+        // The width of the cone grows and shrinks once in this number of turns, and never becomes zero.
         let radius = 0.55 - 0.45 * (at / turns).cos();
         let wave = |joint: usize| (0.37 * frequencies[joint] * at + phases[joint]).sin();
         sweep.at([
@@ -192,7 +193,7 @@ fn spiral(sweep: Sweep, random: &mut ChaCha8Rng) -> Curve {
 }
 
 fn waypoints(sweep: Sweep, length: f64, random: &mut ChaCha8Rng) -> Curve {
-    // Control points of a uniform cubic B-spline, at most one unit apart; the curve stays inside of them.
+    // Control points of a uniform cubic B-spline. They are at most one unit apart, and the curve remains within their hull.
     let count = (length * 2.0) as usize + 8;
     let points: Vec<[f64; 5]> = (0..count)
         .map(|_| std::array::from_fn(|_| (1.4 * random.random_range(-1.0..1.0f64)).clamp(-1.2, 1.2)))
@@ -213,7 +214,7 @@ fn waypoints(sweep: Sweep, length: f64, random: &mut ChaCha8Rng) -> Curve {
     })
 }
 
-/// One circle: its centre and size, and the direction of the flange.
+/// One circle of the rod: centre and half width of the first two joints \[rad\], and the rotation of the flange.
 #[derive(Clone, Copy)]
 struct Circle {
     middle: [f64; 2],
@@ -221,7 +222,8 @@ struct Circle {
     world_from_flange: Rotation3<f64>,
 }
 
-/// Rotations about z and y from the rod to the flange: in the bar's table the middle links rotate about y of the previous link.
+/// Rotation from the rod to the flange. The angles are about z, y and z, because the middle links of the bar rotate
+/// about y of the previous link.
 fn zyz(first: f64, second: f64, third: f64) -> Rotation3<f64> {
     let about = |axis: &Vector3<f64>, angle: f64| Rotation3::new(axis * angle);
     about(&Vector3::z(), first) * about(&Vector3::y(), second) * about(&Vector3::z(), third)
@@ -246,10 +248,10 @@ fn circles(sweep: Sweep, length: f64, random: &mut ChaCha8Rng) -> Curve {
     Box::new(move |at| {
         let turn = (at / (TAU * TURNS)).clamp(0.0, (count - 2) as f64);
         let (one, next) = (circles[turn as usize], circles[turn as usize + 1]);
-        // Each circle continues into the next: all laps differ.
+        // Each circle changes gradually into the next one, so no two laps are equal.
         let part = smooth(turn.fract());
         let mix = |from: f64, to: f64| from + (to - from) * part;
-        // Manual motion is irregular: some percent of the radius.
+        // A motion by hand is irregular: the radius varies by some percent.
         let hand = 1.0 + 0.04 * (2.3 * at + wobble[0]).sin() + 0.03 * (3.7 * at + wobble[1]).sin();
         let b1 = mix(one.middle[0], next.middle[0]) + hand * mix(one.half[0], next.half[0]) * at.cos();
         let b2 = mix(one.middle[1], next.middle[1]) + hand * mix(one.half[1], next.half[1]) * at.sin();
@@ -259,7 +261,8 @@ fn circles(sweep: Sweep, length: f64, random: &mut ChaCha8Rng) -> Curve {
     })
 }
 
-/// Angles of joints 3 to 5 that turn the rod's frame into the flange's, in the configuration and turn nearest to `middle`.
+/// Angles of joints 3 to 5 that rotate the frame of the rod into that of the flange. Of several solutions, those
+/// nearest to `middle` are returned.
 fn cardan(rod_from_flange: &Matrix3<f64>, middle: &[f64; 5]) -> [f64; 3] {
     let m = rod_from_flange;
     let side = middle[3].signum();
@@ -270,7 +273,7 @@ fn cardan(rod_from_flange: &Matrix3<f64>, middle: &[f64; 5]) -> [f64; 3] {
     [near(b3, middle[2]), b4, near(b5, middle[4])]
 }
 
-/// From 0 to 1 with zero speed and acceleration at both ends, and continuous jerk.
+/// Rises from 0 to 1. Speed, acceleration and jerk are zero at both ends.
 fn smooth(x: f64) -> f64 {
     x.powi(4) * (35.0 - 84.0 * x + 70.0 * x.powi(2) - 20.0 * x.powi(3))
 }
@@ -290,7 +293,7 @@ impl Move {
         (self.duration_s / 2.0).min(1.5)
     }
 
-    /// Distance after this time, for a full speed of 1; the speed of a ramp is 3x^2 - 2x^3.
+    /// Distance after this time for a full speed of 1. During a ramp, the speed rises as 3x^2 - 2x^3.
     fn way(&self, time_s: f64) -> f64 {
         let ramp_s = self.ramp_s();
         let of_ramp = |time_s: f64| {
@@ -309,14 +312,14 @@ impl Move {
     }
 }
 
-/// Path coordinate over time: moves with rests between them.
+/// The path coordinate as a function of time: moves with rests between them.
 #[derive(Debug, Clone)]
 pub struct Schedule {
     moves: Vec<Move>,
 }
 
 impl Schedule {
-    /// One move, or for bursts many short ones, within `duration_s` with a rest at both ends.
+    /// A schedule of `duration_s` that consists of one move, or of many short moves for bursts. It has a rest at both ends.
     pub fn new(family: Family, duration_s: f64, speed: f64, random: &mut ChaCha8Rng) -> Self {
         let mut moves = Vec::new();
         let end_s = duration_s - random.random_range(1.0..2.5);
@@ -333,7 +336,7 @@ impl Schedule {
         Self { moves }
     }
 
-    /// Path coordinate at a time.
+    /// Path coordinate at this time.
     pub fn at(&self, time_s: f64) -> f64 {
         let index = self.moves.partition_point(|one| one.start_s <= time_s);
         let Some(one) = index.checked_sub(1).map(|index| &self.moves[index]) else { return 0.0 };
@@ -345,11 +348,11 @@ impl Schedule {
         self.at(f64::MAX)
     }
 
-    /// Whether the robot is moving.
+    /// True if the robot is moving at this time.
     pub fn moves(&self, time_s: f64) -> bool {
         self.moves.iter().any(|one| (one.start_s..one.start_s + one.duration_s).contains(&time_s))
     }
 }
 
-/// Angles of a turn that the cables permit \[rad\].
+/// Largest rotation of a joint that the cables permit \[rad\].
 pub const CABLE_RAD: f64 = 2.0 * PI;

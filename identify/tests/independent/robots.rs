@@ -1,4 +1,5 @@
-//! The simulated robots: nominal links, limits and gears from data sheets, and the format of their logs.
+//! The simulated robots. Nominal links, limits and gears are from data sheets; the format of the
+//! logs is that of their controllers.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -7,21 +8,21 @@ use nalgebra::{Matrix6, RowVector6};
 
 use super::kinematics::{Arm, Dh};
 
-/// Gear between motor and joint.
+/// Type of the gear between motor and joint.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Gear {
-    /// Cycloid: ripple of one period per lobe and joint turn.
+    /// Cycloid gear: its error has one period per lobe and turn of the joint.
     Cycloid,
-    /// Strain wave: two periods per turn of the generator.
+    /// Strain wave gear: its error has two periods per turn of the wave generator.
     StrainWave,
-    /// Spur and bevel wheels: one period per turn of the motor.
+    /// Spur and bevel gears: their error has one period per turn of the motor.
     Wheels,
 }
 
 /// Names and format of the angles in a robot's log.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LogForm {
-    /// Columns such as `motor1_rad` or `joint1_deg`.
+    /// Prefix of the column names, such as `motor` of `motor1_rad`.
     pub column: &'static str,
     pub unit: &'static str,
     pub unit_rad: f64,
@@ -32,21 +33,21 @@ pub struct LogForm {
 #[derive(Debug, Clone)]
 pub struct Robot {
     pub name: &'static str,
-    /// Links to the flange, without plate and tool.
+    /// Links up to the flange, without plate and tool.
     pub nominal: Arm,
     pub limits_deg: [[f64; 2]; 6],
     pub gears: [Gear; 6],
-    /// Motor turns per turn of the joint.
+    /// Number of motor turns per turn of the joint.
     pub gear_ratio: [f64; 6],
     pub log: LogForm,
-    /// `q = raw * joints_from_raw`, row vectors, both in radians.
+    /// Matrix in `q = raw * joints_from_raw`, with row vectors. Both are in radians.
     pub joints_from_raw: Matrix6<f64>,
-    /// Matching bar: length and offset plate \[m\].
+    /// Rod length of a bar that suits the robot \[m\]; `plate_m` is that of its offset plate.
     pub bar_length_m: f64,
     pub plate_m: f64,
     /// Parameters that the loop of robot and bar cannot determine for this arm (table 3.2 of TFRT-6017 and parallel axes).
     pub undetermined: &'static [&'static str],
-    /// Name of its shipped file; `None`: a file is written next to the logs.
+    /// Name of the shipped file of the robot. `None` if the file must be written next to the logs.
     shipped: Option<&'static str>,
 }
 
@@ -60,7 +61,7 @@ impl Robot {
         vec![Self::irb2400(), Self::nj220(), Self::irb120(), Self::kr10(), Self::ur10()]
     }
 
-    /// ABB IRB 2400/16: logs motor angles; three cycloid gears, wheels in the wrist.
+    /// ABB IRB 2400/16. Its log has motor angles. Axes 1 to 3 have cycloid gears, the wrist has wheels.
     pub fn irb2400() -> Self {
         let mut raw = Matrix6::zeros();
         raw[(0, 0)] = -5.0 / 648.0;
@@ -104,7 +105,7 @@ impl Robot {
         }
     }
 
-    /// Comau NJ 220-2.7: logs joint angles of its controller; cycloid gears.
+    /// Comau NJ 220-2.7. Its log has the joint angles of the controller. All gears are cycloid gears.
     pub fn nj220() -> Self {
         let mut raw = Matrix6::zeros();
         raw[(0, 0)] = -1.0;
@@ -145,7 +146,7 @@ impl Robot {
         }
     }
 
-    /// ABB IRB 120-3/0.6: a small arm with strain wave gears.
+    /// ABB IRB 120-3/0.6, a small arm with strain wave gears.
     pub fn irb120() -> Self {
         Self {
             name: "irb120",
@@ -178,7 +179,8 @@ impl Robot {
         }
     }
 
-    /// KUKA KR 10 R1100: axes opposite to the links' z, zero with the arm stretched forward (A3 90 deg when bent).
+    /// KUKA KR 10 R1100. Its axes are opposite to z of the links, and the joints are zero if the arm is stretched forward
+    /// (A3 is 90 deg if the arm is bent).
     pub fn kr10() -> Self {
         let signs = RowVector6::new(-1.0, 1.0, 1.0, -1.0, 1.0, -1.0);
         Self {
@@ -212,7 +214,7 @@ impl Robot {
         }
     }
 
-    /// Universal Robots UR10: three parallel axes, an offset wrist, radians.
+    /// Universal Robots UR10, with three parallel axes and an offset wrist. Its log is in radians.
     pub fn ur10() -> Self {
         Self {
             name: "ur10",
@@ -243,7 +245,7 @@ impl Robot {
         self.limits_deg.map(|limits| limits.map(f64::to_radians))
     }
 
-    /// The robot's file: a shipped one, or one in the same format written to `directory`.
+    /// Path of the robot's file: the shipped file, or one in the same format that is written to `directory`.
     pub fn file(&self, directory: &Path) -> PathBuf {
         if let Some(shipped) = self.shipped {
             return Path::new(env!("CARGO_MANIFEST_DIR")).join("../config/robots").join(shipped);
@@ -269,7 +271,7 @@ impl Robot {
     }
 }
 
-/// A link in the format of the files.
+/// A link in the format of robots' files.
 pub fn link_toml(link: &Dh) -> String {
     format!(
         "\n[[links]]\na_m = {:?}\nalpha_deg = {:?}\nd_m = {:?}\ntheta_deg = {:?}\n",

@@ -1,5 +1,5 @@
-//! An independent implementation of the closed chain over any scalar: all parameters, a motion as an analytic function of time,
-//! and joint errors by their definition.
+//! An independent implementation of the closed chain over any scalar type. It has all parameters, a motion as an analytic
+//! function of time, and joint errors that are computed from their definition.
 
 use identify::kinematics::{Chain, DhLink, LinkParameter, Pose};
 use identify::model::{
@@ -11,7 +11,7 @@ use num_dual::{Dual64, DualNum};
 use crate::support::Cell;
 use crate::support::independent::{Link, Matrix, forward, identity, product, shift, turn};
 
-/// A smooth motion with joints as analytic functions of time.
+/// A smooth motion whose joints are analytic functions of time.
 #[derive(Debug)]
 pub struct Sines;
 
@@ -41,7 +41,7 @@ impl RobotMotion for Sines {
     }
 }
 
-/// All parameters of the closed chain over any scalar, in the order of the given [`ParameterId`]s.
+/// Values of all parameters of the closed chain in any scalar type. Their order is that of the given [`ParameterId`]s.
 #[derive(Clone)]
 pub struct Numbers<D> {
     pub robot: Vec<Link<D>>,
@@ -50,15 +50,15 @@ pub struct Numbers<D> {
     pub tilt: [D; 2],
     /// Compliance and play of the bar.
     pub elongation: [D; 2],
-    /// Harmonics of the bar's length: joint, order two or three per turn, sine or cosine.
+    /// Harmonics of the bar length. Indices: joint, order two or three per turn, sine or cosine.
     pub bar_waves: [[[D; 2]; 2]; 2],
     pub encoder_waves: [[[D; 2]; 2]; 5],
-    /// Added to the encoders' angles in origin 1.
+    /// Angles that are added to those of the encoders in origin 1.
     pub zeros: [D; 5],
     pub joint_errors: [[D; 18]; 6],
-    /// Orders three and four per turn, sine and cosine.
+    /// Joint harmonics. Indices: joint, order three or four per turn, sine or cosine.
     pub joint_waves: [[[D; 2]; 2]; 6],
-    /// Nominal robot, for the lever arms of weights.
+    /// Links of the nominal robot, from which the lever arms of weights are computed.
     pub arm: Vec<DhLink>,
     pub clock: [D; 2],
     pub attachment: [D; 3],
@@ -99,8 +99,8 @@ pub fn joint_waves(g: &Geometry) -> [[[f64; 2]; 2]; 6] {
     std::array::from_fn(|axis| [3, 4].map(|order| Phase::ALL.map(|phase| amplitude(axis, order, phase))))
 }
 
-/// Drive 2 also turns joint 3 backwards, drive 4 also turns joints 5 and 6; lobes and turns are arbitrary; the robot is mounted
-/// askew.
+/// A robot with coupled drives: drive 2 also turns joint 3 backwards, and drive 4 also turns joints 5 and 6. Numbers of
+/// lobes and gear ratios are arbitrary. The robot is mounted at an angle.
 pub fn coupled_drives(arm: &Chain) -> DriveTrain {
     let mut drives = DriveTrain::direct(arm);
     let couplings = [(1, 2, -1.0), (3, 4, 0.1), (3, 5, 0.05), (4, 5, 0.4)];
@@ -124,8 +124,8 @@ pub fn coupled(cell: &Cell) -> Model {
         .with(ParameterId::all().filter(|id| matches!(id, ParameterId::EncoderOffset { origin: 1, .. })))
 }
 
-/// Joints with all errors of [`coupled_drives`], by definition: basis functions of the reported angles of the drives. `fine`
-/// has the harmonics of orders three and four per turn.
+/// Joint angles with all errors of [`coupled_drives`], computed from their definition: basis functions of the reported
+/// angles of the drives. `fine` has the harmonics of orders three and four per turn.
 pub fn true_joints<D: DualNum<f64> + Copy>(
     arm: &[DhLink],
     errors: &[[D; 18]; 6],
@@ -134,7 +134,7 @@ pub fn true_joints<D: DualNum<f64> + Copy>(
 ) -> [D; 6] {
     let arm: Vec<Link<D>> = links(arm);
     let (q, qd) = (sines(tau), sines_rates(tau));
-    // joints = drives C, solved explicitly for the drives.
+    // Solves joints = drives C explicitly for the drives.
     let drives = |q: [D; 6]| {
         let [q1, q2, q3, q4, q5, q6] = q;
         let d5 = q5 - q4 * 0.1;
@@ -158,7 +158,7 @@ pub fn true_joints<D: DualNum<f64> + Copy>(
             g[i],
             D::from(0.0),
         ]);
-        // Not a basis function: the angle at another instant.
+        // The delay has no basis function. It uses the angle at another instant.
         let delay = |i: usize| errors[i][place(JointTerm::Delay)];
         let mean = (0..6).map(delay).fold(D::from(0.0), |a, b| a + b) / 6.0;
         let later = drives(sines(tau + delay(i) - mean))[i] - g[i];
@@ -175,7 +175,7 @@ pub fn true_joints<D: DualNum<f64> + Copy>(
     let [e1, e2, e3, e4, e5, e6] = error;
     let moved = [e1, e2, e3 - e2, e4, e5 + e4 * 0.1, e6 + e4 * 0.05 + e5 * 0.4];
     std::array::from_fn(|i| {
-        // Of the joint, in addition to its drive.
+        // Harmonics of the joint itself, in addition to those of its drive.
         let own = [(1.0, Period::JointOnce), (2.0, Period::JointTwice)].map(|(n, period)| {
             let [sine, cosine] =
                 [JointTerm::Sine(period), JointTerm::Cosine(period)].map(|term| errors[i][place(term)]);
@@ -269,7 +269,8 @@ impl<D: DualNum<f64> + Copy> Numbers<D> {
         })
     }
 
-    /// The same with the length of the bar under a force and with the harmonics of its direction.
+    /// The same parameters with the length of the bar at this observation. The length contains the deflection under its
+    /// force and the harmonics of its direction.
     pub fn with_length_at(&self, o: &Observation) -> Self {
         let mut elongated = self.clone();
         let Some(rod) = elongated.bar.get_mut(2) else { return elongated };
@@ -310,7 +311,7 @@ impl Numbers<Dual64> {
         }
     }
 
-    /// Robot and bar as configured in the library.
+    /// Chains of robot and bar in the types of the library.
     pub fn chains(&self) -> (Chain, Chain) {
         let links = |links: &[Link<Dual64>]| {
             let link = |l: &Link<Dual64>| DhLink {

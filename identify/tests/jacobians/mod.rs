@@ -1,4 +1,4 @@
-//! Analytic Jacobians of the costs, compared with automatic differentiation of an independent kinematics.
+//! Compares the analytic Jacobians of the costs with automatic differentiation of an independent kinematics.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 
 mod closed_chain;
@@ -34,7 +34,8 @@ fn independent_position(n: &Numbers<Dual64>, o: &Observation) -> Vec<Dual64> {
     independent_transform(n, o).split_off(9)
 }
 
-/// Five equations that vanish at the implied joints: the rotation, and both positions across the rod.
+/// Five equations that are zero at the implied joints of the bar: three of the rotation, and two of
+/// the position across the rod.
 fn conditions(n: &Numbers<Dual64>, target: &Matrix<Dual64>, bar: &[Dual64; 5]) -> [Dual64; 5] {
     let end = n.bar_end(bar);
     let gimbal = forward(&n.bar_base(), &n.bar[..2], &bar[..2]);
@@ -50,7 +51,7 @@ fn conditions(n: &Numbers<Dual64>, target: &Matrix<Dual64>, bar: &[Dual64; 5]) -
     ]
 }
 
-/// Newton's method on dual numbers yields the joints with their derivatives.
+/// Solves the equations for the joints of the bar by Newton's method. Dual numbers also yield the derivatives of the joints.
 fn independent_implied(n: &Numbers<Dual64>, target: &Matrix<Dual64>, start: [f64; 5]) -> [Dual64; 5] {
     let mut bar = start.map(Dual64::from);
     for _ in 0..12 {
@@ -72,7 +73,7 @@ fn independent_implied(n: &Numbers<Dual64>, target: &Matrix<Dual64>, start: [f64
 }
 
 fn independent_position_angles(n: &Numbers<Dual64>, o: &Observation) -> Vec<Dual64> {
-    // The library only selects one of the solutions.
+    // The library is used only to select one of several solutions.
     let (robot, bar) = n.chains();
     let tau = n.clock[0].re + (1.0 + n.clock[1].re) * o.t_s;
     let errors = n.joint_errors.map(|axis| axis.map(|x| x.re));
@@ -86,7 +87,7 @@ fn independent_position_angles(n: &Numbers<Dual64>, o: &Observation) -> Vec<Dual
     residual
 }
 
-/// Noise of each length relative to the median one.
+/// Noise of each length relative to that of the median length.
 const LENGTH_NOISE: f64 = 0.4;
 
 fn independent_measured_length(n: &Numbers<Dual64>, o: &Observation) -> Vec<Dual64> {
@@ -100,12 +101,12 @@ fn independent_measured_length(n: &Numbers<Dual64>, o: &Observation) -> Vec<Dual
     vec![((n.scale + 1.0) * distance + n.offset - o.length_m.unwrap()) / LENGTH_NOISE]
 }
 
-/// All parameters of the model are free, and none has a value at which derivatives vanish by symmetry.
+/// Frees all parameters of the model. Their values avoid points at which derivatives vanish by symmetry.
 fn all_free(model: Model) -> Model {
     all_free_but(model, |_| false)
 }
 
-/// The same, with parameters of one kind at their nominal values.
+/// Frees all parameters of the model. Those whose name satisfies `nominal` keep their nominal values.
 fn all_free_but(mut model: Model, nominal: impl Fn(&str) -> bool) -> Model {
     let ids = model.ids();
     for (i, id) in ids.into_iter().enumerate() {
@@ -134,7 +135,8 @@ fn observations() -> Vec<Observation> {
         .collect()
 }
 
-/// Every column agrees to 1e-9 of the largest entry of its kind; columns without effect on the cost are zero.
+/// Checks that every column agrees to 1e-9 of the largest entry of its kind. Columns without effect on
+/// the cost must be zero.
 fn agrees<R: Residual>(arm: &Chain, model: &Model, residual: R, independent: Independent) {
     let observations = observations();
     let problem = LoopProblem::new(model, &Sines, &observations, residual, 1.0).unwrap();
@@ -170,10 +172,10 @@ fn length_and_transform_have_the_derivatives_of_the_closed_chain_for_both_robots
     }
 }
 
-/// Without these the bar's point does not depend on joints 3 to 5.
+/// If these parameters are zero, the position of the bar's end does not depend on joints 3 to 5.
 const LEVER_ARMS: [&str; 5] = ["ba3", "ba4", "ba5", "bd4", "bd5"];
 
-/// `B^-1 R` as position and rotation vector, from matrices of dual numbers; not whitened.
+/// `B^-1 R` as position and rotation vector, from matrices of dual numbers. The result is not whitened.
 fn independent_pose(n: &Numbers<Dual64>, o: &Observation) -> Vec<Dual64> {
     let (r, b) = (n.robot_end(o.t_s), n.bar_end(&n.bar_joints(o)));
     let sum = |terms: [Dual64; 3]| terms[0] + terms[1] + terms[2];
@@ -187,8 +189,8 @@ fn independent_pose(n: &Numbers<Dual64>, o: &Observation) -> Vec<Dual64> {
     pose
 }
 
-/// The whitening is constant except for the scale: at the same parameters, one matrix for each sample maps all derivatives of
-/// the plain pose, with its position in lengths of the rod, to those of the cost.
+/// The whitening is constant except for the scale. For each sample, one matrix therefore maps all derivatives of the plain
+/// pose to those of the cost. The position of the plain pose is in lengths of the rod.
 #[test]
 fn pose_has_the_derivatives_of_the_plain_pose_times_one_matrix_for_each_sample() {
     for cell in [Cell::irb2400(), Cell::nj220()] {
@@ -214,7 +216,8 @@ fn pose_has_the_derivatives_of_the_plain_pose_times_one_matrix_for_each_sample()
                     plain[(i, model.columns().len())] = value.re;
                 }
             }
-            // By propagation of uncertainty: columns are `theta` of each joint.
+            // Computes the covariance by propagation of uncertainty. Its columns are the derivatives
+            // by `theta` of each joint.
             let angle =
                 |name: String| plain.column(model.column_of(name.parse().unwrap()).unwrap()).into_owned();
             let mut covariance = DMatrix::identity(6, 6) * 1e-14;

@@ -1,4 +1,4 @@
-//! A log with arbitrary bytes is refused with a message, or its values are finite, ordered or marked.
+//! A log with arbitrary bytes is refused with a message. Otherwise its values are finite, in order, or marked.
 
 use std::path::Path;
 use std::sync::LazyLock;
@@ -25,7 +25,7 @@ fn rtde() -> Vec<u8> {
     text.into_bytes()
 }
 
-/// Explicit Protobuf: header with number and milliseconds, feedback with joints.
+/// A log in Protobuf that is encoded here. Each message has a header with number and milliseconds, and feedback with joints.
 fn egm() -> Vec<u8> {
     let message = |(row, deg): (usize, [f64; 6])| {
         let values: Vec<u8> = deg.iter().flat_map(|v| [&[0x09][..], &v.to_le_bytes()].concat()).collect();
@@ -53,7 +53,7 @@ fn own_table() -> Vec<u8> {
     (format!("t_s,{names}\n") + &lines.collect::<String>()).into_bytes()
 }
 
-/// A complete log of each format of the robot, with the format.
+/// A complete log in each format of robot logs, with that format.
 static ROBOT_LOGS: LazyLock<Vec<(LogFormat, Vec<u8>)>> = LazyLock::new(|| {
     vec![
         (LogFormat::Csv, own_table()),
@@ -66,7 +66,7 @@ static ROBOT_LOGS: LazyLock<Vec<(LogFormat, Vec<u8>)>> = LazyLock::new(|| {
     ]
 });
 
-/// A complete file of each format of the bar.
+/// A complete file in each format of the bar's logs.
 static BAR_LOGS: LazyLock<Vec<Vec<u8>>> = LazyLock::new(|| {
     let states = &bar_log::joint_states("")[..ROWS];
     let exported: String = (0..ROWS)
@@ -88,10 +88,10 @@ fn config<T: serde::de::DeserializeOwned + config::Validate>(name: &str) -> T {
     config::load(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../config").join(name)).unwrap()
 }
 
-/// Returns whether a reader accepted it.
+/// Reads the bytes as a robot log with and without a mapping. Returns true if one of the two was accepted.
 fn read_as_robot(bytes: &[u8], format: LogFormat) -> bool {
     let mut robot = irb120();
-    // Limits that no value reaches, so that most logs are accepted.
+    // No value reaches these limits, so most logs are accepted.
     robot.joint_limits_deg = vec![[-1e6, 1e6]; 6];
     let mut taken = false;
     for mapping in [None, Some(shipped_mapping())] {
@@ -191,7 +191,7 @@ fn the_whole_files_that_are_damaged_below_are_read() {
     assert!(pose_tables().iter().all(|bytes| read_as_poses(bytes)));
 }
 
-/// Corruptions of a file: changed bytes, a part duplicated or omitted, a truncated end.
+/// Damage to a file: changed bytes, a section that occurs twice or is missing, and a truncated end.
 #[derive(Debug, Clone)]
 struct Damage {
     flips: Vec<(prop::sample::Index, u8)>,
@@ -236,7 +236,7 @@ proptest! {
     #[test]
     fn no_bytes_make_a_reader_panic(bytes in prop::collection::vec(any::<u8>(), 0..400)) {
         read_as_everything(&bytes);
-        // Also after the first bytes of each binary format.
+        // Arbitrary bytes also follow the first bytes of each binary format.
         for magic in [&b"\x89MCAP0\r\n"[..], b"SQLite format 3\0"] {
             read_as_everything(&[magic, &bytes].concat());
         }

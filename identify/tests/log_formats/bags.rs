@@ -1,4 +1,4 @@
-//! Small bags of ROS 2 with joint states, generated here; bags of other programs are read in the tests of the workspace.
+//! Generates small ROS 2 bags with joint states. Tests of the workspace read bags of other programs.
 
 use std::collections::BTreeMap;
 use std::io::Cursor;
@@ -6,7 +6,7 @@ use std::io::Cursor;
 use mcap::records::MessageHeader;
 use rusqlite::{Connection, MAIN_DB};
 
-/// One message: topic, stamp, names and positions.
+/// One message with topic, stamp, names and positions.
 pub struct JointState {
     pub topic: &'static str,
     pub stamp_ns: i64,
@@ -15,7 +15,7 @@ pub struct JointState {
 }
 
 impl JointState {
-    /// Little-endian CDR; each number is aligned to its size, counted from the end of the header.
+    /// The message in little-endian CDR. Each number is aligned to its size, counted from the end of the header.
     fn cdr(&self) -> Vec<u8> {
         let mut body = Vec::new();
         body.extend(((self.stamp_ns / 1_000_000_000) as i32).to_le_bytes());

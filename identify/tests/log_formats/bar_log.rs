@@ -1,4 +1,5 @@
-//! Logs of the bar's encoders by other programs: tables of counters and bags; irregularities are marked or refused.
+//! Logs of the bar's encoders that other programs wrote, as tables of counters and as bags.
+//! Irregularities are marked or refused.
 
 use std::path::Path;
 
@@ -13,18 +14,18 @@ use crate::support::bar;
 
 const ROWS: usize = 200;
 
-/// Angle of a joint (1 to 5) at a row \[rad\]: it increases by more than a turn.
+/// Angle of a joint (1 to 5) at a row \[rad\]. It increases by more than a turn.
 fn angle_rad(row: usize, joint: usize) -> f64 {
     0.05 * row as f64 + 0.6 * (0.03 * row as f64 + joint as f64).sin()
 }
 
-/// Counts of a joint's encoder with an arbitrary origin.
+/// Counts of the encoder of a joint, with an arbitrary origin.
 fn counts(row: usize, joint: usize) -> i64 {
     let scale = bar().encoders[joint - 1].scale();
     scale.rad_to_counts(angle_rad(row, joint)) + 4_290_000_000 * joint as i64
 }
 
-/// The four encoders of the thesis, at 100 Hz.
+/// A table of the four encoders of the thesis at 100 Hz. `cell` returns the text for a row and a joint.
 pub fn table(cell: impl Fn(usize, usize) -> String) -> String {
     let mut text = "t_s,count1,count2,count4,count5\n".to_owned();
     for row in 0..ROWS {
@@ -60,7 +61,7 @@ fn message(bytes: &[u8], mapping: Option<&BarLogMapping>) -> String {
     read(bytes, mapping).map(drop).unwrap_err().to_string()
 }
 
-/// Every joint follows the true motion up to its offset.
+/// Checks that every joint follows the true motion, except for a constant offset.
 fn assert_follows(log: &OtherBarLog, tolerance_rad: f64) {
     let angles = bar_angles(&log.cycles, &log.encoders).unwrap();
     let first = angles.readings[0];
@@ -74,7 +75,8 @@ fn assert_follows(log: &OtherBarLog, tolerance_rad: f64) {
     }
 }
 
-/// Every joint wrapped, and a report can show the angles as recorded and as unwrapped.
+/// Checks that every joint wrapped with this period \[rad\], and that a report can show its angles both
+/// as recorded and as unwrapped.
 fn assert_shown(log: &OtherBarLog, period_rad: f64) {
     assert_eq!(log.unwrapped.len(), log.encoders.len());
     for one in &log.unwrapped {
@@ -136,7 +138,7 @@ fn the_shipped_mapping_reads_lines_without_header_as_twincat_writes_dates() {
 
 #[test]
 fn a_narrow_counter_is_refused_with_what_to_write_and_then_followed() {
-    // Slow enough that no wrap is missed: at 16 bits a turn of the ERN 1080 has 225 wraps.
+    // The motion is slow enough that no wrap is missed. With 16 bits, a turn of the ERN 1080 has 225 wraps.
     let slow = |row: usize, joint: usize| (counts(row, joint) / 100).rem_euclid(65_536).to_string();
     let text = table(slow);
     let refused = message(text.as_bytes(), None);
@@ -173,7 +175,7 @@ fn missing_frozen_and_repeated_rows_are_marked_and_told() {
     let text = table(|row, joint| match (row, joint) {
         (40, 2) => String::new(),
         (41, 5) => "NaN".into(),
-        // Two consecutive rows of the logger are late.
+        // The logger wrote two consecutive rows late.
         (81 | 82, _) => shown(80, joint),
         _ => shown(row, joint),
     });
@@ -202,7 +204,8 @@ fn counters_that_start_anew_are_marked_and_one_that_slips_is_not_excused() {
     let origins: Vec<usize> = log.cycles.chunk_by(|a, b| a.origin == b.origin).map(<[_]>::len).collect();
     assert_eq!(origins, [100, ROWS - 100]);
     assert!(log.quality.remarks[0].contains("line 102"), "{:?}", log.quality.remarks);
-    // A restart with a jump of three quarters of the largest step: no step is assumed, and no counter wraps there.
+    // The counter restarts with a jump of three quarters of the largest possible step. The reader must neither assume a step
+    // nor a wrapped counter there.
     let far = |row: usize, joint: usize| {
         let since = if row < 100 { 0 } else { 1_610_000_000 };
         ((counts(row, joint) + since) as u32).to_string()
@@ -224,7 +227,7 @@ fn counters_that_start_anew_are_marked_and_one_that_slips_is_not_excused() {
             one.step_part
         );
     }
-    // With a grossly wrong scale every row is such a place: the remark appears once.
+    // If the scale is grossly wrong, every row has such a jump. The remark must appear only once.
     let coarse = |row: usize, joint: usize| ((50 * counts(row, joint)) as u32).to_string();
     let log = read(table(coarse).as_bytes(), None).unwrap();
     let message: Vec<&String> =
@@ -256,7 +259,7 @@ fn rows_that_jump_out_and_back_are_no_new_origins_but_marked_and_named() {
     assert_follows(&log, 1e-6);
     let message = inspect::bar_log(&log).suspicious.join("\n");
     assert!(message.contains("4 of 200 lines") && message.contains("line 42, 43, 92, 122"), "{message}");
-    // A larger number is not caused by faults of single rows.
+    // If this number of rows is faulty, the cause cannot be faults of single rows.
     let many = table(|row, joint| if row % 7 == 3 { "0".into() } else { shown(row, joint) });
     let message = self::message(many.as_bytes(), None);
     assert!(
@@ -304,7 +307,7 @@ fn what_cannot_be_meant_is_refused_with_place_and_remedy() {
         let message = message(text.as_bytes(), None);
         assert!(parts.iter().all(|part| message.contains(part)), "{message}");
     }
-    // Counts of an encoder that the bar does not have cannot become angles.
+    // Counts of an encoder that the bar does not have cannot be converted to angles.
     let more = good.lines().enumerate();
     let more = more.map(|(row, line)| format!("{line},{}\n", if row == 0 { "count3" } else { "0" }));
     let message = message(more.collect::<String>().as_bytes(), None);
@@ -326,7 +329,7 @@ fn impossible_mappings_are_refused_by_key() {
     }
 }
 
-/// Joints 1, 2, 4 and 5 in another order, among other joints, each angle within half a turn.
+/// Joint states of joints 1, 2, 4 and 5 in another order, among other joints. Each angle is within half a turn.
 pub fn joint_states(prefix: &str) -> Vec<JointState> {
     let wrapped = |angle: f64| angle - (angle / std::f64::consts::TAU).round() * std::f64::consts::TAU;
     let state = |row: usize| JointState {
@@ -343,7 +346,7 @@ pub fn joint_states(prefix: &str) -> Vec<JointState> {
 #[test]
 fn encoders_among_the_joints_of_a_bag_are_found_by_name_and_followed_over_full_turns() {
     let mut messages = joint_states("lab_");
-    // Other nodes publish on the same topic, and one value is missing.
+    // Other nodes publish on the same topic, and one message lacks a value.
     messages.insert(
         50,
         JointState {

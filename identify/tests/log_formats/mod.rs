@@ -1,5 +1,5 @@
-//! Robot logs in common formats: mapped tables, RTDE, RSI; unusable rows are dropped with a remark. The logs of the bar are in
-//! `bar_log`, corrupted files in `any_bytes`.
+//! Robot logs in common formats: mapped tables, RTDE, RSI. Rows that cannot be used are dropped with a remark. `bar_log`
+//! tests the logs of the bar, and `any_bytes` tests damaged files.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 mod any_bytes;
@@ -15,7 +15,7 @@ use identify::logs::{
 };
 use shared::config::{self, AngleUnit, JointKind, RobotConfig};
 
-/// A robot whose controller reports the joints of the model.
+/// A robot whose controller reports the joint angles of the model.
 fn irb120() -> RobotConfig {
     config::load(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../config/robots/irb120_3.toml")).unwrap()
 }
@@ -32,7 +32,7 @@ fn read_as(text: &str, mapping: Option<RobotLogMapping>) -> Result<RobotLog, Log
     read_with(text.as_bytes(), Path::new("log.txt"), &irb120(), &LogOptions { format: None, mapping })
 }
 
-/// Joint `joint` (from 0) of row `row` \[deg\].
+/// Angle of joint `joint` (from 0) at row `row` \[deg\].
 fn angle_deg(row: usize, joint: usize) -> f64 {
     20.0 * (0.05 * row as f64 + joint as f64).sin()
 }
@@ -55,7 +55,8 @@ fn cells(values: &[f64], separator: &str) -> String {
     values.iter().map(f64::to_string).collect::<Vec<_>>().join(separator)
 }
 
-/// As in the shipped mapping: a line before the header, units, semicolons, decimal commas, byte order mark, CRLF.
+/// A table in the format of the shipped mapping: a line before the header, units, semicolons, decimal
+/// commas, byte order mark, CRLF.
 fn german_table(count: usize) -> String {
     let mut text = "\u{feff}exported 2026-11-20\r\nTime;J1;J2;J3;J4;J5;J6;I1\r\n[ms];[deg];[deg];[deg];[deg];[deg];[deg];[A]\r\n".to_owned();
     for (row, deg) in rows(count) {
@@ -87,7 +88,7 @@ fn degrees_that_a_mapping_states_as_radians_are_recognised() {
     assert!(refusal.contains("look like degrees: write unit = \"deg\" for the joints"), "{refusal}");
 }
 
-/// Such a robot with a slide as its third axis.
+/// Such a robot whose third axis is a slide.
 fn with_slide() -> RobotConfig {
     let mut robot = irb120();
     robot.links[2].joint = JointKind::Prismatic;
@@ -115,7 +116,7 @@ fn a_slide_in_telegrams_is_in_millimetres() {
 #[test]
 fn a_row_that_repeats_the_one_before_while_only_a_slide_moves_is_dropped() {
     let row = |row: usize| {
-        // Row 30 repeats row 29; the slide moves by 0.4 mm in 4 ms.
+        // Row 30 repeats row 29. The slide moves by 0.4 mm in 4 ms.
         let moved = if row == 30 { 29 } else { row };
         format!("{:.3},0,0,{:.4},0,0,0\n", 0.004 * row as f64, 4e-4 * moved as f64)
     };
@@ -130,14 +131,14 @@ fn a_row_that_repeats_the_one_before_while_only_a_slide_moves_is_dropped() {
 fn an_error_in_a_mapped_table_names_the_line_of_the_file_and_the_column() {
     let text = german_table(80).replace("\r\n80;", "\r\n80;x");
     let message = read_as(&text, Some(shipped_mapping())).unwrap_err().to_string();
-    // Row 10 of the numbers, after three lines.
+    // The line number is that of row 10 after three lines of title, header and units.
     assert!(message.contains("log.txt line 14 column `J1`"), "{message}");
     let message =
         read_as(&german_table(80).replace("J4", "axis4"), Some(shipped_mapping())).unwrap_err().to_string();
     assert!(message.contains("`J4` is missing") && message.contains("axis4"), "{message}");
 }
 
-/// The order is that in which the types of the mappings have their keys.
+/// Missing columns are searched in the order in which the types of the mappings have their keys.
 #[test]
 fn of_several_columns_that_are_missing_the_first_of_the_mapping_is_named() {
     let (text, path) = ("a,b\n1,2\n", Path::new("table.csv"));
@@ -179,7 +180,7 @@ fn sign_offset_and_coupling_apply_in_that_order() {
     for (row, deg) in rows(60) {
         let mut values = deg.map(f64::to_radians);
         values[0] = deg[0];
-        // 2026-11-21 in FILETIME, with more digits than an f64 has.
+        // 2026-11-21 as FILETIME, which has more digits than an f64.
         table += &format!("{} {}\n", 134_082_000_000_000_001_i64 + row as i64 * 40_000, cells(&values, " "));
     }
     let text = format!("[csv]\ndelimiter = \" \"\n{text}");
@@ -247,7 +248,7 @@ fn telegrams_of_rsi_give_measured_joints_or_commanded_ones_where_a_mapping_asks(
         read_as(&telegrams(60, 4), Some(mapping(&format!("values = \"commanded\"\n{joints}")))).unwrap();
     assert_follows(&log, 60, |row, joint| angle_deg(row, joint) + 1.0);
     assert!(log.quality.remarks.iter().all(|remark| !remark.contains("force")));
-    // Forces are not read from telegrams.
+    // Forces in telegrams are not supported.
     let force = mapping(&format!("force = {{ unit = \"Nm\" }}\n{joints}"));
     let log = read_as(&telegrams(60, 4), Some(force)).unwrap();
     let message = log.quality.remarks.iter().find(|remark| remark.contains("force on the bar is not used"));
@@ -275,7 +276,8 @@ fn a_counter_of_telegrams_is_not_taken_for_milliseconds() {
 fn a_log_of_telegrams_that_breaks_off_is_refused_with_the_telegram() {
     let text = telegrams(60, 4);
     let read = read_as(&text[..text.len() - 200], None).map(|log| log.q_rad.len());
-    // A file that ends within an attribute is refused; one that ends between elements loses its incomplete last element.
+    // A file that ends within an attribute is refused. If it ends between two elements, its
+    // incomplete last element is dropped.
     match read {
         Ok(count) => assert_eq!(count, 59),
         Err(error) => assert!(error.to_string().contains("telegram 60"), "{error}"),

@@ -1,28 +1,29 @@
-//! Pages in a real browser.
+//! Shows pages in a real browser.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use serde_json::Value;
 
-/// Contents of a page in a browser, and its requests to other hosts.
+/// Content of a page as shown by the browser, and its requests to other hosts.
 pub struct Shown {
-    /// Document after parsing by the browser.
+    /// Document after the browser has parsed it and run its scripts.
     pub document: String,
-    /// Addresses on the web that it requested.
+    /// Addresses of other hosts that the page requested.
     pub foreign: Vec<String>,
     /// Messages of the browser.
     pub stderr: String,
 }
 
-/// Opens a page in the browser and reads its contents.
+/// Opens a page in the browser and returns its content.
 pub fn shown(text: &str) -> Shown {
     let directory = tempfile::tempdir().unwrap();
     let page = directory.path().join("report.html");
     std::fs::write(&page, text).unwrap();
     let requests = directory.path().join("requests.json");
     let log = format!("--log-net-log={}", requests.display());
-    // One second of virtual time, so that scripts have drawn; software rendering, for machines without a graphics processor.
+    // Runs for one second of virtual time, so that the scripts of the page have drawn. Software rendering is for
+    // machines without a graphics processor.
     let drawn = ["--enable-unsafe-swiftshader", "--virtual-time-budget=1000"];
     let output =
         browser(directory.path()).args(drawn).args(["--dump-dom", &log]).arg(&page).output().unwrap();
@@ -33,13 +34,13 @@ pub fn shown(text: &str) -> Shown {
     }
 }
 
-/// Contents of a page's view in three dimensions.
+/// Data of the three-dimensional view of a page.
 pub fn scene(page: &str) -> Value {
     let scene = page.split_once("id=\"path-scene\"").unwrap().1.split_once('>').unwrap().1;
     serde_json::from_str(scene.split_once("</script>").unwrap().0).unwrap()
 }
 
-/// Text of each printed sheet of a page, extracted from the PDF by another program.
+/// Text of each sheet of a page when it is printed. Another program extracts the text from the PDF.
 pub fn printed(text: &str) -> Vec<String> {
     const READ: &str = "import json, sys, pypdf; print(json.dumps([sheet.extract_text() for sheet in pypdf.PdfReader(sys.argv[1]).pages]))";
     let directory = tempfile::tempdir().unwrap();
@@ -56,7 +57,8 @@ pub fn printed(text: &str) -> Vec<String> {
     serde_json::from_slice(&read.stdout).unwrap()
 }
 
-/// Addresses on the web in a browser's log of requests, without those that the browser requests at every start.
+/// Addresses of other hosts in the browser's log of requests. Addresses that the browser itself requests at
+/// every start are left out.
 fn foreign(log: &Path) -> Vec<String> {
     let log: Value = serde_json::from_slice(&std::fs::read(log).unwrap()).unwrap();
     let address = |event: &Value| event["params"]["url"].as_str().map(str::to_owned);
@@ -65,7 +67,7 @@ fn foreign(log: &Path) -> Vec<String> {
     events.filter(|url| url.starts_with("http") && !of_browser(url)).collect()
 }
 
-/// Chromium without a window, with its data in a directory; a file's path is an address to it.
+/// A command for Chromium without a window, whose data is in a directory. The path of a file may be given as an address.
 fn browser(directory: &Path) -> Command {
     let mut command = Command::new(chromium());
     command

@@ -1,12 +1,12 @@
-//! Errors of gears that no model contains.
+//! Gear errors that no model contains.
 
 use identify::kinematics::Joints;
 use identify::model::DriveTrain;
 use rand::Rng;
 use rand::rngs::StdRng;
 
-/// Errors of one robot's gears in its reported joints, as functions of their output angles, with other orders than models
-/// contain.
+/// Gear errors of one robot, which are added to its reported joints. They are functions of the output angles of the gears,
+/// with orders that models do not contain.
 pub struct Gears {
     drives: DriveTrain,
     teeth: [f64; 6],

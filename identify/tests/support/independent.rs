@@ -1,11 +1,12 @@
-//! An independent kinematics from products of 4 x 4 matrices over any scalar, which shares no code with the library.
-//! On dual numbers it is automatic differentiation, with which analytic Jacobians are compared.
+//! An independent implementation of the kinematics with 4 x 4 matrices over any scalar type. It shares no
+//! code with the library. With dual numbers it differentiates automatically, so that analytic Jacobians can
+//! be compared with its derivatives.
 
 use num_dual::DualNum;
 
 pub type Matrix<D> = [[D; 4]; 4];
 
-/// a, alpha, d, theta, beta of one link.
+/// Parameters a, alpha, d, theta and beta of one link.
 pub type Link<D> = [D; 5];
 
 pub fn identity<D: DualNum<f64> + Copy>() -> Matrix<D> {
@@ -24,7 +25,7 @@ pub fn shift<D: DualNum<f64> + Copy>(x: D, y: D, z: D) -> Matrix<D> {
     m
 }
 
-/// A rotation in the plane of axes `i` and `j`: (0, 1) about z, (1, 2) about x, (2, 0) about y.
+/// A rotation in the plane of axes `i` and `j`: (0, 1) is about z, (1, 2) about x, (2, 0) about y.
 pub fn turn<D: DualNum<f64> + Copy>(i: usize, j: usize, angle: D) -> Matrix<D> {
     let (s, c) = (angle.sin(), angle.cos());
     let mut m = identity();

@@ -1,4 +1,4 @@
-//! A laboratory with realistic errors in addition to those of `simulate`.
+//! A simulated laboratory with realistic errors in addition to those of `simulate`.
 #![allow(dead_code, reason = "each test uses its part")]
 
 use std::f64::consts::TAU;
@@ -12,22 +12,22 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use shared::config::{BallBarConfig, RobotConfig};
 
-/// Size of the errors.
+/// Sizes of the errors.
 #[derive(Debug, Clone, Copy)]
 pub struct Level {
     pub robot_noise_urad: f64,
     pub encoder_noise_urad: f64,
-    /// Eccentric output gears, order two per turn.
+    /// Amplitude of errors by eccentric output gears, order two per turn.
     pub gear_sine_urad: f64,
-    /// Ripple of cycloid gears.
+    /// Amplitude of the errors of cycloid gears.
     pub cycloid_urad: f64,
-    /// Backlash of the robot's axes, from end to end.
+    /// Backlash of the robot's axes, as the full width.
     pub backlash_urad: f64,
-    /// Bar encoders, order one per turn.
+    /// Amplitude of errors of the bar's encoders, order one per turn.
     pub eccentricity_urad: f64,
-    /// Bar encoders, order two per turn.
+    /// Amplitude of errors of the bar's encoders, order two per turn.
     pub second_harmonic_urad: f64,
-    /// Amplitude of the bar's length as a function of its direction.
+    /// Amplitude of the bar length as a function of the bar's direction.
     pub bar_um: f64,
     pub base_tilt_urad: f64,
 }
@@ -57,19 +57,20 @@ impl Level {
     };
 }
 
-/// Lobes of each drive's cycloid gear, which differ from those in the robots' files.
+/// Number of lobes of the cycloid gear of each drive. They differ from those in the robots' files.
 const LOBES: [f64; 6] = [59.0, 59.0, 39.0, 41.0, 47.0, 43.0];
-/// Speed range in which the backlash changes sides \[rad/s\].
+/// Range of speeds in which the backlash changes from one side to the other \[rad/s\].
 const BACKLASH_RAD_S: f64 = 2e-3;
 
-/// A run: clocks up to an hour and 80 ppm apart, arbitrary encoder offsets, two minutes unless `design` states otherwise.
+/// Simulates a run with clocks that differ by up to an hour and 80 ppm, and with arbitrary encoder offsets. It has two
+/// minutes unless `design` states otherwise.
 pub fn run(robot: &RobotConfig, bar: &BallBarConfig, seed: u64, level: &Level, design: Design) -> Simulated {
     let mut clean = without_noise(robot, bar, seed, level, design);
     add_noise(&mut clean, seed, level);
     clean
 }
 
-/// The same without noise.
+/// Simulates such a run without noise.
 pub fn without_noise(
     robot: &RobotConfig,
     bar: &BallBarConfig,
@@ -115,7 +116,8 @@ fn add(count: &mut u32, by_rad: f64, encoder: &shared::recording::schema::Encode
     *count = count.wrapping_add((encoder.scale.direction.sign() * counts) as u32);
 }
 
-/// Adds cycloid ripple and backlash of the drives, and the joints for a bar of varying length.
+/// Adds errors of cycloid gears and backlash of the drives to the robot's log. Also changes the joints so that the robot
+/// follows a bar of varying length.
 fn add_to_robot(run: &mut Simulated, robot: &RobotConfig, level: &Level, random: &mut ChaCha8Rng) {
     let phases: [f64; 6] = std::array::from_fn(|_| random.random_range(0.0..TAU));
     let azimuth = random.random_range(0.0..TAU);
@@ -162,7 +164,7 @@ fn add_to_robot(run: &mut Simulated, robot: &RobotConfig, level: &Level, random:
     }
 }
 
-/// White noise on encoders and robot joints, independent for each row of both logs.
+/// Adds white noise to encoders and robot joints, independent for each row of both logs.
 pub fn add_noise(run: &mut Simulated, seed: u64, level: &Level) {
     let mut random = ChaCha8Rng::seed_from_u64(2000 + seed);
     let mut noise = |urad: f64| {
@@ -179,7 +181,7 @@ pub fn add_noise(run: &mut Simulated, seed: u64, level: &Level) {
     }
 }
 
-/// Encoder `place` is assigned to the joint of `order[place]`, as after an exchange of cables.
+/// Assigns encoder `place` to the joint of encoder `order[place]`, as if cables had been exchanged.
 pub fn exchange(run: &mut Simulated, order: &[usize]) {
     let joints: Vec<u8> = order.iter().map(|&place| run.encoders[place].joint).collect();
     for (encoder, joint) in run.encoders.iter_mut().zip(&joints) {
@@ -192,7 +194,8 @@ pub fn exchange(run: &mut Simulated, order: &[usize]) {
     }
 }
 
-/// Replaces the values of one drive in every row by a function of all rows: faults of controllers affect single drives.
+/// Replaces the values of one drive in every row by `shown`, a function of the values of all rows and of the row number.
+/// Faults of controllers affect single drives.
 pub fn of_drive(
     run: &mut Simulated,
     robot: &RobotConfig,
@@ -209,7 +212,7 @@ pub fn of_drive(
     }
 }
 
-/// The run driven twice; the second run starts `pause_s` after the first start.
+/// Repeats the motion of a run. The second motion starts `pause_s` after the start of the first one \[s\].
 pub fn repeat(run: &mut Simulated, pause_s: f64) {
     let again: Vec<_> = run
         .cycles

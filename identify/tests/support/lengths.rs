@@ -1,14 +1,14 @@
-//! Measured lengths as a file.
+//! Writes measured lengths as a table.
 
 use identify::kinematics::flange_chain;
 use nalgebra::Vector3;
 use shared::config::RobotConfig;
 
-/// Exit point of the wire from the instrument, in the robot's base \[m\].
+/// Anchor of the wire in the robot's base \[m\].
 pub const ANCHOR_M: [f64; 3] = [0.3, -0.6, 0.1];
 
-/// Lengths from the anchor to the flange of a nominal robot, in the format of `config/measured_length.toml`; the instrument
-/// shows `offset_mm` more.
+/// Lengths between the anchor and the flange of a nominal robot, as a table in the format of `config/measured_length.toml`.
+/// The instrument shows lengths that are longer by `offset_mm`.
 pub fn table(robot: &RobotConfig, rows: u32, offset_mm: f64) -> String {
     let chain = flange_chain(robot);
     let mut csv = String::from("x_mm,y_mm,z_mm,q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg,cable_mm\n");

@@ -1,4 +1,4 @@
-//! Runs of a minute, prepared with options of a configuration file.
+//! Prepares runs of a minute with options as they are written in a configuration file.
 
 use std::path::Path;
 
@@ -15,7 +15,7 @@ pub fn run(effects: Effects) -> Simulated {
     simulate::run(&Experiment { effects, design, ..Experiment::new(&robot, &bar) }).unwrap()
 }
 
-/// `options` is the text under `[prepare]`.
+/// Prepares the run. `options` is the text below `[prepare]` in the file.
 pub fn prepared(run: &Simulated, options: &str) -> Prepared {
     let text = format!("[prepare]\n{options}\n");
     let config: IdentifyConfig = config::parse(&text, Path::new("identify.toml")).unwrap();

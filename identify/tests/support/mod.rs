@@ -1,4 +1,4 @@
-//! Shared by the tests: configurations of the repository, an independent kinematics, the reference set-up.
+//! Helpers that the tests share: configurations of the repository, an independent kinematics, and the reference set-up.
 #![allow(dead_code, reason = "each test file uses its part")]
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "a test without its data states so")]
@@ -32,7 +32,8 @@ pub fn repository(path: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(path)
 }
 
-/// Folder of measured data that may not be copied into the repository; a test of them has nothing to do without it.
+/// Folder of measured data that may not be copied into the repository. Without it, tests of these
+/// data return without a check.
 pub fn measured_data() -> Option<PathBuf> {
     let folder = std::env::var_os("BALLBAR_DATA").map(PathBuf::from);
     if folder.is_none() {
@@ -61,14 +62,14 @@ pub fn bar() -> BallBarConfig {
     config::load(&repository("config/ball_bar.toml")).unwrap()
 }
 
-/// A robot, and a bar at a position where the robot reaches the sphere from many sides.
+/// A robot, and a bar at a base from which the robot reaches the sphere in many directions.
 pub struct Cell {
     pub robot: Chain,
     pub bar: Chain,
 }
 
 impl Cell {
-    /// The reference set-up: bar at (1.0, 0.05, 0.35), L 0.6, plate 0.25.
+    /// The reference set-up: base of the bar at (1.0, 0.05, 0.35), rod 0.6, plate 0.25 \[m\].
     pub fn irb2400() -> Self {
         Self::new(&irb2400(), Vector3::new(1.0, 0.05, 0.35))
     }
@@ -89,7 +90,8 @@ impl Cell {
     }
 }
 
-/// Bar angles at regular poses of robot and bar, and the robot's joints there, for the given chains.
+/// Angles of the bar at regular poses of robot and bar, and the joints of the robot there. Both are
+/// computed for the given chains.
 pub fn spread_poses(
     robot: &Chain,
     bar: &Chain,
@@ -115,7 +117,8 @@ pub fn spread_poses(
     (observations, PerObservation(joints))
 }
 
-/// [`spread_poses`] of nominal chains with this standard deviation of the noise on all angles of both sides \[rad\].
+/// Like [`spread_poses`] for the nominal chains, with noise of this standard deviation on all angles
+/// of robot and bar \[rad\].
 pub fn noisy_poses(
     cell: &Cell,
     count: usize,

@@ -1,4 +1,4 @@
-//! Adapts a problem of this project to the crate `levenberg-marquardt`, a port of MINPACK's lmder.
+//! Adapts a problem of this project to the crate `levenberg-marquardt`, which is a port of MINPACK's lmder.
 
 use identify::solver::{LeastSquares, stacked};
 use levenberg_marquardt::LeastSquaresProblem;
@@ -8,7 +8,7 @@ use nalgebra::{DMatrix, DVector, Dyn};
 pub struct Other<'a> {
     problem: &'a dyn LeastSquares,
     pub x: DVector<f64>,
-    /// That crate requests residuals and Jacobian of a point separately.
+    /// Residuals and Jacobian at the current point. They are stored, because that crate requests them separately.
     at_x: Option<(DVector<f64>, DMatrix<f64>)>,
 }
 

@@ -1,4 +1,4 @@
-//! Runs that the command refuses, and the page that it writes.
+//! Runs that the command must refuse, and the page that it writes.
 
 use std::path::PathBuf;
 use std::process::Command;
@@ -7,16 +7,17 @@ use identify::simulate::{self, Simulated};
 use shared::config::{BallBarConfig, RobotConfig};
 use tempfile::TempDir;
 
-/// Command line and output.
+/// Output of the command after a refusal.
 pub struct Refused {
-    /// Directory of `--out`.
+    /// Directory of the option `--out`.
     pub out: TempDir,
     pub stderr: String,
-    /// The page that it wrote.
+    /// Text of the page that the command wrote.
     pub page: String,
 }
 
-/// One run as files; `--robot` and `--bar` are the given ones, whatever the run was simulated with.
+/// One run as files, with the arguments that name them. `--robot` and `--bar` are the given configurations, even if the
+/// run was simulated with others.
 pub struct Typed {
     pub inputs: TempDir,
     pub arguments: Vec<PathBuf>,
@@ -51,7 +52,8 @@ impl Typed {
             .unwrap()
     }
 
-    /// Checks a refusal: the output contains `why` and the path of the page, and no other file is written.
+    /// Calibrates and checks that this is refused. The output must contain the texts `why` and the path of the page, and no
+    /// other file may be written.
     pub fn refused(&self, why: &[&str], extra: &[&str]) -> Refused {
         let out = tempfile::tempdir().unwrap();
         let output = self.calibrate(extra, out.path());
@@ -64,7 +66,7 @@ impl Typed {
         let page = std::fs::read_to_string(&path).unwrap();
         for why in why {
             assert!(stderr.contains(why), "`{why}` is missing in: {stderr}");
-            // The first word may start a sentence with a capital letter.
+            // The first word may begin a sentence on the page, with a capital letter.
             let escaped = maud_escaped(why);
             let without_first = escaped.get(1..).unwrap();
             assert!(page.contains(without_first), "`{why}` is missing on the page");
@@ -78,7 +80,8 @@ fn maud_escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
-/// Checks common contents of a refusal's page: verdict, cause and remedy, both logs with their joints, the inputs' checksums.
+/// Checks the contents that all pages of refusals have: verdict, cause and remedy, both logs with their joints, and
+/// the checksums of the inputs.
 pub fn states_the_verdict(page: &str) {
     assert!(page.contains("<strong>Not calibrated. </strong>") && !page.contains("<strong>Calibrated"));
     for heading in [

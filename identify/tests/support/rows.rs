@@ -1,4 +1,4 @@
-//! Calibration of a single file of rows.
+//! Calibrates a single file of rows.
 
 use identify::calibrate::rows::{RowSet, Stages};
 use identify::calibrate::{
@@ -9,7 +9,7 @@ use identify::logs::{LengthRow, PoseRow};
 use identify::model::{Model, ParameterId};
 use shared::config::RobotConfig;
 
-/// Configuration of the calibration of such a file.
+/// Configuration of the calibration of a single file of rows.
 #[derive(Clone, Default)]
 pub struct Alone {
     pub hold_out: Option<HoldOut>,
@@ -18,16 +18,16 @@ pub struct Alone {
     pub config: IdentifyConfig,
 }
 
-/// Calibration of a single file of rows.
+/// Result of the calibration of a single file of rows.
 pub struct Found(pub Calibration);
 
 impl Alone {
-    /// Single rows are held out, and joint errors have few harmonics.
+    /// A quick calibration: it holds out single rows, and its joint errors have few harmonics.
     pub fn quick() -> Self {
         Self { hold_out: Some(HoldOut::Rows), joint_waves: Some(20), ..Self::default() }
     }
 
-    /// The parameters of the links alone.
+    /// Estimates only the parameters of the links.
     pub fn without_joint_errors(mut self) -> Self {
         self.config.joint_terms = JointTermsConfig { candidates: Vec::new(), ..self.config.joint_terms };
         self
@@ -74,7 +74,7 @@ impl Found {
         self.0.sigma(id)
     }
 
-    /// Output of the command for a user.
+    /// The table that the command prints.
     pub fn table(&self) -> String {
         let run = &self.0.runs[0];
         identify::report::rows::table(self.rows(), run, &[], &[], &[])

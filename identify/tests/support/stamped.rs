@@ -1,4 +1,4 @@
-//! Logs with stamps that differ from the times of their samples.
+//! Logs whose stamps differ from the times of their samples.
 
 use std::path::Path;
 
@@ -6,7 +6,8 @@ use identify::kinematics::Joints;
 use identify::logs::{RobotLog, Stream, read, write};
 use shared::config::RobotConfig;
 
-/// `log` as read from a file whose rows have `stamps_s` with this number of decimals; rows without a stamp are missing.
+/// `log` as it is read from a file whose rows have the stamps `stamps_s` with this number of decimals \[s\]. Rows without a
+/// stamp are missing in the file.
 pub fn stamped(
     log: &RobotLog,
     robot: &RobotConfig,
@@ -28,7 +29,7 @@ pub fn stamped(
     read(lines.collect::<String>().as_bytes(), Path::new("log.csv"), robot).unwrap()
 }
 
-/// `log` sampled at another rate.
+/// `log` interpolated at another rate.
 pub fn resampled(log: &RobotLog, rate_hz: f64) -> RobotLog {
     let spline = Stream::clone(&log.q_rad).spline().unwrap();
     let rows = (log.q_rad.duration_s() * rate_hz) as usize;

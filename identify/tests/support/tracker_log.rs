@@ -1,4 +1,4 @@
-//! A UR10 with link errors, measured by a tracker with an independent clock.
+//! A UR10 with link errors that a tracker measures. The tracker has an independent clock.
 
 use std::f64::consts::TAU;
 use std::path::Path;
@@ -15,31 +15,31 @@ use rand_distr::StandardNormal;
 
 use super::ur10;
 
-/// Properties of the logs.
+/// Properties of the two logs.
 #[derive(Debug, Clone, Copy)]
 pub struct Sizes {
     /// Duration of the tracker's log \[s\].
     pub duration_s: f64,
-    /// Rows of the tracker per second; below one, the robot stands still for each row.
+    /// Number of rows of the tracker per second. Below one, the robot stops for each row.
     pub rate_hz: f64,
-    /// Standard deviation of each coordinate \[m\].
+    /// Standard deviation of each measured coordinate \[m\].
     pub noise_m: f64,
-    /// Standard deviation of each stamp of the tracker; stamps never decrease \[s\].
+    /// Standard deviation of each stamp of the tracker \[s\]. Stamps never decrease.
     pub jitter_s: f64,
-    /// Largest difference between the time of a row and a regular time \[s\].
+    /// Largest difference between the time of a row and the corresponding regular time \[s\].
     pub uneven_s: f64,
-    /// Rate error of the robot's clock.
+    /// Rate of the robot's clock relative to the tracker's clock, minus one.
     pub skew: f64,
     /// Robot clock minus tracker clock at the tracker's first row \[s\].
     pub shift_s: f64,
-    /// The robot's log begins this much before the tracker's, and ends this much after it \[s\].
+    /// The robot's log begins earlier than the tracker's by the first value, and ends later by the second \[s\].
     pub lead_s: [f64; 2],
-    /// Period of the motion \[s\].
+    /// Time after which the motion repeats \[s\]; `None` if it does not repeat.
     pub lap_s: Option<f64>,
-    /// The tracker is moved after three quarters of the time, and measures a second target: at each stop of the robot, or, if
-    /// it does not stop, after half of the time.
+    /// True if the tracker is moved after three quarters of the time and measures a second target. The second target is
+    /// measured at each stop of the robot or, if the robot does not stop, in the second half of the time.
     pub moved: bool,
-    /// A robot that stops does so for this part of the time to the next stop, before and after it.
+    /// Before and after each stop of the robot, it stands still for this fraction of the time between stops.
     pub stay: f64,
     pub with_rotation: bool,
 }
@@ -63,33 +63,33 @@ impl Default for Sizes {
     }
 }
 
-/// Both logs and the truth.
+/// Both logs and their truth.
 pub struct Followed {
     pub sizes: Sizes,
     pub truth: Chain,
     pub log: RobotLog,
-    /// Contents of a file: `t_ms;x;y;z` in mm, and a rotation vector in rad if there is one.
+    /// Content of the tracker's file: `t_ms;x;y;z` in mm, and a rotation vector in rad if rotations are measured.
     pub text: String,
-    /// True time of each row of the tracker, on its clock since the first regular time \[s\].
+    /// True time of each row of the tracker \[s\]. It is on the tracker's clock and counts from the first regular time.
     taken_s: Vec<f64>,
     path: PathOfJoints,
-    /// Poses of the stations.
+    /// Poses of the two stations.
     places: [Pose; 2],
-    /// Poses of the targets on the flange.
+    /// Poses of the two targets on the flange.
     pub probes: [Pose; 2],
     seed: u64,
 }
 
-/// Time of its first row on the tracker's clock \[s\].
+/// Time of the tracker's first row on its clock \[s\].
 const FIRST_S: f64 = 1000.25;
-/// Time between rows of the robot's log \[s\].
+/// Time between two rows of the robot's log \[s\].
 const ROBOT_PERIOD_S: f64 = 0.008;
 const NOISE_RAD: f64 = 1e-5;
 
-/// Joints as functions of time, with a different motion for each seed.
+/// Joints as functions of time. Each seed has a different motion.
 struct PathOfJoints {
     sines: [[(f64, f64, f64); 3]; 6],
-    /// Time between two stops \[s\]; `None` if it never stops.
+    /// Time between two stops \[s\]; `None` if the robot never stops.
     stops_s: Option<f64>,
     stay: f64,
 }
@@ -99,7 +99,7 @@ impl PathOfJoints {
         let stops_s = (rate_hz < 1.0).then_some(1.0 / rate_hz);
         let mut sine = || {
             let period_s: f64 = random.random_range(4.0..15.0);
-            // An integer number of periods in each lap.
+            // A lap has an integer number of periods.
             let period_s = lap_s.map_or(period_s, |lap_s| lap_s / (lap_s / period_s).round());
             (random.random_range(0.15..0.4), period_s, random.random_range(0.0..TAU))
         };
@@ -110,7 +110,8 @@ impl PathOfJoints {
         const MIDDLE: [f64; 6] = [0.3, -1.2, 1.4, -0.6, -1.2, 0.2];
         let along_s = self.stops_s.map_or(t_s, |stop_s| {
             let (number, part) = ((t_s / stop_s).floor(), (t_s / stop_s).rem_euclid(1.0));
-            // Moves smoothly in the middle of the interval, and further than the time between two stops requires.
+            // The robot moves smoothly in the middle of the interval. It moves further than the time
+            // between two stops would require.
             let u = ((part - self.stay) / (1.0 - 2.0 * self.stay)).clamp(0.0, 1.0);
             7.3 * (number + u * u * u * (10.0 + u * (6.0 * u - 15.0)))
         });
@@ -144,7 +145,7 @@ impl Followed {
         let rows = ((sizes.duration_s + sizes.lead_s[0] + sizes.lead_s[1]) / ROBOT_PERIOD_S) as usize;
         let (mut stamps_s, mut q_rad) = (Vec::new(), Vec::new());
         for row in 0..rows {
-            // Regular on the robot's own clock.
+            // Rows are regular on the robot's clock.
             let tau_s = row as f64 * ROBOT_PERIOD_S;
             let t_s = tau_s / (1.0 + sizes.skew) - sizes.lead_s[0];
             stamps_s.push(tau_s);
@@ -214,7 +215,7 @@ impl Followed {
         align_poses(&self.poses(), log, &flange_chain(&ur10()), &PrepareOptions::default())
     }
 
-    /// Writes `robot.csv`, `tracker.csv` and `tracker.toml`.
+    /// Writes the files `robot.csv`, `tracker.csv` and `tracker.toml`.
     pub fn write(&self, directory: &Path) {
         let log = std::fs::File::create(directory.join("robot.csv")).unwrap();
         identify::logs::write(&self.log, &ur10(), log).unwrap();
@@ -222,7 +223,7 @@ impl Followed {
         std::fs::write(directory.join("tracker.toml"), self.mapping()).unwrap();
     }
 
-    /// Rows of an alignment, as used in a calibration.
+    /// Rows of an alignment with their joints, in the form that a calibration uses.
     pub fn measured(&self, aligned: &AlignedPoses) -> Tracker {
         let poses = self.poses();
         let rows: Vec<PoseRow> = aligned
@@ -237,11 +238,12 @@ impl Followed {
         }
     }
 
-    /// The same rows with the true joints of the robot.
+    /// The same rows with the true joints of the robot, apart from its noise.
     pub fn with_perfect_times(&self, aligned: &AlignedPoses) -> Vec<PoseRow> {
         let (poses, mut random) = (self.poses(), StdRng::seed_from_u64(1000 + self.seed));
         let rows = aligned.rows.iter().map(|row| {
-            // Rows with the stamp of the previous row may be dropped; the header is line 1.
+            // Rows with the stamp of the previous row may have been dropped, so the line number identifies the row.
+            // The header is line 1.
             let joints = self.path.at(self.taken_s[poses.rows[*row].line as usize - 2]);
             let noisy = joints.iter().map(|q| q + NOISE_RAD * random.sample::<f64, _>(StandardNormal));
             PoseRow { joints_rad: noisy.collect(), ..poses.rows[*row] }
@@ -249,24 +251,25 @@ impl Followed {
         rows.collect()
     }
 
-    /// Errors of shift \[s\] and skew, for a solved model of a moving target.
+    /// Errors of the estimated clock shift \[s\] and skew, for a solved model of a moving target.
     pub fn clock_errors(&self, aligned: &AlignedPoses, model: &Model) -> [f64; 2] {
         let value = |id| model.parameter(id).unwrap().value;
         let moving = aligned.moving.as_ref().unwrap();
         let t_ref_s = self.poses().rows.t_s[aligned.rows[0]] - moving.t_s[0];
-        // Time since the first regular time, from which the first stamp may differ.
+        // Times count from the first regular time. The first stamp may differ from it.
         let t_ref_s = t_ref_s + self.poses().rows.first_stamp_ns as f64 * 1e-9 - FIRST_S;
         let found_s = aligned.alignment.clock_difference_ns as f64 * 1e-9 + value(ParameterId::ClockShift);
         let truly_s = self.sizes.shift_s + self.sizes.skew * t_ref_s;
         [found_s - truly_s, value(ParameterId::ClockSkew) - self.sizes.skew]
     }
 
-    /// Robot clock minus tracker clock at tracker time `t_s` \[s\].
+    /// Robot clock minus tracker clock \[s\] at the tracker's time `t_s` \[s\].
     pub fn clock_difference_s(&self, t_s: f64) -> f64 {
         self.sizes.shift_s + self.sizes.skew * (t_s - FIRST_S)
     }
 
-    /// Mean distance between the probe positions of an identified and the true robot, tracker and probe included \[m\].
+    /// Mean distance between the probe positions of an identified and of the true robot \[m\]. It includes errors of the
+    /// poses of tracker and probe.
     pub fn error_m(&self, model: &Model) -> f64 {
         let geometry = model.geometry(&[]);
         let (place, probe) = geometry.tracker.at(SetUp::default()).unwrap();

@@ -1,4 +1,4 @@
-//! Error of a calibration with known truth.
+//! Errors of a calibration whose true parameters are known.
 
 use std::collections::BTreeMap;
 
@@ -14,8 +14,8 @@ use shared::config::RobotConfig;
 
 use super::campaign::is_full;
 
-/// Mean distance between the ends of the true and the identified robot over postures within the limits, from their links
-/// alone \[m\].
+/// Mean distance between the ends of the true and of the identified robot \[m\], over postures within the limits. Only links
+/// are compared; errors of joints are left out.
 pub fn position_error_m(run: &Simulated, found: &Calibration, robot: &RobotConfig) -> f64 {
     let (mut links, mut truth) = (found.model().clone(), run.truth.clone());
     truth.parameters.retain(|name, _| name.parse().is_ok_and(|id: ParameterId| id.term().is_none()));
@@ -25,20 +25,20 @@ pub fn position_error_m(run: &Simulated, found: &Calibration, robot: &RobotConfi
     position_errors_m(&links, &truth, robot, [Vector3::zeros(); 2]).0
 }
 
-/// Start of the last link at these joints \[m\].
+/// Position of the start of the last link at these joints \[m\].
 pub fn wrist_m(chain: &Chain, q: &Joints) -> Vector3<f64> {
     let mut chain = chain.clone();
     *chain.links.last_mut().unwrap() = DhLink::default();
     chain.forward(q).translation.vector
 }
 
-/// [`wrists_apart_m`] of two robots without errors of joints.
+/// [`wrists_apart_m`] of two robots that have no errors of joints.
 pub fn apart_m(robot: &RobotConfig, one: &Chain, other: &Chain) -> f64 {
     wrists_apart_m(robot, |q| wrist_m(one, q), |q| wrist_m(other, q))
 }
 
-/// Mean distance of two robots' wrists over postures within the limits \[m\], after a best-fit rigid motion of one robot,
-/// because base and flange belong to the instrument.
+/// Mean distance between the wrists of two robots over postures within the limits \[m\]. One robot is first moved by the
+/// rigid motion that fits best, because base and flange belong to the instrument.
 pub fn wrists_apart_m(
     robot: &RobotConfig,
     one: impl Fn(&Joints) -> Vector3<f64>,
@@ -58,7 +58,7 @@ pub fn wrists_apart_m(
         / POSTURES as f64
 }
 
-/// The rigid motion that brings the second points of all pairs nearest to the first ones (Kabsch 1976).
+/// The rigid motion that moves the second points of all pairs as near as possible to the first ones (Kabsch 1976).
 pub fn rigid_motion(pairs: &[[Vector3<f64>; 2]]) -> Pose {
     let centre =
         |which: usize| pairs.iter().map(|pair| pair[which]).sum::<Vector3<f64>>() / pairs.len() as f64;
@@ -69,8 +69,9 @@ pub fn rigid_motion(pairs: &[[Vector3<f64>; 2]]) -> Pose {
     Pose::from_parts((a - turn * b).into(), turn)
 }
 
-/// Normalised errors of link parameters: estimate minus truth, divided by half the width of the 95 % interval. Of the `d` along
-/// two nearly parallel axes only the sum is identified: the second is estimated, and compared with the sum of their errors.
+/// Normalised errors of link parameters: estimate minus truth, divided by half the width of the 95 % interval. Of the
+/// lengths `d` along two nearly parallel axes, only the sum is identified. The second one is estimated, so its correction is
+/// compared with the sum of both errors.
 pub fn pulls(
     robot: &RobotConfig,
     found: &Calibration,
@@ -93,12 +94,12 @@ pub fn pulls(
     model.columns().enumerate().filter_map(pull).collect()
 }
 
-/// Compares calibrations of one robot, with different errors, with their true parameters: the 95 % intervals of link parameters,
-/// and the mean position error.
+/// Compares calibrations with the true parameters. All robots have the same nominal links but different errors. Checks the
+/// 95 % intervals of link parameters and the mean position error.
 ///
-/// The intervals include errors of joints that the samples neither show nor exclude, with the sizes of their priors. Simulated
-/// robots have smaller ones, so the coverage has no upper limit. Whether the claims are too wide is tested by the mean error: the
-/// median of claimed over true error is near 1 if these errors have the sizes of their priors.
+/// The intervals include errors of joints that the samples neither show nor exclude, with the sizes of their priors.
+/// Simulated robots have smaller errors, so the coverage has no upper limit. The mean error shows whether the stated errors
+/// are too large. If the errors have the sizes of their priors, the median ratio of stated to true error is near 1.
 pub fn assert_claims_hold(
     robot: &RobotConfig,
     calibrations: impl Iterator<Item = (Calibration, BTreeMap<String, f64>)>,
@@ -121,14 +122,15 @@ pub fn assert_claims_hold(
         robot.name,
         all.len()
     );
-    // Errors of the links of one robot are correlated, so few robots give a larger spread of both figures. At the full size the
-    // median is 1.4 to 2.8: priors of absent errors are up to 60 % of the claimed variance.
+    // Errors of the links of one robot are correlated, so both figures vary more if there are few robots. At full size the
+    // median is 1.4 to 2.8. Priors of errors that do not exist then make up to 60 % of the stated variance.
     let (within_min, allowed) = if is_full() { (0.92, 1.0..=3.0) } else { (0.86, 0.8..=4.0) };
     assert!(within >= within_min, "{}: {within}", robot.name);
     assert!(allowed.contains(&ratio), "{}: {ratio}", robot.name);
 }
 
-/// [`wrists_apart_m`] of the calibrated and the true robot, each with its errors of joints, as a calibration claims them.
+/// [`wrists_apart_m`] of the calibrated and the true robot. Both include their errors of joints, as the stated
+/// error of a calibration does.
 fn mean_error_m(robot: &RobotConfig, found: &Calibration, truth: &BTreeMap<String, f64>) -> f64 {
     let [found, truth] = [found.model(), &true_model(found.model(), truth)].map(|model| {
         let geometry = model.geometry(&model.start());
