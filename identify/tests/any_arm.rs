@@ -1,5 +1,5 @@
-//! Arms with any number of revolute or prismatic axes: import from URDF in both conventions, inverse kinematics, calibration,
-//! checks.
+//! Arms with any number of revolute or prismatic axes. Tests cover import from URDF in both conventions, inverse kinematics,
+//! calibration, and the check of a robot's file.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 #![allow(clippy::approx_constant, reason = "as people write it who mean radians")]
 
@@ -33,7 +33,7 @@ use crate::support::independent::{Matrix, identity, product, shift, turn};
 use crate::support::repository;
 use crate::support::rows::{Alone, Found};
 
-/// File, base link and tip link.
+/// Name of the URDF file, base link and tip link of each arm.
 const ARMS: [(&str, &str, &str); 3] =
     [("ur10", "base_link", "tool0"), ("seven_axes", "base", "flange"), ("on_a_track", "cell", "tool")];
 
@@ -51,7 +51,8 @@ fn parsed(toml: &str) -> RobotConfig {
     robot
 }
 
-/// Forward kinematics of a URDF by its specification, read with `urdf-rs`. Its right angles of nine decimals become exact.
+/// Forward kinematics of a URDF, implemented from its specification and read with `urdf-rs`. Right angles with
+/// nine decimals are made exact.
 fn by_urdf(text: &str, base: &str, tip: &str, joints: &[f64]) -> Matrix<f64> {
     let robot = urdf_rs::read_from_string(text).unwrap();
     let mut path = Vec::new();
@@ -123,7 +124,7 @@ fn links_of_a_urdf_are_those_of_the_data_sheet_where_it_has_any() {
     let robot = imported(ARMS[0]).config;
     let lengths: Vec<[f64; 2]> = robot.links.iter().map(|link| [link.a_m, link.d_m]).collect();
     let rounded = lengths.iter().flatten().map(|length| (length.abs() * 1e6).round() / 1e6);
-    // Any of three parallel axes can have the offset along them; the sum is that of the shoulder.
+    // The offset along three parallel axes can be assigned to any of them. Their sum is assigned to the shoulder.
     let expected = [0.0, 0.1273, 0.612, 0.0, 0.5723, 0.0, 0.0, 0.163941, 0.0, 0.1157, 0.0, 0.0922];
     assert_eq!(rounded.collect::<Vec<f64>>(), expected);
     assert_eq!(imported(ARMS[1]).joints, ["a1", "a2", "a3", "a4", "a5", "a6", "a7"]);
@@ -188,7 +189,7 @@ fn a_urdf_that_gives_no_serial_arm_is_refused_with_what_to_do() {
     assert!(refusal(&mimic, None, None).to_string().contains("follows joint `a2`"));
     let nowhere = seven.replacen("<axis xyz=\"0 0 1\"/>", "<axis xyz=\"0 0 0\"/>", 1);
     assert!(refusal(&nowhere, None, None).to_string().contains("axis without direction"));
-    // Unsupported or contradictory URDF files are refused.
+    // URDF files that are not supported or contradict themselves are refused.
     for (from, to, told) in [
         ("xyz=\"0 0 0.2025\"", "xyz=\"nan 0 0.2025\"", "joint `a2` has NaN in its origin or axis"),
         ("xyz=\"0 0 0.2025\"", "xyz=\"0 0 202.5\"", "links[0].d_m: 202.6575 is outside -10 to 10"),
@@ -201,15 +202,16 @@ fn a_urdf_that_gives_no_serial_arm_is_refused_with_what_to_do() {
     }
 }
 
-/// A joint of a URDF from its attributes and its elements, such as origin and axis.
+/// Text of a URDF joint with these attributes. `rest` has its further elements, such as origin and axis.
 fn joint(name: &str, kind: &str, [parent, child]: [&str; 2], rest: &str) -> String {
     format!(
         "<joint name=\"{name}\" type=\"{kind}\"><parent link=\"{parent}\"/><child link=\"{child}\"/>{rest}</joint>\n"
     )
 }
 
-/// A URDF in the style of ROS-Industrial: frames `base` and `tool0` besides the arm, duplicate materials, sensors of a
-/// simulator, transmissions; six axes of a FANUC arm with spherical wrist, whose axes 2 and 3 have opposite directions.
+/// A URDF in the style of ROS-Industrial. In addition to the arm it has frames `base` and `tool0`, duplicate materials,
+/// sensors of a simulator, and transmissions. The arm has the six axes of a FANUC arm with spherical wrist. Its axes 2
+/// and 3 have opposite directions.
 fn fanuc_urdf() -> String {
     let links =
         ["base_link", "link_1", "link_2", "link_3", "link_4", "link_5", "link_6", "base", "flange", "tool0"];
@@ -249,7 +251,7 @@ fn an_arm_is_found_among_the_frames_shapes_and_sensors_of_its_urdf() {
     assert_eq!((imported.base.as_str(), imported.tip.as_str()), ("base_link", "tool0"));
     assert_eq!(imported.joints, ["joint_1", "joint_2", "joint_3", "joint_4", "joint_5", "joint_6"]);
     assert_eq!(imported.config.links[0].d_m, 0.33);
-    // Fixed links before the first and after the last axis, a gripper, and a second end with fewer axes.
+    // Adds fixed links before the first and after the last axis, a gripper, and a second end that has fewer axes.
     let fixed = |parent: &str, child: &str| {
         format!("<link name=\"{child}\"/>{}", joint(child, "fixed", [parent, child], ""))
     };
@@ -275,11 +277,12 @@ fn an_arm_is_found_among_the_frames_shapes_and_sensors_of_its_urdf() {
     );
     assert_eq!(base, "base_link");
     assert!(left_out[0].contains("--base world"), "{left_out:?}");
-    // A standard flange name has priority over mounted parts; the last axis may end at a link with a gripper's name.
+    // The standard name of a flange has priority over parts that are mounted on it. The last axis may end at a link whose
+    // name is that of a gripper.
     assert_eq!(of(&[fixed("tcp", "hand"), fixed("link_6", "arm_link8")], "tcp").1, "arm_link8");
     let wrist = fanuc_urdf().replace("\"link_6\"", "\"gripper\"").replace("\"tool0\"", "\"tcp\"");
     assert_eq!(import(&wrist.replace("\"flange\"", "\"plate\""), None, None).unwrap().config.axes(), 6);
-    // The user selects the tip if there are two arms.
+    // If the file has two arms, the user must select the tip.
     let told = ends(&[moving("link_4", "other")], "tcp").unwrap_err().to_string();
     assert!(told.ends_with(": tcp (6), other (5)"), "{told}");
 }
@@ -310,7 +313,7 @@ fn a_urdf_that_is_none_is_told_by_what_is_wrong_with_it() {
         let told = told(&text);
         assert!(told.contains(expected) && !told.contains("xacro"), "{told}");
     }
-    // Joints outside the arm may be of any kind.
+    // Joints that are not part of the arm may be of any type.
     let broken = "<link name=\"lamp\"/><joint name=\"x\" type=\"planar\"><parent link=\"base\"/><child link=\"lamp\"/>\
                   <axis/></joint></robot>";
     let beside = fanuc_urdf().replace("</robot>", broken);
@@ -329,7 +332,7 @@ fn numbers_are_written_as_people_mean_them() {
     );
     let imported = import(&urdf, None, None).unwrap();
     let written = imported.to_toml("x");
-    // Limits keep the values of the file.
+    // Joint limits keep the values of the file, so their lines are skipped here.
     let lines = written.lines().filter(|line| !line.starts_with('#') && !line.starts_with("joint_limits"));
     let numbers = lines.flat_map(|line| {
         line.split(|c: char| !(c.is_ascii_alphanumeric() || ".-".contains(c)))
@@ -344,17 +347,17 @@ fn numbers_are_written_as_people_mean_them() {
         "{written}"
     );
     assert_eq!(check(&imported.config).suspicious, Vec::<String>::new());
-    // A difference above a robot's repeatability is reported.
+    // The import reports a rounded angle if the rounding is larger than the repeatability of a robot.
     let told = imported.assumed.concat();
     assert!(told.contains("turned by 1.57 rad in the file: 90 deg are taken"), "{told}");
     assert_eq!(told.matches("are taken").count(), 1, "{told}");
-    // Many UR files have nine decimals.
+    // Many URDF files of UR robots have angles with nine decimals. They are rounded without a report.
     let turned = |rpy: &str| {
         let urdf = fanuc_urdf().replacen("rpy=\"0 0 0\"", &format!("rpy=\"{rpy}\""), 1);
         import(&urdf, None, None).unwrap().config
     };
     assert_eq!(turned("1.570796325 0 0"), turned("1.5707963267948966 0 0"));
-    // A measured angle keeps its value.
+    // An angle that was measured is not rounded.
     let measured = fanuc_urdf().replacen("rpy=\"0 0 0\"", "rpy=\"1.5702 0 1.5699\"", 1);
     assert!(!import(&measured, None, None).unwrap().assumed.concat().contains("are taken"));
 }
@@ -369,13 +372,13 @@ fn joint_3_of_a_fanuc_controller_does_not_include_joint_2() {
     let other = import(&fanuc_urdf().replace("fanuc_lrmate200id", "arm"), None, None).unwrap();
     assert_eq!(other.config.log.raw_to_joint[1][2], 0.0);
     assert_eq!(other.assumed, Vec::<String>::new());
-    // The user decides about reversed axes.
+    // If axes are reversed, the user must decide whether the joints are coupled.
     let along = import(&fanuc_urdf().replacen("0 -1 0", "0 1 0", 1), None, None).unwrap();
     assert_eq!(along.config.log.raw_to_joint[1][2], 0.0);
     assert!(along.assumed[0].contains("J3 of a FANUC controller does not include J2"), "{:?}", along.assumed);
 }
 
-/// The axes 2 and 3 of ABB's arms point to the same side.
+/// Axes 2 and 3 of ABB's arms point to the same side, but the coupling depends on the type of arm.
 #[test]
 fn joint_3_of_an_abb_arm_with_a_parallel_rod_does_not_include_joint_2() {
     let of = |name: &str| fanuc_urdf().replace("fanuc_lrmate200id", name).replacen("0 -1 0", "0 1 0", 1);
@@ -439,7 +442,7 @@ fn a_wrist_with_an_offset_has_no_closed_form_and_is_inverted_numerically() {
 
 #[test]
 fn two_axes_on_one_line_are_reported_also_where_others_make_up_for_them() {
-    // An arm in the centre of a turntable.
+    // An arm that is mounted in the centre of a turntable.
     let table = "<link name=\"table\"/><link name=\"floor\"/>".to_owned()
         + &joint("turn", "continuous", ["floor", "table"], "<axis xyz=\"0 0 1\"/>")
         + &joint("mount", "fixed", ["table", "base_link"], "<origin xyz=\"0 0 0.4\"/>")
@@ -452,7 +455,7 @@ fn two_axes_on_one_line_are_reported_also_where_others_make_up_for_them() {
     assert_eq!(found(&slides), Vec::<String>::new());
 }
 
-/// Franka Emika Panda in Craig's convention, as published by its manufacturer, on a linear track.
+/// A Franka Emika Panda in Craig's convention as its manufacturer published it, here mounted on a linear track.
 const MODIFIED: &str = r#"
 name = "seven axes on a track"
 convention = "modified"
@@ -524,7 +527,7 @@ fn twists_of_prismatic_axes_and_of_links_behind_them_are_the_derivatives() {
             chain.forward(&joints)
         };
         let (before, after) = (end(-1e-6), end(1e-6));
-        // The arc cosine in nalgebra's own logarithm loses half of the digits.
+        // The logarithm of nalgebra uses the arc cosine, which loses half of the digits for small angles.
         let turn = *(after.rotation * before.rotation.inverse()).matrix();
         let turned = 0.5
             * Vector3::new(
@@ -549,7 +552,7 @@ fn twists_of_prismatic_axes_and_of_links_behind_them_are_the_derivatives() {
     }
 }
 
-/// Derivatives by the robot's links are zero exactly where the cost states that the link has no effect.
+/// Checks that the derivative by a link parameter is zero exactly if the cost states that the parameter has no effect.
 fn depends_as_stated<R: Residual>(residual: R, arm: &Chain, poses: &[Joints]) {
     let mut bar = ball_bar_chain(&crate::support::bar());
     bar.root_from_base.translation.vector = Vector3::new(1.0, 0.05, 0.35);
@@ -565,7 +568,7 @@ fn depends_as_stated<R: Residual>(residual: R, arm: &Chain, poses: &[Joints]) {
         let stated = R::depends_on(parameter.id, arm);
         assert_eq!(has_effect, stated, "{} by {} of {} axes", R::NAME, parameter.id, model.axes());
     }
-    // A rotation after the last joint moves the end as `d` and `theta` of its link do.
+    // For the end, a rotation after the last joint has the same effect as `d` and `theta` of its link.
     model.select(Selection::Cell, R::identifies);
     let is_free =
         |link: usize| model.column_of(ParameterId::Robot { link, parameter: LinkParameter::Alpha }).is_some();
@@ -578,7 +581,7 @@ fn positions_depend_on_all_rotations_of_an_arm_except_those_of_the_link_at_whose
     let (bar, mut random) = (crate::support::bar(), StdRng::seed_from_u64(9));
     for arm in ARMS {
         let mut robot = imported(arm).config;
-        // The offset plate is part of the last link, or follows a displaced flange.
+        // The offset plate is part of the last link. If the flange is displaced, it follows the flange instead.
         robot.flange = TransformConfig::default();
         robot.links.last_mut().unwrap().alpha_deg = 0.0;
         let mut displaced = robot.clone();
@@ -606,8 +609,8 @@ fn arms_without_a_closed_form_are_inverted_from_near_and_move_no_further_than_th
             assert!((chain.forward(&found).to_homogeneous() - target.to_homogeneous()).amax() < 1e-9);
             let moved = found.iter().zip(&joints).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
             let known = by.iter().map(|by| by * by).sum::<f64>().sqrt();
-            // With more than six axes a shorter solution than the known one exists, or a slightly longer one where the path
-            // bends.
+            // With more than six axes, a solution with a shorter motion than the known one may exist. The solver may also
+            // find a slightly longer one, because the path is curved.
             assert!(moved < 1.05 * known + 1e-9, "{}: {moved} {known}", arm.0);
         }
         let regular = Joints::from_fn(robot.axes(), |axis| 0.4 + 0.1 * axis as f64);
@@ -622,7 +625,7 @@ fn arms_without_a_closed_form_are_inverted_from_near_and_move_no_further_than_th
     assert_eq!(refused, InverseError::Links { found: 3, expected: 6 });
 }
 
-/// Rows of a tracker for an arm with errors in all links; noise of 20 um and urad.
+/// Rows of a tracker for an arm with errors in all links, and the true chain. The rows have noise of 20 um and 20 urad.
 fn tracked(robot: &RobotConfig, count: usize) -> (Vec<PoseRow>, Chain) {
     const NOISE: f64 = 2e-5;
     let mut random = StdRng::seed_from_u64(5);
@@ -666,11 +669,11 @@ fn seven_axes_and_an_arm_on_a_track_are_calibrated_by_a_tracker_and_written_as_u
         let robot = imported(arm).config;
         let report = calibrated(&robot);
         let (nominal, found) = (report.held_out().nominal.position_m, report.held_out().joints.position_m);
-        // The norm of the noise of three coordinates is 35 um.
+        // The norm of the noise of three coordinates has an RMS of 35 um.
         assert!(nominal.rms > 1e-3 && found.rms < 4.2e-5, "{}: {nominal:?} {found:?}", arm.0);
         assert!(report.held_out().joints.rotation_rad.unwrap().rms < 4.2e-5, "{}", arm.0);
-        // 4 parameters of each revolute axis, 2 of each prismatic one, and 6, of which tracker and probe have 12; all are
-        // identified much better than by their priors.
+        // A revolute axis has 4 parameters and a prismatic one 2. Of the 12 parameters of tracker and probe, 6 are in
+        // addition identified through the links. All are identified much better than by their priors.
         let links = report.model().ids().into_iter();
         let links = links.filter(|id| matches!(id, ParameterId::Robot { .. }));
         let sigmas: Vec<_> = links.filter_map(|id| Some((id, report.sigma(id)?))).collect();
@@ -684,7 +687,7 @@ fn seven_axes_and_an_arm_on_a_track_are_calibrated_by_a_tracker_and_written_as_u
             let off = apart(&chain.forward(&joints), &by_urdf(&written, "base", "flange", &joints));
             assert!(off < 1e-12, "{}: {off:e}", arm.0);
         }
-        // The inverse conversion restores the joints.
+        // Exporting and importing again must restore the joints.
         let again = import(&written, None, None).unwrap().config;
         assert!(
             (flange_chain(&again).forward(&[]).to_homogeneous() - chain.forward(&[]).to_homogeneous()).amax()
@@ -712,7 +715,8 @@ fn seven_axes_and_an_arm_on_a_track_are_calibrated_by_the_ball_bar() {
         let terms = JointTermsConfig { candidates: Vec::new(), ..JointTermsConfig::default() };
         let config = IdentifyConfig { joint_terms: terms, ..IdentifyConfig::default() };
         let found = calibrate_run(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, &config).unwrap();
-        // Distance of two positions, independent of the frame: the position of a track's frame is arbitrary.
+        // Compares distances between two positions, because they do not depend on the frame. The position of
+        // a track's frame is arbitrary.
         let nominal = robot_chain(&robot, &bar);
         let truth = run.truth.robot_chain(&nominal);
         let mut random = StdRng::seed_from_u64(8);
@@ -742,7 +746,8 @@ fn a_posture_has_millimetres_for_a_prismatic_axis() {
     assert_eq!(posture[..2], [0.5, FRAC_PI_2]);
 }
 
-/// A lift turns with whatever the first joint after it turns, as the tracker could stand turned.
+/// A rotation of the lift about its axis has the same effect as an offset of the next joint, because the tracker may stand
+/// at any angle. The stated uncertainty must include this.
 #[test]
 fn an_arm_on_a_lift_is_known_as_well_as_the_tracker_shows_it() {
     let link = |joint: &str, [a_m, alpha_deg, d_m]: [f64; 3]| {
@@ -764,8 +769,8 @@ fn an_arm_on_a_lift_is_known_as_well_as_the_tracker_shows_it() {
         [0, 1, 2, 3].map(unit)
     ));
     let (rows, truth) = tracked(&robot, 300);
-    // Errors of the last link, and of the offset along the axis parallel to its own, are those of the probe's place: without them
-    // the ends can be compared.
+    // Errors of the last link cannot be separated from the position of the probe. This also holds for the offset along the
+    // axis that is parallel to the last one. These parameters are set to their true values so that the ends can be compared.
     let (mut robot, last) = (robot, truth.links[3]);
     robot.links[2].d_m = truth.links[2].d_m;
     robot.links[3] = LinkConfig {
@@ -778,7 +783,8 @@ fn an_arm_on_a_lift_is_known_as_well_as_the_tracker_shows_it() {
     let found = Alone::quick().without_joint_errors().poses(&rows, &robot).unwrap();
     let chain = found.model().geometry(&found.model().start()).robot;
     let mut random = StdRng::seed_from_u64(8);
-    // Distances of two positions do not depend on the base: each has one of three coordinates of two position errors.
+    // Distances between two positions do not depend on the base. A distance error contains one of three coordinates of two
+    // position errors, hence the factor 1.5.
     let off = (0..500).map(|_| {
         let [one, other] = [0, 1].map(|_| random_joints(&robot, &mut random));
         let distance_m = |chain: &Chain| {
@@ -819,7 +825,7 @@ fn a_check_states_what_an_arm_is_and_what_looks_wrong() {
     let ur10 = check(&imported(ARMS[0]).config);
     let fact = |what: &str| ur10.facts.iter().find(|fact| fact.0 == what).unwrap().1.clone();
     assert!(fact("inverse kinematics").contains("numerical"), "{}", fact("inverse kinematics"));
-    // Lengths of both stretched arms, plus the offsets of shoulder and wrist.
+    // The reach is the length of the stretched arm plus the offsets of shoulder and wrist.
     let reach_m: f64 = fact("flange from the z axis").split(' ').nth(2).unwrap().parse().unwrap();
     assert!((1.25..1.40).contains(&reach_m), "{reach_m}");
     let on_a_track = check(&imported(ARMS[2]).config);
@@ -841,7 +847,7 @@ fn a_check_states_what_an_arm_is_and_what_looks_wrong() {
     ] {
         wrong(&|robot| robot.links[1].alpha_deg = rounded_deg, &format!("may be {rad}"));
     }
-    // A calibrated robot gets no such message.
+    // A robot that is already calibrated gets no such message.
     for calibrated_deg in [-0.06499325789, 0.001, 89.95321, 179.9981237, 90.0, 180.0] {
         let mut robot: RobotConfig = config::load(&repository("config/robots/ur10.toml")).unwrap();
         robot.links[0].alpha_deg = calibrated_deg;
@@ -852,7 +858,7 @@ fn a_check_states_what_an_arm_is_and_what_looks_wrong() {
         &|robot| robot.joint_limits_deg[2] = [-3.1416, 3.1416],
         "axis 3: limits of -3.1416 to 3.1416 look like radians",
     );
-    // Typical limits of cobots.
+    // These joint limits are typical of cobots, except that joint 5 cannot reach zero.
     let mut without_zero: RobotConfig = config::load(&repository("config/robots/ur10.toml")).unwrap();
     without_zero.joint_limits_deg[4] = [10.0, 50.0];
     let without_zero = check(&without_zero);
@@ -880,7 +886,7 @@ fn import_and_check_on_the_command_line() {
     let urdf = urdf.to_str().unwrap();
     let (done, told) = run(&["import", urdf, "--base", "base", "--tip", "flange"]);
     assert!(done && told.contains("7 axes from link `base` to link `flange`"), "{told}");
-    // A file that may have been edited is only overwritten on request.
+    // An existing file may have been edited by the user. It is only overwritten on request.
     let file = directory.path().join("seven_axes.toml");
     std::fs::write(&file, "edited").unwrap();
     for out in [&[][..], &["--out", "seven_axes.toml"]] {

@@ -1,4 +1,4 @@
-//! The detector of changes on generated residuals: rate of false alarms, and detected changes.
+//! Tests the detector of changes on generated residuals: its rate of false alarms, and the changes that it detects.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use identify::solver::{Change, Course, LeastSquares, Linearisation, Loss, Prior, change_point, minimise};
@@ -7,10 +7,10 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal, StudentT};
 
 const SAMPLES: usize = 1500;
-/// Offsets of both channels, a delay relative to a common motion, and two errors of geometry.
+/// Number of parameters: offsets of both channels, a delay relative to a common motion, and two errors of geometry.
 const COLUMNS: usize = 5;
 
-/// Two channels over an irregular motion: `r = offset + lag speed + bends - y`.
+/// A least-squares problem with two channels over an irregular motion: `r = offset + lag speed + bends - y`.
 struct Channels {
     motion: Vec<[f64; 3]>,
     y: Vec<[f64; 2]>,
@@ -53,7 +53,7 @@ impl LeastSquares for Channels {
 const OFFSETS: [usize; 2] = [0, 1];
 const LAG: usize = 2;
 
-/// The alternatives of the program: each offset, the delay, and both offsets together.
+/// Groups of columns that may change: each offset, the delay, and both offsets together. The program tests the same groups.
 fn alternatives() -> Vec<Vec<usize>> {
     vec![vec![0], vec![1], vec![LAG], vec![0, 1]]
 }
@@ -61,13 +61,14 @@ fn alternatives() -> Vec<Vec<usize>> {
 #[derive(Debug, Clone, Copy)]
 enum Noise {
     White,
-    /// First-order autoregression: correlation of consecutive samples.
+    /// First-order autoregression with this correlation of consecutive samples.
     Lasting(f64),
-    /// Three times the noise in the middle third of the run.
+    /// White noise that is three times as large in the middle third of the run.
     Uneven,
     /// Student's t distribution with three degrees of freedom.
     HeavyTails,
-    /// Harmonic of an angle with this number of periods per radian, without a column, four times the white noise: gear errors.
+    /// Gear errors that no column describes: a harmonic of an angle with this number of periods per radian, four times as
+    /// large as the white noise.
     Gear(f64),
 }
 
@@ -136,7 +137,7 @@ fn runs_in_which_nothing_changes_show_a_change_no_more_often_than_stated() {
         let often = alarms(0.05);
         let seldom = if often == 0 { 0 } else { alarms(1e-4) };
         println!("{noise:?}: {often} and {seldom} of {RUNS}");
-        // The allowed rate plus five standard deviations of the count.
+        // The expected number of false alarms, plus five standard deviations of their number.
         assert!(often <= 5 + 11, "{noise:?}: {often}");
         assert_eq!(seldom, 0, "{noise:?}");
     }
@@ -144,7 +145,7 @@ fn runs_in_which_nothing_changes_show_a_change_no_more_often_than_stated() {
 
 #[test]
 fn a_step_is_found_where_and_as_large_as_it_is() {
-    // Near an end a step affects few blocks: only a larger one is significant.
+    // A step near an end affects only a few blocks of samples. It must be larger to be significant.
     for (at, size) in [(700, 3.0), (250, 6.0), (1300, -8.0)] {
         for seed in 0..10 {
             let mut stepped = run(Noise::Lasting(0.8), 100 + seed);

@@ -1,5 +1,5 @@
-//! Claimed position error of the robot after a calibration, for the whole model and for what a controller applies, against the
-//! true error. `CAMPAIGNS=full` for more runs of each kind.
+//! Compares the stated position error of a calibrated robot with its true error. The comparison covers the full model and
+//! the parameters that a controller applies. `CAMPAIGNS=full` evaluates more runs of each kind.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -19,7 +19,7 @@ use crate::support::campaign::size;
 use crate::support::laboratory::{self, Level};
 use crate::support::{bar, irb2400, nj220};
 
-/// Claimed and true mean error over the workspace \[m\].
+/// Stated mean position error over the workspace with its interval, and the true one \[m\].
 struct Claim {
     claimed: Expected,
     true_m: f64,
@@ -32,7 +32,7 @@ impl Claim {
     }
 }
 
-/// The nominal robot, the calibrated one, and the part of it that a controller applies.
+/// Stated and true errors of the nominal robot, of the calibrated robot, and of each deployment.
 fn claims(run: &Simulated, robot: &RobotConfig, bar: &BallBarConfig) -> Vec<(&'static str, Claim)> {
     let found =
         calibrate_run(&run.cycles, &run.encoders, &run.robot_log, robot, bar, &IdentifyConfig::default())
@@ -62,13 +62,13 @@ fn claims(run: &Simulated, robot: &RobotConfig, bar: &BallBarConfig) -> Vec<(&'s
     all
 }
 
-/// The configured bar, whose plate deviates from the true one by its stated uncertainty.
+/// The shipped bar, with a plate length that deviates at random from the true one by its stated uncertainty.
 fn measured(seed: u64) -> BallBarConfig {
     let off: f64 = ChaCha8Rng::seed_from_u64(41_000 + seed).sample(StandardNormal);
     BallBarConfig { plate_m: bar().plate_m + 1e-6 * bar().plate_u_um * off, ..bar() }
 }
 
-/// Claims of this number of runs for each kind and robot; prints how many hold, and their size.
+/// Calibrates this number of runs for each kind and robot. Prints each stated error with its interval and the true error.
 fn of_runs(seeds: u64) -> Vec<(&'static str, Claim)> {
     let mut all = Vec::new();
     for robot in [irb2400(), nj220()] {
@@ -103,7 +103,8 @@ fn hold(all: &[(&'static str, Claim)]) {
         times.sort_by(f64::total_cmp);
         let median = times[times.len() / 2];
         println!("{name}: {holding} of {} hold, claimed over true {median:.2} (median)", of.len());
-        // A smaller number occurs by chance once in a hundred cases.
+        // A correct interval contains the true value with a probability of 95 %. A smaller number than `least` occurs by
+        // chance once in a hundred cases.
         let least = Binomial::new(0.95, of.len() as u64).unwrap().inverse_cdf(0.01);
         assert!(holding >= least, "{name}: {holding} of {}", of.len());
         assert!((0.8..2.5).contains(&median), "{name}: {median}");

@@ -1,4 +1,4 @@
-//! The command line: exit codes, messages and files.
+//! The command line of `identify`: exit codes, messages and files.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::path::{Path, PathBuf};
@@ -20,7 +20,7 @@ fn config(name: &str) -> PathBuf {
 
 const IRB: &str = "irb2400_16.toml";
 
-/// One experiment shared by all tests: its directory contains recording.mcap, robot_log.csv and truth.toml.
+/// Directory of one experiment that all tests share. It contains recording.mcap, robot_log.csv and truth.toml.
 fn experiment() -> &'static Path {
     static EXPERIMENT: OnceLock<TempDir> = OnceLock::new();
     EXPERIMENT
@@ -46,13 +46,15 @@ fn calibrate(recording: &Path, log: &Path, extra: &[&str], out: &Path) -> Output
     identify(&arguments, IRB, out)
 }
 
-/// The command fails with the text `why` and writes nothing to `out`: wrong option or unreadable input.
+/// Checks that the command failed with the texts `why` and wrote nothing to `out`. This is the case for a
+/// wrong option or unreadable input.
 fn refused(output: &Output, why: &[&str], out: &Path) {
     fails(output, why);
     assert_eq!(std::fs::read_dir(out).unwrap().count(), 0, "something was left behind");
 }
 
-/// The command fails with the text `why` and writes a page with it but no calibration: the data are not usable.
+/// Checks that the command failed with the texts `why` because the data are not usable. It must write a page with
+/// the reason, but no calibration.
 fn refused_with_page(output: &Output, why: &[&str], out: &Path) {
     fails(output, why);
     let left: Vec<_> = std::fs::read_dir(out).unwrap().map(|one| one.unwrap().file_name()).collect();
@@ -68,7 +70,8 @@ fn fails(output: &Output, why: &[&str]) {
     }
 }
 
-/// The experiment's robot log with each data line changed.
+/// Writes the robot log of the experiment with each data line changed by `edit`, which receives the number
+/// and text of the line.
 fn edited_log(directory: &Path, edit: impl Fn(usize, &str) -> String) -> PathBuf {
     let text = std::fs::read_to_string(experiment().join("robot_log.csv")).unwrap();
     let mut row = 0;
@@ -109,7 +112,7 @@ fn a_calibration_prints_a_table_and_writes_every_parameter_with_sigma_and_state(
     let file: toml::Table = written.parse().unwrap();
     assert_eq!(file["schema"].as_integer(), Some(2));
     assert_eq!(file["inputs"].as_array().unwrap().len(), 4);
-    // Every sample of the solve, for a perfect robot on its bar.
+    // The file contains every sample of the solve. The residuals are small, because robot and bar are perfect.
     let residuals = std::fs::read_to_string(out.path().join("residuals.csv")).unwrap();
     let mut lines = residuals.lines();
     let names: Vec<&str> = lines.next().unwrap().split(',').collect();
@@ -132,12 +135,12 @@ fn a_calibration_prints_a_table_and_writes_every_parameter_with_sigma_and_state(
             found["correction"].clone(),
         )
     };
-    // Table 3.1 of the thesis: the error of ra3 is -1.52 mm.
+    // In table 3.1 of the thesis, the error of ra3 is -1.52 mm.
     let (status, has_sigma, correction) = entry("ra3");
     assert_eq!((status.as_str(), has_sigma), ("identified_with_prior", true));
     assert!((correction.as_float().unwrap() + 1.52e-3).abs() < 1e-6);
-    // The plate has its measured uncertainty; balpha4 is fixed by name and has its tolerance; rd1 defines the position of the
-    // base.
+    // The plate has its measured uncertainty. balpha4 is fixed by name and has its tolerance. rd1 is fixed, because it
+    // defines the position of the base.
     let (status, has_sigma, correction) = entry("ra6");
     assert_eq!((status.as_str(), has_sigma), ("identified_with_prior", true));
     assert!(correction.as_float().unwrap().abs() < 1e-7);
@@ -169,7 +172,7 @@ fn no_option_is_taken_and_ignored() {
     refused(&["--free", "rd1", "--fix", "rd1"], &["rd1 is in --free and in --fix"]);
     let mapping = config("bar_log.toml");
     refused(&["--recording-mapping", mapping.to_str().unwrap()], &["--recording-mapping", "leave it out"]);
-    // An option has priority over the file.
+    // An option of the command line has priority over the configuration file.
     let fixed = inputs.path().join("identify.toml");
     std::fs::write(&fixed, "fix = [\"ra1\"]\n").unwrap();
     let freed =
@@ -264,7 +267,8 @@ fn numbers_that_no_clock_and_no_table_has_are_refused_and_a_page_is_no_log() {
     fails(&output, &["a web page, not a log"]);
 }
 
-/// The experiment's counters in the format of the thesis' program: a date and the counters of joints 1, 2, 4 and 5, no header.
+/// Counters of the experiment in the file format of the thesis' program, and its lines. A line has a date and the counters
+/// of joints 1, 2, 4 and 5. There is no header.
 fn counters(directory: &Path) -> (PathBuf, Vec<String>) {
     let recording = Recording::open(&experiment().join("recording.mcap")).unwrap();
     let line = |cycle: &CycleRecord| {
@@ -354,7 +358,7 @@ fn the_encoder_map_that_is_typed_is_the_one_that_is_used() {
     refused(&told, &["--encoders", "give 5 different bar joints"], out.path());
     let told = calibrate(&recording, &log, &["--encoders", "left"], out.path());
     refused(&told, &["find, recorded"], out.path());
-    // A wrong encoder map: no geometry near the nominal one explains the data.
+    // The encoder map is wrong, so no geometry near the nominal one explains the data.
     let told = calibrate(&recording, &log, &["--encoders", "2,1,3,4,5"], out.path());
     refused_with_page(&told, &["error:"], out.path());
 }
@@ -423,7 +427,7 @@ fn a_clock_that_runs_backwards_is_refused() {
 
 #[test]
 fn logs_without_overlap_in_time_are_refused() {
-    // The robot's log contains only the standstill of the first half second.
+    // The robot log contains only the first half second, in which the robot stands still.
     let (inputs, out) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let still = |row: usize, line: &str| if row <= 120 { line.to_owned() } else { String::new() };
     let log = edited_log(inputs.path(), still);
@@ -462,7 +466,7 @@ fn the_part_of_a_recording_that_a_shorter_robot_log_covers_is_printed() {
     let output = calibrate(&experiment().join("recording.mcap"), &log, &[], out.path());
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let text = String::from_utf8_lossy(&output.stdout);
-    // Lines are wrapped to the width of a terminal.
+    // Messages are wrapped to the width of a terminal, so line breaks are removed before the comparison.
     let words = text.split_whitespace().collect::<Vec<_>>().join(" ");
     for part in [
         "short.csv covers 0.0 s to ",
@@ -477,7 +481,7 @@ fn the_part_of_a_recording_that_a_shorter_robot_log_covers_is_printed() {
 fn measured_lengths_calibrate_from_a_csv_with_a_mapping() {
     let robot = shared::config::load(&config("robots/irb120_3.toml")).unwrap();
     let csv = lengths::table(&robot, 200, 12.0);
-    // The first rows once more: copies are not used.
+    // Repeats the first rows. The calibration must not use the copies.
     let copies = csv.lines().skip(1).take(10).collect::<Vec<_>>().join("\n");
     let (inputs, out) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let path = inputs.path().join("lengths.csv");
@@ -510,7 +514,7 @@ fn measured_lengths_calibrate_from_a_csv_with_a_mapping() {
         let output = identify(&[&arguments[..], &bar_only].concat(), "irb120_3.toml", out.path());
         refused(&output, &["unexpected argument", bar_only[0]], out.path());
     }
-    // Options and configuration are combined.
+    // Fixed parameters of the options and of the configuration are combined.
     let out = tempfile::tempdir().unwrap();
     let config = out.path().join("identify.toml");
     std::fs::write(&config, "fix = [\"ra2\"]\n").unwrap();
@@ -645,7 +649,7 @@ fn a_place_for_results_that_cannot_be_used_is_found_before_any_work() {
     let inputs = tempfile::tempdir().unwrap();
     let file = inputs.path().join("result.csv");
     std::fs::write(&file, "").unwrap();
-    // The log does not exist and is not read.
+    // The robot log does not exist. This must not matter, because the output directory is checked first.
     let missing = inputs.path().join("missing.csv");
     for out in [file.as_path(), &file.join("deeper"), Path::new("/proc/results")] {
         let output = calibrate(&experiment().join("recording.mcap"), &missing, &[], out);
@@ -655,7 +659,7 @@ fn a_place_for_results_that_cannot_be_used_is_found_before_any_work() {
     let bar = config("ball_bar.toml");
     let simulated = identify(&["simulate", "--duration", "2h", "--bar", bar.to_str().unwrap()], IRB, &file);
     fails(&simulated, &["--out", "give a directory"]);
-    // The trial leaves no files.
+    // Checking whether the directory can be written leaves no files.
     let out = inputs.path().join("not/yet");
     fails(&calibrate(&experiment().join("recording.mcap"), &missing, &[], &out), &["missing.csv"]);
     let left: Vec<_> =
@@ -692,7 +696,8 @@ fn milliseconds_under_a_header_of_seconds_and_decimal_commas_are_refused_with_wh
         _ => line.to_owned(),
     };
     refused_log(units, &["`s` is not a number", "unit_lines = 1"]);
-    // The proposed mapping reads them: the columns are those of the robot's own log, motor angles with their gear ratios.
+    // With the proposed mapping the file can be read. Its columns are those of the robot's own log:
+    // motor angles with gear ratios.
     for (number, edit) in [&in_ms as &dyn Fn(usize, &str) -> String, &commas].into_iter().enumerate() {
         let log = edited_log(inputs.path(), edit);
         let mapping = inputs.path().join(format!("mapping{number}.toml"));
@@ -714,7 +719,7 @@ fn milliseconds_under_a_header_of_seconds_and_decimal_commas_are_refused_with_wh
     }
 }
 
-/// First sheet of a result, of the simulated bus or of a robot.
+/// The first sheet of a result names the source of its data: the simulated bus or a robot.
 #[test]
 fn a_result_of_the_simulated_bus_says_so_first_and_one_of_a_robot_does_not() {
     let directory = experiment();
@@ -731,7 +736,7 @@ fn a_result_of_the_simulated_bus_says_so_first_and_one_of_a_robot_does_not() {
         let text = String::from_utf8_lossy(&output.stdout);
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
         assert_eq!(text.starts_with("SIMULATED: "), simulated, "{text}");
-        // Source of the scale, and the effect of a plate of another length.
+        // The sheet states the source of the scale and the effect of a plate with another length.
         let words = text.split_whitespace().collect::<Vec<_>>().join(" ");
         let scale = "scale: the offset plate of 250.000 mm within 0.010 mm (one sigma), as ball_bar.toml states; a plate longer by \
                      0.1 mm would move positions by ";
@@ -748,14 +753,14 @@ fn a_result_of_the_simulated_bus_says_so_first_and_one_of_a_robot_does_not() {
     assert_eq!(compared.matches("SIMULATED").count(), 1, "{compared}");
 }
 
-/// Output of the program, which must succeed.
+/// Runs the program, which must succeed. Returns its standard output.
 fn program(arguments: &[&str]) -> String {
     let output = Command::new(env!("CARGO_BIN_EXE_identify")).args(arguments).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     String::from_utf8(output.stdout).unwrap()
 }
 
-/// Changes a recording to one of a network interface.
+/// Changes a recording of the simulated bus to one of a network interface.
 fn on_another_bus(path: &Path) {
     let recording = Recording::open(path).unwrap();
     let mut run = recording.run.clone();
@@ -765,12 +770,12 @@ fn on_another_bus(path: &Path) {
     std::fs::write(path, writer.end("stopped", run.started).unwrap()).unwrap();
 }
 
-/// Ctrl-C cancels a calibration from rows at any stage, as one with the bar, and nothing is written.
+/// Ctrl-C cancels a calibration from rows at any stage, like a calibration with the bar. No file is written.
 #[test]
 fn ctrl_c_ends_a_calibration_from_rows_with_the_shells_code() {
     let (inputs, out) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let robot: shared::config::RobotConfig = shared::config::load(&config("robots").join(IRB)).unwrap();
-    // A solve of several minutes.
+    // The solve of this number of rows would take several minutes.
     let path = inputs.path().join("lengths.csv");
     std::fs::write(&path, lengths::table(&robot, 50_000, 12.0)).unwrap();
     let mut command = Command::new(env!("CARGO_BIN_EXE_identify"));
@@ -782,7 +787,8 @@ fn ctrl_c_ends_a_calibration_from_rows_with_the_shells_code() {
     let pid = child.id().to_string();
     assert!(Command::new("kill").args(["-INT", &pid]).status().unwrap().success());
     let status = child.wait().unwrap();
-    // Before the handler is installed, the signal ends the process; shells report the same exit code.
+    // Until the handler of the signal is installed, the signal ends the process directly. Shells report the
+    // same exit code for both.
     assert!(status.code() == Some(130) || status.code().is_none(), "{status}");
     assert_eq!(std::fs::read_dir(out.path()).unwrap().count(), 0);
 }

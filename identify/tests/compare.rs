@@ -1,4 +1,4 @@
-//! Comparison of several calibrations: agreement for the same robot, contradiction after a change.
+//! Comparison of several calibrations. They agree if the robot is the same, and contradict each other after a change.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use crate::support::campaign::size;
@@ -13,7 +13,7 @@ use identify::simulate::{self, Effects, Experiment, StaticErrors};
 const NOISE: Effects =
     Effects { robot_noise_urad: 15.0, encoder_noise_urad: 5.0, base_tilt_urad: 5000.0, ..Effects::NONE };
 
-/// One calibration of the robot with errors from the seed `errors`, on the path from the seed `path`.
+/// A calibration of the robot whose errors follow from the seed `errors`, on the path of the seed `path`.
 fn file(path: u64, errors: u64) -> CalibrationFile {
     let (robot, bar) = (irb2400(), bar());
     let errors = StaticErrors::Drawn { seed: errors };
@@ -47,8 +47,8 @@ fn other_paths_of_one_robot_agree_and_another_robot_does_not() {
     assert!(page.contains("not consistent") && page.contains("&lt;tuesday&gt;") && page.contains("<svg"));
 }
 
-/// With correct intervals the probabilities are uniformly distributed: half of them are above 0.5. Those of one robot are
-/// correlated, so several robots are needed; intervals may be too wide rather than too narrow.
+/// If all intervals were exact, half of the probabilities would be above 0.5. Probabilities of one robot are correlated, so
+/// the test needs several robots. Intervals may be too wide, but not too narrow.
 #[test]
 #[ignore = "30 calibrations: a minute"]
 fn probabilities_of_ten_robots_are_spread_as_true_intervals_spread_them() {
@@ -58,8 +58,8 @@ fn probabilities_of_ten_robots_are_spread_as_true_intervals_spread_them() {
         robots.map(|robot| Consistency::new(&[file(1, robot), file(2, robot), file(3, robot)]).unwrap());
     let p: Vec<f64> = all.flat_map(|one| one.parameters).map(|one| one.p.unwrap()).collect();
     let high = p.iter().filter(|p| **p > 0.5).count() as f64 / p.len() as f64;
-    // Probabilities of one robot are correlated: the spread is that of robots, not of parameters.
-    // Tolerances bias the calibrations of one robot in the same direction, so they agree better than by chance.
+    // The standard deviation depends on the number of robots, because probabilities of one robot are correlated. The
+    // expected fraction is above 0.5, because tolerances bias all calibrations of one robot in the same direction.
     let spread = 0.553 / (count as f64).sqrt();
     assert!(p.len() == 22 * count && (0.65 - spread..0.65 + spread).contains(&high), "{high} of {}", p.len());
 }
@@ -75,11 +75,11 @@ fn the_probability_is_that_of_the_chi_square_table() {
         file
     };
     let of = |value: f64| of_sigma(value, 1e-3);
-    // Two values at a distance of 2.7718 sigma: chi-square 3.8415 with one degree of freedom, 5 %.
+    // The two values differ by 2.7718 sigma. Chi-square is then 3.8415 with one degree of freedom, so p is 5 %.
     let pair = Consistency::new(&[of(0.0), of(2.7718e-3)]).unwrap();
     assert!((pair.parameters[0].p.unwrap() - 0.05).abs() < 1e-4);
     assert!((pair.parameters[0].mean - 1.3859e-3).abs() < 1e-9);
-    // The square of this difference is the smallest positive number.
+    // The square of this difference is the smallest positive floating-point number.
     let alike = Consistency::new(&[of(0.0), of_sigma(1.8e-162, 1.0)]).unwrap();
     assert_eq!(alike.parameters[0].p, Some(1.0));
 }
@@ -96,16 +96,16 @@ fn identified_values_are_compared_whatever_the_nominal_ones_were() {
         Consistency::new(&[one.clone(), file]).unwrap()
     };
     let names = ["monday".to_owned(), "tuesday".to_owned()];
-    // The same robot with other nominal values.
+    // The same robot, compared to other nominal values: value and nominal value changed equally.
     let same = moved(1e-3, 0.0);
     assert!(same.is_consistent() && same.other_nominals == ["ra2"], "{same:?}");
     assert!(side_by_side::table(&same, &names).contains("nominal values of ra2 differ"));
-    // Another robot with the same correction.
+    // Another robot whose correction from its nominal values is the same.
     let other = moved(1e-3, 1e-3);
     assert!(!other.is_consistent() && other.other_nominals == ["ra2"], "{other:?}");
     let equal = moved(0.0, 0.0);
     assert!(equal.is_consistent() && equal.other_nominals.is_empty(), "{equal:?}");
-    // Whole turns do not count as a difference.
+    // Angles that differ by whole turns are equal.
     let mut turned = one.clone();
     let entry = turned.parameters.iter_mut().find(|entry| entry.name == "rtheta2").unwrap();
     entry.value += std::f64::consts::TAU;
@@ -122,7 +122,7 @@ fn the_robots_ends_are_as_far_apart_as_their_links_say() {
     let found = Consistency::new(&[one.clone(), longer, file(1, 9)]).unwrap();
     let apart = found.apart[0].unwrap();
     assert!((apart.mean - 2e-4).abs() < 1e-9 && (apart.max - 2e-4).abs() < 1e-9, "{apart:?}");
-    // Without joint ranges no distance is computed.
+    // The distance needs joint ranges. The file has none, so no distance is computed.
     assert_eq!(found.apart[1], None);
     let names = ["monday", "tuesday", "none"].map(str::to_owned);
     let text = side_by_side::table(&found, &names);

@@ -1,4 +1,5 @@
-//! Parameters fixed at values that are wrong by their tolerance: the claimed error over the workspace holds.
+//! Some parameters are fixed at values that are wrong by their tolerance. The stated error over the
+//! workspace must include the effect.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -18,7 +19,7 @@ use rand::{Rng, SeedableRng};
 use rand_distr::StandardNormal;
 use shared::config::{BallBarConfig, RobotConfig};
 
-/// Without terms, to save time.
+/// A configuration with these fixed parameters, and without joint terms to save time.
 fn quick(fix: &[&str]) -> IdentifyConfig {
     IdentifyConfig {
         fix: fix.iter().map(|name| name.parse().unwrap()).collect(),
@@ -28,7 +29,7 @@ fn quick(fix: &[&str]) -> IdentifyConfig {
     }
 }
 
-/// A robot with errors of a millimetre or milliradian in every parameter, and a bar with a tilted base.
+/// A run of a robot with errors of a millimetre or milliradian in every parameter, and of a bar with a tilted base.
 fn simulated(seed: u64) -> Simulated {
     let (errors, effects) = (StaticErrors::Drawn { seed }, Effects::LABORATORY);
     simulate::run(&Experiment { seed, errors, effects, ..Experiment::new(&irb2400(), &bar()) }).unwrap()
@@ -43,7 +44,7 @@ fn calibrated(
     calibrate_run(&run.cycles, &run.encoders, &run.robot_log, robot, bar, config).unwrap()
 }
 
-/// True and claimed mean position error \[m\], with a plate that is wrong by its uncertainty.
+/// True and stated mean position error \[m\]. The plate length is wrong at random by its uncertainty.
 fn with_the_bar(seed: u64, plate_u_um: f64, config: &IdentifyConfig) -> (f64, Expected) {
     let (run, robot, mut bar) = (simulated(seed), irb2400(), bar());
     let off: f64 = StdRng::seed_from_u64(seed).sample(StandardNormal);
@@ -53,7 +54,8 @@ fn with_the_bar(seed: u64, plate_u_um: f64, config: &IdentifyConfig) -> (f64, Ex
     (position_error_m(&run, &found, &robot), claimed)
 }
 
-/// The same for a UR10 and a tracker with 20 um noise; two of its lengths are fixed.
+/// True and stated mean position error \[m\] of a UR10 that a tracker measures with 20 um noise. Two of its
+/// lengths are fixed at nominal.
 fn with_a_tracker(seed: u64) -> (f64, Expected) {
     let robot = ur10();
     let nominal = flange_chain(&robot);
@@ -92,7 +94,7 @@ fn with_a_tracker(seed: u64) -> (f64, Expected) {
     (error_m, workspace_error(&found.0, &limits).after)
 }
 
-/// Number of errors within their claimed 95 % interval, and number of errors below its upper end.
+/// Number of errors within their stated 95 % interval, and number of errors below the upper end of this interval.
 fn held(name: &str, found: impl Iterator<Item = (f64, Expected)>) -> [usize; 2] {
     let mut held = [0; 2];
     for (error_m, Expected { interval_m: [low, high], mean_m, .. }) in found {
@@ -104,8 +106,8 @@ fn held(name: &str, found: impl Iterator<Item = (f64, Expected)>) -> [usize; 2] 
     held
 }
 
-/// Errors within their intervals and below the upper ends, in this number of experiments each: fixed links, fixed plate, fixed
-/// base, other costs, and a tracker.
+/// Evaluates this number of experiments for each setting: fixed links, fixed plate, fixed base, other costs, and a tracker.
+/// Returns the counts of [`held`] for each setting.
 fn campaign(seeds: u64) -> Vec<[usize; 2]> {
     let thesis = IdentifyConfig { selection: SelectionName::Thesis, ..quick(&[]) };
     let position = IdentifyConfig { cost: Some(CostName::Position), ..quick(&[]) };
@@ -126,7 +128,7 @@ fn campaign(seeds: u64) -> Vec<[usize; 2]> {
     of_bars.into_iter().chain([of_tracker]).collect()
 }
 
-/// Of three 95 % intervals, fewer than two contain the value once in 140 cases.
+/// With three correct 95 % intervals, fewer than two contain the true value once in 140 cases.
 #[test]
 #[ignore = "several calibrations: a quarter of a minute"]
 fn what_is_fixed_at_a_wrong_value_is_part_of_the_error_that_is_claimed() {
@@ -135,7 +137,7 @@ fn what_is_fixed_at_a_wrong_value_is_part_of_the_error_that_is_claimed() {
     }
 }
 
-/// The base tilt is the same in all experiments.
+/// All experiments have the same base tilt.
 #[test]
 #[ignore = "200 calibrations: minutes"]
 fn over_forty_experiments_what_is_fixed_at_wrong_values_leaves_claims_that_hold() {
@@ -158,12 +160,12 @@ fn a_rod_that_is_known_gives_the_scale_where_the_plate_does_not() {
         (position_error_m(&run, &found, &robot) * 1e3, claimed.interval_m[1] * 1e3)
     });
     println!("error and claim [mm]: {by_plate:?} by the plate, {by_rod:?} by the rod");
-    // Links within a millimetre of nominal also contain information about the scale.
+    // The nominal lengths of the links are correct within a millimetre, so they also determine the scale to some extent.
     assert!(by_plate.0 > 1.0 && by_plate.1 > by_plate.0, "{by_plate:?}");
     assert!(by_rod.0 < 0.1 && by_rod.1 < 0.3, "{by_rod:?}");
 }
 
-/// RMS distance between the ends of two robots over postures within the limits \[m\].
+/// RMS distance \[m\] between the ends of two calibrated robots over random postures within the joint limits.
 fn apart_m(one: &Calibration, other: &Calibration, robot: &RobotConfig) -> f64 {
     const POSTURES: usize = 400;
     let mut random = StdRng::seed_from_u64(3);
@@ -195,7 +197,7 @@ fn each_contribution_of_the_budget_is_what_its_source_does_to_the_robot() {
         plate.source.contains("0.1 mm") && link.source.contains("fixed with an uncertainty of 1 mrad"),
         "{contributions:?}"
     );
-    // Effect of a stated value that is wrong by its stated uncertainty.
+    // Repeats the calibration with a stated value that is wrong by its stated uncertainty.
     let mut other = robot.clone();
     other.links[2].alpha_deg += 1e-3_f64.to_degrees();
     let longer = BallBarConfig { plate_m: bar.plate_m + 1e-4, ..bar.clone() };

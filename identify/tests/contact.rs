@@ -1,4 +1,5 @@
-//! A ball on the flange in sockets with known distances: simulated rows with known truth, for arms of six and seven axes.
+//! Calibration with a ball on the flange that is placed in sockets at known distances. Rows are simulated with known truth,
+//! for arms of six and seven axes.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -73,8 +74,8 @@ fn distances_serve_as_well_as_places_and_two_sockets_are_enough() {
     assert!(places < 0.1 && distances < 0.1 && two < 0.2, "{places} {distances} {two}");
 }
 
-/// The fit without a socket's rows is a step on the normal equations: compare it with a calibration of the other rows, and the place
-/// of the socket by the plate.
+/// The prediction for a socket uses a fit without its rows, computed as one step on the normal equations. The test compares
+/// it with a calibration of the other rows, in which the plate determines the position of the socket.
 #[test]
 fn rows_at_an_unseen_socket_are_predicted_as_by_a_calibration_without_them() {
     let robot = irb2400();
@@ -93,7 +94,7 @@ fn rows_at_an_unseen_socket_are_predicted_as_by_a_calibration_without_them() {
             let state = JointState::at_rest(row.joints_rad);
             geometry.robot_end(&state).transform_point(&geometry.contact.ball_m.into()).coords
         };
-        // The other sockets place the plate.
+        // The other sockets determine the pose of the plate.
         let mut placed = table.sockets.clone();
         let socket_m = Vector3::from(placed.remove(left_out).position_mm) * 1e-3;
         let known_m = placed.iter().map(|one| Vector3::from(one.position_mm) * 1e-3);
@@ -106,12 +107,13 @@ fn rows_at_an_unseen_socket_are_predicted_as_by_a_calibration_without_them() {
         let refitted_mm = (squares.iter().sum::<f64>() / squares.len() as f64).sqrt() * 1e3;
         let [predicted_mm, fitted_mm] = [part.predicted, part.fitted].map(|one| one.position_m.rms * 1e3);
         println!("{}: {fitted_mm:.4} fitted, {predicted_mm:.4} by the step, {refitted_mm:.4} mm", part.name);
-        // The calibration of the other rows chooses widths of priors and terms anew.
+        // The tolerance is wide, because the calibration of the other rows determines widths of priors and terms again.
         assert!((predicted_mm / refitted_mm).ln().abs() < 0.3, "{predicted_mm} {refitted_mm}");
     }
 }
 
-/// An error of joint 2 that depends on two joints together, which no term describes: the socket's own place hides it.
+/// Joint 2 has an error that depends on two other joints together, so no term describes it. In the fit, the free position of
+/// each socket absorbs this error.
 #[test]
 fn an_error_that_no_term_describes_is_larger_at_unseen_sockets_than_in_the_fit() {
     let robot = irb2400();
@@ -133,7 +135,7 @@ fn an_error_that_no_term_describes_is_larger_at_unseen_sockets_than_in_the_fit()
     assert!(ratios[0] < 1.5 && ratios[1] > 1.8, "{ratios:?}");
 }
 
-/// Derivatives of the known positions and distances of sockets against finite differences.
+/// Compares the derivatives of known positions and distances of sockets with finite differences.
 #[test]
 fn what_is_known_of_sockets_has_the_derivatives_of_their_places() {
     let placed = |name: &str, at, u_um| PlacedSocket { name: name.into(), position_mm: at, u_um };
@@ -151,7 +153,8 @@ fn what_is_known_of_sockets_has_the_derivatives_of_their_places() {
     table.validate().unwrap();
     let sockets = Sockets::new(&table, &table.names());
     let turn = Rotation3::new(Vector3::new(0.4, -1.9, 0.7));
-    // At the best fit of the plate: the derivative omits the terms with residuals, as in the Gauss-Newton method.
+    // Derivatives are compared at the best fit of the plate. They omit terms that contain residuals,
+    // as in the Gauss-Newton method.
     let at: Vec<Vector3<f64>> = table
         .sockets
         .iter()
@@ -196,7 +199,8 @@ fn rows_of_a_wrong_socket_take_no_part() {
         found.runs[0].instrument.rejected().iter().map(|one| one.row).collect::<Vec<_>>(),
         [20, 77, 131]
     );
-    // The file of residuals contains all rows with their lines, and marks the rows that are left out: one socket distance away.
+    // The file of residuals contains all rows with their line numbers, and marks unused rows. An unused row is off by about
+    // the distance between two sockets.
     let lines: Vec<u64> = (2..).take(rows.len()).collect();
     let text = residuals_csv(&found, &[&lines]).unwrap();
     let table: Vec<Vec<&str>> = text.lines().skip(1).map(|line| line.split(',').collect()).collect();
@@ -228,19 +232,19 @@ fn intervals_of_links_hold_95_percent_over_robots() {
     }
 }
 
-/// Output of `identify` for the files in a directory, and whether it succeeded.
+/// Runs `identify` on files in this directory. Returns whether it succeeded, and its output as words.
 fn told(directory: &Path, rows: &str, sockets: &str) -> (bool, String) {
     let [rows, sockets, mapping] = [rows, sockets, "contact.toml"].map(|name| directory.join(name));
     let [rows, sockets, mapping] = [&rows, &sockets, &mapping].map(|path| path.to_str().unwrap());
     let arguments = ["calibrate", "contact", rows, "--sockets", sockets, "--mapping", mapping, "--verbose"];
     let output = identify(&arguments, "irb120_3.toml", &directory.join("out"));
     let texts = [output.stdout, output.stderr].map(|text| String::from_utf8(text).unwrap());
-    // Sentences are wrapped to the width of a terminal.
+    // The output is wrapped to the width of a terminal, so line breaks are removed.
     let words: Vec<String> = texts.concat().split_whitespace().map(Into::into).collect();
     (output.status.success(), words.join(" "))
 }
 
-/// Output for an experiment file.
+/// Runs `identify calibrate` on an experiment file, with further arguments `more`. Returns its output.
 fn experiment(file: &Path, out: &Path, more: &[&str]) -> String {
     let run = std::process::Command::new(env!("CARGO_BIN_EXE_identify"))
         .args(["calibrate", "--verbose", "--experiment"])
@@ -253,7 +257,7 @@ fn experiment(file: &Path, out: &Path, more: &[&str]) -> String {
     String::from_utf8([run.stdout, run.stderr].concat()).unwrap()
 }
 
-/// `inspect` describes the rows, and rows with one wrong name, without a calibration, and proposes a mapping.
+/// `inspect` describes the rows without a calibration, also if one of them has a wrong name. It proposes a mapping.
 fn inspected(at: &Path, rows: &str) {
     let robot = repository("config/robots/irb120_3.toml");
     let inspect = |file: &str, more: &[&str]| {
@@ -289,7 +293,7 @@ fn inspected(at: &Path, rows: &str) {
     assert_eq!(names(&proposed), names(&written));
 }
 
-/// An exact nominal robot is predicted worse by any calibration.
+/// The robot is exactly nominal, so any calibration predicts worse than the nominal robot and the verdict is red.
 #[test]
 fn a_red_verdict_leaves_its_page_also_in_a_new_directory() {
     let directory = tempfile::tempdir().unwrap();
@@ -318,9 +322,9 @@ fn a_person_simulates_calibrates_and_repeats_it() {
     let page = std::fs::read_to_string(at.join("out/report.html")).unwrap();
     assert!(page.contains("contact, ") && page.contains("held-out rows, calibrated, RMS"));
     assert!(page.contains("stated geometry of sockets or faces") && page.contains("mounting of the ball"));
-    // A name with the prefix of the bar's parameters is not one of them.
+    // This name begins like parameters of the bar but is not one of them.
     assert!(page.contains(">ball_x") && !page.contains("Ball-bar and encoders"));
-    // A second plate for the same robot in one experiment file.
+    // The experiment file also names a second plate that was measured with the same robot.
     let other = at.join("other");
     let simulated =
         identify(&["simulate", "contact", "--seed", "2", "--robot-seed", "1"], "irb120_3.toml", &other);
@@ -340,7 +344,7 @@ fn a_person_simulates_calibrates_and_repeats_it() {
         of_both.contains("instrument = \"2 times contact\"") && of_both.contains("socket6_z@2"),
         "{of_both}"
     );
-    // Repeated measurements do not count twice.
+    // Measurements that occur in two data sets do not count twice.
     let twice = format!("robot = {:?}\n{}{}", robot.to_str().unwrap(), block(""), block("copy/"));
     std::fs::create_dir(at.join("copy")).unwrap();
     for name in ["contacts.csv", "contact.toml", "sockets.toml"] {
@@ -350,12 +354,12 @@ fn a_person_simulates_calibrates_and_repeats_it() {
     let text = experiment(&at.join("twice.toml"), &at.join("twice"), &[]);
     assert!(text.contains("data sets 1 and 2 are the same measurements"), "{text}");
     assert!(!at.join("twice").exists());
-    // A table of sockets is only accepted with a ball in sockets.
+    // A table of sockets is only accepted for the instrument with a ball in sockets.
     let without = format!("robot = {:?}\n{}", robot.to_str().unwrap(), block("").replace("sockets =", "#"));
     std::fs::write(at.join("without.toml"), without).unwrap();
     let text = experiment(&at.join("without.toml"), &at.join("without"), &[]);
     assert!(text.contains("contact[0].sockets"), "{text}");
-    // The experiment file next to the result reproduces it to the last digit.
+    // The experiment file next to a result reproduces the result to the last digit.
     let values = |out: &Path| {
         let text = std::fs::read_to_string(out.join("calibration.toml")).unwrap();
         text.lines().filter(|line| line.starts_with("value")).map(str::to_owned).collect::<Vec<_>>()
@@ -364,7 +368,7 @@ fn a_person_simulates_calibrates_and_repeats_it() {
     let text = experiment(&at.join("out/experiment.toml"), &again, &[]);
     assert!(text.contains("verdict green"), "{text}");
     assert!(!values(&again).is_empty() && values(&again) == values(&at.join("out")));
-    // Also after the folder of data and result was moved, and with another requirement.
+    // This also holds after the directory of data and result was moved, and with another required accuracy.
     let moved = at.join("moved");
     std::fs::create_dir_all(moved.join("out")).unwrap();
     for name in ["contacts.csv", "contact.toml", "sockets.toml", "out/experiment.toml"] {
@@ -379,7 +383,7 @@ fn a_person_simulates_calibrates_and_repeats_it() {
     assert_eq!(values(&again), values(&at.join("out")));
     std::fs::rename(at.join("gone.csv"), at.join("contacts.csv")).unwrap();
 
-    // Without the comment that marks simulated rows.
+    // Removes the comment that marks the rows as simulated.
     let rows = std::fs::read_to_string(at.join("contacts.csv")).unwrap();
     let rows = rows.split_once('\n').unwrap().1.to_owned();
     inspected(at, &rows);
@@ -419,7 +423,7 @@ fn a_person_simulates_calibrates_and_repeats_it() {
     refused(rows.clone(), &doubled, &["key `socket[1].name`", "two sockets have the name `A`"]);
     refused(rows.clone(), &doubled.replacen("\"A\"", "\"B\"", 1), &["`A` has the position of `B`"]);
 
-    // A wrong position is named, and the verdict is not green.
+    // A wrong position of a socket is named, and the verdict is not green.
     let place = sockets
         .lines()
         .find(|line| line.starts_with("position_mm = [") && !line.contains("[0.0, 0.0"))
@@ -430,7 +434,7 @@ fn a_person_simulates_calibrates_and_repeats_it() {
             && text.contains("The rows contradict the table of sockets or faces: the place of socket `"),
         "{text}"
     );
-    // A row with a wrong socket is reported with the correct one.
+    // The message about a row with a wrong socket names the right one.
     let (done, text) = with(rows.replacen(",D\n", ",E\n", 1), sockets.clone());
     assert!(
         done && text.contains("line 5: off by ") && text.contains("from `D`: look for a wrong name"),
@@ -438,7 +442,7 @@ fn a_person_simulates_calibrates_and_repeats_it() {
     );
 }
 
-/// The ball is in its sockets at the joints corrected by the true gear terms.
+/// Simulates a robot with gear errors. At the joints that the true gear terms correct, the ball must be in its sockets.
 #[test]
 fn gear_errors_of_the_truth_seat_the_ball() {
     for robot in [irb120(), seven_axes()] {

@@ -1,5 +1,5 @@
-//! Stated lengths that contradict each other, and a scale that the robot's lengths contradict: the stated uncertainty includes
-//! the true error. Without a contradiction nothing is added.
+//! Stated lengths that contradict each other, and a scale that contradicts the lengths of the robot. The stated uncertainty
+//! must include the true error. Without a contradiction nothing is added.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -18,7 +18,8 @@ fn run(robot: &RobotConfig, seed: u64) -> Simulated {
     laboratory::run(robot, &bar(), seed, &Level::USUAL, Design::for_robot(robot))
 }
 
-/// The shipped bar, with a rod that was measured, if it is, and errors of the stated lengths \[mm\].
+/// The shipped bar with an error of the stated plate length \[mm\]. If `rod_off_mm` is given, the rod length is also
+/// stated, with this error \[mm\].
 fn stated(run: &Simulated, plate_off_mm: f64, rod_off_mm: Option<f64>) -> BallBarConfig {
     let mut bar = bar();
     bar.plate_m += 1e-3 * plate_off_mm;
@@ -29,7 +30,7 @@ fn stated(run: &Simulated, plate_off_mm: f64, rod_off_mm: Option<f64>) -> BallBa
     bar
 }
 
-/// The calibration, its stated uncertainty (k = 2) and its true mean error \[m\].
+/// A calibration, with its stated uncertainty (k = 2) and its true mean position error \[m\].
 fn calibrated(
     run: &Simulated,
     robot: &RobotConfig,
@@ -42,7 +43,7 @@ fn calibrated(
     (found, [workspace.budget.expanded_m, true_m])
 }
 
-/// Names of what the data contradict.
+/// Names of the stated values that the data contradict, in alphabetical order.
 fn contradicted(found: &Calibration) -> Vec<String> {
     let names = found.contradicted.priors.iter().map(|prior| prior.to_string());
     let mut names: Vec<String> =
@@ -52,7 +53,7 @@ fn contradicted(found: &Calibration) -> Vec<String> {
     names
 }
 
-/// Without terms, to save time.
+/// A configuration without joint terms, to save time.
 fn quick() -> IdentifyConfig {
     let joint_terms = JointTermsConfig { candidates: Vec::new(), ..JointTermsConfig::default() };
     IdentifyConfig { bar_length_um: 0.0, joint_terms, ..IdentifyConfig::default() }
@@ -66,7 +67,7 @@ fn a_plate_and_a_rod_that_contradict_each_other_widen_the_uncertainty() {
     println!("stated {:.3} mm, true {:.3} mm", claimed_m * 1e3, true_m * 1e3);
     assert_eq!(contradicted(&found), ["bd3", "ra6"]);
     assert!(true_m > 0.3e-3 && true_m < claimed_m && claimed_m < 6.0 * true_m, "{true_m} {claimed_m}");
-    // The samples determine the plate nevertheless.
+    // The uncertainty of the plate from the samples alone is smaller than the one that includes the contradiction.
     let plate = found.model().column_of(ParameterId::plate(6)).unwrap();
     let covariance = &found.solution().covariance;
     assert!(covariance.sigma_before_contradictions(plate) < covariance.sigma(plate));

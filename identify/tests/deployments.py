@@ -1,8 +1,8 @@
-"""Direct fits of a robot to measured positions by pybotics, for tests.
+"""Fits a robot directly to measured positions with pybotics, for tests.
 
-Reads JSON from standard input: "links" [a [m], alpha [rad], d [m], theta [rad]] in the standard convention, "fitted" and
-"others", lists of [joints [rad], position [m]]. Writes for each of "nominal", "offsets" and "dh" the root mean square distance of
-the others [m].
+Reads JSON from standard input. "links" has [a [m], alpha [rad], d [m], theta [rad]] in the standard convention. "fitted" and
+"others" are lists of [joints [rad], position [m]]. The fit uses "fitted". For each of "nominal", "offsets" and "dh", writes the
+root mean square distance of the positions in "others" [m].
 """
 import json
 import sys
@@ -16,7 +16,7 @@ from scipy.optimize import least_squares
 
 
 def placed(robot, seen):
-    """World frame in which the robot's positions are nearest to what was seen."""
+    """World frame in which the positions of the robot are nearest to the measured ones."""
     own = np.array([robot.fk(q)[:3, 3] for q, _ in seen])
     there = np.array([position for _, position in seen])
     u, _, v = np.linalg.svd((there - there.mean(0)).T @ (own - own.mean(0)))
@@ -27,7 +27,7 @@ def placed(robot, seen):
 
 
 def errors(vector, handler, seen):
-    """Of each coordinate: the same sum of squares as that of `optimize_accuracy`, whose distances tell a step too little."""
+    """Errors of each coordinate: the sum of squares of `optimize_accuracy`, whose distances are too coarse for a step."""
     handler.apply_optimization_vector(vector)
     return np.concatenate([handler.robot.fk(q)[:3, 3] - position for q, position in seen])
 
@@ -35,7 +35,8 @@ def errors(vector, handler, seen):
 def main():
     asked = json.load(sys.stdin)
     links = asked["links"]
-    # In the modified convention a link's length and twist come before its turn: those of the link before.
+    # In the modified convention, length and twist precede the rotation about the joint. They are therefore
+    # those of the previous link.
     before = [[0.0, 0.0]] + [[alpha, a] for a, alpha, _, _ in links]
     rows = [[*before[i], theta, d] for i, (_, _, d, theta) in enumerate(links)]
     alpha, a = before[-1]

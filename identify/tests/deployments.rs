@@ -1,5 +1,6 @@
-//! What a controller applies of a calibration, compared with direct fits of the same parameters by another program: pybotics'
-//! kinematic chain with SciPy's least squares. `CAMPAIGNS=full` for twenty arms.
+//! Compares the deployments of a calibration, which a controller applies, with direct fits of the same
+//! parameters by another program. That program is the kinematic chain of pybotics with SciPy's least
+//! squares. `CAMPAIGNS=full` evaluates twenty arms.
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -24,7 +25,7 @@ use crate::support::campaign::size;
 use crate::support::rows::Alone;
 use crate::support::{irb120, irb2400, nj220, ur10};
 
-/// Root mean square distance between measured and predicted positions of the probe \[m\].
+/// Root mean square distance \[m\] between measured and predicted positions of the probe.
 fn apart_m(model: &Model, rows: &[PoseRow]) -> f64 {
     let geometry = model.geometry(&[]);
     let (place, probe) = (geometry.tracker.places[0].pose(), geometry.tracker.probes[0].pose());
@@ -35,7 +36,7 @@ fn apart_m(model: &Model, rows: &[PoseRow]) -> f64 {
     rms(rows.iter().map(one))
 }
 
-/// Results of pybotics for each deployment and for the nominal robot [m].
+/// Root mean square distance \[m\] that pybotics reaches on `others` for each deployment and for the nominal robot.
 fn direct_m(robot: &RobotConfig, fitted: &[PoseRow], others: &[PoseRow]) -> BTreeMap<String, f64> {
     let python =
         std::env::var_os("BALLBAR_PYTHON").expect("BALLBAR_PYTHON: a Python with tests/requirements.txt");
@@ -61,7 +62,8 @@ fn direct_m(robot: &RobotConfig, fitted: &[PoseRow], others: &[PoseRow]) -> BTre
     serde_json::from_slice(&output.stdout).unwrap()
 }
 
-/// Ratio of the held-out errors to those of a direct fit; what is written is not worse than the nominal robot.
+/// Ratio of the held-out errors to those of a direct fit, for offsets and for links. A deployment that would be written must
+/// not be worse than the nominal robot.
 fn by_direct_fit(name: &str, robot: &RobotConfig, rows: &[PoseRow]) -> [f64; 2] {
     let (fitted, others) = rows.split_at(rows.len() * 3 / 4);
     let found = Alone::default().poses(fitted, robot).unwrap();
@@ -96,7 +98,7 @@ fn what_a_controller_takes_predicts_as_well_as_a_direct_fit_of_it() {
         by_direct_fit(&format!("{} {seed}", robot.name), robot, &made.poses())
     };
     let mut ratios: Vec<[f64; 2]> = (1..=arms).map(of_arm).collect();
-    // Consecutive rows of the grid are adjacent; every fourth row is held out.
+    // Consecutive rows of the grid are at adjacent positions, so every fourth row is held out instead of the last ones.
     let grid: Vec<PoseRow> =
         fixture("grid.csv").iter().map(|row| PoseRow { rotation: None, ..*row }).collect();
     let (others, mut grid): (Vec<_>, Vec<_>) =
@@ -109,7 +111,8 @@ fn what_a_controller_takes_predicts_as_well_as_a_direct_fit_of_it() {
         let mean = (of_word().map(f64::ln).sum::<f64>() / ratios.len() as f64).exp();
         let most = of_word().fold(0.0, f64::max);
         println!("{word}: {mean:.3} of a direct fit as a mean, {most:.3} at most");
-        // Fifty rows each; loss and priors differ from those of the direct fit.
+        // The tolerance has two causes: each set has only fifty rows, and loss and priors differ from
+        // those of the direct fit.
         assert!(mean < 1.01 && most < 1.05, "{word}: {mean} {most}");
     }
 }

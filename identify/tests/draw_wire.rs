@@ -1,4 +1,4 @@
-//! Calibration from measured lengths: on simulated rows with known truth, and on a real IRB 120 with a draw-wire sensor.
+//! Calibration from measured lengths, both on simulated rows with known truth and on a real IRB 120 with a draw-wire sensor.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -20,7 +20,7 @@ use rand_distr::StandardNormal;
 use crate::support::irb120;
 use crate::support::rows::Alone;
 
-/// The measured rows; their licence does not permit a copy in this repository.
+/// The measured rows, if they are available. Their licence does not permit a copy in this repository.
 fn real_rows() -> Option<Vec<LengthRow>> {
     let path = crate::support::measured_data()?.join("irb120-draw-wire/draw_wire_1042.csv");
     let rows = csv::Reader::from_path(&path).unwrap().into_deserialize::<[f64; 10]>().map(|row| {
@@ -47,7 +47,7 @@ fn show(name: &str, figures: &PoseFigures) {
     );
 }
 
-/// Anchor and attachment of the made-up wire.
+/// Anchor of the simulated wire in the robot's base, and its attachment in the flange frame \[m\].
 const WIRE_M: [Vector3<f64>; 2] = [Vector3::new(0.3, -0.9, 0.1), Vector3::new(0.02, -0.01, 0.05)];
 
 /// Lengths of a wire to a robot at random poses, with noise of 0.1 mm.
@@ -70,7 +70,7 @@ fn measured(robot: &Chain, count: usize, random: &mut StdRng) -> Vec<LengthRow> 
     rows.collect()
 }
 
-/// A robot with errors of some mm and mrad, measured with a wire.
+/// Rows of a wire for a robot with errors of some mm and mrad, and the anchor in the frame of the calibrated base \[m\].
 fn made_up(count: usize) -> (Vec<LengthRow>, Vector3<f64>) {
     let mut random = StdRng::seed_from_u64(5);
     let nominal = flange_chain(&irb120());
@@ -81,13 +81,13 @@ fn made_up(count: usize) -> (Vec<LengthRow>, Vector3<f64>) {
         link.alpha_rad += random.random_range(-2e-3..2e-3);
     }
     let rows = measured(&truth, count, &mut random);
-    // The base of the calibrated robot is rotated about its first axis: lengths do not separate its zero from the anchor's
-    // position.
+    // Lengths do not separate the offset of the first joint from the position of the anchor. The base of the calibrated
+    // robot is therefore rotated about the first axis.
     let turned_rad = truth.links[0].theta_rad - nominal.links[0].theta_rad;
     (rows, Rotation3::from_axis_angle(&Vector3::z_axis(), -turned_rad) * WIRE_M[0])
 }
 
-/// Adds a drift of 2 mm to the offset of the lengths.
+/// Adds a drift of up to 2 mm to the offset of the lengths.
 fn drifting(rows: &mut [LengthRow]) {
     for (index, row) in rows.iter_mut().enumerate() {
         row.length_m += 2e-3 * (index as f64 / 40.0).sin();
@@ -143,11 +143,11 @@ fn faults_in_the_rows_are_found_named_and_kept_out_of_the_fit() {
     });
     let gross_m: Vec<(usize, f64)> = gross_m.collect();
     assert!((4..=10).contains(&gross_m.len()), "{:?}", report.rows().rejected);
-    // Fitted or held out: what was measured is longer.
+    // A residual has the same sign for fitted and held-out rows: it is negative if the measured length is too long.
     let signed = |(row, residual_m): &(usize, f64)| *row < 400 || (residual_m + 2e-2).abs() < 2e-3;
     assert!(gross_m.iter().all(signed), "{gross_m:?}");
     assert!(report.fitted().joints.position_m.rms < 1.5e-4, "{:?}", report.fitted().joints);
-    // The table counts the rows that the result does not use.
+    // The table states the number of rows that the result does not use.
     let deviations = report.rows().deviations(&report.0.runs[0]);
     let unused = deviations.iter().filter(|(_, why)| why.is_some()).count();
     let table = report.table();
@@ -160,13 +160,14 @@ fn lengths_in_another_unit_are_refused_with_the_unit_and_short_strokes_are_not()
     let read_as = |factor: f64| -> Vec<LengthRow> {
         rows.iter().map(|row| LengthRow { length_m: factor * row.length_m, ..*row }).collect()
     };
-    // Metres, centimetres and inches read as millimetres; millimetres read as centimetres.
+    // These factors are those of metres, centimetres and inches that are read as millimetres, and of millimetres
+    // that are read as centimetres.
     for (factor, why) in [(1e-3, "1000"), (0.1, "10"), (1.0 / 25.4, "25.4"), (10.0, "0.1")] {
         let refused = Alone::default().lengths(&read_as(factor), &irb120()).err().unwrap().to_string();
         let why = format!("the true lengths are {why} times the lengths as read");
         assert!(refused.contains(&why), "{factor}: {refused}");
     }
-    // A telescoping bar whose travel is smaller than the error of the nominal robot.
+    // A telescoping bar whose travel is smaller than the position errors of the nominal robot.
     let (anchor_m, stroke_m) = (Vector3::new(0.3, -0.9, 0.1), 2e-3);
     let chain = flange_chain(&irb120());
     let near = |row: &&LengthRow| {
@@ -192,7 +193,7 @@ fn joints_in_the_other_unit_are_not_taken_for_shorter_lengths() {
     assert_eq!(found.mistake, Mistake::Joints(JointMistake::InRadians), "{found}");
 }
 
-/// Records the progress reports.
+/// Collects the stages that a calibration reports as its progress.
 #[derive(Debug, Default)]
 struct Reported(Mutex<Vec<String>>);
 
@@ -202,7 +203,7 @@ impl Watch for Reported {
     }
 
     fn goes_on(&self, progress: &Progress) -> bool {
-        // Each pass belongs to a named stage.
+        // Each pass belongs to a stage that was named before.
         assert!(progress.samples > 0 && !self.0.lock().unwrap().is_empty());
         true
     }
@@ -238,7 +239,7 @@ fn exchanged_joints_that_contradict_the_controllers_positions_are_named() {
     assert!(!refused.contains("give the file of this robot"), "{refused}");
 }
 
-/// Half of the rows have fifteen times the noise, and the file states it.
+/// Half of the rows have fifteen times as much noise, and the file states this uncertainty for them.
 #[test]
 fn lengths_of_two_qualities_calibrate_better_with_their_uncertainties() {
     let (good, bad) = (1e-4, 1.5e-3);
@@ -254,23 +255,23 @@ fn lengths_of_two_qualities_calibrate_better_with_their_uncertainties() {
         let row = |(row, u): (&LengthRow, f64)| LengthRow { uncertainty_m: Some(times * u), ..*row };
         untold.iter().zip([good, bad].into_iter().cycle()).map(row).collect::<Vec<_>>()
     };
-    // The uncertainty of the scale is the same for both, and larger than what the noise leaves.
+    // The scale is fixed. Its uncertainty is then the same for both, and larger than the effect of the noise.
     let alone = Alone::default().without_joint_errors().with_fixed(&[ParameterId::Scale]);
     let calibrated = |rows: &[LengthRow]| {
         let found = alone.lengths(rows, &irb120()).unwrap();
         let errors = Wire::new(judging).errors(&found.model().geometry(&[]));
         let squared = errors.iter().map(|error| error.position_m.powi(2)).sum::<f64>() / errors.len() as f64;
-        // Error after subtraction of the noise of the held-out rows.
+        // Error of the calibration alone, after the noise of the held-out rows is subtracted.
         let beyond_m = (squared - good * good).max(0.0).sqrt();
         let rejected = found.rows().rejected.len();
         let wanders = found.rows().drift.is_some();
         (beyond_m, found.sigma("ra2".parse().unwrap()).unwrap(), rejected, wanders)
     };
-    // Uncertainties with a common wrong factor still determine the relative weights.
+    // If all stated uncertainties are wrong by the same factor, the relative weights remain correct.
     let [untold, stated, too_small, too_large] =
         [untold.clone(), stated(1.0), stated(0.5), stated(5.0)].map(|rows| calibrated(&rows));
     println!("without {untold:?}, with {stated:?}, too small {too_small:?}, too large {too_large:?}");
-    // Without uncertainties the worst rows are left out, which also improves the result.
+    // Without stated uncertainties, the worst rows are rejected as outliers. This also improves the result, but less.
     assert!(stated.0 < 0.8 * untold.0 && stated.1 < 0.8 * untold.1, "{stated:?} {untold:?}");
     for told in [stated, too_small, too_large] {
         assert!(told.0 < untold.0 && told.2 == 0 && !told.3, "{told:?}");
@@ -349,7 +350,7 @@ fn all_rows_of_the_real_irb_120_predict_rows_that_no_fit_has_seen() {
     show("held out, accepted, after", &report.held_out().joints);
     show("held out, all, before", &report.rows().held_out_with_rejected().nominal);
     show("held out, all, after", &report.rows().held_out_with_rejected().joints);
-    // Its controller position is 99 mm from the position by its joint angles.
+    // The controller's position of this row is 99 mm from the position that follows from its joint angles.
     assert!(
         report
             .rows()
@@ -362,7 +363,8 @@ fn all_rows_of_the_real_irb_120_predict_rows_that_no_fit_has_seen() {
     assert!(rows >= 140);
 }
 
-/// Best published results for these data, from different methods, over all 208 held-out rows: mean, RMS, max \[mm\].
+/// Best published results for these data, which come from different methods. Mean, RMS and maximum over
+/// all 208 held-out rows \[mm\].
 const WIRE: [f64; 3] = [0.94, 1.60, 4.5];
 
 #[test]
@@ -382,7 +384,7 @@ fn all_rows_of_the_real_irb_120_over_several_splits() {
     }
 }
 
-/// If whole segments of the file are held out, their zero is unknown; the figures contain the effect.
+/// If whole segments of the file are held out, the offset of their lengths is unknown. The figures include the effect.
 #[test]
 #[ignore = "needs the measured rows in the folder BALLBAR_DATA"]
 fn all_rows_of_the_real_irb_120_where_segments_and_regions_are_held_out() {

@@ -1,5 +1,5 @@
-//! Efficiency of the cost `pose`: its errors relative to the Cramer-Rao bound, coverage of its intervals, and the effect of
-//! gross outliers. `CAMPAIGNS=full` repeats more often.
+//! Efficiency of the cost `pose`: its errors relative to the Cramer-Rao bound, the coverage of its intervals, and the effect
+//! of gross outliers. `CAMPAIGNS=full` evaluates more seeds.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -52,7 +52,7 @@ impl Setup {
         (observations, joints)
     }
 
-    /// As in a calibration: whitened at the nominal geometry, then at the first solution.
+    /// Solves as a calibration does. Residuals are whitened at the nominal geometry, and again at the first solution.
     fn pose(&self, (observations, joints): &(Vec<Observation>, PerObservation), loss: LossName) -> Solution {
         let solve_from = |x: &[f64]| {
             let whitened = WhitenedPose::new(&self.model.geometry(x), joints, observations, NOISE);
@@ -71,7 +71,7 @@ impl Setup {
         minimise(&problem, &self.model.start(), &Options::default()).unwrap().0
     }
 
-    /// Standard deviations at the truth for known noise: the lower bound of any unbiased estimate.
+    /// Standard deviations at the true parameters for known noise. They are the lower bound for any unbiased estimate.
     fn bound(&self) -> Vec<f64> {
         let geometry = self.model.geometry(&self.truth);
         let whitened = WhitenedPose::new(&geometry, &self.joints, &self.observations, NOISE);

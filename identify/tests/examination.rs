@@ -1,4 +1,5 @@
-//! Parameters that each cost can identify, as a snapshot for both robots; the influence of fixed parameters agrees with solves.
+//! Compares the parameters that each cost can identify with a snapshot, for two robots. Also checks that the stated
+//! influence of fixed parameters agrees with solves.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 
 use crate::support::Cell;
@@ -14,7 +15,7 @@ use identify::solver::{Options, minimise};
 const COSTS: [CostName; 5] =
     [CostName::Length, CostName::Position, CostName::PositionAngles, CostName::Transform, CostName::Pose];
 
-/// `IDENTIFY_WRITE_SNAPSHOTS=1` writes the snapshot; check the difference before a commit.
+/// `IDENTIFY_WRITE_SNAPSHOTS=1` writes the snapshot again. Check the difference before a commit.
 #[test]
 fn ranks_groups_and_influences_of_all_costs_and_both_robots_are_those_of_the_snapshot() {
     let mut text = String::new();
@@ -36,7 +37,7 @@ fn ranks_groups_and_influences_of_all_costs_and_both_robots_are_those_of_the_sna
     assert_eq!(text.lines().count(), expected.lines().count());
 }
 
-/// Axes 2 to 4 are parallel: their offsets shift the same height, and no cost and no pose separates them.
+/// Axes 2 to 4 are parallel, so offsets along them have the same effect. No cost and no pose separates them.
 #[test]
 fn offsets_along_parallel_axes_are_named_and_do_not_end_the_examination() {
     let found: Vec<_> = COSTS
@@ -54,7 +55,7 @@ fn offsets_along_parallel_axes_are_named_and_do_not_end_the_examination() {
     }
 }
 
-/// The plate is part of the last link: `ra6` of an arm with seven axes is a length of the arm.
+/// The plate is part of the last link. For an arm with seven axes this is link 7, so `ra6` is a length of the arm itself.
 #[test]
 fn the_offset_plate_is_fixed_behind_the_last_axis_of_any_arm() {
     let urdf = crate::support::repository("identify/tests/data/seven_axes.urdf");
@@ -64,7 +65,8 @@ fn the_offset_plate_is_fixed_behind_the_last_axis_of_any_arm() {
     assert!(found.influence.held.contains(&"ra7".to_owned()), "{:?}", found.influence.held);
 }
 
-/// The method of the thesis: 1 mm|mrad of error in one fixed parameter, a solve, and the changes of the others.
+/// Uses the method of the thesis: adds an error of 1 mm|mrad to one fixed parameter, solves, and compares the changes of the
+/// other parameters with the stated influence.
 fn solves_show_the_influence<R: Residual + Copy>(residual: R, cost: CostName) {
     let (robot, bar) = (crate::support::irb2400(), crate::support::bar());
     let examined = examine(&robot, &bar, cost, 300, 1).unwrap();
@@ -84,7 +86,7 @@ fn solves_show_the_influence<R: Residual + Copy>(residual: R, cost: CostName) {
             let name = &examined.influence.estimated[row];
             assert_eq!(*name, model.columns().nth(row).unwrap().id.to_string());
             let (solved, predicted) = ((x - truth) / 1e-3, examined.influence.change[(row, column)]);
-            // Second order: 1 mm|mrad squared over lengths of half a metre.
+            // The tolerance covers terms of second order: (1 mm|mrad)^2 over lengths of half a metre.
             assert!((solved - predicted).abs() < 0.02, "{held} on {name}: {solved} against {predicted}");
         }
     }
@@ -96,9 +98,9 @@ fn a_solve_with_an_error_in_a_fixed_parameter_moves_the_others_as_the_table_says
     solves_show_the_influence(Position, CostName::Position);
 }
 
-/// Table 3.4 of the thesis, for the costs with encoders. It differs in one entry: there an error of balpha2 changes bd2 and
-/// bd3. With the reconstructed bar it changes bd2 (0.6 mm per mrad, the length of the rod), and with costs that include
-/// rotations also a few angles.
+/// Reproduces table 3.4 of the thesis for the costs with encoders, except for one entry. In the thesis, an error of balpha2
+/// changes bd2 and bd3. With the reconstructed bar it changes bd2, by 0.6 mm per mrad, which is the length of the rod. With
+/// costs that include rotations, it also changes a few angles.
 #[test]
 fn the_thesis_table_of_influences_is_reproduced() {
     let affected = |cost, held: &str| -> Vec<String> {

@@ -1,4 +1,4 @@
-//! Robots and bars by name in a directory without files of that name, and messages for a file in the wrong place.
+//! Robots and bars are found by name in a directory without such files. A file in the wrong place causes a message.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::path::Path;
@@ -6,7 +6,7 @@ use std::process::{Command, Output};
 
 use crate::support::repository;
 
-/// Runs `identify` in a directory; returns its exit code and all output.
+/// Runs `identify` in a directory. Returns its exit code and all of its output.
 fn identify(directory: &Path, arguments: &[&str]) -> (Option<i32>, String) {
     let Output { status, stdout, stderr } = Command::new(env!("CARGO_BIN_EXE_identify"))
         .current_dir(directory)
@@ -32,14 +32,15 @@ fn an_empty_directory_has_the_robots_and_the_bar_of_the_program() {
         told.contains("ABB IRB 2400/16 with double ball-bar") && told.contains("`ball_bar` as built into"),
         "{told}"
     );
-    // What is named as a file is never built in: lengths of another bar would give a wrong scale.
+    // An argument that is the name of a file never selects a built-in configuration. The lengths of another bar
+    // would cause a wrong scale.
     let (code, told) = identify(at, &["examine", "--robot", "irb2400_16", "--bar", "ball_bar.toml"]);
     assert_eq!(code, Some(1), "{told}");
     assert!(
         told.contains("there is no file ball_bar.toml") && told.contains("did you mean `ball_bar`?"),
         "{told}"
     );
-    // A file in this directory has priority, and the output mentions it.
+    // A file in this directory has priority over the built-in configuration, and the output names it.
     std::fs::create_dir_all(at.join("config/robots")).unwrap();
     for name in ["ball_bar.toml", "robots/irb2400_16.toml"] {
         let text = std::fs::read_to_string(repository("config").join(name)).unwrap();

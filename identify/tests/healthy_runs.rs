@@ -1,4 +1,4 @@
-//! Runs without faults, in cells that were not used in the development of the preparation: none may be refused.
+//! Runs without faults must not be refused. Their cells were not used in the development of the preparation.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 
 use crate::support::{bar, irb2400, nj220};
@@ -9,7 +9,8 @@ use rand_chacha::ChaCha8Rng;
 use shared::config::{BallBarConfig, RobotConfig};
 use shared::time::UtcNs;
 
-/// Other link errors, position and tilt of the base, and clocks; gear and grating errors four times as large as usual.
+/// A run with random link errors, base position, base tilt and clocks. Errors of gears and gratings are four
+/// times as large as usual.
 fn worn(robot: &RobotConfig, bar: &BallBarConfig, seed: u64) -> Simulated {
     let mut random = ChaCha8Rng::seed_from_u64(77_000 + seed);
     let mut between = |low: f64, high: f64| random.random_range(low..high);
@@ -51,8 +52,8 @@ fn what_worn_gears_do_to_the_angles_is_no_slip() {
     }
 }
 
-/// The robot's log begins after the recording and ends before it, as when one is started after the other: during the search for
-/// the time shift the first samples are outside the log.
+/// The robot log begins after the recording and ends before it, as if one had been started after the other. During the
+/// search for the time shift, the first samples are therefore outside the log.
 #[test]
 #[ignore = "several calibrations: a quarter of a minute"]
 fn a_robot_log_that_is_shorter_than_the_recording_is_aligned_as_well() {

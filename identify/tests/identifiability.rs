@@ -1,4 +1,4 @@
-//! Parameters that the costs can identify in the reference set-up, and their identification.
+//! The parameters that the costs can identify in the reference set-up, and whether solves find their true values.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -13,7 +13,7 @@ use identify::solver::{Identifiability, Options, Solution, identifiability, mini
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
 
-/// The 47 parameters of the thesis: without Hayati's parameters, rotations of the base and clocks.
+/// Frees the 47 parameters of the thesis. Hayati's parameters, rotations of the base and clocks are fixed.
 fn thesis_47(model: &mut Model) {
     let ids = model.ids();
     for id in ids {
@@ -137,7 +137,8 @@ fn every_selection_is_identified_by_its_cost() {
     selection_is_identified(Length, [23, 23]);
 }
 
-/// True chains: nominal with the thesis' static errors and, optionally, a tilted base.
+/// The true model and its chains of robot and bar: nominal with the static errors of the thesis and the
+/// further errors `more` \[mm, mrad\].
 fn true_chains(model: &Model, more: &[(&str, f64)]) -> (Model, Chain, Chain) {
     let mut truth = model.clone();
     for (name, error) in THESIS_ERRORS.iter().chain(more) {
@@ -149,7 +150,7 @@ fn true_chains(model: &Model, more: &[(&str, f64)]) -> (Model, Chain, Chain) {
     (truth, geometry.robot.clone(), geometry.bar_chain())
 }
 
-/// Euclidean distance to the truth over the free parameters \[mm|mrad\].
+/// Euclidean distance of a solution to the truth over the free parameters \[mm|mrad\].
 fn distance(model: &Model, truth: &Model, x: &[f64]) -> f64 {
     let errors = model.columns().zip(x).map(|(p, x)| x - truth.parameter(p.id).unwrap().value);
     errors.map(|e| (1e3 * e).powi(2)).sum::<f64>().sqrt()
@@ -188,7 +189,8 @@ fn static_errors_of_the_thesis_are_recovered_from_1500_poses() {
     }
 }
 
-/// Number of solves, out of `seeds` starts with errors of up to 20 mm|mrad in every free parameter, that end at the truth.
+/// Starts `seeds` solves with errors of up to 20 mm|mrad in every free parameter. Returns the number of solves
+/// that end at the truth.
 fn recovered_from_afar<R: Residual>(cell: &Cell, residual: R, seeds: u64) -> usize {
     let mut model = cell.model();
     model.select(Selection::Thesis, R::identifies);
@@ -228,7 +230,7 @@ fn starts_20_mm_and_mrad_away_lead_to_the_truth_with_every_cost() {
     }
 }
 
-/// A robot that follows the bar along a smooth path, with a clock that is ahead by `shift_s` and fast by `skew`.
+/// The joints of a robot that follows the bar along a smooth path. Its clock is ahead by `shift_s` and fast by `skew`.
 struct Following<'a> {
     robot: &'a Chain,
     bar: &'a Chain,

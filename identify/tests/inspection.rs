@@ -1,4 +1,4 @@
-//! Faults of a log are reported before a solve, without false reports for a sound log.
+//! `inspect` reports faults of a log without a solve. A log without faults causes no reports.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use crate::support::{bar, irb2400};
@@ -14,7 +14,7 @@ fn simulated() -> Simulated {
     simulate::run(&Experiment::new(&irb2400(), &bar())).unwrap()
 }
 
-/// The recording as read from a file.
+/// The simulated recording, written to a file and read again.
 fn recording() -> Recording {
     let directory = tempfile::tempdir().unwrap();
     let (robot, bar) = (irb2400(), bar());
@@ -59,7 +59,7 @@ fn clocks_that_jump_and_counters_with_a_new_origin_are_suspected() {
 fn frozen_and_commanded_logs_are_suspected() {
     let mut log: RobotLog = simulated().robot_log;
     log.origin = ValueOrigin::Commanded;
-    // At the highest speed: the joints are repeated for 30 rows and then jump.
+    // At the highest speed, the joints are repeated for 30 rows and then jump.
     let step = |row: &usize| (log.q_rad[row + 30][0] - log.q_rad[*row][0]).abs();
     let fastest = (0..log.q_rad.len() - 30).max_by(|a, b| step(a).total_cmp(&step(b))).unwrap();
     let held = log.q_rad[fastest];
@@ -76,7 +76,7 @@ fn a_joint_that_does_not_move_is_suspected() {
     assert!(told.contains("q4 moved by less than 5 degrees"), "{told}");
 }
 
-/// A slide in place of joint 1, which moves by 20 mm in a second; joint 4 stands.
+/// Joint 1 is a slide that moves by 20 mm in a second. Joint 4 moves so little that it counts as still.
 #[test]
 fn a_slide_is_shown_in_millimetres_and_a_still_joint_of_the_robot_has_no_plug() {
     let mut robot = irb2400();
@@ -108,7 +108,7 @@ fn a_column_that_freezes_for_a_while_is_suspected_by_name_and_a_joint_that_stand
     let told = inspect::robot_log(&log, &irb2400()).suspicious.join("\n");
     assert!(told.contains("q2 is constant from"), "{told}");
     assert!(!told.contains("q1 is constant") && !told.contains("q3 is constant"), "{told}");
-    // A joint at rest continues from its position.
+    // After the rest, the joint continues from the position at which it was.
     let by = log.q_rad[to][1] - held;
     log.q_rad[to..].iter_mut().for_each(|q| q[1] -= by);
     let told = inspect::robot_log(&log, &irb2400()).suspicious.join("\n");
@@ -145,7 +145,7 @@ fn curves_keep_extremes_and_holes_and_stay_small() {
         of_bar.iter().map(|curve| curve.name.as_str()).collect::<Vec<_>>(),
         ["b1", "b2", "b3", "b4", "b5"]
     );
-    // A spike of one row remains; ten missing seconds are not interpolated.
+    // A spike of one row remains in the data. Ten missing seconds are not interpolated.
     let spike = robot_log.q_rad.len() / 3;
     robot_log.q_rad[spike][2] = 3.0;
     let until_s = robot_log.q_rad.duration_s() / 2.0 + 10.0;

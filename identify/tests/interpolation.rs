@@ -1,10 +1,10 @@
-//! Interpolated logs against analytic motion.
+//! Compares interpolated logs with an analytic motion.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use identify::kinematics::Joints;
 use identify::logs::{LogError, RobotLog, Stream};
 
-/// Stamps of a 250 Hz log with intervals that vary by +-40 %.
+/// Stamps of a 250 Hz log \[s\]. Their intervals vary by +-40 %.
 fn uneven_stamps(duration_s: f64) -> Vec<f64> {
     let mut t = 0.0;
     let mut stamps = vec![];

@@ -1,4 +1,4 @@
-//! Forward kinematics, derivatives and inverses, held against an independent computation and against each other.
+//! Compares forward kinematics, derivatives and inverses with an independent computation and with each other.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 
 use crate::support::independent::{self, Link};
@@ -74,7 +74,7 @@ fn a_singular_bar_is_told_by_its_margin() {
     assert!(margin_rad(&bar, [0.3, 1.0, 0.1, PI, 0.2]) < 1e-12);
     assert!((margin_rad(&bar, [0.3, 1.2, 0.1, PI - 0.05, 0.2]) - 0.05).abs() < 1e-12);
     assert!((margin_rad(&bar, [0.3, -0.2, 0.1, -1.0, 0.2]) - 0.2).abs() < 1e-12);
-    // Joints that count from another zero: the margin is that of the angles between the links.
+    // The joints of this bar count from other zeros. The margin is the angle between the links, so the zeros do not matter.
     bar.links[1].theta_rad = 0.5 * PI;
     bar.links[3].theta_rad = -0.5 * PI;
     assert!((margin_rad(&bar, [0.3, 0.0, 0.1, 0.2, 0.2]) - (0.5 * PI - 0.2)).abs() < 1e-12);
@@ -93,7 +93,7 @@ fn a_pose_out_of_reach_and_a_chain_of_another_kind_are_errors() {
     assert!(matches!(robot_inverse_all(&skewed, &far), Err(InverseError::Structure { link: 3, .. })));
 }
 
-/// The arm is stretched where the joints are zero: a first step does not exist.
+/// With all joints at zero the arm is stretched and singular, so not even the first step exists.
 #[test]
 fn joints_that_do_not_converge_state_the_iterations_that_were_made() {
     let arm = flange_chain(&crate::support::ur10());
@@ -110,7 +110,8 @@ fn errors(size: f64) -> impl Strategy<Value = Vec<f64>> {
     prop::collection::vec(-size..size, 30)
 }
 
-/// Joint angles away from singular shoulders (wrist on axis 1), elbows and wrists, where the inverse is not unique.
+/// Joint angles that avoid singular poses, at which the inverse is not unique: wrist on axis 1,
+/// stretched elbow, and singular wrist.
 fn regular_robot() -> impl Strategy<Value = [f64; 6]> {
     let ranges = [-3.0..3.0, -0.2..1.4, -0.9..1.0, -3.0..3.0, -1.4..1.4, -3.0..3.0];
     ranges.prop_map(|mut q: [f64; 6]| {
@@ -259,7 +260,7 @@ fn signs_that_mirror_an_arm_are_found_where_there_are_any() {
     for robot in [crate::support::irb2400(), crate::support::nj220()] {
         assert_eq!(mirroring_joints(&flange_chain(&robot)), Some(vec![0, 3, 5]), "{}", robot.name);
     }
-    // Its wrist is outside the plane of its arm.
+    // The wrist of this arm is outside the plane of the arm.
     let [mut beside, ..] = nominal();
     beside.links[1].d_m = 0.16;
     assert_eq!(mirroring_joints(&beside), None);

@@ -1,21 +1,22 @@
-//! Standard and Hayati links describe the same robot.
+//! Links in the standard and in Hayati's convention describe the same robot.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 
 use identify::kinematics::{Chain, DhLink, robot_chain};
 use nalgebra::{Rotation3, Vector3};
 use proptest::prelude::*;
 
-/// Below this sine or cosine two directions count as parallel or perpendicular.
+/// Two directions count as parallel or perpendicular if sine or cosine of their angle is below this.
 const DEGENERATE: f64 = 1e-12;
 
-/// A point \[m\] and the direction of the next axis, in the frame before the link at joint angle zero.
+/// A point on the next axis \[m\] and the direction of that axis. Both are in the frame before the
+/// link, at joint angle zero.
 fn axis_after(link: &DhLink) -> (Vector3<f64>, Vector3<f64>) {
     let pose = link.transform(0.0);
     (pose.translation.vector, pose.rotation * Vector3::z())
 }
 
-/// Hayati's link (Hayati and Mirmirani 1985) to the same axis, with this `d`: to the intersection of the axis with a plane
-/// across the previous axis, then a second rotation. `None` if they do not intersect.
+/// Hayati's link (Hayati and Mirmirani 1985) to the same axis, with this `d`. It leads to the intersection of the axis with
+/// a plane across the previous axis, and then rotates a second time. `None` if axis and plane do not intersect.
 fn hayati_link(link: &DhLink, d_m: f64) -> Option<DhLink> {
     let (point_m, direction) = axis_after(link);
     if direction.z.abs() < DEGENERATE {
@@ -33,14 +34,15 @@ fn hayati_link(link: &DhLink, d_m: f64) -> Option<DhLink> {
     Some(DhLink { a_m: sign * length_m, alpha_rad, d_m, theta_rad, beta_rad, ..*link })
 }
 
-/// The standard link to the same axis. `None` if the axes are parallel.
+/// The standard link to the same axis. `None` if the two axes are parallel.
 fn standard_link(link: &DhLink) -> Option<DhLink> {
     let (point_m, u) = axis_after(link);
     let sine = u.x.hypot(u.y);
     if sine < DEGENERATE {
         return None;
     }
-    // x of the link is perpendicular to both axes; of its two directions the one that keeps the sign of the length.
+    // x of the link is perpendicular to both axes. Of its two possible directions, the one that keeps the sign
+    // of the length is used.
     let foot = point_m - u * ((point_m.x * u.x + point_m.y * u.y) / (sine * sine));
     let across = Vector3::new(-u.y, u.x, 0.0) / sine;
     let length = across.dot(&foot);
@@ -56,7 +58,7 @@ fn standard_link(link: &DhLink) -> Option<DhLink> {
     })
 }
 
-/// The chain with another link to the same axis; the next link contains the difference along and about it.
+/// The chain with another link to the same axis. The next link is changed by the difference along and about this axis.
 fn replaced(chain: &Chain, link: usize, other: impl Fn(&DhLink) -> Option<DhLink>) -> Option<Chain> {
     let mut chain = chain.clone();
     let [old, next] = chain.links.get_mut(link..link + 2)? else { return None };
@@ -87,8 +89,8 @@ fn apart(a: &Chain, b: &Chain, joints: &[f64; 6]) -> f64 {
 }
 
 proptest! {
-    /// Errors of some milliradians on every link, as in a calibration: axes 2 and 3 are then nearly parallel, and the standard
-    /// `d` of link 2 can be hundreds of metres.
+    /// Every link has errors of some milliradians, as in a calibration. Axes 2 and 3 are then nearly parallel, and the
+    /// standard `d` of link 2 can be hundreds of metres.
     #[test]
     fn there_and_back_gives_the_same_poses_and_the_same_links(
         which in 0..2usize,
@@ -111,7 +113,7 @@ proptest! {
         prop_assert!(apart(&chain, &hayati, &joints) < 1e-9, "{}", apart(&chain, &hayati, &joints));
         let back = with_standard(&hayati, link).unwrap();
         prop_assert_eq!(back.links[link].beta_rad, 0.0);
-        // A nearly parallel axis amplifies rounding errors by the inverse of the angle between the axes.
+        // If the axes are nearly parallel, rounding errors are amplified by the inverse of the angle between them.
         let limit = 1e-13 / chain.links[link].alpha_rad.abs().powi(2) + 1e-10;
         prop_assert!(apart(&chain, &back, &joints) < limit);
         prop_assert!((back.links[link].a_m - chain.links[link].a_m).abs() < limit);
@@ -119,7 +121,7 @@ proptest! {
         prop_assert!((back.links[link].theta_rad - chain.links[link].theta_rad).sin().abs() < limit);
     }
 
-    /// A Hayati link with errors, for which the standard parameters are large but exact.
+    /// For a Hayati link with errors, the standard parameters are large but exact.
     #[test]
     fn a_hayati_link_becomes_a_standard_one_however_far_its_common_normal_lies(
         alpha in 1e-4..2e-2f64, beta in 1e-4..2e-2f64, joints in prop::array::uniform6(-3.0..3.0f64),
@@ -128,7 +130,7 @@ proptest! {
         chain.links[1].alpha_rad = alpha;
         chain.links[1].beta_rad = beta;
         let standard = with_standard(&chain, 1).unwrap();
-        // The common normal is at the distance length over angle: metres to kilometres.
+        // The distance of the common normal is length divided by angle, which is metres to kilometres.
         prop_assert!(apart(&chain, &standard, &joints) < 1e-12 / alpha.min(beta));
     }
 }
@@ -141,7 +143,7 @@ fn some_links_have_one_form_only() {
     assert!(with_standard(&chain, 9).is_none());
     let mut square = chain.clone();
     square.links[2].alpha_rad = std::f64::consts::FRAC_PI_2;
-    // cos(pi/2) is not exactly zero in binary, but negligible.
+    // In binary, cos(pi/2) is not exactly zero. It must count as zero.
     assert!(with_hayati(&square, 2, 0.0).is_none());
     let same = with_hayati(&chain, 1, chain.links[1].d_m).unwrap();
     assert!(apart(&chain, &same, &[0.3; 6]) < 1e-15);

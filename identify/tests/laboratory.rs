@@ -1,6 +1,6 @@
-//! A laboratory with errors that real ones have and estimators do not model: two clocks, base tilt, eccentric encoders, gears
-//! and noise. Errors of the robot's parameters for each estimation method. `CAMPAIGNS=full`: all methods, more
-//! seeds.
+//! A simulated laboratory with errors that occur in real ones but are not modelled by the estimators: two clocks, base tilt,
+//! eccentric encoders, gears and noise. The tests compare the errors of the robot's parameters for several estimation
+//! methods. `CAMPAIGNS=full` evaluates all methods and more seeds.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -30,7 +30,7 @@ fn calibrated(
 struct Score {
     /// Error of the robot's parameters \[mm|mrad\].
     errors: Vec<f64>,
-    /// Their errors in standard deviations.
+    /// Errors of the parameters, each divided by its standard uncertainty.
     in_sigmas: Vec<f64>,
 }
 
@@ -52,13 +52,13 @@ impl Score {
         self.errors.iter().copied().fold(0.0, f64::max)
     }
 
-    /// Part of the true values within the 95 % interval.
+    /// Fraction of the true values that are within their 95 % intervals.
     fn coverage(&self) -> f64 {
         self.in_sigmas.iter().filter(|error| error.abs() < 1.96).count() as f64 / self.in_sigmas.len() as f64
     }
 }
 
-/// Estimation methods, from that of the thesis to the default.
+/// Configurations of the estimation methods with their names, from the method of the thesis to the default.
 fn ways() -> Vec<(&'static str, IdentifyConfig)> {
     let with = |cost, selection, encoder_harmonics_urad| IdentifyConfig {
         cost: Some(cost),

@@ -1,7 +1,9 @@
-//! The laboratory of the acceptance test: unknown offsets and clocks, and all error sources; both robots, ten seeds each.
+//! The laboratory of the acceptance test, with unknown offsets and clocks and all sources of errors. It evaluates two
+//! robots with ten seeds each.
 //!
-//! The whole campaign: `cargo test --release -p identify --test all laboratory_campaign -- --ignored --nocapture`;
-//! `IDENTIFY_KINDS=four,hard` runs the kinds with one of these in their name, `IDENTIFY_SEEDS=40` as many runs of each kind.
+//! The whole campaign: `cargo test --release -p identify --test all laboratory_campaign -- --ignored
+//! --nocapture`. `IDENTIFY_KINDS=four,hard` selects kinds of runs by words of their names. `IDENTIFY_SEEDS=40`
+//! sets the number of runs of each kind.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -18,17 +20,17 @@ use nalgebra::Vector3;
 use shared::config::{BallBarConfig, RobotConfig};
 use shared::encoder::Direction;
 
-/// Result of a calibration.
+/// Errors of one calibration.
 #[derive(Debug, Clone, Copy)]
 struct Outcome {
     robot_mm_mrad: f64,
     shift_ms: f64,
     skew_ppm: f64,
-    /// Standard deviation of the alignment over disjoint parts of about 20 s \[ms\].
+    /// Standard deviation of the alignment over disjoint segments of about 20 s \[ms\].
     repeats_ms: f64,
-    /// Mean position error over the workspace, with the errors of joints \[mm\].
+    /// Mean position error over the workspace, including the errors of joints \[mm\].
     position_mm: f64,
-    /// 95 % interval of that error in the report.
+    /// 95 % interval of the position error as the report states it \[mm\].
     expected_mm: [f64; 2],
 }
 
@@ -58,7 +60,7 @@ fn calibrated(run: &Simulated, robot: &RobotConfig, bar: &BallBarConfig, config:
     }
 }
 
-/// Mean and largest error of the robot; prints both.
+/// Prints mean and largest error of the robot \[mm|mrad\], and returns both.
 fn summary(name: &str, outcomes: &[Outcome]) -> (f64, f64) {
     let largest = |of: &dyn Fn(&Outcome) -> f64| outcomes.iter().map(of).fold(0.0, f64::max);
     let mean = outcomes.iter().map(|one| one.robot_mm_mrad).sum::<f64>() / outcomes.len() as f64;
@@ -81,7 +83,7 @@ fn summary(name: &str, outcomes: &[Outcome]) -> (f64, f64) {
     (mean, most)
 }
 
-/// Makes a run from a seed.
+/// A function that simulates a run from a seed.
 type Make = fn(&RobotConfig, &BallBarConfig, u64) -> Simulated;
 
 fn usual(robot: &RobotConfig, bar: &BallBarConfig, seed: u64) -> Simulated {
@@ -107,7 +109,7 @@ fn crossing(robot: &RobotConfig, bar: &BallBarConfig, seed: u64) -> Simulated {
     laboratory::run(robot, bar, seed, &Level::USUAL, design)
 }
 
-/// A motion of 60 s driven twice within the recording and the log.
+/// A run in which a motion of 60 s occurs twice within the recording and the log.
 fn repeated(robot: &RobotConfig, bar: &BallBarConfig, seed: u64) -> Simulated {
     let design = Design { duration_s: 60.0, ..Design::for_robot(robot) };
     let mut run = laboratory::without_noise(robot, bar, seed, &Level::USUAL, design);
@@ -181,7 +183,8 @@ fn ten_runs_of_each_kind_with_both_robots() {
     assert!(missed.is_empty(), "{missed:#?}");
 }
 
-/// The thesis' cost and parameters on the files of the default runs, with the same alignment and selection: effect of the rest.
+/// Evaluates the cost and the parameters of the thesis on the files of the default runs. Alignment and sample selection are
+/// those of the default, so the difference is the effect of cost and parameters.
 fn as_the_thesis(robot: &RobotConfig, bar: &BallBarConfig, seeds: u64) {
     let config = IdentifyConfig {
         cost: Some(CostName::Transform),
