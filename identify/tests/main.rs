@@ -1,6 +1,7 @@
-//! All tests of `identify` that need only its library and binary, in one program: one link step, and long tests in parallel.
+//! All tests of `identify` that need only its library and binary. They form one program, which is linked only once and
+//! runs long tests in parallel.
 //!
-//! To run one file: `cargo test -p identify --test all preparation_crossing`.
+//! To run the tests of one file: `cargo test -p identify --test all preparation_crossing`.
 
 mod support;
 

@@ -1,5 +1,5 @@
-//! Analytic Jacobians of the costs of tracker and ball in sockets against automatic differentiation of an independent
-//! kinematics.
+//! Compares the analytic Jacobians of the costs for a tracker and for a ball in sockets with automatic
+//! differentiation of an independent kinematics.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 
 use crate::support::Cell;
@@ -18,10 +18,10 @@ use nalgebra::{Rotation3, Vector3};
 use num_dual::{Dual64, DualNum};
 use proptest::prelude::*;
 
-/// Highest harmonic order of the joints: more do not add another case.
+/// Orders of the joint harmonics that are tested. Further orders use the same code.
 const WAVES: [u8; 2] = [3, 7];
 
-/// A smooth motion with joints as analytic functions of time.
+/// A smooth motion whose joints are analytic functions of time.
 struct Sines;
 
 fn sines(tau: Dual64) -> [Dual64; 6] {
@@ -42,7 +42,7 @@ impl RobotMotion for Sines {
     }
 }
 
-/// Rotation by the exponential series of `[w]`, without trigonometric functions.
+/// Rotation matrix as the exponential series of `[w]`. It uses no trigonometric functions.
 fn exponential(w: [Dual64; 3]) -> Matrix<Dual64> {
     let zero = Dual64::from(0.0);
     let cross = [[zero, -w[2], w[1]], [w[2], zero, -w[0]], [-w[1], w[0], zero]];
@@ -69,13 +69,13 @@ fn placed(six: &[Dual64]) -> Matrix<Dual64> {
     m
 }
 
-/// A parameter as a dual number with the derivative by `by`.
+/// The value of parameter `id` as a dual number that is differentiated with respect to parameter `by`.
 fn dual(model: &Model, by: ParameterId, id: ParameterId) -> Dual64 {
     let value = model.parameter(id).map_or(0.0, |p| p.value);
     Dual64::new(value, if id == by { 1.0 } else { 0.0 })
 }
 
-/// The robot's flange, links and clocks as dual numbers.
+/// Pose of the robot's flange from its links and clocks, in dual numbers.
 fn flange(model: &Model, by: ParameterId, t_s: f64) -> Matrix<Dual64> {
     let number = |id: ParameterId| dual(model, by, id);
     use LinkParameter::{A, Alpha, Beta, D, Theta};
@@ -97,7 +97,7 @@ fn flange(model: &Model, by: ParameterId, t_s: f64) -> Matrix<Dual64> {
     forward(&identity(), &links, &joints)
 }
 
-/// Pose of the probe predicted by the robot, and as measured by the tracker.
+/// Pose of the probe as predicted by the robot, and as measured by the tracker.
 fn probes(model: &Model, by: ParameterId, t_s: f64, measured: &Pose, set_up: SetUp) -> [Matrix<Dual64>; 2] {
     let SetUp { station, target } = set_up;
     let place = Coordinate::ALL.map(|coordinate| ParameterId::Tracker { station, coordinate });
@@ -116,7 +116,7 @@ fn position([held, seen]: &[Matrix<Dual64>; 2]) -> Vec<Dual64> {
     (0..3).map(|i| held[i][3] - seen[i][3]).collect()
 }
 
-/// Rotation vector of `S^T H`, from angle and axis.
+/// Rotation vector of `S^T H`, computed from angle and axis.
 fn turn([held, seen]: &[Matrix<Dual64>; 2]) -> Vec<Dual64> {
     let q = |i: usize, j: usize| (0..3).map(|k| seen[k][i] * held[k][j]).sum::<Dual64>();
     let twice_sine_axis = [q(2, 1) - q(1, 2), q(0, 2) - q(2, 0), q(1, 0) - q(0, 1)];
@@ -129,7 +129,7 @@ fn times() -> impl Iterator<Item = f64> {
     (0..20).map(|k| 0.4 * f64::from(k) - 3.0)
 }
 
-/// Random poses as measurements of the tracker.
+/// Random poses that are used as measurements of the tracker.
 fn measured() -> Vec<Pose> {
     let pose = |t: f64| {
         let turn = Rotation3::new(Vector3::new(0.4 * t.sin(), 0.3, 0.2 * t.cos()));
@@ -170,10 +170,10 @@ fn agrees<R: Residual>(
     }
 }
 
-/// All parameters are free, and none has a value at which derivatives vanish by symmetry.
+/// Frees all parameters. Their values avoid points at which derivatives vanish by symmetry.
 fn all_free(model: Model, rotation_rad: [f64; 3]) -> Model {
     let mut model = model.with(ParameterId::joint_waves(7));
-    // The errors of the robot's axes do not depend on the cost: jacobians.rs tests them.
+    // The errors of the robot's axes do not depend on the cost, so `jacobians` tests their derivatives.
     let ids = model.ids().into_iter().filter(|id| match id {
         ParameterId::Joint { .. } => false,
         ParameterId::JointWave { order, .. } => WAVES.contains(order),
@@ -198,7 +198,7 @@ fn all_free(model: Model, rotation_rad: [f64; 3]) -> Model {
 #[test]
 fn measured_position_and_pose_have_the_derivatives_of_tracker_and_robot() {
     let measured = measured();
-    // Each row has another uncertainty.
+    // Each row has a different uncertainty.
     let noise =
         |row| PoseNoise { position_m: 0.2 + 0.01 * row as f64, rotation_rad: 0.5 - 0.02 * row as f64 };
     let noises: Vec<PoseNoise> = (0..measured.len()).map(noise).collect();
@@ -289,7 +289,8 @@ fn samples_that_were_not_measured_take_no_part() {
 }
 
 proptest! {
-    /// The rotation of a placement is an angular velocity: checked by differences of the rotation.
+    /// The derivative of a placement's rotation is an angular velocity. It is compared with
+    /// finite differences of the rotation.
     #[test]
     fn a_placement_turns_as_its_rotation_vector_says(w in prop::array::uniform3(-1.8_f64..1.8), small in any::<bool>()) {
         let scale = if small { 1e-3 } else { 1.0 };

@@ -1,4 +1,4 @@
-//! Calibration from measured poses: on simulated rows with known truth, and on a real UR10 with a laser tracker.
+//! Calibration from measured poses, both on simulated rows with known truth and on a real UR10 with a laser tracker.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -22,7 +22,7 @@ use shared::config;
 use crate::support::rows::{Alone, Found};
 use crate::support::ur10;
 
-/// Rows of the fixture that a tracker measured.
+/// Rows of a real robot that a tracker measured, from a file of this repository.
 pub fn fixture(name: &str) -> Vec<PoseRow> {
     real_rows(&crate::support::repository("identify/tests/data/ur10").join(name))
 }
@@ -33,7 +33,8 @@ fn real_rows(path: &Path) -> Vec<PoseRow> {
     MeasuredPoses::load(path, &mapping).unwrap().rows
 }
 
-/// A robot with errors of some mm and mrad and a harmonic of order 17 on joint 2, measured by a tracker at a random position.
+/// Rows of a tracker at a random position, with the true robot, the pose of the tracker and that of the probe. The robot has
+/// errors of some mm and mrad, and a harmonic of order 17 on joint 2.
 fn made_up(count: usize, noise: f64, wave_rad: f64) -> (Vec<PoseRow>, Chain, Pose, Pose) {
     let mut random = StdRng::seed_from_u64(5);
     let mut truth = flange_chain(&ur10());
@@ -64,7 +65,8 @@ fn made_up(count: usize, noise: f64, wave_rad: f64) -> (Vec<PoseRow>, Chain, Pos
     (rows.collect(), truth, place, probe)
 }
 
-/// Root mean square of estimated minus true error of joint 2, without the constant part, which belongs to the link.
+/// Root mean square difference between the estimated and the true error of joint 2 \[rad\]. The constant part is subtracted,
+/// because it belongs to the link.
 fn wave_error_rad(geometry: &identify::model::Geometry) -> f64 {
     let wrong = |k: i32| {
         let angle = 0.01 * f64::from(k);
@@ -84,9 +86,9 @@ fn tracker_probe_robot_and_joint_waves_are_found_and_what_is_not_there_is_left_o
     let Stages { nominal, links, joints, .. } = report.held_out();
     assert_eq!((nominal.rows, report.fitted().joints.rows), (160, 640));
     assert!(nominal.position_m.rms > 1e-3 && links.position_m.rms > 1e-4);
-    // Evaluated on held-out rows, then fitted to all rows.
+    // The errors were evaluated on held-out rows. The final fit then used all rows.
     assert_eq!(report.0.solved.solution.summary.samples_used, 800);
-    // The norm of the noise of three coordinates is 3.5e-5.
+    // The norm of the noise of three coordinates has an RMS of 3.5e-5 m.
     assert!(joints.position_m.rms < 4.5e-5, "{joints:?}");
     assert!(joints.rotation_rad.unwrap().rms < 4.5e-5, "{joints:?}");
     let taken: Vec<&str> =
@@ -96,7 +98,7 @@ fn tracker_probe_robot_and_joint_waves_are_found_and_what_is_not_there_is_left_o
     let geometry = report.model().geometry(&report.model().start());
     assert!(wave_error_rad(&geometry) < 2e-5, "{}", wave_error_rad(&geometry));
     let value = |name: &str| report.model().parameter(name.parse().unwrap()).unwrap().value;
-    // The height and rotation of the tracker include the offset and zero of link 1: compare other parameters.
+    // Height and rotation of the tracker include the length and the offset of link 1, so other parameters are compared.
     let tracker = geometry.tracker.places[0].pose();
     assert!((tracker.translation.vector - place.translation.vector).norm() < 2e-2);
     assert!((value("ra2") - truth.links[1].a_m).abs() < 5e-5);
@@ -173,7 +175,7 @@ fn positions_alone_calibrate_too() {
     assert!(report.held_out().links.position_m.rms < 4.5e-5, "{:?}", report.held_out().links);
 }
 
-/// Half of the rows have fifteen times the noise, and the file states it.
+/// Half of the rows have fifteen times as much noise, and the file states this uncertainty for them.
 #[test]
 fn rows_of_two_qualities_calibrate_better_with_their_uncertainties() {
     let (clean, ..) = made_up(500, 2e-5, 0.0);
@@ -192,7 +194,7 @@ fn rows_of_two_qualities_calibrate_better_with_their_uncertainties() {
         }
     };
     state(&mut stated, 1.0);
-    // Uncertainties with a common wrong factor still determine the relative weights.
+    // If all stated uncertainties are wrong by the same factor, the relative weights remain correct.
     let (mut too_small, mut too_large) = (stated.clone(), stated.clone());
     state(&mut too_small, 0.5);
     state(&mut too_large, 5.0);
@@ -202,7 +204,7 @@ fn rows_of_two_qualities_calibrate_better_with_their_uncertainties() {
         let truly = validate(&Tracker::new(&clean).into(), &ur10(), found.model(), 1).unwrap().figures[1]
             .position_m
             .rms;
-        // Error after subtraction of the noise of the held-out rows.
+        // Error of the calibration alone, after the noise of the held-out rows is subtracted.
         let beyond = |rms: f64| (rms.powi(2) - 3.0 * good * good).max(0.0).sqrt();
         (beyond(truly), found.sigma("ra2".parse().unwrap()).unwrap())
     };
@@ -226,7 +228,7 @@ fn rows_and_options_that_make_no_sense_are_errors() {
     assert!(text(&rows).contains("row 8"));
 }
 
-/// The rows read with the shipped mapping.
+/// The rows as a table for the shipped mapping.
 fn csv(rows: &[PoseRow]) -> String {
     let mut text = String::from(
         "shoulder_pan_joint;shoulder_lift_joint;elbow_joint;wrist_1_joint;wrist_2_joint;wrist_3_joint;measurement_x;\
@@ -234,7 +236,7 @@ fn csv(rows: &[PoseRow]) -> String {
     );
     for row in rows {
         let m = *row.rotation.unwrap().matrix();
-        // Intrinsic x, y, z.
+        // Intrinsic rotations about x, y and z.
         let angles = [(-m[(1, 2)]).atan2(m[(2, 2)]), m[(0, 2)].asin(), (-m[(0, 1)]).atan2(m[(0, 0)])];
         let position = row.position_m.iter().map(|p| p * 1e3);
         let numbers = row.joints_rad.into_iter().chain(position).chain(angles.map(f64::to_degrees));
@@ -284,7 +286,7 @@ fn the_command_calibrates_validates_and_writes_what_it_took() {
     let (offsets, links) = (corrections("offsets.csv"), corrections("corrections.csv"));
     assert!(offsets.iter().all(|row| row.deployment == Deployment::Offsets && !row.what.starts_with("link")));
     assert!(links.iter().any(|row| row.what == "link 2 a") && links[0].held_out_mm < offsets[0].held_out_mm);
-    // Without a log the controller's joints are the columns of the table.
+    // There is no robot log, so the joints of the controller are the columns of the table.
     let of_table = corrections("corrections_log.csv");
     assert!(of_table[1].what == "shoulder_lift_joint" && of_table[1].unit == "rad", "{of_table:?}");
     // A row with a joint angle outside the measured range is reported.
@@ -302,14 +304,14 @@ fn the_command_calibrates_validates_and_writes_what_it_took() {
     assert!(said.contains("supported (deg): joint 1 -8"), "{said}");
     std::fs::write(folder.path().join("other.csv"), csv(&rows[400..])).unwrap();
     let page = std::fs::read_to_string(folder.path().join("out/report.html")).unwrap();
-    // Rows without times have no clock parameters.
+    // Rows without times have no parameters of a clock.
     assert!(!page.contains("clock_sk"));
     let shown = crate::support::browser::shown(&page);
     assert!(shown.foreign.is_empty(), "{:?}", shown.foreign);
     for part in ["tracker, 80 held-out rows, calibrated", "Rotation, calibrated", "tracker_rx", "other.csv"] {
         assert!(shown.document.contains(part), "{part}");
     }
-    // The experiment file next to the result reproduces it from any directory.
+    // The experiment file next to a result reproduces the result from any working directory.
     let experiment = |file: &Path| {
         let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_identify"));
         command.args(["calibrate", "--out", "again", "--experiment"]).arg(file);
@@ -320,18 +322,19 @@ fn the_command_calibrates_validates_and_writes_what_it_took() {
     let (repeated, err) = experiment(&folder.path().join("out/experiment.toml"));
     assert!(repeated, "{err}");
     assert_eq!(found("out").parameters, found("again").parameters);
-    // Two files of one robot in one solve, each with its own tracker and probe.
+    // A single solve uses two files of one robot. Each file has its own tracker and probe.
     let text = std::fs::read_to_string(folder.path().join("out/experiment.toml")).unwrap();
     let second =
         "\n[[tracker]]\nfile = \"../other.csv\"\nmapping = \"MAPPING\"\n".replace("MAPPING", mapping[1]);
     let two = text.clone() + &second;
-    // Paths are relative to the file.
+    // Paths in an experiment file are relative to the file itself.
     let path = folder.path().join("out/two.toml");
     std::fs::write(&path, &two).unwrap();
     let (solved, err) = experiment(&path);
     assert!(solved, "{err}");
     let names: Vec<String> = found("again").parameters.into_iter().map(|one| one.name).collect();
-    // One fifth of the single rows; whole regions approximate this part.
+    // One fifth of the rows is held out. Of the second file, whole regions are held out,
+    // which only approximates this fraction.
     let held_out: Vec<(usize, u64)> =
         found("again").rows.iter().map(|rows| (rows.held_out.joints.rows, rows.seed)).collect();
     assert!(held_out[0] == (80, 1042) && (15..=25).contains(&held_out[1].0), "{held_out:?}");
@@ -359,7 +362,7 @@ fn the_command_calibrates_validates_and_writes_what_it_took() {
         assert!(said.contains("unexpected argument") && said.contains(bar_only[0]), "{said}");
     }
     assert!(refused(&[&mapping[..2], &["--fix", "bd3"]].concat()).contains("bd3"));
-    // The fitted rows do not check their own fit.
+    // The rows of the fit cannot validate the same fit.
     let said = refused(&[&mapping[..2], &["--validate", "poses.csv"]].concat());
     assert!(said.contains("poses.csv of --validate contains the rows of poses.csv"), "{said}");
     // A missing file is reported before the fit, and nothing is written.
@@ -380,17 +383,18 @@ fn what_is_fixed_by_name_stays_where_it_starts() {
     }
 }
 
-/// Upper limits of mean, p95 and max of the position error \[mm\].
+/// Checks that mean, 95th percentile and maximum of the position error are below these limits \[mm\].
 fn below(figures: &PoseFigures, [mean, p95, max]: [f64; 3]) {
     let of = figures.position_m;
     assert!(of.mean < 1e-3 * mean && of.p95 < 1e-3 * p95 && of.max < 1e-3 * max, "{of:?}");
 }
 
-/// Best published result for these data with 30 DH and Hayati parameters, on random held-out rows.
+/// Best published results for these data, with 30 DH and Hayati parameters on random held-out rows:
+/// mean, 95th percentile, maximum \[mm\].
 const GRID: [f64; 3] = [0.399, 0.76, 1.18];
 const CUBES: [f64; 3] = [0.354, 0.71, 1.28];
 
-/// Better than published on all 11 911 rows, from one in 32 of them.
+/// The fit uses one in 32 of the 11 911 rows, and its errors are below those that were published for all rows.
 #[test]
 #[ignore = "two calibrations with hundreds of terms: half a minute"]
 fn the_real_ur10_on_its_grid_and_from_its_grid_to_its_cubes() {
@@ -398,13 +402,15 @@ fn the_real_ur10_on_its_grid_and_from_its_grid_to_its_cubes() {
     assert_eq!((grid.len(), cubes.len()), (373, 316));
     let (Stages { nominal, offsets, links, .. }, independent, on_cubes) =
         grid_and_from_grid_to_cubes(&grid, &cubes);
-    // Joint offsets alone are slightly better on held-out rows, possibly by chance, and worse on the cubes.
+    // On held-out rows, joint offsets alone are slightly better than the nominal robot, which may be chance. On
+    // the cubes they are worse.
     let is_better = |stage: PoseFigures| is_surely_better(independent, [nominal.rms(), stage.rms()]);
     assert!(is_better(links) && !is_better(offsets));
     assert!(offsets.position_m.rms < nominal.position_m.rms && on_cubes[1] > on_cubes[0], "{on_cubes:?}");
 }
 
-/// Errors on held-out rows of the grid and their independent number, and RMS errors on the cubes: nominal, and with joint offsets alone \[m\].
+/// Errors on held-out rows of the grid, the number of these rows that are independent, and RMS errors on the cubes \[m\].
+/// The RMS errors are those of the nominal robot, and of a fit of joint offsets alone.
 fn grid_and_from_grid_to_cubes(grid: &[PoseRow], cubes: &[PoseRow]) -> (Stages, usize, [f64; 2]) {
     let report = Alone { joint_waves: Some(40), ..Alone::default() }.poses(grid, &ur10()).unwrap();
     let others = Instrument::from(Tracker::new(cubes));
@@ -412,8 +418,8 @@ fn grid_and_from_grid_to_cubes(grid: &[PoseRow], cubes: &[PoseRow]) -> (Stages, 
     println!("{}cubes: {figures:?}", report.table());
     below(&report.held_out().joints, GRID);
     below(&figures[1], CUBES);
-    // If only part of the model is applied, its own best fit is delivered: better on another file than that part of the full
-    // model.
+    // If a controller applies only some parameters, these are fitted alone. On another file this is better than taking
+    // them from the full model.
     let Stages { nominal, offsets, links, joints } = report.held_out();
     let held_out = [nominal, offsets, links, joints].map(|of| of.position_m.rms);
     assert!(held_out.is_sorted_by(|more, less| more > less), "{held_out:?}");
@@ -468,7 +474,7 @@ fn all_rows_of_the_real_ur10() {
     let folder = data.join("ur10-tracker");
     let cubes = real_rows(&folder.join("iso_cubes_632.csv"));
     cubes_whatever_is_held_out(&cubes);
-    // Every fourth row: the whole file takes minutes with the same result.
+    // Uses every fourth row, because the whole file takes minutes and has the same result.
     let grid: Vec<PoseRow> = real_rows(&folder.join("grid_11911.csv")).into_iter().step_by(4).collect();
     grid_and_from_grid_to_cubes(&grid, &cubes);
 }

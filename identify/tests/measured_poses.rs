@@ -1,4 +1,4 @@
-//! Poses measured by a tracker: mapping, reading and refused files.
+//! Tables of poses that a tracker measured: mappings, reading, and files that must be refused.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::path::{Path, PathBuf};
@@ -35,7 +35,7 @@ fn table(row: &str) -> String {
     format!("{HEADER}\n{}", format!("{row}\n").repeat(12))
 }
 
-/// Explicit rotation about x (0), y (1) or z (2).
+/// Rotation matrix about x (0), y (1) or z (2), written out explicitly.
 fn about(axis: usize, degrees: f64) -> Matrix3<f64> {
     let (s, c) = degrees.to_radians().sin_cos();
     match axis {
@@ -71,7 +71,7 @@ fn orders_of_turns_and_their_frames_follow_the_mapping() {
     }
 }
 
-/// The example with another orientation block.
+/// The mapping of the example with another block for the orientation.
 fn with_rotation(rotation: &str) -> MeasuredPoseMapping {
     let text = example_text();
     let (before, block) = text.split_once("[rotation]\n").unwrap();
@@ -119,7 +119,7 @@ columns = ["a", "b", "c", "d", "e", "f", "g", "h", "i"]"#,
         if block.contains("deg") {
             continue;
         }
-        // Two columns with exchanged signs: not a rotation, or values of another convention.
+        // Two columns have exchanged signs. The matrix is then not a rotation, or the values are in another convention.
         let spoiled = format!("1;0;0;0;0;0;0;1;2;3{}\n", ";0,9".repeat(numbers.len()));
         let error = read(spoiled.repeat(10)).unwrap_err().to_string();
         assert!(error.contains("is not a rotation") && error.contains("order of the columns"), "{error}");

@@ -1,5 +1,5 @@
-//! A ball-bar, a tracker, a draw-wire and a ball in sockets on one robot with unmodelled gear errors: a combined solve is
-//! nearer to the truth than each instrument alone, and its intervals hold.
+//! A ball-bar, a tracker, a draw-wire and a ball in sockets measure one robot that has unmodelled gear errors. A combined
+//! solve must be nearer to the truth than a solve with each instrument alone, and its intervals must contain the truth.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -25,7 +25,7 @@ use crate::support::laboratory::{self, Level};
 use crate::support::{bar, irb2400};
 
 const ROWS: usize = 150;
-/// Measured length minus distance.
+/// Offset of the wire: measured length minus distance.
 const OFFSET_M: f64 = -0.02;
 
 /// All measurements of one robot.
@@ -36,14 +36,15 @@ struct Cell {
     contacts: Vec<TipRow>,
     sockets: SocketTable,
     truth: Chain,
-    /// The configured bar: its plate differs from the true one.
+    /// The configured bar. Its plate length differs from the true one.
     bar: BallBarConfig,
     /// Stated uncertainty of the wire's scale \[ppm\].
     wire_u_ppm: Option<f64>,
 }
 
 impl Cell {
-    /// A run of two minutes, 150 poses with 0.05 mm noise, 150 lengths with 0.1 mm and 150 seated balls with 0.01 mm.
+    /// Simulates a run of two minutes, 150 poses with 0.05 mm noise, 150 lengths with 0.1 mm, and 150
+    /// seated balls with 0.01 mm.
     fn new(seed: u64) -> Self {
         let (robot, bar) = (irb2400(), bar());
         let level = Level { gear_sine_urad: 0.0, cycloid_urad: 0.0, ..Level::USUAL };
@@ -57,7 +58,8 @@ impl Cell {
             }
         }
         let mut truth = model.geometry(&[]).robot;
-        // The last link belongs to the instrument mounted on the flange.
+        // Errors of the last link cannot be separated from the pose of the instrument on the flange,
+        // so this link is nominal.
         *truth.links.last_mut().unwrap() = *flange_chain(&robot).links.last().unwrap();
         let gears = Gears::new(DriveTrain::of(&robot, &truth), &mut random);
         for q in run.robot_log.q_rad.iter_mut() {
@@ -127,15 +129,15 @@ impl Cell {
         calibrate(&data, &robot, config, None).unwrap()
     }
 
-    /// The same cell with a wire and a tracker that read longer by these parts.
+    /// The same cell with a tracker and a wire whose readings are longer by these relative errors.
     fn reading_longer(mut self, [tracker, wire]: [f64; 2]) -> Self {
         self.poses.iter_mut().for_each(|row| row.position_m *= 1.0 + tracker);
-        // The wire's zero is not part of its scale.
+        // The offset of the wire is not affected by its scale.
         self.lengths.iter_mut().for_each(|row| row.length_m += wire * (row.length_m - OFFSET_M));
         self
     }
 
-    /// Difference between the wrist centres of the true and an identified robot \[m\], over postures.
+    /// Differences between the wrist centres of the true and of an identified robot \[m\], for many postures.
     fn errors_m(&self, model: &Model) -> Vec<Vector3<f64>> {
         const POSTURES: usize = 400;
         let identified = model.geometry(&[]).robot;
@@ -159,7 +161,7 @@ impl Cell {
         errors_m.iter().map(|error| error.norm()).sum::<f64>() / errors_m.len() as f64
     }
 
-    /// Number of wrist coordinates within their 95 % interval, and number of coordinates.
+    /// Number of wrist coordinates that are within their 95 % intervals, and number of all coordinates.
     fn covered(&self, found: &Calibration) -> [usize; 2] {
         const STEP: f64 = 1e-6;
         let (model, covariance) = (&found.runs[0].model, &found.solved.solution.covariance);
@@ -192,7 +194,7 @@ impl Cell {
     }
 }
 
-/// A ball that the robot seats in four sockets from many sides, and the table of sockets.
+/// Rows of a ball that the robot seats in four sockets from many sides, and the table of sockets.
 fn seated(truth: &Chain, gears: &Gears, random: &mut StdRng) -> (Vec<TipRow>, SocketTable) {
     let (robot, ball_m) = (irb2400(), Vector3::new(0.03, 0.01, 0.1));
     let places_mm =
@@ -221,8 +223,8 @@ fn seated(truth: &Chain, gears: &Gears, random: &mut StdRng) -> (Vec<TipRow>, So
 
 const ALL: [bool; 4] = [true; 4];
 
-/// Mean error of the combined solve and of each instrument alone \[mm\], and the part of the wrist coordinates that are within
-/// their 95 % intervals in the combined solve.
+/// Mean errors of the combined solve and of each instrument alone \[mm\]. Also returns the fraction of the wrist coordinates
+/// that are within their 95 % intervals in the combined solve.
 fn means_mm(seeds: u64) -> ([f64; 5], f64) {
     let ways = [
         ("all", ALL),
@@ -265,11 +267,11 @@ fn a_mix_is_nearer_to_the_truth_than_bar_tracker_wire_or_contact_alone() {
 fn over_twenty_robots_a_mix_is_nearer_than_each_alone_and_its_intervals_hold() {
     let ([all, alone @ ..], within) = means_mm(size(4, 20));
     assert!(alone.iter().all(|alone| all < *alone), "{all} {alone:?}");
-    // Coordinates of one robot are correlated, so twenty robots leave a spread of some hundredths.
+    // Coordinates of one robot are correlated, so the fraction from twenty robots varies by some hundredths.
     assert!(within > 0.85, "{within}");
 }
 
-/// Data sets that are reported to contradict the others.
+/// Numbers of the data sets that are reported to contradict the others.
 fn contradicting(found: &Calibration) -> Vec<usize> {
     let loss = found.solved.solution.loss;
     let all = disagreeing(&found.runs, &found.solved.sigmas, loss);
@@ -287,7 +289,8 @@ fn data_sets_of_one_robot_agree_and_a_scale_or_zero_of_their_own_is_said() {
         other.poses.iter_mut().for_each(|row| row.position_m *= part);
         other
     };
-    // Bar, tracker; tracker, wire. A usual wire may differ by its own uncertainty, one whose scale is known may not.
+    // Bar with tracker, and tracker with wire. Usually the scale of a wire is uncertain, so a wire may differ. Here its
+    // scale is fixed, so the difference is a contradiction.
     let exact = IdentifyConfig { fix: vec![ParameterId::Scale], ..IdentifyConfig::default() };
     for (with, config) in
         [([true, true, false, false], IdentifyConfig::default()), ([false, true, true, false], exact)]
@@ -296,12 +299,12 @@ fn data_sets_of_one_robot_agree_and_a_scale_or_zero_of_their_own_is_said() {
         assert!(!contradicting(&scaled(1.002).calibrated_by(with, &config)).is_empty(), "{with:?}");
     }
     assert!(contradicting(&cell.calibrated([false, true, true, false])).is_empty());
-    // A wire in a second data set whose scale contradicts its stated uncertainty.
+    // The wire is in a second data set. Its scale contradicts the stated uncertainty.
     let calibrated_wire = Cell { wire_u_ppm: Some(100.0), ..scaled(1.002) };
     let found = calibrated_wire.calibrated([false, true, true, false]);
     let priors: Vec<String> = found.contradicted.priors.iter().map(ToString::to_string).collect();
     assert!(priors.iter().any(|prior| prior.starts_with("scale@2 by -")), "{priors:?}");
-    // Joint 2 was mastered again before the tracker measured.
+    // The zero of joint 2 was changed before the tracker measured.
     let mut mastered = Cell::new(1);
     mastered.poses.iter_mut().for_each(|row| row.joints_rad[1] += 1e-3);
     assert!(!contradicting(&mastered.calibrated([true, true, false, false])).is_empty());
@@ -346,11 +349,11 @@ fn a_plate_that_is_hardly_known_does_not_make_the_robot_smaller() {
     let [exact, hardly_known] = [exact, hardly_known].map(|found| cell.errors_m(&found.runs[0].model));
     let apart_m = exact.iter().zip(&hardly_known).map(far_m).fold(0.0, f64::max);
     println!("{} um apart", apart_m * 1e6);
-    // The tolerances of the links determine the scale to one part in a thousand, the plate alone to four.
+    // The tolerances of the links determine the scale to 0.1 %. The plate alone determines it to 0.4 %.
     assert!(apart_m < 1e-3, "{apart_m}");
 }
 
-/// A drive that moves differently from its log is reported in the same words by each instrument and by any combination.
+/// A drive moves differently from its log. Each instrument and any combination must report this in the same words.
 #[test]
 #[ignore = "takes more than four seconds"]
 fn a_wrong_gear_ratio_is_the_same_sentence_whatever_measured_it() {
@@ -384,12 +387,12 @@ fn options_of_the_ball_bar_alone_are_refused_for_a_mix_by_name() {
 const TRACKER: [bool; 4] = [false, true, false, false];
 const WIRE: [bool; 4] = [false, false, true, false];
 
-/// Expanded uncertainty (k = 2) of positions \[m\].
+/// Stated expanded uncertainty (k = 2) of positions \[m\].
 fn claimed_m(found: &Calibration) -> f64 {
     workspace_error(found, &irb2400().joint_limits()).budget.expanded_m
 }
 
-/// The scale of a data set: its value and its standard deviation.
+/// Estimated scale of a data set and its standard deviation.
 fn scale(found: &Calibration, data_set: usize) -> [f64; 2] {
     let column = found.runs[data_set].model.column_of(ParameterId::Scale).unwrap();
     let column = found.solved.columns.of_run(data_set)[column];
@@ -397,8 +400,8 @@ fn scale(found: &Calibration, data_set: usize) -> [f64; 2] {
     [solution.x[column], solution.covariance.sigma(column).unwrap()]
 }
 
-/// Number of seeds for which the stated uncertainty contains the error of a wire that reads 0.1 % too long; the first with its
-/// scale taken as exact.
+/// Number of seeds for which the stated uncertainty contains the true error, if the wire reads 0.1 % too long. In the first
+/// count the scale of the wire is assumed to be exact.
 fn contained(seeds: u64) -> [u64; 2] {
     let exact = IdentifyConfig { fix: vec![ParameterId::Scale], ..IdentifyConfig::default() };
     let mut contained = [0; 2];

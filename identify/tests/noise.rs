@@ -1,5 +1,5 @@
-//! The noise of the angles is estimated from the data: the configuration is the start value, and another configured noise gives
-//! the same robot. `CAMPAIGNS=full` repeats the campaign more often.
+//! The noise of the angles is estimated from the data, and the configuration only has the start value. Another configured
+//! noise must lead to the same robot. `CAMPAIGNS=full` evaluates more runs.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -79,7 +79,7 @@ fn campaign_of_noises_with_both_robots() {
     }
 }
 
-/// With another configured noise than that of the run, the robot is the same and the estimated noise is reported.
+/// The configured noise differs from that of the run. The robot must be the same, and the estimated noise must be reported.
 #[test]
 fn the_noise_of_a_run_is_found_whatever_is_configured() {
     let robot = irb2400();
@@ -91,7 +91,7 @@ fn the_noise_of_a_run_is_found_whatever_is_configured() {
     let Noise::Angles(AngleNoise { encoder_rad, robot_rad }) = bar.noise() else { panic!() };
     let [encoder_urad, robot_urad] = [encoder_rad, robot_rad].map(|rad| rad * 1e6);
     assert!((encoder_urad - 100.0).abs() < 5.0, "{encoder_urad}");
-    // The robot's log is interpolated, which averages neighbouring rows.
+    // Interpolation of the robot's log averages adjacent rows and thereby reduces their noise.
     assert!((8.0..22.0).contains(&robot_urad), "{robot_urad}");
     let [autocorrelation, sigma] = bar.autocorrelation().unwrap();
     assert!(autocorrelation.abs() < 4.0 * sigma, "{autocorrelation} {sigma}");

@@ -1,4 +1,5 @@
-//! Regression tests for wrong decisions on data of other authors, each with its truth.
+//! Regression tests. The program made these wrong decisions on data of other authors. Each test repeats one with simulated
+//! data, whose truth is known.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -27,7 +28,7 @@ fn calibrated(run: &Simulated, robot: &RobotConfig, config: &IdentifyConfig) -> 
     calibrate_run(&run.cycles, &run.encoders, &run.robot_log, robot, &bar(), config).unwrap()
 }
 
-/// Terms that the robot does not have reduced the accuracy by a third.
+/// Before: terms of errors that the robot does not have were selected and reduced the accuracy by a third.
 #[test]
 #[ignore = "sixteen calibrations: half a minute"]
 fn where_there_is_noise_alone_terms_that_nothing_asks_for_cost_nothing() {
@@ -53,7 +54,8 @@ fn where_there_is_noise_alone_terms_that_nothing_asks_for_cost_nothing() {
     }
 }
 
-/// The lengths of the bar alone gave a robot that was worse than claimed, and worse in rotation than the nominal one.
+/// Before: from the lengths of the bar alone, the calibrated robot was worse than stated, and worse in
+/// rotation than the nominal one.
 #[test]
 fn a_calibration_by_lengths_alone_is_not_green_where_it_is_worse_than_it_claims() {
     for (seed, robot) in [(1, irb2400()), (2, nj220()), (3, irb2400())] {
@@ -74,7 +76,7 @@ fn a_calibration_by_lengths_alone_is_not_green_where_it_is_worse_than_it_claims(
     }
 }
 
-/// Intervals of single parameters that are too narrow, by a known factor.
+/// Before: intervals of single parameters were too narrow by a known factor.
 #[test]
 #[ignore = "two dozen calibrations: a minute"]
 fn intervals_of_single_parameters_hold_where_gears_err_otherwise_than_the_model_has_it() {
@@ -85,7 +87,7 @@ fn intervals_of_single_parameters_hold_where_gears_err_otherwise_than_the_model_
             let effects = Effects { gear_sine_urad: 0.0, cycloid_urad: 0.0, ..Effects::LABORATORY };
             let mut run =
                 simulate::run(&Experiment { effects, seed, ..Experiment::new(&robot, &bar()) }).unwrap();
-            // Harmonics of the joints, while the gear errors are on the drives.
+            // These harmonics are functions of the joint angles, whereas gear errors of the model are functions of the drive angles.
             let mut random = StdRng::seed_from_u64(seed);
             let phases: [f64; 6] = std::array::from_fn(|_| random.random_range(-3.0..3.0));
             for q in run.robot_log.q_rad.iter_mut() {
@@ -108,7 +110,7 @@ fn intervals_of_single_parameters_hold_where_gears_err_otherwise_than_the_model_
     }
 }
 
-/// An arm of the 0.05 mm class with links like those of Stäubli's TX2-90L.
+/// An arm of the 0.05 mm class whose links are similar to those of Stäubli's TX2-90L.
 fn precise_arm() -> RobotConfig {
     let mut robot = irb120();
     robot.name = "arm of 1.2 m".into();
@@ -125,7 +127,7 @@ fn precise_arm() -> RobotConfig {
     robot
 }
 
-/// Good rows were refused for some seeds, more often with more rows and less noise.
+/// Before: rows without errors were refused for some seeds. This was more frequent with more rows and less noise.
 #[test]
 fn rows_of_a_precise_arm_are_calibrated_whatever_their_order_and_number() {
     let robot = precise_arm();
@@ -148,12 +150,13 @@ fn rows_of_a_precise_arm_are_calibrated_whatever_their_order_and_number() {
     }
 }
 
-/// Figures of single held-out rows were not valid elsewhere.
+/// Before: errors of single held-out rows were not valid in another part of the joint range.
 #[test]
 fn the_figure_of_rows_that_were_held_out_holds_in_another_part_of_the_joints_range() {
     for seed in 1..=3 {
         let made = rows(Kind::Tracker, &irb2400(), seed, &USUAL);
-        // Calibration with one half of the first joint's travel, validation with the other: one common pose of the tracker.
+        // The calibration uses one half of the travel of the first joint, the validation uses the other half. Both have the
+        // same pose of the tracker.
         let (fitted, others): (Vec<PoseRow>, Vec<PoseRow>) =
             made.poses().into_iter().partition(|row| row.joints_rad[0] < 0.3);
         let found = Alone::default().poses(&fitted, &irb2400()).unwrap();
@@ -169,7 +172,7 @@ fn the_figure_of_rows_that_were_held_out_holds_in_another_part_of_the_joints_ran
     }
 }
 
-/// An error of 6 mm was claimed to be 0.03 mm.
+/// Before: an error of 6 mm was stated as 0.03 mm.
 #[test]
 fn a_plate_that_is_longer_than_was_stated_is_named() {
     for (robot, seed) in [(irb2400(), 1), (nj220(), 2)] {
@@ -184,7 +187,7 @@ fn a_plate_that_is_longer_than_was_stated_is_named() {
     }
 }
 
-/// The wrong one of play and compliance was selected, with a warning of the right one.
+/// Before: of play and compliance, the wrong one was selected, together with a warning about the right one.
 #[test]
 fn a_force_and_play_of_the_bar_are_told_as_play() {
     let load = BarLoad { force_n: 150.0, compliance_um_per_n: 0.0, play_um: 25.0, noise_n: 1.0 };
@@ -202,7 +205,7 @@ fn a_force_and_play_of_the_bar_are_told_as_play() {
     }
 }
 
-/// A quarter of a turn was accepted as the correction of a joint that is known to some milliradians.
+/// Before: a quarter of a turn was accepted as the correction of a joint whose offset is known to some milliradians.
 #[test]
 #[ignore = "takes more than four seconds"]
 fn a_joint_that_begins_a_quarter_of_a_turn_elsewhere_is_refused_or_named() {

@@ -1,6 +1,6 @@
-//! An instrument defined only in this file, a gauge that measures the height of a flange point above a plate, calibrates a
-//! robot. It gets tables, residuals, page, limits, held-out figures, deployments and change detection like the instruments of
-//! the library.
+//! An instrument that is defined only in this file calibrates a robot: a gauge that measures the height of a point of the
+//! flange above a plate. It gets the same features as the instruments of the library: tables, residuals, page, limits,
+//! held-out figures, deployments and change detection.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 
 use identify::calibrate::{Calibration, DataSets, IdentifyConfig, calibrate};
@@ -24,7 +24,7 @@ use rand_distr::StandardNormal;
 
 use crate::support::irb120;
 
-/// Rows of joints and height above the plate \[m\].
+/// The data of the gauge: rows of joints with the height above the plate \[m\].
 #[derive(Debug, Clone)]
 struct Column {
     states: Vec<JointState>,
@@ -51,7 +51,7 @@ impl Column {
     }
 }
 
-/// `z(p + R attachment) + offset - height` \[m\]: with the parameter names of a wire, which have the same meaning.
+/// The residual `z(p + R attachment) + offset - height` \[m\]. It uses the parameters of a wire with the same meaning.
 struct Height<'a>(&'a [f64]);
 
 impl Residual for Height<'_> {
@@ -185,7 +185,7 @@ impl identify::model::RobotMotion for Column {
     }
 }
 
-/// Heights of a robot with random errors.
+/// Joints and measured heights \[m\] of a robot with random errors.
 fn measured(rows: usize) -> Vec<(Joints, f64)> {
     let (robot, mut random) = (irb120(), StdRng::seed_from_u64(3));
     let mut truth = flange_chain(&robot);
@@ -213,7 +213,7 @@ fn an_instrument_of_ones_own_is_calibrated_and_told_of_as_any_other() {
     let robot = irb120();
     let rows = measured(300);
     let found = calibrated(&rows);
-    // Held-out figures, deployments, limits, tables and residuals.
+    // The result has held-out figures, deployments, limits, tables and residuals.
     let held_out = found.rows[0].held_out();
     let [nominal_m, calibrated_m] = [held_out.nominal, held_out.joints].map(|stage| stage.position_m.rms);
     assert!(held_out.joints.rows >= 50 && calibrated_m < 5e-5, "{held_out:?}");

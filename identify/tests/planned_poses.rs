@@ -1,4 +1,5 @@
-//! Poses planned for a tracker or a wire: within limits, free of collisions, and better than random poses for a real robot.
+//! Poses that are planned for a tracker or a wire. They must be within the limits, free of collisions, and better than
+//! random poses for a real robot.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -30,7 +31,7 @@ fn request(robot: &RobotConfig, measures: MeasuredQuantity) -> PoseRequest<'_> {
     PoseRequest { robot, measures, target_m: [0.0, 0.0, 0.1], anchor_m: [1.5, -0.5, 0.2], noise }
 }
 
-/// Rows of a real UR10; a plan may select from one half, the other half is held out.
+/// Rows of a real UR10. A plan may select from `offered`; `others` are held out.
 struct Rows {
     offered: Vec<PoseRow>,
     others: Vec<PoseRow>,
@@ -42,7 +43,7 @@ impl Rows {
         let all: Vec<PoseRow> = MeasuredPoses::load(path, &mapping).unwrap().rows;
         let mixed =
             index::sample(&mut ChaCha8Rng::seed_from_u64(seed), all.len(), offered + others).into_vec();
-        // In the order of the file, which is the order of the motion.
+        // Rows remain in the order of the file, which is the order of the motion.
         let some = |part: &[usize]| {
             part.iter().collect::<BTreeSet<_>>().into_iter().map(|&row| all[row]).collect::<Vec<_>>()
         };
@@ -54,7 +55,7 @@ impl Rows {
         poses(&request(&ur10(), measures), &joints, count, None, 1).unwrap().chosen
     }
 
-    /// Mean position error of the held-out rows after a calibration with these rows \[m\].
+    /// Mean position error of the held-out rows \[m\], after a calibration with the chosen rows.
     fn error_m(&self, how: &Alone, chosen: &[usize]) -> f64 {
         let chosen: BTreeSet<usize> = chosen.iter().copied().collect();
         let rows: Vec<PoseRow> = chosen.into_iter().map(|row| self.offered[row]).collect();
@@ -85,7 +86,8 @@ fn fifty_planned_rows_calibrate_a_real_robot_better_than_most_random_fifties() {
     assert!(planned < random[2], "{planned} {random:?}");
 }
 
-/// Fifty planned rows are almost as good as 200 random ones: gears have more amplitudes than fifty poses have measured numbers.
+/// Fifty planned rows are only almost as good as 200 random ones, because gear errors have more amplitudes than
+/// fifty poses have measured numbers.
 #[test]
 #[ignore = "needs the measured data: set BALLBAR_DATA; calibrates a hundred times"]
 fn all_rows_of_the_real_grid_offer_poses_that_do_the_work_of_twice_as_many_random_ones() {
@@ -157,7 +159,7 @@ fn a_browser_draws_the_arm_from_pose_to_pose_and_asks_nobody_else() {
     ];
     assert!(identify(&arguments, "ur10.toml", directory.path()).status.success());
     let shown = browser::shown(&std::fs::read_to_string(directory.path().join("poses.html")).unwrap());
-    // The script writes the number of the pose that it draws.
+    // The script of the page writes the number of the pose that it draws.
     let pose = shown.document.split_once("id=\"path-shown\">").unwrap().1.split_once('<').unwrap().0;
     assert!(pose.starts_with("pose ") && pose.ends_with(" of 8"), "{pose:?} {}", shown.stderr);
     assert_eq!(shown.foreign, Vec::<String>::new());
@@ -168,18 +170,18 @@ fn poses_are_drawn_over_the_whole_of_a_track() {
     let track = std::fs::read_to_string(repository("identify/tests/data/on_a_track.urdf")).unwrap();
     let mut robot = import(&track, Some("cell"), Some("tool")).unwrap().config;
     robot.joint_limits_m = vec![[0.0, 8.0]];
-    // The margin is 3 mm on the track.
+    // The margin of 3 deg is one of 3 mm on the track, so positions keep more than 2 mm to the ends of 0 and 8 m.
     let drawn = random_postures(&robot, &Bodies::for_reach(1.3), &design(3.0), 200, 1).unwrap();
     assert!(drawn.iter().all(|q| (0.002..7.998).contains(&q[0])));
     assert!(drawn.iter().any(|q| q[0] > 7.0) && drawn.iter().any(|q| q[0] < 1.0));
 }
 
-/// With joints at this distance from their limits.
+/// The default design with this margin between joints and their limits.
 fn design(margin_deg: f64) -> Design {
     Design { limit_margin_deg: margin_deg, ..Design::IRB_2400 }
 }
 
-/// Largest motion of any joint between consecutive poses.
+/// Largest motion of any joint between consecutive poses \[rad, m\].
 fn moves(joints: &[Joints]) -> impl Iterator<Item = f64> + '_ {
     let far =
         |pair: &[Joints]| pair[0].iter().zip(&pair[1]).fold(0.0_f64, |most, (a, b)| most.max((a - b).abs()));
@@ -207,21 +209,21 @@ fn poses_of_any_arm_and_instrument_are_clear_within_limits_and_expected_to_be_be
         assert_eq!(found.chosen.iter().collect::<BTreeSet<_>>().len(), 40);
         for q in &found.joints {
             assert!(q.iter().zip(robot.joint_limits()).all(|(q, [low, high])| (low..=high).contains(q)));
-            // The links keep their radius plus the clearance above the floor.
+            // Links must keep a distance of their radius plus the clearance from the floor.
             let height_m = arm.forward(q).translation.vector.z;
             assert!(height_m > -0.1 + bodies.link_radius_m + 0.02 - 1e-9, "{height_m}");
         }
         println!("{} {measures:?}: {} {} {}", robot.name, found.position_m, found.random_m, found.before_m);
         assert!(found.position_m < found.random_m && found.random_m < found.before_m);
-        // Shorter than in the random order of the candidates.
+        // The order of the poses makes the motion shorter than the random order of the candidates.
         let mut by_number: Vec<_> = found.chosen.iter().zip(&found.joints).collect();
         by_number.sort_by_key(|(number, _)| **number);
         let by_number: Vec<Joints> = by_number.into_iter().map(|(_, q)| *q).collect();
         let [short, long]: [f64; 2] = [&found.joints, &by_number].map(|order| moves(order).sum());
         assert!(short < 0.8 * long, "{short} {long}");
-        // A joint that must not pass an angle moves in the other direction.
+        // Joints that must not pass a certain angle move in the other direction, so no move is blocked.
         assert!(found.blocked().is_empty(), "{} {measures:?}: {:?}", robot.name, found.blocked());
-        // Each motion is free of collisions, checked with smaller steps than in the planner.
+        // Each move is free of collisions. This is checked with smaller steps than in the planner.
         for (postures, way) in found.moves().zip(&found.ways[1..]) {
             assert_eq!(postures.len() > 2, *way != Way::Straight);
             for pair in postures.windows(2) {
@@ -254,7 +256,7 @@ fn the_arm_that_folds_into_itself_is_not_clear() {
     let arm = flange_chain(&robot);
     let is_clear = |degrees: [f64; 6]| bodies.is_clear(&arm, &degrees.map(f64::to_radians));
     assert!(is_clear([0.0, -90.0, 60.0, 0.0, 90.0, 0.0]));
-    // Forearm folded onto the upper arm: the wrist is at the shoulder.
+    // The forearm is folded onto the upper arm, so the wrist is at the shoulder and collides.
     assert!(!is_clear([0.0, -90.0, 175.0, 0.0, 90.0, 0.0]));
 }
 
@@ -263,7 +265,7 @@ fn the_arm_that_folds_into_itself_is_not_clear() {
 fn the_command_writes_poses_that_calibrate_reads_and_a_program_that_stops_at_each() {
     let directory = tempfile::tempdir().unwrap();
     let out = directory.path();
-    // With links of the default radius the folded arm cannot leave some of these poses.
+    // With links of the default radius, the folded arm could not leave some of these poses.
     let common = ["plan", "poses", "--draw", "60", "--link-radius-mm", "40"];
     let plan = |count: &str, more: &[&str]| {
         identify(&[&common[..], &["--count", count], more].concat(), "ur10.toml", out)
@@ -273,7 +275,7 @@ fn the_command_writes_poses_that_calibrate_reads_and_a_program_that_stops_at_eac
     assert!(planned.status.success(), "{}", String::from_utf8_lossy(&planned.stderr));
     let said = String::from_utf8(planned.stdout).unwrap();
     assert!(said.contains("20 of 60 poses") && said.contains("waves per turn"), "{said}");
-    // The default target does not move when joint 6 turns.
+    // The default target is on the axis of joint 6, so it does not move if joint 6 turns.
     assert!(said.contains("on the axis of joint 6") && said.contains("--target 0.1,0,0.1"), "{said}");
     assert!(said.contains("--count 20 is too few: `identify calibrate` needs at least 25"), "{said}");
     let mapping: JointTableMapping = config::load(&out.join("poses.toml")).unwrap();
@@ -281,7 +283,8 @@ fn the_command_writes_poses_that_calibrate_reads_and_a_program_that_stops_at_eac
     assert_eq!(joints.len(), 20);
     let _: MeasuredPoseMapping = config::load(&out.join("poses.toml")).unwrap();
     let read = |name: &str| std::fs::read_to_string(out.join(name)).unwrap();
-    // The page shows the arm in each pose: at every stop the target is where the joints of the table put it.
+    // The page shows the arm in each pose. At every stop, the target must be where forward kinematics of the joints
+    // in the table places it.
     let page = read("poses.html");
     let scene = browser::scene(&page);
     let (frames, point) = (scene["frames"].as_array().unwrap(), scene["ends"].as_u64().unwrap() as usize);
@@ -311,7 +314,7 @@ fn the_command_writes_poses_that_calibrate_reads_and_a_program_that_stops_at_eac
         let program = read(name);
         assert_eq!([program.matches(stop).count(), program.matches(wait).count()], [20, 20], "{name}");
     }
-    // Read from the written table.
+    // The written table is read again.
     let (table, mapping) = (out.join("poses.csv"), out.join("poses.toml"));
     let [table, mapping] = [&table, &mapping].map(|path| path.to_str().unwrap());
     let again = identify(
@@ -344,11 +347,11 @@ fn the_command_writes_poses_that_calibrate_reads_and_a_program_that_stops_at_eac
     }
 }
 
-/// Output of each language for a pose without a free path to it, and for a path through an intermediate posture.
+/// Checks the program in each language for two moves: one without a free path, and one through an intermediate posture.
 #[test]
 fn programs_stop_before_a_blocked_move_and_drive_through_the_postures_of_others() {
     let mut robot = ur10();
-    // As FANUC needs it.
+    // A FANUC program needs this coupling of joints 2 and 3.
     robot.log.raw_to_joint[1][2] = -1.0;
     let joints: Vec<Joints> = (1..=3).map(|pose| Joints::of([0.1 * f64::from(pose); 6])).collect();
     let through = Joints::of([0.25; 6]);
@@ -375,7 +378,7 @@ fn programs_stop_before_a_blocked_move_and_drive_through_the_postures_of_others(
         let is = |line: &&str| [moves, waits, stop].iter().position(|word| line.contains(word)).unwrap();
         assert_eq!(lines.iter().map(is).collect::<Vec<_>>(), [0, 1, 0, 0, 1, 2, 0, 1], "{text}");
         assert!(text.contains("jog by hand to pose 3"), "{text}");
-        // Comments are wrapped to the line length of the language.
+        // Comments are wrapped to the line length of the language, so their lines are joined here.
         let before = text.split_once(stop).unwrap().0.replace(['!', ';', '\n'], " ");
         let is_word =
             |word: &&str| word.strip_suffix(':').is_none_or(|number| number.parse::<u32>().is_err());
@@ -384,7 +387,7 @@ fn programs_stop_before_a_blocked_move_and_drive_through_the_postures_of_others(
     }
 }
 
-/// Walls on both sides of the arm: it must fold to move from one half of the cell to the other.
+/// There are walls on both sides of the arm. It must fold to move from one half of the cell to the other.
 #[test]
 #[ignore = "takes more than four seconds"]
 fn moves_go_round_a_wall_through_postures_that_are_clear() {
@@ -411,7 +414,7 @@ fn moves_go_round_a_wall_through_postures_that_are_clear() {
     }
 }
 
-/// Two walls with a gap narrower than the wrist: no path connects the two sides.
+/// Two walls have a gap that is narrower than the wrist, so no path connects the two sides.
 #[test]
 #[ignore = "plans among obstacles: a minute and a half"]
 fn blocked_moves_are_marked_everywhere_and_end_with_an_error() {
@@ -446,7 +449,7 @@ fn blocked_moves_are_marked_everywhere_and_end_with_an_error() {
             assert!(program.contains(&format!("jog by hand to pose {pose}")), "{name}");
         }
     }
-    // The table can be read despite its marks.
+    // The table can be read although it has marks of blocked moves.
     let mapping: JointTableMapping = config::load(&out.join("poses.toml")).unwrap();
     assert_eq!(mapping.load(&out.join("poses.csv")).unwrap().len(), 12);
 }

@@ -1,4 +1,5 @@
-//! Planned paths: each constraint checked by other means than in the planner, and better information than random paths.
+//! Planned paths. Each constraint is checked independently of the planner, and planned paths must have
+//! more information than random ones.
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 
 use std::f64::consts::TAU;
@@ -30,7 +31,7 @@ use crate::support::command::identify;
 use crate::support::truth::position_error_m;
 use crate::support::{bar, irb2400, nj220};
 
-/// A robot with its bar in the built-in layout.
+/// A robot with its bar in the built-in layout, and the constraints of a design.
 struct Cell {
     robot: RobotConfig,
     bar: BallBarConfig,
@@ -67,7 +68,7 @@ impl Cell {
         Information::new(configs, chains, Criterion::Position, self.design.duration_s).unwrap()
     }
 
-    /// Ends after this number of changes, independent of time.
+    /// Searches for the best path. The search ends after this number of changes, independent of time.
     fn search(&self, seed: u64, changes: usize) -> BestPath {
         let budget = Duration::from_secs(3600);
         let is_over = |progress: Option<&SearchProgress>| progress.is_some_and(|made| made.tried >= changes);
@@ -91,7 +92,7 @@ impl Cell {
         }
     }
 
-    /// A run in the simulated laboratory, and what is made of it.
+    /// Simulates a run in the laboratory on this path, and calibrates it.
     fn calibrated(&self, seed: u64, path: Option<&PlannedPath>) -> (Simulated, Calibration) {
         let mut experiment = Experiment::new(&self.robot, &self.bar);
         experiment.errors = StaticErrors::Drawn { seed };
@@ -116,7 +117,7 @@ fn a_planned_path_keeps_the_sphere_limits_speeds_and_margins_at_every_millisecon
     for cell in [Cell::new(irb2400(), 40.0), Cell::new(nj220(), 40.0)] {
         let path = cell.robot_path(&cell.search(1, 60));
         assert!((path.q_rad.duration_s() - 40.0).abs() < 0.01);
-        // From the rows alone, which are 4 ms apart.
+        // Checks the constraints on the rows alone, which are 4 ms apart.
         let base_m = Vector3::from(cell.design.base_m);
         for q in path.q_rad.iter() {
             let radius_m = (cell.arm.forward(q).translation.vector - base_m).norm();
@@ -140,7 +141,7 @@ fn a_planned_path_keeps_the_sphere_limits_speeds_and_margins_at_every_millisecon
     }
 }
 
-/// An arm whose elbow can move while its end is at rest.
+/// An arm with seven axes, whose elbow can move while its end is at rest.
 fn seven_axes() -> Cell {
     let text = std::fs::read_to_string(crate::support::repository("identify/tests/data/seven_axes.urdf"));
     let robot = import(&text.unwrap(), Some("base"), Some("flange")).unwrap().config;
@@ -170,8 +171,8 @@ fn an_arm_of_seven_axes_has_a_path_whose_postures_depend_on_the_pose_alone() {
         assert!(((cell.arm.forward(q).translation.vector - base_m).norm() - 0.4).abs() < 1e-9);
         assert!(q.len() == 7 && q.iter().zip(&limits).all(|(q, [low, high])| (low..=high).contains(&q)));
     }
-    // The way back passes the same postures, and each is nearer to the middle of the limits than its neighbours at the same
-    // pose.
+    // The way back passes the same postures as the way out. Each posture is nearer to the middle of the limits than adjacent
+    // postures that reach the same pose.
     let from_middle = |q: &Joints| -> f64 {
         let part = |(q, [low, high]): (&f64, &[f64; 2])| ((q - 0.5 * (low + high)) / (high - low)).powi(2);
         q.iter().zip(&limits).map(part).sum()
@@ -193,8 +194,8 @@ fn an_arm_of_seven_axes_has_a_path_whose_postures_depend_on_the_pose_alone() {
     assert!(refused.to_string().contains("has 7 axes"), "{refused}");
 }
 
-/// Out and back along a spiral of the gimbal about a point, while the end turns slowly to and fro: a manual design that covers
-/// the sphere. `None` if robot or bar cannot follow it.
+/// A path that moves the gimbal out and back along a spiral about a point, while the end turns slowly to and fro. A person
+/// would design such a path to cover the sphere. `None` if robot or bar cannot follow it.
 fn spiral(cell: &Cell, middle_rad: &[f64; 5], [size_rad, turn_rad, turns]: [f64; 3]) -> Option<RobotLog> {
     const PERIOD_S: f64 = 0.05;
     let constraints = cell.constraints();
@@ -203,7 +204,7 @@ fn spiral(cell: &Cell, middle_rad: &[f64; 5], [size_rad, turn_rad, turns]: [f64;
     let (mut stamps_s, mut q_rad) = (Vec::new(), Vec::new());
     for row in 0..=(duration_s / PERIOD_S).round() as usize {
         let t_s = row as f64 * PERIOD_S;
-        // At rest at both ends.
+        // The path coordinate starts and ends at rest.
         let part = t_s / duration_s;
         let u = part - (TAU * part).sin() / TAU;
         let (radius, angle) = (size_rad * (0.5 * TAU * u).sin(), TAU * turns * u);
@@ -234,7 +235,7 @@ fn a_planned_path_determines_the_robot_better_than_a_spiral_drawn_by_hand() {
             if count > 0.0 { sum / count } else { f64::INFINITY }
         };
         let planned = mean_sigma(&cell.search(1, 2000).normal);
-        // With a constant orientation of the end relative to the rod, and with a varying one.
+        // The orientation of the end relative to the rod is constant in the first case, and varies in the second.
         for (turn_rad, times) in [(0.0, 3.0), (0.4, 1.3)] {
             let mut random = ChaCha8Rng::seed_from_u64(1);
             let mut drawn: Vec<f64> = Vec::new();
@@ -243,7 +244,7 @@ fn a_planned_path_determines_the_robot_better_than_a_spiral_drawn_by_hand() {
                     .design
                     .bar_range_deg
                     .map(|[low, high]| (low + (high - low) * random.random::<f64>()).to_radians());
-                // The widest of these that the robot can follow.
+                // Uses the widest of these spirals that the robot can follow.
                 let checked = [1.0, 0.8, 0.6, 0.45, 0.3].into_iter().find_map(|size_rad| {
                     let log = spiral(&cell, &middle_rad, [size_rad, turn_rad, 5.0])?;
                     check(&log, &cell.constraints(), &information).ok().filter(|checked| {
@@ -274,13 +275,14 @@ fn a_search_makes_paths_better_and_is_the_same_for_the_same_seed() {
     assert_ne!(few.route, many.route);
 }
 
-/// Base, length of the rod, reach \[m\] and posture of a robot, with the bar placed by `plan place`.
+/// Base of the bar, length of the rod and reach of the robot \[m\], repeated to three numbers. The next constant is the
+/// posture \[deg\]. `plan place` chose this placement.
 const UR10_PLACE: [[f64; 3]; 3] = [[-0.9, 0.3, 0.45], [0.4; 3], [1.0; 3]];
 const UR10_POSTURE: [f64; 6] = [-43.0, -85.0, 62.0, 6.0, -22.0, -63.0];
 const IRB120_PLACE: [[f64; 3]; 3] = [[0.2, -0.45, 0.25], [0.3; 3], [0.6; 3]];
 const IRB120_POSTURE: [f64; 6] = [-51.0, 18.0, -5.0, -67.0, 41.0, 162.0];
 
-/// Robots of all sizes with the bar placed by `plan place`, or in the built-in layout.
+/// Robots of all sizes. Their bars are placed by `plan place`, or are in the built-in layout.
 fn of_all_sizes(duration_s: f64) -> [Cell; 4] {
     let load = |name: &str| config::load(&crate::support::repository("config/robots").join(name)).unwrap();
     let placed = |name: &str, [base_m, length_m, reach_m]: [[f64; 3]; 3], posture_deg: [f64; 6]| {
@@ -308,10 +310,10 @@ fn poses_alone_are_at_least_as_good_as_the_path_through_them_and_worth_more_the_
         assert!(0.9 * best.variance < best.variance_min && best.variance_min <= best.variance);
         best
     };
-    // Optimal parts of time for the poses of the path.
+    // Durations at the poses of the path are optimised.
     let alone = best(40.0);
     assert!(alone.variance.sqrt() < as_driven_m, "{alone:?} {as_driven_m}");
-    // The stated variance agrees with the information of these parts.
+    // The stated variance must agree with the information of the poses with these durations.
     let mut normal = Normal::zeros(information.columns());
     for ((bar_rad, state), part) in
         checked.visited.bar_rad.iter().zip(&checked.visited.robot).zip(&alone.parts)
@@ -323,7 +325,7 @@ fn poses_alone_are_at_least_as_good_as_the_path_through_them_and_worth_more_the_
     assert!((left_m / alone.variance.sqrt() - 1.0).abs() < 1e-6, "{left_m} {alone:?}");
     let longer = best(160.0).variance_min;
     assert!(longer < alone.variance_min && longer > 0.25 * alone.variance_min, "{longer}");
-    // Any poses, with a free mounting of the bar.
+    // The poses are free and so is the mounting of the bar, so the bound is lower.
     let free_m = position_m_min(&checked, &cell.constraints(), &information).unwrap();
     assert!(free_m < alone.variance.sqrt());
 }
@@ -361,18 +363,18 @@ fn what_a_path_must_not_do_is_named_with_the_first_time() {
         let found = checked.violations.iter().find(|one| one.obstacle == obstacle);
         found.unwrap_or_else(|| panic!("{obstacle} not among {:?}", checked.violations)).first_s
     };
-    // The robot's base is rotated by a degree from 20 s on.
+    // From 20 s on, the base of the robot is rotated by a degree.
     let mut turned = sound.clone();
     let from = turned.q_rad.t_s.partition_point(|t_s| *t_s < 20.0);
     turned.q_rad[from..].iter_mut().for_each(|q| q[0] += 0.017);
     let at_s = first(&turned, &cell.constraints(), Obstacle::OffSphere);
     assert!((at_s - 20.0).abs() < 0.02, "{at_s}");
-    // Four times the speed.
+    // The path is followed at four times its speed.
     let mut fast = sound.clone();
     fast.q_rad.t_s.iter_mut().for_each(|t_s| *t_s *= 0.25);
     first(&fast, &cell.constraints(), Obstacle::Speed);
     first(&fast, &cell.constraints(), Obstacle::Acceleration);
-    // Each is stricter in one respect.
+    // Each of these constraints is stricter than before in one respect.
     let checked = cell.check(&sound);
     let mut boxed = cell.constraints();
     let end_m = cell.arm.forward(&sound.q_rad[5000]).translation.vector;
@@ -392,14 +394,14 @@ fn what_a_path_must_not_do_is_named_with_the_first_time() {
     let strict = Constraints::new(&cell.arm, &cell.bar_chain, &limits, &narrow);
     first(&sound, &strict, Obstacle::BarSingularity);
     first(&sound, &strict, Obstacle::JointLimit);
-    // A pause that is not declared.
+    // The log has a pause that is not declared.
     let mut torn = sound;
     torn.q_rad.t_s.iter_mut().skip(3000).for_each(|t_s| *t_s += 2.0);
     let error = check(&torn, &cell.constraints(), &cell.information()).unwrap_err().to_string();
     assert!(error.contains("11.996 s"), "{error}");
 }
 
-/// Three axes of the UR10 are parallel: the offsets along them are linearly dependent.
+/// Three axes of the UR10 are parallel, so offsets along them are linearly dependent.
 #[test]
 fn lengths_that_no_path_tells_apart_leave_the_expected_error_of_positions_as_it_is() {
     let robot: RobotConfig = config::load(&crate::support::repository("config/robots/ur10.toml")).unwrap();
@@ -437,7 +439,7 @@ fn what_a_calibration_knows_already_counts() {
     let [first_alone, second_alone] = [&first, &second].map(|one| information.score(one));
     let together = known.score(&second);
     assert!(together < first_alone && together < second_alone, "{together} {first_alone} {second_alone}");
-    // The same as both runs in one solve with the second at another station: its base, offsets and clock are separate
+    // Both runs are combined in one solve, the second one at another station. Its base, offsets and clock are additional
     // parameters, so the result is at most as good as without them.
     let mut both = first;
     both += &second;
@@ -502,17 +504,18 @@ fn a_second_station_adds_what_more_of_the_first_does_not() {
     let found = places(&request, 1, Duration::from_secs(3600), |tried| tried >= 12).unwrap();
     let (first, second) = (&found.found[0], found.second.as_ref().unwrap());
     assert!(second.place.base_m != first.base_m && second.place.length_m == first.length_m);
-    // The bar's stand and the robot's foot do not overlap.
+    // The stand of the bar must not overlap the foot of the robot.
     let reach_m = robot_chain(&robot, &bar).reach_m();
     assert!(found.found.iter().all(|place| place.base_m[0].hypot(place.base_m[1]) >= 0.25 * reach_m));
     let errors =
         |expected: &ExpectedPosition| [expected.axes_exact_m, expected.with_terms_m, expected.with_plate_m];
     let [alone, twice, both] = [&first.expected, &second.twice_as_long, &second.expected].map(errors);
     for ((alone, twice), both) in alone.into_iter().zip(twice).zip(both) {
-        // Noise decreases by the root of two; directions that a station does not determine do not improve.
+        // Repeating a run divides the effect of noise by the root of two. Directions that a station does
+        // not determine do not improve.
         assert!(both < alone && twice < alone && twice > 0.7 * alone, "{alone} {twice} {both}");
     }
-    // Gear errors have their largest size where the first station does not move the joints.
+    // Where the first station does not move the joints, gear errors have their largest effect. A second station reduces it.
     assert!(both[1] < 0.5 * twice[1], "{both:?} {twice:?}");
 }
 
@@ -528,7 +531,7 @@ fn thicker_links_come_nearer_to_the_rod_by_as_much() {
     assert_eq!(clearance_m(2.0), 0.0);
 }
 
-/// Numbers between the first pair of these brackets in each line that contains `word`.
+/// The numbers between the first pair of these brackets, for each line that begins with `word`.
 fn numbers(program: &str, word: &str, [open, close]: [&str; 2]) -> Vec<Vec<f64>> {
     let lines = program.lines().filter_map(|line| line.trim_start().strip_prefix(word));
     lines
@@ -543,14 +546,15 @@ fn numbers(program: &str, word: &str, [open, close]: [&str; 2]) -> Vec<Vec<f64>>
         .collect()
 }
 
-/// Joints at each period of a program, in its unit, from the start of the path; a standstill counts as its number of periods.
+/// Joints at each period of a program from the start of the path, in the unit of the program. A standstill is repeated
+/// for its number of periods.
 fn followed(program: &str, [moves, waits]: [&str; 2], brackets: [&str; 2], period_s: f64) -> Vec<Vec<f64>> {
     let mut points: Vec<Vec<f64>> = Vec::new();
     let mut waits_before = 0;
     for line in program.lines().map(str::trim_start) {
         if let Some(rest) = line.strip_prefix(waits) {
             waits_before += 1;
-            // The first one precedes the path.
+            // The first wait precedes the path.
             if waits_before > 1 {
                 let seconds: f64 = rest.trim_end_matches(';').parse().unwrap();
                 let last = points.last().unwrap().clone();
@@ -565,7 +569,8 @@ fn followed(program: &str, [moves, waits]: [&str; 2], brackets: [&str; 2], perio
     points
 }
 
-/// A controller that logs joint angles: joint 2 with reversed sign, joint 3 from the horizontal, joint 5 from its middle.
+/// The robot with a controller that logs joint angles. Joint 2 has reversed sign, joint 3 counts from the horizontal, and
+/// joint 5 counts from its middle.
 fn with_joint_log(mut robot: RobotConfig) -> RobotConfig {
     robot.log.unit = AngleUnit::Deg;
     robot.log.raw_offset_rad[4] = 0.5;
@@ -577,7 +582,7 @@ fn with_joint_log(mut robot: RobotConfig) -> RobotConfig {
     robot
 }
 
-/// The controller's own log along a path: time \[s\], joints \[deg\].
+/// Rows of the controller's own log along a path: time \[s\] and joints \[deg\].
 fn logged(path: &RobotLog, robot: &RobotConfig) -> Vec<Vec<f64>> {
     let mut csv = Vec::new();
     identify::logs::write(path, robot, &mut csv).unwrap();
@@ -586,14 +591,14 @@ fn logged(path: &RobotLog, robot: &RobotConfig) -> Vec<Vec<f64>> {
     rows.map(|row| row.split(',').map(|cell| cell.parse().unwrap()).collect()).collect()
 }
 
-/// Time between the points of a program \[s\], as stated in it.
+/// Time between the points of a program \[s\], as its comment states.
 fn period_s(program: &str) -> f64 {
     let about = program.lines().find(|line| line.contains("points ")).unwrap();
     about.split("points ").nth(1).unwrap().split(' ').next().unwrap().parse().unwrap()
 }
 
-/// The points of a program \[deg\] agree with the rows of the log at their times, within `within` \[deg\]. The first point is
-/// `skipped` points after the start.
+/// Checks that the points of a program agree with the rows of the log at their times within `within` \[deg\]. The first
+/// point is `skipped` points after the start of the path.
 fn assert_same(points: &[Vec<f64>], logged: &[Vec<f64>], period_s: f64, skipped: usize, within: f64) {
     let end_s = logged.last().unwrap()[0];
     assert_eq!(points.len() + skipped, (end_s / period_s).round() as usize + 1);
@@ -638,7 +643,7 @@ fn programs_of_controllers_have_the_joints_of_the_path() {
     }
 }
 
-/// The arm moves to the start without the bar.
+/// The arm moves to the start without the bar. The program then stops until the bar is attached.
 #[test]
 fn every_program_stops_between_the_way_to_the_start_and_the_path_to_attach_the_bar() {
     let mut cell = Cell::new(irb2400(), 30.0);
@@ -657,20 +662,20 @@ fn every_program_stops_between_the_way_to_the_start_and_the_path_to_attach_the_b
         }
         assert_eq!(text.matches("the ball-bar now").count() + text.matches("the ball bar now").count(), 1);
     }
-    // A KUKA controller does not move while tool and base are undefined.
+    // A KUKA controller does not move unless tool and base are defined.
     let krl = program(Language::Krl, &path, &cell.robot, &cell.constraints()).unwrap();
     let before = krl.split_once("PTP ").unwrap().0;
     assert!(before.contains("$TOOL=$NULLFRAME\n") && before.contains("$BASE=$NULLFRAME\n"), "{before}");
 }
 
-/// Joint 3 of the LR Mate's description is the angle of the forearm relative to the upper arm; the controller's is that to the
-/// horizontal.
+/// In the description of the LR Mate, joint 3 is the angle of the forearm relative to the upper arm. In the controller, it
+/// is the angle of the forearm to the horizontal.
 #[test]
 fn a_fanuc_program_is_refused_where_joint_3_of_the_robots_file_is_not_the_controllers() {
     let mut robot = irb2400();
     robot.name = "fanuc_lrmate200id".into();
     robot.log = LogConversion::direct(AngleUnit::Deg, 6);
-    // Its axes 2 and 3 are antiparallel.
+    // The axes 2 and 3 of this robot are antiparallel.
     robot.links[1].alpha_deg = 180.0;
     let joints = [0.0, 46.053, -29.842, 0.0, 30.0, 0.0].map(f64::to_radians);
     let poses = PlannedPoses {
@@ -690,7 +695,8 @@ fn a_fanuc_program_is_refused_where_joint_3_of_the_robots_file_is_not_the_contro
     assert!(pose_program(Language::Krl, &poses, &robot, 1.0).is_ok());
     robot.log.raw_to_joint[1][2] = -1.0;
     assert!(pose_program(Language::Fanuc, &poses, &robot, 1.0).is_err());
-    // So does the controller of an ABB arm with a parallel rod count, but of no other.
+    // The controller of an ABB arm with a parallel rod also counts joint 3 from the horizontal. Controllers of
+    // other ABB arms do not.
     for (name, is_written) in [("ABB IRB 120-3/0.6", true), ("ABB IRB 2400/16", false)] {
         let robot = RobotConfig { name: name.into(), ..robot.clone() };
         assert_eq!(pose_program(Language::Rapid, &poses, &robot, 1.0).is_ok(), is_written, "{name}");
@@ -712,7 +718,7 @@ fn a_fanuc_program_has_each_point_once_and_moves_to_them_in_order() {
     let sections: Vec<&str> = text.lines().filter(|line| line.starts_with('/')).collect();
     assert_eq!(sections, ["/PROG  BALLBAR_PATH", "/ATTR", "/MN", "/POS", "/END"]);
     let between = |from: &str, to: &str| text.split_once(from).unwrap().1.split_once(to).unwrap().0;
-    // Lines are numbered and terminated.
+    // Lines are numbered and end with a semicolon.
     let lines: Vec<&str> = between("/MN\n", "/POS").lines().collect();
     for (index, line) in lines.iter().enumerate() {
         let (number, rest) = line.split_once(':').unwrap();
@@ -728,7 +734,7 @@ fn a_fanuc_program_has_each_point_once_and_moves_to_them_in_order() {
         let through = format!("{}] {period_ms}msec ", index + 1);
         assert!(matches!(step.strip_prefix(&through), Some("CNT100 ;" | "FINE ;")), "{step}");
     }
-    // Standstills are waits at an exact stop; the first wait precedes the path.
+    // A standstill is a wait at an exact stop. The first wait precedes the path.
     let mut periods = Vec::new();
     let mut standstills = 0;
     for line in lines.iter().skip_while(|line| !line.contains("PAUSE")).skip(2) {
@@ -768,7 +774,8 @@ fn a_fanuc_program_has_each_point_once_and_moves_to_them_in_order() {
     assert_same(&driven, &logged(&path, &cell.robot), period_ms * 1e-3, 0, 6e-4);
 }
 
-/// Output of `script` for the program in `argv[1]`: one line for each point, angles separated by spaces.
+/// Runs the Python code `script` on a program, whose path is `argv[1]`. Its output has one line per point
+/// with angles separated by spaces.
 fn read_by_python(script: &str, program: &str) -> Vec<Vec<f64>> {
     let python =
         std::env::var_os("BALLBAR_PYTHON").expect("BALLBAR_PYTHON: a Python with tests/requirements.txt");
@@ -781,7 +788,7 @@ fn read_by_python(script: &str, program: &str) -> Vec<Vec<f64>> {
     lines.lines().map(|line| line.split(' ').map(|angle| angle.parse().unwrap()).collect()).collect()
 }
 
-/// Targets of a module that conforms to RAPID's grammar, and their times except the first.
+/// Python code that parses a module by RAPID's grammar. Prints the targets of its moves, and their times except the first.
 const RAPID: &str = r#"
 import sys
 from rapidchecker.parser.grammar import module
@@ -818,7 +825,7 @@ for start, end in zip(starts, starts[1:] + [len(tokens) - 2]):
         print(*tokens[start + 3:start + 9], period_s)
 "#;
 
-/// An independent implementation of RAPID's grammar.
+/// The parser is an independent implementation of RAPID's grammar.
 #[test]
 #[ignore = "needs Python with rapidchecker: set BALLBAR_PYTHON"]
 fn an_independent_parser_of_rapid_finds_the_joints_and_times_of_the_path() {
@@ -833,9 +840,9 @@ fn an_independent_parser_of_rapid_finds_the_joints_and_times_of_the_path() {
     assert_same(&points, &logged(&path, &cell.robot), period_s(&text), 0, 1e-4);
 }
 
-/// Runs a URScript program as Python, which has the same expressions, lists, loops and calls: only `end` and the keywords of
-/// scope differ. The block that an `end` closes must begin in the same column. Prints the command to the servo loop at each
-/// step of a controller with step `dt`.
+/// Python code that runs a URScript program as Python. Both languages have the same expressions, lists, loops and calls.
+/// Only `end` and the keywords of scope differ. The block that an `end` closes must begin in the same column. Prints the
+/// command to the servo loop at each step of a controller with step `dt`.
 const URSCRIPT: &str = r#"
 import sys
 lines, open_blocks = [], []
@@ -883,8 +890,8 @@ fn a_urscript_program_that_is_run_drives_the_path_in_its_time() {
         let steps = steps.iter().filter(|step| step[0] == step_s).map(|step| &step[1..]);
         let steps: Vec<Vec<f64>> =
             steps.map(|step| step.iter().map(|angle| angle.to_degrees()).collect()).collect();
-        // Between points the cubic of the program differs from the spline through the log by less than the robot's motion in a
-        // millisecond at 1.2 rad/s.
+        // Between points, the cubic of the program differs from the spline through the log. The difference is less than the
+        // motion of the robot in a millisecond at 1.2 rad/s.
         let within = 1.2e-3_f64.to_degrees();
         assert_eq!(steps.len(), (30.0 / step_s).round() as usize + 1);
         for (row, logged) in rows.iter().enumerate() {
@@ -924,7 +931,7 @@ fn the_command_plans_checks_and_simulates_what_it_planned() {
     let bar = crate::support::repository("config/ball_bar.toml");
     let bar = bar.to_str().unwrap();
     let robot = "irb2400_16.toml";
-    // The wrist is bent the other way than in the usual posture.
+    // In this posture, the wrist is bent to the other side than in the default posture.
     let posture = ["--posture", "0,20,10,0,-60,0"];
     let planned = [&["plan", "--bar", bar, "--duration", "40s", "--budget", "2s"], &posture[..]].concat();
     let planned = identify(&planned, robot, out);
@@ -953,7 +960,7 @@ fn the_command_plans_checks_and_simulates_what_it_planned() {
     let other =
         identify(&["simulate", "--bar", bar, "--path", file.to_str().unwrap()], "nj220_2_7.toml", &run);
     assert!(!other.status.success() && String::from_utf8_lossy(&other.stderr).contains("is a path of ABB"));
-    // First view of the page, and its behaviour in a browser.
+    // Checks the first view of the page and its behaviour in a browser.
     let page = std::fs::read_to_string(out.join("path.html")).unwrap();
     let scene = browser::scene(&page);
     let (frames, ends) = (scene["frames"].as_array().unwrap(), scene["ends"].as_u64().unwrap() as usize);
@@ -965,7 +972,7 @@ fn the_command_plans_checks_and_simulates_what_it_planned() {
         assert!(((place(ends) - place(ends + 1)).norm() - 0.6).abs() < 0.002);
         assert!((place(ends + 1) - Vector3::from(path.base_m)).norm() < 0.001);
     }
-    // Refused before the search, with a remedy.
+    // Invalid options are refused before the search, with a remedy.
     let [budget, short, program] = [["--budget", "1h"], ["--duration", "10s"], ["--program", "rapid"]];
     let hasty = identify(&[&["plan", "--bar", bar][..], &budget, &short].concat(), robot, &run);
     let told = String::from_utf8_lossy(&hasty.stderr).into_owned();
@@ -993,11 +1000,11 @@ fn a_browser_draws_the_arm_along_the_path_and_asks_nobody_else() {
     assert!(identify(&arguments, "irb2400_16.toml", directory.path()).status.success());
     let page = std::fs::read_to_string(directory.path().join("path.html")).unwrap();
     let shown = browser::shown(&page);
-    // The script writes the time of each frame that it draws.
+    // The script of the page writes the time of each frame that it draws.
     let told = shown.document.split_once("id=\"path-shown\">").unwrap().1.split_once('<').unwrap().0;
     assert!(told.ends_with("of 40 s"), "{told:?} {}", shown.stderr);
     assert_eq!(shown.foreign, Vec::<String>::new());
-    // A script of another origin does not run.
+    // The browser does not run a script that is not part of the generated page.
     let other = page.replace("</main>", "</main><script>document.title = 'other'</script>");
     assert!(!browser::shown(&other).document.contains("<title>other"));
 }
@@ -1005,11 +1012,12 @@ fn a_browser_draws_the_arm_along_the_path_and_asks_nobody_else() {
 #[test]
 #[ignore = "plans paths of two robots and calibrates runs on each: a minute"]
 fn the_error_of_a_calibration_is_the_one_that_was_expected_of_its_path_and_terms() {
-    // The joints of the laboratory have no others: of terms that are absent some are taken by chance, and then an error is not
-    // the one that their group has on average.
+    // Only these groups of terms exist in the joints of the laboratory. Of terms that do not exist, some are selected by
+    // chance. The error is then not the one that their group has on average.
     const PRESENT: [TermGroup; 4] =
         [TermGroup::GearTwice, TermGroup::Cycloid, TermGroup::LineSpectrum, TermGroup::EncoderHarmonics];
-    // Standard deviation of the squared error of one run over its expected value (80 runs: 0.6 and 0.8).
+    // Standard deviation of the squared error of one run, divided by its expected value. In 80 runs it was 0.6 and
+    // 0.8 for the two robots.
     const SIGMA: f64 = 0.8;
     let seeds = size(8, 40);
     for robot in [irb2400(), nj220()] {
@@ -1023,7 +1031,8 @@ fn the_error_of_a_calibration_is_the_one_that_was_expected_of_its_path_and_terms
             let taken = calibration.solved.candidates.iter().filter(|candidate| candidate.accepted);
             let groups: Vec<TermGroup> =
                 taken.map(|candidate| candidate.group).chain([TermGroup::EncoderHarmonics]).collect();
-            // The root mean square of an error of equal spread in three directions is 1.085 times its mean (Maxwell).
+            // For an error with equal variance in three directions, the root mean square is 1.085
+            // times the mean (Maxwell distribution).
             let error_m = 1.085 * position_error_m(&run, &calibration, &cell.robot);
             let expected_m = information.position_with(&found.normal, &groups);
             println!("{} {seed}: {error_m:.3e} m, expected {expected_m:.3e}, {groups:?}", cell.robot.name);
@@ -1039,7 +1048,8 @@ fn the_error_of_a_calibration_is_the_one_that_was_expected_of_its_path_and_terms
             information.position(&found.normal),
             information.with_each(&found.normal)
         );
-        // Three standard deviations of a root mean square; four of ten runs select an absent term once in a thousand cases.
+        // The tolerance is three standard deviations of a root mean square. Once in a thousand cases, four of ten runs
+        // select a term that does not exist.
         assert!((ratio - 1.0).abs() < 1.5 * SIGMA / runs.sqrt() && 10 * squared.len() > 6 * seeds as usize);
     }
 }
@@ -1063,7 +1073,7 @@ fn a_planned_path_calibrates_better_than_random_ones_in_the_simulated_laboratory
     assert!(planned_m < 0.7 * random_m, "{planned_m} {random_m}");
 }
 
-/// Invalid lengths and times on the command line, and output of the terminal for a path.
+/// Invalid lengths and times on the command line, and what the program prints for a path.
 #[test]
 fn places_in_millimetres_and_unknown_units_of_time_are_answered_with_what_to_type() {
     let directory = tempfile::tempdir().unwrap();
@@ -1078,7 +1088,7 @@ fn places_in_millimetres_and_unknown_units_of_time_are_answered_with_what_to_typ
     assert!(base.contains("in metres") && base.contains("write --base 1,0.05,0.35"), "{base}");
     let floor = told(&["--floor", "350"]);
     assert!(floor.contains("write --floor 0.35"), "{floor}");
-    // Two seconds, with the same unit as `ballbard start --duration 90` for ninety.
+    // `2` means two seconds. The unit is the same as for `ballbard start --duration 90`, which records ninety seconds.
     let short = told(&["--duration", "2"]);
     assert!(short.contains("--duration of at least 15 s"), "{short}");
     let unknown = told(&["--duration", "5x"]);
@@ -1117,7 +1127,7 @@ fn a_path_of_seven_axes_says_where_the_bar_stands_and_no_program_has_its_reason(
     assert!(said.contains("gimbal in the robot's base frame: 0.200, -0.300, 0.500 m (--base)"), "{said}");
     assert!(said.contains("not end where it begins") || said.contains("ends where it begins"), "{said}");
     assert!(said.contains("no program") && said.contains("--program"), "{said}");
-    // No bound is known for arms with more than elbow and wrist to bend.
+    // For arms with more configurations than those of elbow and wrist, no bound is known.
     assert!(!said.contains("efficiency"), "{said}");
     let page = std::fs::read_to_string(room.join("out/path.html")).unwrap();
     assert!(page.contains("0.200, -0.300, 0.500 m") && page.contains("where it begins"));
@@ -1140,7 +1150,7 @@ fn a_program_is_that_of_the_maker_in_the_robots_name_however_it_is_written() {
     }
 }
 
-/// A UR5e also reaches the sphere with shoulder and elbow turned over, but no path leads there.
+/// A UR5e can also reach the sphere with shoulder and elbow turned over, but no path leads to these postures.
 #[test]
 fn the_bound_of_a_path_takes_its_poses_bent_as_the_path_is() {
     let mut robot: RobotConfig =
@@ -1158,6 +1168,6 @@ fn the_bound_of_a_path_takes_its_poses_bent_as_the_path_is() {
     let checked = cell.check(&cell.robot_path(&found));
     let least_m = position_m_min(&checked, &constraints, &information);
     println!("planned {planned_m:.3e} m, bound {least_m:?}");
-    // A search with a hundred changes ends at about three times the bound.
+    // A search with a hundred changes reaches about three times the bound.
     assert!(least_m.is_none_or(|least_m| 0.3 * planned_m < least_m && least_m < planned_m));
 }

@@ -1,5 +1,5 @@
-//! Alignment of recording and robot log, for any clocks, offsets and configuration; logs that do not belong together are
-//! refused.
+//! Alignment of recording and robot log for any clocks, offsets and configuration of the bar. Logs that do
+//! not belong together are refused.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::f64::consts::TAU;
@@ -40,10 +40,10 @@ fn refusal(run: &Simulated, robot: &RobotConfig, bar: &BallBarConfig) -> String 
     prepared(run, robot, bar).unwrap_err().to_string()
 }
 
-/// Error of the alignment at the reference time \[ms\].
+/// Error of the estimated clock difference at the reference time \[ms\].
 fn clock_error_ms(found: &Prepared, run: &Simulated) -> f64 {
     let truth = &run.truth.clock;
-    // In integers except for the small part: the clocks may show 2026.
+    // Computes in integers, except for the small drift, because the clocks may be nanoseconds since 1970.
     let passed_ns = found.t_ref.ns_since(truth.bar_start);
     let difference_ns = truth.robot_at_bar_start_ns - truth.bar_start.0;
     let drift_ns = passed_ns as f64 * truth.skew;
@@ -132,7 +132,7 @@ fn a_recording_of_a_part_of_the_log_is_placed_in_it() {
     let (robot, bar) = (irb2400(), bar());
     let mut run = run(&robot, &bar, |e| e.design.duration_s = 120.0);
     run.cycles = run.cycles[7000..9500].to_vec();
-    // In such a short motion the errors of the nominal robot have a larger effect.
+    // In such a short motion, errors of the nominal robot have a larger effect on the result.
     check_within(&prepared(&run, &robot, &bar).unwrap(), &run, "a part", [5.0, 8.0]);
 }
 
@@ -156,7 +156,7 @@ fn each_configuration_of_the_bar_is_recognised() {
                 e.design.bar_range_deg[joint] = e.design.bar_range_deg[joint].map(|deg| deg - theta_deg);
             }
         });
-        // In another configuration the offsets of two joints are off by half a turn.
+        // In another configuration of the bar, the offsets of two joints differ by half a turn.
         check(&prepared(&run, &robot, &bar).unwrap(), &run, &format!("{wanted:?}"));
     }
 }
@@ -178,7 +178,7 @@ fn observations_carry_the_true_joints_and_the_motion_the_true_robot() {
             let error = observation.bar_rad[joint] + encoder.offset_rad - bar_joints[joint];
             assert!((error - (error / TAU).round() * TAU).abs() < 0.3e-6);
         }
-        // Without the error of the alignment, the motion is that of the true robot.
+        // Apart from the error of the alignment, the interpolated motion is that of the true robot.
         let tau_s = observation.t_s * (1.0 + run.truth.clock.skew) - late_s;
         let state = found.motion.at(tau_s).unwrap();
         let pose = run.motion.robot.forward(&state.q);
@@ -217,7 +217,7 @@ fn bad_cycles_are_dropped_and_counted_and_a_new_origin_begins_a_new_run() {
     assert!(counts.standstill > 300);
 }
 
-/// Each origin has five parameters: a solve for thousands of them would take hours.
+/// Each origin has five parameters. A solve with thousands of origins would take hours.
 #[test]
 fn counters_that_start_anew_all_the_time_are_refused_at_once() {
     let (robot, bar) = (irb2400(), bar());
@@ -362,7 +362,7 @@ fn logs_without_motion_too_short_or_without_valid_cycles_are_refused() {
 fn a_log_that_also_holds_the_way_to_the_bar_is_used() {
     let (robot, bar) = (irb2400(), bar());
     let mut run = run(&robot, &bar, |_| {});
-    // Before the run, 20 s of motion far from the sphere.
+    // Before the run, the robot moves for 20 s far from the sphere of the bar.
     let start = run.robot_log.q_rad[0];
     let way: Vec<Joints> = (0..5000)
         .map(|k| {

@@ -1,4 +1,5 @@
-//! Runs that pass singular poses of the bar and lose the counters' origin: all parts are used.
+//! Runs that pass singular poses of the bar and in which the counters lose their origin. All segments of
+//! such runs must be used.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use crate::support::{bar, irb2400};
@@ -8,12 +9,12 @@ use identify::prepare::SampleStatus;
 use identify::simulate::Comparison;
 use identify::simulate::{self, Design, Effects, Experiment, Simulated};
 
-/// A path on which the rod passes along the base axis.
+/// A run on whose path the rod passes through the axis of the base.
 fn crossing(effects: Effects) -> Simulated {
     crossing_with(effects, 1, [-60.0, 85.0])
 }
 
-/// A path on which joint `joint` (from 0) has another range than by default.
+/// A run on whose path joint `joint` (from 0) of the bar has this range instead of the default range.
 fn crossing_with(effects: Effects, joint: usize, range_deg: [f64; 2]) -> Simulated {
     let (robot, bar) = (irb2400(), bar());
     let usual = Design::for_robot(&robot);
@@ -33,7 +34,7 @@ fn robot_error(found: &Calibration, run: &Simulated) -> f64 {
     comparison.only(|id| matches!(id, ParameterId::Robot { .. })).euclidean_mm_mrad()
 }
 
-/// From cycle `at` on, the counters have another origin.
+/// Changes the origin of the counters from cycle `at` on.
 fn new_origin(run: &mut Simulated, at: usize) {
     for (k, cycle) in run.cycles.iter_mut().enumerate().skip(at) {
         for (place, encoder) in cycle.encoders.iter_mut().enumerate() {
@@ -43,7 +44,7 @@ fn new_origin(run: &mut Simulated, at: usize) {
             cycle.encoders[0].valid = false;
         }
     }
-    // Counted from the first valid record, as in the daemon.
+    // A new origin counts from the first valid record after the change, as in the daemon.
     run.cycles[at + 30..].iter_mut().for_each(|cycle| cycle.origin += 1);
 }
 
@@ -111,7 +112,7 @@ fn a_run_with_lost_origins_is_used_whole_and_calibrates_as_well_as_a_clean_one()
         for at in [2500, 5000, 9000] {
             new_origin(&mut lossy, at);
         }
-        // An origin that may have changed but has not.
+        // The origin is marked as new, although it has not changed.
         lossy.cycles[10_500..].iter_mut().for_each(|cycle| cycle.origin += 1);
         let [of_clean, of_lossy] = [&clean, &lossy].map(calibrated);
         let errors = [robot_error(&of_clean, &clean), robot_error(&of_lossy, &clean)];

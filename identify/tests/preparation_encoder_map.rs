@@ -1,4 +1,5 @@
-//! Encoders in any order and direction: determined from the data, reported, or requested from the user.
+//! Encoders are connected in any order and direction. The program determines both from the data, reports them, or
+//! requests them from the user.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use crate::support::laboratory::exchange;
@@ -45,7 +46,7 @@ fn shuffled_and_reversed_encoders_calibrate_without_a_hand() {
         let mut run = run(&robot, &bar);
         let order: &[usize] = if four { &[3, 0, 2, 1] } else { &[4, 2, 0, 3, 1] };
         let true_joints: Vec<u8> = run.encoders.iter().map(|encoder| encoder.joint).collect();
-        // Reversed joints 1, 3 and 5 together would be the mirror image.
+        // Joints 1, 3 and 5 cannot be reversed together, because this would be the mirror image.
         let places: &[usize] = if four { &[0, 1, 2] } else { &[0, 1, 4] };
         reversed(&mut run, places);
         exchange(&mut run, order);
@@ -55,7 +56,7 @@ fn shuffled_and_reversed_encoders_calibrate_without_a_hand() {
         println!("{used}; others {:?}", found.encoder_map.others);
         for (place, joint) in used.encoders.iter().zip(&true_joints) {
             assert_eq!(place.joint, *joint);
-            // On joints 2 and 4 the direction is equivalent to the bar's configuration.
+            // On joints 2 and 4, a reversed direction is equivalent to another configuration of the bar.
             let negative = places.iter().any(|place| true_joints[*place] == *joint);
             assert!(matches!(joint, 2 | 4) || place.reversed == negative, "{used}");
         }
@@ -89,7 +90,7 @@ fn a_mirrored_robot_fits_reversed_encoders_and_which_of_both_it_is_gets_asked() 
         let refusal = calibrated(&mirrored, EncoderMapChoice::Find).unwrap_err().to_string();
         println!("{refusal}");
         assert!(refusal.contains("reversed signs of the robot's joints 1, 4 and 6"), "{refusal}");
-        // The encoders are reversed instead: the same message, which contains the option to use.
+        // Here the encoders themselves are reversed. The message is the same and contains the option to use.
         let mut run = run(&robot, &bar);
         reversed(&mut run, &[0, 2, 4]);
         let refusal = calibrated(&run, EncoderMapChoice::Find).unwrap_err().to_string();
@@ -142,7 +143,7 @@ fn a_stated_order_that_does_not_fit_is_refused_with_the_one_that_does() {
     }
 }
 
-/// Generated angles in which the joints of `alike` move together.
+/// Generated pairs of recorded and predicted angles, in which the two joints of each pair in `alike` move together.
 fn pairs(alike: &[[usize; 2]]) -> Vec<AnglePair> {
     let motion = |k: f64, joint: usize| (0.05 * k * (1.0 + 0.37 * joint as f64)).sin() + 0.3 * joint as f64;
     (0..400)
@@ -152,7 +153,7 @@ fn pairs(alike: &[[usize; 2]]) -> Vec<AnglePair> {
                 predicted_rad[*other] = predicted_rad[*one] + 0.2;
             }
             let mut recorded_rad = predicted_rad.map(|angle| angle + 1.7);
-            // Encoders 1 and 3 are exchanged.
+            // The encoders of joints 1 and 3 are exchanged.
             recorded_rad.swap(0, 2);
             AnglePair { recorded_rad, predicted_rad, ..AnglePair::default() }
         })
@@ -168,16 +169,16 @@ fn joints_that_move_together_leave_the_order_open_and_it_is_asked_for() {
     let message = error.to_string();
     println!("{message}");
     assert!(matches!(error, PrepareError::AmbiguousEncoderMap { .. }) && message.contains("encoders = [..]"));
-    // The message contains the option for each of them.
+    // The message contains an option for each possible order.
     for choice in ["--encoders 3,2,1,4,5 for", "--encoders 3,2,1,5,4 for"] {
         assert!(message.contains(choice), "{message}");
     }
-    // The recorded order is one of several that fit: it is used, and the other one is reported.
+    // The recorded order is one of several that agree with the data. It is used, and the other one is reported.
     let found = find_encoder_map(&pairs(&[[0, 2]]), &[1, 2, 3, 4, 5], &options).unwrap();
     assert!(found.used.is_as_recorded() && found.others.len() == 1, "{found:?}");
 }
 
-/// A whole run in which joints 3 and 5 move by less than the base tilt, with the cables of encoders 1 and 2 exchanged.
+/// A complete run in which joints 3 and 5 move by less than the base tilt, and the cables of encoders 1 and 2 are exchanged.
 pub fn ambiguous(robot: &RobotConfig, bar: &BallBarConfig) -> Simulated {
     let usual = Design::for_robot(robot);
     let mut bar_range_deg = usual.bar_range_deg;
@@ -199,7 +200,7 @@ fn an_ambiguous_encoder_map_of_a_whole_run_is_asked_for_and_what_is_typed_resolv
     let choices: Vec<&str> =
         message.split("--encoders ").skip(1).map(|rest| rest.split(' ').next().unwrap()).collect();
     assert!(choices.len() > 1 && choices.contains(&"1,2,3,4,5"), "{choices:?}");
-    // The recording assigns the first encoder, which is on joint 1, to joint 2.
+    // The first encoder is on joint 1, but the recording assigns it to joint 2.
     let options = PrepareOptions {
         encoders: "1,2,3,4,5".parse().unwrap(),
         joint_travel_min_deg: 2.0,
@@ -209,7 +210,7 @@ fn an_ambiguous_encoder_map_of_a_whole_run_is_asked_for_and_what_is_typed_resolv
     let wanted: Vec<(u8, bool)> = (1..=5).map(|joint| (joint, false)).collect();
     assert_eq!(joints_and_directions(&found.encoder_map.used), wanted);
     assert!(found.encoder_map.others.is_empty());
-    // A fitted geometry removes the effect of the base tilt on the angles.
+    // The geometry is fitted, so the base tilt no longer affects the angles.
     let spreads = found.offsets.iter().map(|offset| offset.spread_rad * 1e3);
     assert!(spreads.clone().all(|spread| spread < 1.0), "{:?} mrad", spreads.collect::<Vec<_>>());
 }

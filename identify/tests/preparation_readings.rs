@@ -1,4 +1,5 @@
-//! Processing of the readings before alignment: counters and joints that wrap, and the moving average, as reports show them.
+//! Processing of the readings before the alignment: unwrapping of counters and joints, and the moving average. The tests
+//! also check how reports show them.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::f64::consts::TAU;
@@ -14,7 +15,8 @@ fn middle(values: impl Iterator<Item = f64>) -> f64 {
     0.5 * (low + high)
 }
 
-/// The used readings have no jump, and differ from the recorded ones by whole periods and a constant; `sign` is that of counts.
+/// Checks that the used readings have no jump. They may differ from the recorded ones by whole periods and a constant.
+/// `sign` is the direction in which counts increase with the angle.
 fn assert_continuous(one: &Unwrapped, sign: f64) {
     let points = &one.points;
     assert!(points.len() > 20 && points.windows(2).all(|pair| pair[0].t_s < pair[1].t_s));
@@ -34,12 +36,12 @@ fn assert_continuous(one: &Unwrapped, sign: f64) {
 fn counters_and_joints_that_begin_anew_change_nothing_and_are_shown() {
     let as_it_was = run(Effects::NONE);
     let mut wrapped = as_it_was.clone();
-    // The counter of b3 wraps in the middle of its motion; the others do not.
+    // Only the counter of b3 wraps in the middle of its motion.
     let middle_count = middle(wrapped.cycles.iter().map(|cycle| f64::from(cycle.encoders[2].count))) as u32;
     for cycle in &mut wrapped.cycles {
         cycle.encoders[2].count = cycle.encoders[2].count.wrapping_sub(middle_count);
     }
-    // A controller that reports joint 6 within one turn, which wraps within the joint's motion.
+    // The controller reports joint 6 within one turn, so the angle wraps within the motion of the joint.
     let end_rad = middle(wrapped.robot_log.q_rad.iter().map(|q| q[5]));
     wrapped.robot_log.q_rad.iter_mut().filter(|q| q[5] > end_rad).for_each(|q| q[5] -= TAU);
     let [expected, found] = [&as_it_was, &wrapped].map(|run| prepared(run, ""));
@@ -58,7 +60,7 @@ fn counters_and_joints_that_begin_anew_change_nothing_and_are_shown() {
         crossed.filter(|pair| (pair[0][5] > end_rad) != (pair[1][5] > end_rad)).count()
     );
 
-    // The same samples with the same clocks: only the encoder's offset differs.
+    // Samples and clocks are the same as before. Only the offset of the encoder differs.
     assert_eq!(found.observations.len(), expected.observations.len());
     assert_eq!(found.alignment.clock_difference_ns, expected.alignment.clock_difference_ns);
     for (a, b) in found.observations.iter().zip(&expected.observations) {
@@ -114,7 +116,7 @@ fn the_average_takes_noise_and_in_motion_hardly_more_than_at_standstill() {
         let (read, averaged) = (about_line(|one| one.speed_rad_s), about_line(|one| one.averaged_rad_s));
         assert!(averaged < 0.2 * read, "speeds are smoother: {averaged} {read}");
     }
-    // The reported speed is that of the motion.
+    // The reported speed must be that of the true motion.
     let truth_s = found.t_ref.seconds_since(noisy.truth.clock.bar_start);
     let joint = averaged.bar.fastest_joint - 1;
     let point = averaged.bar.fastest[averaged.bar.fastest.len() / 2];

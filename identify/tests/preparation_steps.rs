@@ -1,4 +1,4 @@
-//! Single steps of the preparation on generated values, and the effect of options on whole runs.
+//! Single steps of the preparation on generated values, and the effect of its options on whole runs.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use crate::support::minute::{prepared, run};
@@ -9,13 +9,13 @@ use identify::simulate::Effects;
 use nalgebra::Vector3;
 use proptest::prelude::*;
 
-/// Pseudo-random values between 0 and 1.
+/// Pseudo-random value between 0 and 1 for the number `k`.
 fn hash(k: i64) -> f64 {
     let x = (k as f64 * 12.9898).sin() * 43_758.545_3;
     x - x.floor()
 }
 
-/// A smooth irregular signal at a fractional index.
+/// A smooth, irregular signal at a fractional index.
 fn wave(at: f64) -> f64 {
     (0..12).map(|k| hash(k) * (at * (0.01 + 0.03 * hash(k + 50)) + 6.0 * hash(k + 99)).sin()).sum()
 }
@@ -83,7 +83,7 @@ fn signals_that_stand_still_match_nothing() {
     assert!(correlate(&channels(0.0, 90), &channels(0.0, 500), 100).is_none());
 }
 
-/// Points on a part of a sphere of radius 0.6 m about (1, 2, 3), with errors of up to `noise_m`.
+/// Points on a section of a sphere with radius 0.6 m about (1, 2, 3). Their radius has errors of up to `noise_m` \[m\].
 fn cap(count: i64, noise_m: f64) -> Vec<Vector3<f64>> {
     (0..count)
         .map(|k| {
@@ -127,7 +127,8 @@ fn points_of_a_circle_a_line_or_too_few_are_no_sphere() {
 #[test]
 fn a_moving_average_leaves_parabolas_and_slow_swings_whatever_the_rate() {
     let (width_s, omega) = (0.1_f64, 8.0_f64);
-    // Mean of a sine over a width: the same phase, with the factor sin(w/2 omega) / (w/2 omega), which is 2.6 % below one.
+    // The mean of a sine over a width has the same phase. Its amplitude changes by the factor sin(w/2 omega) / (w/2 omega),
+    // which is 2.6 % below one.
     let mean = |width_s: f64| (0.5 * width_s * omega).sin() / (0.5 * width_s * omega);
     let gain = (4.0 * mean(width_s) - mean(2.0 * width_s)) / 3.0;
     assert!((gain - 1.0).abs() < 1e-3, "{gain}");
@@ -152,7 +153,7 @@ fn a_moving_average_leaves_parabolas_and_slow_swings_whatever_the_rate() {
     }
 }
 
-/// A random direction on the sphere.
+/// Pseudo-random direction on the sphere for the number `k`.
 fn anywhere(k: i64) -> Vector3<f64> {
     let (z, azimuth) = (2.0 * hash(k) - 1.0, std::f64::consts::TAU * hash(k + 5000));
     let r = (1.0 - z * z).sqrt();
@@ -163,7 +164,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(20))]
     #[test]
     fn points_are_spread_over_the_sphere_and_not_over_time(points_max in 100usize..1200, often in 2000i64..20_000) {
-        // The path crosses a small cap repeatedly, and the rest of the sphere once.
+        // The path crosses a small cap repeatedly and the rest of the sphere only once.
         let pole = Vector3::new(0.3, -0.5, 0.8).normalize();
         let mut directions: Vec<Vector3<f64>> = (0..2000).map(anywhere).collect();
         directions.extend((0..often).map(|k| (pole + 0.05 * anywhere(k + 9000)).normalize()));
@@ -173,7 +174,7 @@ proptest! {
         prop_assert!(kept.windows(2).all(|pair| pair[0] < pair[1]));
         let of = |sample: &usize| directions[(sample - 7) / 3];
         prop_assert!(kept.iter().all(|sample| sample % 3 == 1));
-        // The cap has a thousandth of the area and most of the samples.
+        // The cap has a thousandth of the area, but most of the samples.
         let in_cap = kept.iter().filter(|sample| of(sample).angle(&pole) < 0.06).count();
         prop_assert!((in_cap as f64) < 0.1 * points_max as f64, "{} of {}", in_cap, points_max);
         // Every octant has samples.
@@ -185,7 +186,7 @@ proptest! {
     }
 }
 
-/// Mean scatter of the encoders about the fit \[urad\].
+/// Mean standard deviation of the encoders about the fit \[urad\].
 fn spread_urad(found: &Prepared) -> f64 {
     found.offsets.iter().map(|offset| offset.spread_rad * 1e6).sum::<f64>() / found.offsets.len() as f64
 }
@@ -197,7 +198,7 @@ fn a_moving_average_of_100_ms_from_the_configuration_takes_noise_from_both_logs(
     let [as_logged, averaged] = ["", AVERAGED].map(|options| prepared(&noisy, options));
     let spreads = [&as_logged, &averaged].map(spread_urad);
     println!("{spreads:?} urad");
-    // Ten samples of the bar and 25 of the robot are averaged to one, with 1.2 times the noise of their mean.
+    // Ten samples of the bar and 25 of the robot are averaged to one. The average has 1.2 times the noise of their mean.
     assert!(spreads[1] < 0.45 * spreads[0], "{spreads:?}");
     let shift_ms = |found: &Prepared| {
         let passed_s = found.t_ref.seconds_since(noisy.truth.clock.bar_start);
@@ -205,14 +206,14 @@ fn a_moving_average_of_100_ms_from_the_configuration_takes_noise_from_both_logs(
         let drift_ns = passed_s * 1e9 * noisy.truth.clock.skew;
         ((found.alignment.clock_difference_ns - difference_ns) as f64 - drift_ns) * 1e-6
     };
-    // The average is centred: it shifts neither log.
+    // The average is centred, so it shifts neither log.
     assert!(shift_ms(&averaged).abs() < 0.2, "{} ms", shift_ms(&averaged));
 }
 
 #[test]
 fn no_good_sample_looks_bad_for_being_averaged() {
-    // Without noise all residuals come from the average: a plain mean attenuates the fast parts of a path so much that hundreds
-    // of samples were classified as outliers.
+    // Without noise, all residuals come from the average. A plain mean would attenuate the fast parts of a path. Hundreds of
+    // samples would then be classified as outliers.
     let clean = run(Effects::NONE);
     let [as_logged, averaged] = ["", "moving_average_ms = 100.0"].map(|options| prepared(&clean, options));
     let spreads = [&as_logged, &averaged].map(spread_urad);
@@ -235,7 +236,8 @@ fn few_points_of_a_whole_run_still_cover_the_sphere_that_it_covers() {
     };
     let kept: Vec<Vector3<f64>> =
         found.observations.iter().map(|observation| rod(since_start_s + observation.t_s)).collect();
-    // For every direction of the rod during the motion, a remaining sample has nearly the same direction.
+    // For every direction of the rod during the motion, at least one of the remaining samples must
+    // have nearly the same direction.
     let mut farthest_deg = 0.0_f64;
     for k in 0..600 {
         let (before, here) = (rod(0.1 * f64::from(k) - 0.05), rod(0.1 * f64::from(k)));

@@ -1,4 +1,4 @@
-//! Figures of the preparation in a report: overview of the run, standstills and their noise.
+//! What the preparation adds to a report: an overview of the run, and standstills with their noise.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use crate::support::{bar, irb2400};
@@ -26,7 +26,7 @@ fn standstills_jitter_angles_and_statuses_are_those_of_the_simulated_run() {
     for joint in 0..5 {
         assert!((jitter.bar_urad[joint].unwrap() - 5.0).abs() < 1.0, "{jitter:?}");
     }
-    // Interpolation between two stamps reduces the noise.
+    // Interpolating between two stamps reduces the noise, so the values are below the simulated noise.
     assert!(jitter.robot_urad.iter().all(|urad| (8.0..17.0).contains(&urad.unwrap())), "{jitter:?}");
 
     let since_start_s = prepared.t_ref.seconds_since(run.truth.clock.bar_start);

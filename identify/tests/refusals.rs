@@ -1,4 +1,4 @@
-//! Data that must be refused, each with the words of the message.
+//! Data that must be refused. Each test checks words of the message.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use crate::support::refused::Typed;
@@ -35,12 +35,13 @@ fn refused(run: &Simulated) -> String {
     refusal(run, &bar(), &IdentifyConfig::default())
 }
 
-/// The same from files and on the command line: refused with the same words, and only a page with the message is written.
+/// Calibrates the same run from files on the command line. It must be refused with the text `why`, and only a page with
+/// this text may be written.
 fn leaves_a_page(run: &Simulated, bar: &BallBarConfig, why: &str, extra: &[&str]) {
     Typed::new(run, &irb2400(), bar).refused(&[why], extra);
 }
 
-/// Number before a unit in a message.
+/// The number before a unit in a message.
 fn number_before(text: &str, unit: &str) -> f64 {
     let before = text.split(unit).next().unwrap();
     before.rsplit(' ').next().unwrap().parse().unwrap()
@@ -54,15 +55,17 @@ fn a_slipped_encoder_is_named_with_time_and_size() {
 #[test]
 #[ignore = "eleven runs: a quarter of a minute"]
 fn slips_of_all_sizes_are_named_with_time_and_size() {
-    // The smallest are below the errors of nominal links: only the calibrated ones reveal them.
+    // These slips are smaller than the effect of errors of nominal links. Only calibrated links reveal them.
     let smallest = [(1, 3000, 0.5), (2, 6000, -0.6), (3, 1500, 0.5), (4, 4000, -0.6)];
     let small = [(0, 3000, 5.0), (3, 4000, -0.6), (4, 5000, 15.0), (2, 2000, 40.0)];
-    // So large that the encoder fits no joint, or so large and late that most of the run still fits.
+    // These slips are so large that the encoder agrees with no joint, or so large and late that most
+    // of the run still agrees.
     let large = [(0, 4000, 90.0), (4, 5500, 1000.0), (3, 4100, -2500.0)];
     slips_are_named(&[&smallest[..], &small, &large].concat());
 }
 
-/// Joint of the bar from 0, first cycle after the slip, and size of the slip \[mrad\].
+/// Checks that a slip of an encoder is reported. Each entry has the joint of the bar from 0, the first cycle after the
+/// slip, and its size \[mrad\].
 fn slips_are_named(slips: &[(usize, usize, f64)]) {
     let clean = laboratory(|_| {});
     for &(place, at, mrad) in slips {
@@ -95,7 +98,7 @@ fn jumps_of_all_sizes_are_told_with_time_and_size() {
     jumps_are_told(&in_the_middle.into_iter().chain(elsewhere).collect::<Vec<_>>());
 }
 
-/// Jump of the robot's clock \[s\], and the part of the log before it.
+/// Checks that a jump of the robot's clock is reported. Each entry has its size \[s\] and the fraction of the log before it.
 fn jumps_are_told(jumps: &[(f64, f64)]) {
     let clean = laboratory(|_| {});
     for &(jump_s, part) in jumps {
@@ -109,12 +112,13 @@ fn jumps_are_told(jumps: &[(f64, f64)]) {
             run.robot_log.q_rad.rows.drain(at..at + surplus);
         }
         let told = refused(&run);
-        // Stamps with steps during an even motion, read from a file, do no harm; missing rows without a gap in the stamps do.
+        // A jump of the stamps alone, during an even motion, has no effect. A jump is harmful if rows are missing although
+        // the stamps have no gap.
         if jump_s == -0.04 {
             leaves_a_page(&run, &bar(), "a clock jumps during the run", &[]);
         }
         assert!(told.contains("a clock jumps during the run"), "{told}");
-        // Jumps that only whole parts of the run reveal are reported less precisely.
+        // If only whole segments of the run reveal a jump, its time is reported less precisely.
         let within_s = if jump_s < 0.1 { 3.0 } else { 15.0 };
         assert!((number_before(&told, " s after") - 80.0 * part).abs() < within_s, "{part}: {told}");
         assert!(
@@ -126,7 +130,7 @@ fn jumps_are_told(jumps: &[(f64, f64)]) {
 
 #[test]
 fn a_motion_that_tells_too_little_is_refused() {
-    // A circle about the base axis.
+    // The rod only moves on a circle about the axis of the base.
     let circle = laboratory(|e| {
         e.design.bar_range_deg[1] = [50.0, 50.01];
         e.design.bar_range_deg[3] = [120.0, 120.01];

@@ -1,4 +1,4 @@
-//! The page of a refusal: cause, time of the fault in the figures, and no result.
+//! The page of a refusal shows the cause and marks the time of the fault in the figures. It shows no result.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::path::Path;
@@ -12,7 +12,7 @@ use identify::simulate::{self, Design, Effects, Experiment, Simulated};
 use shared::config::RobotConfig;
 
 const DURATION_S: f64 = 40.0;
-/// Mark of the time of a fault in the figures.
+/// Attribute of the line that marks the time of a fault in a figure.
 const RED: &str = "stroke=\"rgb(180,40,60)\"";
 
 fn simulated(seed: u64) -> Simulated {
@@ -26,7 +26,7 @@ fn typed(run: &Simulated) -> Typed {
     Typed::new(run, &irb2400(), &bar())
 }
 
-/// Encoder `place` jumps by this amount at cycle `at`.
+/// The run with a slip of encoder `place`: from cycle `at` on, its counts are changed by this angle \[mrad\].
 fn slipped(mut run: Simulated, place: usize, at: usize, mrad: f64) -> Simulated {
     let counts = (mrad * 1e-3 / run.encoders[place].scale.rad_per_count()) as i32;
     for cycle in &mut run.cycles[at..] {
@@ -40,9 +40,10 @@ fn slip() -> Refused {
     typed(&slipped(simulated(1), 0, 1000, 15.0)).refused(&["encoder of joint 1 slips"], &[])
 }
 
-/// Position of the red line on each figure's time axis, 0 to 1, by the figure's title; figures without a line are omitted.
+/// Position of the red line on the time axis of each figure, from 0 to 1, with the title of the figure. Figures without a
+/// red line are left out.
 fn marks(page: &str) -> Vec<(String, f64)> {
-    // Layout of the figures: three units per pixel, the axis from 62 to 326 px of 340.
+    // Layout of the figures: three units per pixel. The axis extends from 62 to 326 px of 340 px.
     const AXIS: [f64; 2] = [186.0, 978.0];
     let figures = page.split("<svg").skip(1).map(|figure| figure.split("</svg>").next().unwrap());
     let mark = |figure: &str| {
@@ -65,12 +66,12 @@ fn a_slip_is_marked_where_it_is_in_both_logs_and_beside_the_robot() {
     let (encoders, joints) = (["b1", "b2", "b3", "b4", "b5"], ["q1", "q2", "q3", "q4", "q5", "q6"]);
     assert_eq!(titles, [&encoders[..], &["Alignment"], &encoders, &joints].concat());
     for (title, at) in &marks[6..11] {
-        // A quarter of the recording, in a figure with a small margin on either side.
+        // The fault is after a quarter of the recording. The figure has a small margin on both sides.
         assert!((at - (0.04 + 0.25) / 1.1).abs() < 0.02, "{title}: {at}");
     }
 }
 
-/// Of ten seconds, and until the end.
+/// The encoder is dead for ten seconds in the first run, and until the end in the second.
 #[test]
 fn an_encoder_that_is_dead_while_the_others_move_is_named() {
     for (place, until) in [(1, 2000), (2, usize::MAX)] {
@@ -86,12 +87,13 @@ fn an_encoder_that_is_dead_while_the_others_move_is_named() {
 #[test]
 fn a_clock_that_jumps_is_marked_in_all_joints() {
     let mut run = simulated(1);
-    // Only in the figure of the bar: steps of the robot's stamps are found in its own log.
+    // The step is only in the stamps of the bar. A step of the robot's stamps would already be found
+    // in the robot's log itself.
     let at = run.cycles.len() / 2;
     run.cycles[at..].iter_mut().for_each(|cycle| cycle.sample_time = cycle.sample_time.plus_ns(20_000_000));
     let Refused { page, .. } = typed(&run).refused(&["a clock jumps during the run"], &[]);
     let marks = marks(&page);
-    // Five encoders and the alignment against the robot, five of the recording, six of the robot's log.
+    // Marks are in six figures of the encoders and the alignment, in five of the recording, and in six of the robot's log.
     assert_eq!(marks.len(), 6 + 5 + 6, "{marks:?}");
     assert!(page.contains("Find out what sets the clock and record again"));
 }
@@ -99,7 +101,7 @@ fn a_clock_that_jumps_is_marked_in_all_joints() {
 #[test]
 fn every_kind_of_refusal_has_its_page() {
     let run = simulated(1);
-    // The log of another run.
+    // The robot log is that of another run.
     let other = Simulated { robot_log: simulated(9).robot_log, ..run.clone() };
     let Refused { page, stderr, .. } =
         typed(&other).refused(&["different runs", "give the log of this run"], &[]);
@@ -108,22 +110,22 @@ fn every_kind_of_refusal_has_its_page() {
     // The page has no field for a signature.
     assert!(!sheet.contains("Signature") && sheet.contains("2026-05-28 20:26:40 UTC"), "{sheet}");
     assert!(stderr.contains("recording.mcap with "), "{stderr}");
-    // Another robot with the same columns.
+    // The configuration is that of another robot with the same columns.
     let mut longer: RobotConfig = irb2400();
     longer.links[2].a_m += 0.4;
     Typed::new(&run, &longer, &bar())
         .refused(&["is not that of this cell", "correct the configuration"], &[]);
-    // Another bar.
+    // The configuration is that of another bar.
     let longer = shared::config::BallBarConfig { length_m: 0.7, ..bar() };
     Typed::new(&run, &irb2400(), &longer).refused(&["sphere of 59", "700 mm"], &[]);
-    // An encoder map that differs from the true one.
+    // The stated encoder map is not the true one.
     typed(&run).refused(&["do not fit as stated", "--encoders 1,2,3,4,5"], &["--encoders", "2,1,3,4,5"]);
-    // A parameter that the motion does not determine.
+    // The motion does not determine this parameter.
     typed(&run).refused(
         &["free parameters are identified", "not identified: dependent rd1|oz", "--fix rd1"],
         &["--free", "rd1"],
     );
-    // An encoder that the cost requires.
+    // The bar lacks an encoder that the cost requires.
     let mut four = bar();
     four.encoders.remove(2);
     let of_four = simulate::run(&Experiment::new(&irb2400(), &four)).unwrap();
@@ -147,7 +149,7 @@ fn of_several_runs_the_one_that_is_refused_is_named() {
     let first = good.inputs.path().to_str().unwrap();
     assert!(!stderr.split("not calibrated").next().unwrap().contains(first), "{stderr}");
     assert!(page.contains("<dd>Run 2 of 2, "));
-    // The figures of the first run have no mark.
+    // The figures of the first run have no mark of a fault.
     assert_eq!(marks(&page).len(), 6 + 5 + 6);
 }
 
@@ -192,8 +194,8 @@ fn an_older_calibration_is_set_aside_and_a_newer_one_takes_the_page_away() {
     for name in older {
         assert_eq!(std::fs::read_to_string(earlier.join(name)).unwrap(), format!("older {name}"));
     }
-    // A second refusal: no calibration has to be set aside. A calibration written in between does not collide with the first
-    // one.
+    // After a second refusal there is no calibration that would have to be moved. A calibration that was written in between
+    // must not replace the one that was moved first.
     let (told, _) = refused();
     assert!(!told.contains("is now in") && !out.path().join("earlier-2").exists(), "{told}");
     std::fs::write(out.path().join("calibration.toml"), "newer").unwrap();
@@ -201,7 +203,7 @@ fn an_older_calibration_is_set_aside_and_a_newer_one_takes_the_page_away() {
     assert_eq!(names(out.path()), ["earlier", "earlier-2", "notes.txt", "report.html"]);
     assert_eq!(names(&out.path().join("earlier-2")), ["calibration.toml", "report.html"]);
 
-    // A calibration replaces the page of the refusal, or of an older calibration.
+    // A calibration replaces the page of a refusal, and that of an older calibration.
     let page = out.path().join("report.html");
     for text in [None, Some("<main><div class=\"verdict doubt\">"), Some("older")] {
         text.map_or(Ok(()), |text| std::fs::write(&page, text)).unwrap();
@@ -215,7 +217,7 @@ fn an_older_calibration_is_set_aside_and_a_newer_one_takes_the_page_away() {
     }
 }
 
-/// Writes lengths from an anchor to the flange of a nominal IRB 120.
+/// Calibrates from lengths between an anchor and the flange of a nominal IRB 120. Returns the output of the command.
 fn calibrated_from_lengths(rows: u32, out: &Path) -> Output {
     const ROBOT: &str = "irb120_3.toml";
     let robot = shared::config::load(&repository("config/robots").join(ROBOT)).unwrap();
@@ -256,7 +258,7 @@ fn what_was_mistyped_has_no_page_and_a_page_that_cannot_be_written_changes_nothi
         assert!(!output.status.success() && !told.contains("not calibrated"), "{told}");
         assert!(!out.exists(), "{mistyped:?}");
     }
-    // A directory with the name of the page.
+    // A directory has the name of the page, so the page cannot be written.
     std::fs::create_dir_all(out.join("report.html/kept")).unwrap();
     let output = typed(&slipped(clean, 0, 1000, 15.0)).calibrate(&[], &out);
     let told = String::from_utf8_lossy(&output.stderr);

@@ -1,4 +1,4 @@
-//! The page of a calibration: its statements are true, and a browser shows it without requests to other hosts.
+//! The page of a calibration. Its statements must be true, and a browser must show it without requests to other hosts.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::sync::OnceLock;
@@ -26,13 +26,13 @@ fn config(cost: Option<CostName>) -> IdentifyConfig {
     IdentifyConfig { encoder_harmonics_urad: 0.0, cost, ..IdentifyConfig::default() }
 }
 
-/// Enough samples to test the contents of the page.
+/// A configuration with only as many samples as the contents of the page need.
 fn quick() -> IdentifyConfig {
     let prepare = PrepareOptions { points_max: 500, ..PrepareOptions::default() };
     IdentifyConfig { prepare, ..config(None) }
 }
 
-/// The simulated bar: its plate is exact.
+/// The shipped bar with an exact plate, as in the simulation.
 fn bar() -> BallBarConfig {
     BallBarConfig { plate_u_um: 0.0, ..crate::support::bar() }
 }
@@ -49,7 +49,7 @@ fn calibrated(robot: &RobotConfig, seed: u64, cost: Option<CostName>) -> (Simula
     (run, found)
 }
 
-/// A calibration with the default cost and everything that a page can show.
+/// A run, its calibration with the default cost, and the evidence for everything that a page can show.
 fn validated() -> &'static (Simulated, Calibration, Evidence) {
     static VALIDATED: OnceLock<(Simulated, Calibration, Evidence)> = OnceLock::new();
     VALIDATED.get_or_init(|| {
@@ -111,7 +111,7 @@ fn the_error_that_the_page_expects_is_the_error_that_the_robot_has() {
         let [low, high] = expected.interval_m;
         inside += usize::from((low..=high).contains(&truth_m));
     }
-    // Of eight 95 % intervals, two do not contain the value once in twenty cases, three once in two hundred.
+    // Of eight 95 % intervals, two do not contain the true value once in twenty cases, and three once in two hundred.
     assert!(inside >= 6, "{inside} of {SEEDS} inside");
 }
 
@@ -121,13 +121,13 @@ fn segments_that_no_fit_has_seen_are_predicted_to_the_noise() {
     let held_out = evidence.held_out.as_ref().unwrap();
     assert_eq!((held_out.segments.len(), held_out.undetermined), (8, 0));
     let [nominal, predicted, fitted] = held_out.rms();
-    // The residuals are the noise of the angles alone; 40 parameters explain little of the noise of 1500 samples.
+    // The residuals are only noise of the angles. With 40 parameters, the fit explains little of the noise of 1500 samples.
     assert!(predicted.position_m < 1.1 * fitted.position_m, "{predicted:?} {fitted:?}");
     let [nominal_rad, predicted_rad, fitted_rad] = held_out.rms().map(|rms| rms.rotation_rad.unwrap());
     assert!(predicted_rad < 1.1 * fitted_rad, "{predicted:?} {fitted:?}");
     assert!(predicted_rad < 60e-6 && nominal_rad > 500e-6, "{predicted:?} {nominal:?}");
     assert!(nominal.position_m > 10.0 * predicted.position_m, "{predicted:?} {nominal:?}");
-    // Every sample is in one segment.
+    // Every sample belongs to exactly one segment.
     let samples: usize = held_out.segments.iter().map(|segment| segment.stages[1].len()).sum();
     assert_eq!(samples, evidence.runs[0].after.len());
 }
@@ -136,7 +136,7 @@ fn segments_that_no_fit_has_seen_are_predicted_to_the_noise() {
 fn an_error_that_one_segment_alone_has_shows_where_it_is_held_out() {
     let robot = irb2400();
     let mut run = simulated(&robot, 2);
-    // A drift: from here on the third joint reads too much by an increasing amount, without a step.
+    // From here on, the third joint drifts: its reported angle is too large by an increasing amount, without a step.
     let rows = run.robot_log.q_rad.len();
     for (row, q) in run.robot_log.q_rad.iter_mut().enumerate().skip(rows * 7 / 8) {
         q[2] += 1e-3 * (8.0 * row as f64 / rows as f64 - 7.0);
@@ -178,7 +178,7 @@ fn every_cost_finds_the_true_robot_within_what_it_says_of_itself() {
         assert!((0.3..2.5).contains(&ratio), "{}: {ratio}", cost.name());
         sigmas.push((cost, sizes.iter().sum::<f64>().sqrt()));
     }
-    // The statistically weighted cost has the smallest uncertainties, the one without encoders the largest.
+    // The cost with statistical weights has the smallest uncertainties. The cost without encoders has the largest.
     let of = |wanted| sigmas.iter().find(|(cost, _)| *cost == wanted).unwrap().1;
     let [least, most] = [CostName::Pose, CostName::Length].map(of);
     assert!(sigmas.iter().all(|(_, sigma)| (least..=most).contains(sigma)), "{sigmas:?}");
@@ -193,7 +193,8 @@ fn with_fewer_encoders_no_rotation_is_shown() {
     let found = calibrate_run(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, &quick());
     let found = found.unwrap();
     let text = page_text(&found, &evidence_of(&found, &robot), &robot);
-    // Without all encoders the bar's rotation is taken from the robot: a comparison of the two would be too favourable.
+    // If encoders are missing, the rotation of the bar is taken from the robot. Comparing the two would
+    // make the errors too small.
     assert!(text.contains("Position, calibrated without") && !text.contains("Rotation"));
 }
 
@@ -220,7 +221,8 @@ fn a_page_of_several_runs_shows_each_of_them() {
     let of_run = |number| held_out.segments.iter().filter(|segment| segment.run == number).count();
     assert_eq!((of_run(0), of_run(1)), (8, 8));
     let text = page_text(&found, &evidence, &robot);
-    // Held-out segments, residuals, sphere, alignment, preparation; the second run has a table of its own parameters.
+    // The first run has figures of held-out segments, residuals, sphere, alignment and preparation. The second run also has
+    // a table of its own parameters.
     assert_eq!(["Run 1 of 2", "Run 2 of 2"].map(|run| text.matches(run).count()), [5, 6]);
     let row = text.split("<tr>").find(|row| row.contains("ox@2")).unwrap();
     assert!(row.contains("mm</td>"), "{row}");

@@ -1,4 +1,4 @@
-//! Inputs and preparation of each run on the page, which a person signs.
+//! The page shows the inputs and the preparation of each run. A person signs this page.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::fmt::Write;
@@ -48,7 +48,7 @@ fn shown(found: &Calibration) -> String {
     page_text(found, &evidence(found, &robot.joint_limits()), &robot)
 }
 
-/// Page of a run, and of the same run with a counter that wraps and a moving average.
+/// The page of a run, and the page of the same run with a counter that wraps and a moving average.
 fn plain_and_averaged() -> [String; 2] {
     let run = simulated(1, BarLoad::default());
     let plain = shown(&calibrated(&[&run], PrepareOptions::default()));
@@ -74,7 +74,7 @@ fn what_was_not_unwrapped_and_not_averaged_is_told_in_a_line_and_what_was_has_a_
         assert!(text.contains(part), "{part}");
     }
     assert!(text.contains("Reading minus average, RMS [µrad]"));
-    // Two figures of the counter, four of the average.
+    // The counter adds two figures, the average adds four.
     assert_eq!(pictures(&text), pictures(&plain) + 6);
     assert!(!text.contains("nothing was to be unwrapped") && !text.contains("off (default)"));
 }
@@ -126,13 +126,13 @@ fn a_calibration_of_the_bar_alone_expects_of_the_robot_what_it_was_before() {
     let limits = &robot.joint_limits();
     let evidence = evidence(&found, limits).with_validation(&found, None).unwrap();
     let WorkspaceError { before, after, .. } = evidence.workspace;
-    // Millimetres, as every link may be wrong by its tolerance; equal but for rounding.
+    // Both are millimetres, because every link may be wrong by its tolerance. They differ only by rounding.
     let apart_m = (before.mean_m - after.mean_m).abs().max((before.p95_m - after.p95_m).abs());
     assert!(apart_m < 1e-12 && after.mean_m > 1e-3, "{before:?} {after:?}");
     assert!(page_text(&found, &evidence, &robot).contains("Calibrated. "));
 }
 
-/// Counters of 24 bits, as a PLC writes them, made from a recording.
+/// A table of 24-bit counters in the format of a PLC, made from a recording.
 fn table(recording: &Path) -> String {
     let recording = Recording::open(recording).unwrap();
     let mut text = "t_s,count1,count2,count3,count4,count5\n".to_owned();
@@ -180,7 +180,7 @@ fn what_a_recording_of_another_program_leaves_unsaid_stands_in_the_page() {
         assert!(inputs.contains(unsaid), "{unsaid}");
     }
     assert_eq!(inputs.matches("not in the file").count(), 5);
-    // The figure shows the file's 24 bits, not the 32 bits of the records.
+    // The figure shows the 24 bits of the file, not the 32 bits of the records.
     let turns = 16_777_216.0 / 14_745_600.0;
     assert!(turns < 1.5 && text.contains("b1 in the file") && !text.contains("counter [turns]"));
     assert!(text.len() < 3_000_000, "{} bytes", text.len());

@@ -1,4 +1,4 @@
-//! The files of a calibration can be read and give the same robot.
+//! The files of a calibration can be read, and they describe the same robot.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test stops at the first surprise")]
 
 use crate::support::{Cell, noisy_poses};
@@ -31,7 +31,7 @@ fn file(model: &Model, solution: &Solution) -> CalibrationFile {
         .with_knowledge(solution, &columns)
 }
 
-/// Robot and bar (with its base at the root) from a table of links.
+/// The chain `name` (robot or bar) from a table of links. The root of the bar has its base.
 fn chain(rows: &[DhRow], name: &str, links: usize) -> Chain {
     let mut chain = Chain::new(Pose::identity(), vec![DhLink::default(); links]);
     for row in rows.iter().filter(|row| row.chain == name) {
@@ -79,7 +79,7 @@ fn the_table_of_links_and_both_files_give_the_poses_of_the_solution() {
     }
 }
 
-/// The correction of a joint's zero in the table \[deg\].
+/// Correction of the offset of a joint in the table \[deg\].
 fn offset_deg(table: &str, joint: usize) -> f64 {
     let name = format!("rtheta{joint} ");
     let line = table.lines().find(|line| line.starts_with(&name)).unwrap();
@@ -92,7 +92,7 @@ fn offset_deg(table: &str, joint: usize) -> f64 {
 fn a_joint_has_one_offset_in_the_table_and_in_what_a_controller_takes() {
     let (model, solution) = solved();
     let mut written = file(&model, &solution);
-    // The best fit of the links alone differs from the links of the full model.
+    // If links alone are fitted, the result differs from the links of the full model.
     let mut alone = model.clone();
     for joint in 2..6 {
         let id = format!("rtheta{joint}").parse().unwrap();
@@ -108,7 +108,7 @@ fn a_joint_has_one_offset_in_the_table_and_in_what_a_controller_takes() {
         assert!(row.add != 0.0 && row.to.starts_with("the joint angle of the model"));
     }
     assert_eq!(text.matches("added to the joint angle of the model").count(), 1, "{text}");
-    // Without alternatives, and without parameters that no controller applies.
+    // The table has neither alternatives nor parameters that no controller applies.
     assert!(rows.iter().all(|row| row.what.starts_with("joint ") || row.what.starts_with("link ")));
     let digits = |value: f64| format!("{value}").split_once('.').map_or(0, |(_, digits)| digits.len());
     assert!(rows.iter().all(|row| digits(row.add) <= 5), "{rows:?}");
@@ -146,7 +146,7 @@ fn the_covariance_in_the_file_has_the_sigmas_on_its_diagonal_and_names_what_is_c
         let variance = covariance.between(k, k).unwrap();
         assert!((variance.sqrt() - entry.sigma.unwrap()).abs() < 1e-9 * variance.sqrt(), "{}", entry.name);
     }
-    // No value is written twice.
+    // The matrix is symmetric, so only its lower triangle is written.
     assert!(covariance.rows.iter().enumerate().all(|(k, row)| row.len() == k + 1));
     assert!(!knowledge.correlations.is_empty());
     for one in &knowledge.correlations {

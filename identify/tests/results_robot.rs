@@ -1,4 +1,4 @@
-//! The identified robot in the formats of other programs, compared with its own poses.
+//! Exports the identified robot to the formats of other programs, and compares the poses.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 
 use std::f64::consts::FRAC_PI_2;
@@ -17,7 +17,7 @@ use identify::solver::{Identifiability, Summary, Termination};
 use nalgebra::{DMatrix, Vector3};
 use shared::config::{AngleUnit, JointKind, LogConversion, RobotConfig};
 
-/// A different error in every parameter of the robot, also in Hayati's rotation of link 2.
+/// A robot that has a different error in every parameter, including Hayati's rotation of link 2.
 fn identified(robot: &RobotConfig) -> Chain {
     let mut chain = robot_chain(robot, &crate::support::bar());
     for (i, link) in chain.links.iter_mut().enumerate() {
@@ -74,7 +74,7 @@ fn robots() -> [RobotConfig; 2] {
 const JOINTS: [[f64; 6]; 3] =
     [[0.0; 6], [0.3, -0.4, 0.5, 0.6, -0.7, 0.8], [-1.2, 0.9, -0.6, 2.0, FRAC_PI_2, -3.0]];
 
-/// Forward kinematics of a URDF by its specification, read with the crate `urdf-rs`.
+/// Forward kinematics of a URDF, implemented from its specification and read with the crate `urdf-rs`.
 fn by_urdf(robot: &urdf_rs::Robot, end: &str, joints: &[f64; 6]) -> Matrix<f64> {
     let mut path = Vec::new();
     let mut link = end.to_owned();
@@ -126,7 +126,7 @@ fn read_back(text: &str) -> Vec<Correction> {
     csv::Reader::from_reader(text.as_bytes()).deserialize().map(|row| row.unwrap()).collect()
 }
 
-/// Manual evaluation: nominal robot, with the numbers of the rows added.
+/// The nominal links with the numbers of the rows added, as a person would enter them.
 fn corrected_links(nominal: &Chain, rows: &[Correction]) -> Chain {
     let mut chain = nominal.clone();
     for row in rows.iter().filter(|row| row.what.starts_with("link")) {
@@ -156,7 +156,7 @@ fn corrections_read_back_and_applied_to_joints_or_to_the_log_give_the_identified
             std::array::from_fn(|i| of(i).unwrap().add)
         };
         let conversion = JointConversion::new(&config.log).unwrap();
-        // A log of the controller's joints, of which one counts the other way and one contains another.
+        // The log has the joints of the controller. One of them has the opposite sign, and one contains another joint.
         let joints = (1..=6).map(|joint| {
             let sign = if joint == 5 { -1 } else { 1 };
             format!(
@@ -178,7 +178,7 @@ fn corrections_read_back_and_applied_to_joints_or_to_the_log_give_the_identified
             let by_mapped_log = mapped.to_joint(&Joints::from_fn(6, of));
             for corrected in [by_joints, by_log, by_mapped_log] {
                 let found = links.forward(&corrected).to_homogeneous();
-                // Equal up to the digits that controllers accept.
+                // Poses are equal up to the number of digits that controllers accept.
                 assert!((found - chain.forward(joints).to_homogeneous()).amax() < 5e-6);
             }
         }
@@ -228,7 +228,8 @@ fn a_calibration_of_schema_1_is_read_with_all_of_its_clocks() {
     let written = file(&crate::support::irb2400());
     let directory = tempfile::tempdir().unwrap();
     let toml = written.write(directory.path()).unwrap();
-    // The first clock was stored apart from the others, in the oldest files without a number and with another name.
+    // In files of schema 1, the first clock was stored separately from the others. The oldest files had no schema
+    // number and used another name.
     let of_schema_1 = std::fs::read_to_string(&toml).unwrap().replace("schema = 2", "schema = 1")
         + r#"
         [clock]
@@ -254,7 +255,8 @@ fn a_calibration_of_schema_1_is_read_with_all_of_its_clocks() {
     assert_eq!(CalibrationFile { clocks: Vec::new(), ..read }, written);
 }
 
-/// The same with gear errors: of the first joint, of a wrist joint with a high harmonic order, and under the tool's weight.
+/// Gear errors of the first joint and, with a high harmonic order, of a wrist joint; and the deflection under
+/// the weight of the tool.
 const TERMS: [(&str, f64); 3] = [("rsin1_1", 2e-4), ("rcos17_5", 3e-5), ("rtool_2", 1e-4)];
 
 fn file_with_terms(robot: &RobotConfig) -> CalibrationFile {
@@ -277,7 +279,7 @@ fn calibrated(file: &CalibrationFile, robot: &RobotConfig) -> CalibratedRobot {
 
 #[test]
 fn a_calibrated_robot_is_where_its_links_and_the_errors_of_its_gears_put_it_and_is_brought_back_there() {
-    // Each of its drives moves one joint, so the errors can be written explicitly.
+    // Each drive of this robot moves only one joint, so the errors can be written explicitly.
     let config = crate::support::nj220();
     let robot = calibrated(&file_with_terms(&config), &config);
     let without_weight = {
@@ -310,7 +312,7 @@ fn the_uncertainty_of_a_pose_is_that_of_moving_each_parameter() {
     const H: f64 = 1e-6;
     let config = crate::support::irb2400();
     let mut file = file_with_terms(&config);
-    // Terms of another run and of the bar: they do not move the robot.
+    // Terms of another run and of the bar do not affect the robot.
     let others = ["clock_shift", "btheta2@2"];
     let links = ["ra2", "rd4", "ralpha1", "rbeta2", "rtheta6"];
     let names: Vec<String> =
@@ -333,7 +335,7 @@ fn the_uncertainty_of_a_pose_is_that_of_moving_each_parameter() {
         for (column, name) in names.iter().enumerate() {
             let [less, more] = [-H, H].map(|by| moved(name, by).forward(q).unwrap());
             let linear = (more.translation.vector - less.translation.vector) / (2.0 * H);
-            // For a small rotation; an angle from the trace has half of the digits.
+            // The rotations are small. An angle from the trace would have only half of the digits.
             let turn = (more.rotation * less.rotation.inverse()).into_inner();
             let angular = Vector3::new(
                 turn[(2, 1)] - turn[(1, 2)],
@@ -347,7 +349,7 @@ fn the_uncertainty_of_a_pose_is_that_of_moving_each_parameter() {
         let found = calibrated(&file, &config).covariance(q).unwrap();
         assert!((found - &expected).amax() < 1e-6 * expected.amax(), "{found} for {expected}");
     }
-    // A parameter that is not identified is not exact.
+    // A parameter that is not identified must not count as exact.
     let all = file.covariance.as_mut().unwrap();
     all.rows.iter_mut().skip(1).for_each(|row| row[1] = None);
     all.rows[1].fill(None);

@@ -1,4 +1,4 @@
-//! Robot logs: conversion, round trips and all refusals.
+//! Robot logs: conversion of angles, writing and reading again, and all refusals.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::f64::consts::{PI, TAU};
@@ -18,7 +18,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Normal};
 use shared::config::{ConfigError, RobotConfig};
 
-/// A log of 60 rows at 4 ms with stamps of more digits than an f64 has.
+/// A log of 60 rows at intervals of 4 ms. Its stamps have more digits than an f64.
 fn sample_log() -> RobotLog {
     let t_s: Vec<f64> = (0..60).map(|k| f64::from(k) * 0.004).collect();
     let q_rad =
@@ -42,7 +42,7 @@ fn parse(text: &str, robot: &RobotConfig) -> Result<RobotLog, LogError> {
     read(text.as_bytes(), Path::new("log.csv"), robot)
 }
 
-/// The sample log of the IRB 2400 as text, with row `row` (from 0) changed by `edit`; that row is line `row + 5`.
+/// The sample log of the IRB 2400 as text, in which `edit` has changed row `row` (from 0). This row is in line `row + 5`.
 fn edited(row: usize, edit: impl Fn(&mut Vec<String>)) -> String {
     let text = text_of(&sample_log(), &irb());
     let lines: Vec<String> = text
@@ -85,15 +85,16 @@ fn a_written_log_reads_back_the_same_for_both_robots() {
 #[test]
 fn motors_of_the_irb_2400_turn_its_joints_as_the_transmission_says() {
     let conversion = JointConversion::new(&irb().log).unwrap();
-    // Computed from the gear ratios: motor 2 at 12999/100 rad turns joint 2 by 1 and joint 3 by -1 (parallel rod).
+    // Expected values follow from the gear ratios. Because of the parallel rod, motor 2 at 12999/100 rad turns joint 2 by 1
+    // and joint 3 by -1.
     let q = conversion.to_joint(&[0.0, 129.99, 0.0, 0.0, 0.0, 0.0]);
     let expected = [0.0, 1.0, -1.0, 0.0, 0.0, 0.0];
     assert!(q.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{q:?}");
-    // Motor 4 at 55 rad: joint 4 by -1, joint 5 by -55/759, joint 6 by -62 * 55/41745.
+    // Motor 4 at 55 rad turns joint 4 by -1, joint 5 by -55/759 and joint 6 by -62 * 55/41745.
     let q = conversion.to_joint(&[0.0, 0.0, 0.0, 55.0, 0.0, 0.0]);
     let expected = [0.0, 0.0, 0.0, -1.0, -0.072_463_768_115_942, -0.081_686_429_512_516];
     assert!(q.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{q:?}");
-    // Motors 1, 3, 5, 6 at 1 rad.
+    // Motors 1, 3, 5 and 6 are at 1 rad.
     let q = conversion.to_joint(&[1.0, 0.0, 1.0, 0.0, 1.0, 1.0]);
     let expected = [-5.0 / 648.0, 0.0, -5.0 / 648.0, 0.0, -5.0 / 276.0, -5.0 / 552.0 - 1.0 / 44.0];
     assert!(q.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{q:?}");
@@ -103,7 +104,7 @@ fn motors_of_the_irb_2400_turn_its_joints_as_the_transmission_says() {
 fn the_log_of_the_nj_220_has_other_signs_and_a_parallel_rod() {
     let conversion = JointConversion::new(&nj().log).unwrap();
     let q = conversion.to_joint(&[10.0, 20.0, -30.0, 40.0, 50.0, 60.0]);
-    // q3 = -l3 - q2 = 30 - 20.
+    // Joint 3 is q3 = -l3 - q2 = 30 - 20.
     let expected = [-10.0_f64, 20.0, 10.0, -40.0, 50.0, -60.0];
     assert!(q.iter().zip(expected).all(|(a, b)| (a - b.to_radians()).abs() < 1e-12), "{q:?}");
 }
@@ -118,7 +119,7 @@ fn byte_order_mark_crlf_semicolons_and_comments_between_rows_are_taken() {
     assert_eq!(parse(&commented, &irb()).unwrap(), expected);
 }
 
-/// The first column has no name and no cells; the second one is called `#` and has remarks.
+/// The first column has no name and no cells. The second one is named `#` and contains remarks.
 #[test]
 fn a_hash_after_a_blank_cell_begins_no_comment() {
     let mut text =
@@ -155,7 +156,7 @@ fn rows_that_jump_out_and_back_are_left_out_and_named_by_their_lines() {
         parse(&lines.collect::<Vec<_>>().join("\n"), &irb())
     };
     let zeros = |cells: &mut [String]| cells.fill("0".into());
-    // Joint 1 of the IRB 2400 by 50 mrad.
+    // Joint 1 of the IRB 2400 has a spike of 50 mrad.
     let spike = |cells: &mut [String]| cells[0] = (cells[0].parse::<f64>().unwrap() + 6.48).to_string();
     for (bad, write) in [(&[20, 30, 31, 40][..], &zeros as &dyn Fn(&mut [String])), (&[10, 12, 14], &spike)] {
         let log = with_bad(bad, write).unwrap();
@@ -180,7 +181,7 @@ fn rows_that_jump_out_and_back_are_left_out_and_named_by_their_lines() {
     );
 }
 
-/// Joints that move evenly, reverse with at least 130 rad/s², and rest for a second every 20 s.
+/// Joint angles at a time \[rad\]. Joints move evenly, reverse with at least 130 rad/s², and rest for a second every 20 s.
 fn hard(t_s: f64) -> Joints {
     let along = t_s - (TAU * t_s / 20.0).sin() * 20.0 / TAU;
     Joints::from_fn(6, |joint| 0.3 * (0.995 * (along * (2.0 + 0.25 * joint as f64)).sin()).asin())
@@ -204,7 +205,7 @@ fn no_healthy_log_loses_a_row() {
         };
         let (fine, rough) = (noisy(20e-6), noisy(1e-3));
         let coarse = |deg: f64| smooth.iter().map(|q| stepped(q, deg.to_radians())).collect::<Vec<_>>();
-        // Play that closes immediately when joints reverse.
+        // The play closes immediately when a joint reverses.
         let play: Vec<Joints> = smooth
             .windows(2)
             .map(|pair| Joints::from_fn(6, |j| pair[1][j] + 0.6e-3 * (pair[1][j] - pair[0][j]).signum()))
@@ -309,7 +310,7 @@ fn a_line_of_blanks_is_no_row() {
         format!("  \r\n{} \t\n\n", text.replacen(row, &format!("   \n\t\n{row}"), 1))
     };
     assert_eq!(parse(&spaced(&plain), &irb()).unwrap(), expected);
-    // The cells of a table with tabs are empty there.
+    // In a table with tabs, these cells are empty.
     assert_eq!(parse(&spaced(&plain.replace(',', "\t")), &irb()).unwrap(), expected);
     let bad = spaced(&edited(7, |cells| cells[3] = "x".into()));
     assert!(message(parse(&bad, &irb())).contains("line 15 "), "{}", message(parse(&bad, &irb())));
@@ -411,7 +412,8 @@ fn mapping_of_cycles(time: &str) -> Result<RobotLogMapping, ConfigError> {
     shared::config::parse(&format!("[time]\ncolumn = \"cycle\"\n{time}\n{joints}"), Path::new("mapping.toml"))
 }
 
-/// 200 rows with a controller's 16-bit counter of 4 ms cycles, which wraps after 262 s: from line 29 to line 30.
+/// A table of 200 rows whose time is a 16-bit counter of 4 ms cycles. The counter wraps after 262 s, from
+/// line 29 to line 30.
 fn table_of_cycles() -> String {
     let row = |row: u32| format!("{},{},0,0,0,0,0\n", (65_400 + 5 * row) % 65_536, 0.5 * f64::from(row));
     "cycle,A1,A2,A3,A4,A5,A6\n".to_owned() + &(0..200).map(row).collect::<String>()
@@ -442,7 +444,8 @@ fn cycles_of_a_controller_are_times_also_where_their_counter_begins_anew() {
     }
 }
 
-/// The last row before the wrap follows the first row after it. With another wrap the rest of the log would be 262 s late.
+/// The last row before the wrap is exchanged with the first row after it. If this counted as another wrap, the rest of the
+/// log would be 262 s late.
 #[test]
 fn a_step_back_over_the_wrap_of_a_counter_is_not_another_wrap() {
     let table = table_of_cycles();
@@ -460,7 +463,7 @@ fn what_is_no_text_is_refused() {
     }
 }
 
-/// Longer than one decoded block, with comments and blank lines in between.
+/// The log is longer than one decoded block. It has comments and blank lines between the rows.
 #[test]
 fn a_long_log_is_read_as_a_short_one_is() {
     const ROWS: usize = 20_000;

@@ -1,6 +1,8 @@
-//! Calibrations from files of trackers, wires and balls in sockets by the command, on robots with known truth and unmodelled
-//! gear and load errors. What is claimed and compared is the full model, with its terms of joints. Good files are not refused and their claims hold; corrupted ones are refused, flagged, or harmless.
-//! `IDENTIFY_SPOILS=joint` selects those with this text in their name.
+//! Calibrates from files of trackers, wires and balls in sockets with the command `identify`. The robots have known
+//! truth, and gear and load errors that are not modelled. The stated error is compared with that of the full model with
+//! its joint terms. Files without faults must not be refused, and their stated errors must be correct. Corrupted files
+//! must be refused or flagged, or the corruption must be harmless. `IDENTIFY_SPOILS=joint` selects the corruptions with
+//! this text in their name.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -39,31 +41,31 @@ pub enum Kind {
 
 const KINDS: [Kind; 4] = [Kind::Tracker, Kind::Positions, Kind::Wire, Kind::Contact];
 
-/// The instrument of the rows.
+/// Measurements of an instrument, one for each row.
 #[derive(Clone)]
 enum Readings {
-    /// Whole poses, or positions alone.
+    /// Poses of a tracker. The flag is false if only their positions are written.
     Poses(Vec<Pose>, bool),
     Lengths(Vec<f64>),
     Contacts(Box<SimulatedContacts>),
 }
 
-/// True joints of a robot that reports these.
+/// A function that returns the true joints of a robot at these reported joints.
 type Stands = Rc<dyn Fn(&Joints) -> Joints>;
 
-/// A file of rows, and its truth.
+/// A file of rows and its truth.
 #[derive(Clone)]
 pub struct Rows {
-    /// The robot as configured.
+    /// The robot as it is configured.
     robot: RobotConfig,
     pub truth: Chain,
-    /// None for contacts, whose links alone are compared.
+    /// `None` for contacts. Their comparison uses only links.
     stands: Option<Stands>,
     joints: Vec<Joints>,
     measured: Readings,
 }
 
-/// Size of the errors of gears, loads and links, relative to the usual ones.
+/// Sizes of the errors of links, gears, loads and readings relative to the usual ones.
 pub struct Level {
     pub links: f64,
     pub gears: f64,
@@ -80,7 +82,7 @@ impl Level {
     }
 }
 
-/// A robot with an instrument. Rows are random postures within 70 % of the joints' travel.
+/// Simulates rows of an instrument on a robot. Postures are random within 70 % of the travel of each joint.
 pub fn rows(kind: Kind, robot: &RobotConfig, seed: u64, level: &Level) -> Rows {
     const COUNT: usize = 200;
     const SAG_RAD_PER_M: f64 = 0.1e-3;
@@ -159,7 +161,7 @@ pub fn rows(kind: Kind, robot: &RobotConfig, seed: u64, level: &Level) -> Rows {
 /// Result of the command for a file.
 pub enum Told {
     Refused(String),
-    /// Verdict, claimed error (k = 2), and true error, mean over the workspace \[m\].
+    /// Grade of the verdict, stated error (k = 2), true error as a mean over the workspace \[m\], and reason of the verdict.
     Calibrated(Grade, f64, f64, String),
 }
 
@@ -170,7 +172,7 @@ unit = "deg"
 "#;
 
 impl Rows {
-    /// Measurements of a tracker.
+    /// The rows of a tracker; empty for other instruments.
     pub fn poses(&self) -> Vec<PoseRow> {
         let Readings::Poses(poses, rotations) = &self.measured else { return Vec::new() };
         let row = |(joints_rad, pose): (&Joints, &Pose)| PoseRow {
@@ -182,7 +184,7 @@ impl Rows {
         self.joints.iter().zip(poses).map(row).collect()
     }
 
-    /// Writes the files of a user, and calibrates.
+    /// Writes the files that a user would have, and calibrates from them.
     pub fn reported(&self) -> Told {
         let folder = tempfile::tempdir().unwrap();
         let at = |name: &str| folder.path().join(name).display().to_string();
@@ -266,7 +268,7 @@ impl Rows {
         Told::Calibrated(verdict.grade, budget.expanded_m, true_m, verdict.reason.unwrap_or_default())
     }
 
-    /// From this part of the file on.
+    /// Changes the joints of all rows after the fraction `part` of the file.
     fn from(&mut self, part: f64, change: impl Fn(&mut Joints)) {
         let first = (part * self.joints.len() as f64) as usize;
         self.joints[first..].iter_mut().for_each(change);
@@ -276,7 +278,7 @@ impl Rows {
         self.from(0.0, change);
     }
 
-    /// Moves the measured positions in proportion to the part of the file that has passed.
+    /// Moves the measured positions by `by_m`, a function of the fraction of the file that has passed \[m\].
     fn moved(&mut self, by_m: impl Fn(f64) -> f64) {
         let part = |row: usize, count: usize| row as f64 / count as f64;
         match &mut self.measured {
@@ -296,7 +298,7 @@ impl Rows {
         }
     }
 
-    /// Multiplies the measurements by this factor.
+    /// Multiplies all measurements by this factor.
     fn scaled(&mut self, by: f64) {
         match &mut self.measured {
             Readings::Poses(poses, _) => poses.iter_mut().for_each(|pose| pose.translation.vector *= by),
@@ -323,11 +325,11 @@ impl Rows {
     }
 }
 
-/// A mistake in the file, or a wrong assumption about the robot.
+/// A function that corrupts the file, or makes an assumption about the robot wrong.
 type Spoil = fn(&mut Rows);
 
 const EACH: &[Kind] = &KINDS;
-/// Lengths are also those of the mirror image.
+/// Corruptions for all instruments except a wire, because its lengths are also those of the mirror image.
 const NO_WIRE: &[Kind] = &[Kind::Tracker, Kind::Positions, Kind::Contact];
 const TRACKER: &[Kind] = &[Kind::Tracker, Kind::Positions];
 const TURNS: &[Kind] = &[Kind::Tracker];
@@ -420,8 +422,8 @@ fn spoils() -> Vec<(&'static str, &'static [Kind], Spoil)> {
     ]
 }
 
-/// Joint 3 of this arm moves with the drive of joint 2, so this is not the ratio of a drive. Waves of the joint describe it within
-/// the measured range, but not beyond it.
+/// On this arm, joint 3 moves with the drive of joint 2, so the error is not the ratio of a drive. Harmonics of the joint
+/// describe it within the measured range, but not beyond.
 #[test]
 fn a_joint_that_is_logged_wrong_by_one_per_cent_is_not_green() {
     let mut spoiled = rows(Kind::Tracker, &irb2400(), 1, &USUAL);
@@ -437,7 +439,7 @@ fn a_joint_that_is_logged_wrong_by_one_per_cent_is_not_green() {
 #[ignore = "a hundred calibrations of two robots each, most of which end early: minutes"]
 fn spoiled_rows_are_refused_or_flagged_or_do_no_harm() {
     let wanted = std::env::var("IDENTIFY_SPOILS").unwrap_or_default();
-    // The selected mistakes, one after the other.
+    // By default only a fraction of the corruptions is evaluated. If some are selected by name, all of these are evaluated.
     let step = if wanted.is_empty() { step() } else { 1 };
     let (mut wrong, mut number) = (Vec::new(), 0);
     for robot in [irb2400(), ur10()] {

@@ -1,4 +1,4 @@
-//! Free parameters: named selections, and terms that are only kept if they improve the prediction of held-out data.
+//! Free parameters: selections by name, and terms that are kept only if they improve the prediction of held-out data.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -35,7 +35,8 @@ fn names(ids: &[ParameterId]) -> BTreeSet<String> {
     ids.iter().map(ToString::to_string).collect()
 }
 
-/// Ranks of the reference set-up with the two rotations of the base: 41 for `transform`, 33 for `position`.
+/// Number of identifiable parameters of the reference set-up with the two rotations of the base: 41
+/// for `transform`, 33 for `position`.
 #[test]
 fn all_identifiable_frees_as_many_as_the_rank_and_leaves_out_what_the_thesis_fixes() {
     let cell = Cell::irb2400();
@@ -45,7 +46,8 @@ fn all_identifiable_frees_as_many_as_the_rank_and_leaves_out_what_the_thesis_fix
     let transform = free(CostName::Transform);
     assert_eq!(transform.len(), 41);
     assert_eq!(transform, free(CostName::Pose));
-    // The whole pose determines `balpha2`, which the thesis fixes for the other costs.
+    // The cost `transform` uses the whole pose, which determines `balpha2`. For the other costs,
+    // the thesis fixes this parameter.
     for name in thesis_fixed(model.axes()).map(|id| id.to_string()) {
         assert_eq!(transform.contains(&name), name == "balpha2", "{name}");
     }
@@ -61,7 +63,7 @@ fn terms_are_taken_where_the_robot_has_the_error_and_left_out_where_not() {
     let offered: Vec<TermGroup> = none.solved.candidates.iter().map(|one| one.group).collect();
     let groups = TermGroup::OF_ROBOT.into_iter().chain([TermGroup::BarLength]);
     for group in groups {
-        // Noise contains no terms.
+        // Lines are only offered if the spectrum of the residuals shows them. The spectrum of noise shows none.
         assert_eq!(offered.contains(&group), group != TermGroup::LineSpectrum, "{group:?}");
     }
     for (effects, group) in [
@@ -85,13 +87,14 @@ fn harmonics_of_encoders_are_found_and_tolerances_that_hold_stay() {
     let value = |phase| found.model().parameter(wave(phase)).unwrap().value * 1e6;
     let amplitude_urad: f64 = f64::hypot(value(Phase::Sine), value(Phase::Cosine));
     assert!((amplitude_urad - 40.0).abs() < 12.0, "{amplitude_urad}");
-    // True errors have a size of about 1 mm|mrad.
+    // The true errors have a size of about 1 mm|mrad.
     assert!((1.0..=2.0).contains(&found.solved.prior_scale), "{}", found.solved.prior_scale);
 }
 
 const LOBES: [f64; 6] = [57.0, 31.0, 44.0, 63.0, 52.0, 35.0];
 
-/// The gears have 57, 31, 44 .. lobes; the configuration of the calibration has none, or wrong numbers.
+/// A calibration of a robot whose gears have 57, 31, 44 .. lobes. The configuration of the calibration has no
+/// numbers of lobes, or wrong ones.
 fn with_lobes(config: &IdentifyConfig) -> Calibration {
     let (mut robot, bar) = (irb2400(), bar());
     robot.drives.cycloid_lobes = LOBES.to_vec();
@@ -117,19 +120,20 @@ fn lobes_of_gears_that_nobody_has_counted_are_found() {
     let waves: Vec<(usize, f64, f64)> = waves.collect();
     println!("{waves:?}");
     for (axis, lobes) in LOBES.into_iter().enumerate() {
-        // A drive that turns by a sixth of a turn shows an order of 45 instead of 44.
+        // A drive that turns only by a sixth of a turn does not resolve the order. It may be found as 45 instead of 44.
         let mut near = waves.iter().filter(|wave| wave.0 == axis && (wave.1 - lobes).abs() <= 1.0);
         let found = near.next().map(|(_, _, urad)| *urad);
         assert!(found.is_some_and(|urad| (urad - 20.0).abs() < 5.0), "axis {}: {found:?} urad", axis + 1);
     }
-    // The simulated ripple has a harmonic of twice its order and a quarter of its amplitude; no others are present.
+    // The simulated error of the gears also has a harmonic of twice its order with a quarter of its amplitude.
+    // There are no other harmonics.
     let is_true = |(axis, order, _): &(usize, f64, f64)| {
         let lobes = LOBES[*axis];
         (order - lobes).abs() <= 1.0 || (order - 2.0 * lobes).abs() <= 2.0
     };
     assert!(waves.iter().all(is_true), "{waves:?}");
 
-    // A calibration is compared with the nominal robot of its manufacturer.
+    // A calibration is compared with the nominal robot of the manufacturer, which has no harmonics.
     let mut nominal = uncalibrated(
         found.model(),
         &found.prepared().unwrap().motion,
@@ -158,8 +162,9 @@ fn waves_can_be_freed_and_fixed_by_name() {
     assert!(freed.0 == Role::Free && (freed.1 - 20.0).abs() < 5.0, "{freed:?}");
 }
 
-/// The laboratory's bar is longer by 15 um twice per turn of joint 1, and by 10 um three times per turn of joint 2, each way.
-/// Joint 2 moves by less than half a turn, where orders two and three are similar: only joint 1's are compared.
+/// The length of the laboratory's bar varies by 15 um twice per turn of joint 1, and by 10 um three times per turn
+/// of joint 2. Joint 2 moves by less than half a turn, so orders two and three are similar. Therefore only the
+/// harmonics of joint 1 are compared.
 #[test]
 fn how_the_length_of_the_bar_follows_its_direction_is_found() {
     let (robot, bar) = (irb2400(), bar());
@@ -180,7 +185,7 @@ fn how_the_length_of_the_bar_follows_its_direction_is_found() {
         println!("joint {}, {order} per turn: {um:.2} um of {expected_um}", joint + 1);
         assert!((um - expected_um).abs() < 4.0, "joint {}, {order} per turn: {um}", joint + 1);
     }
-    // None of these errors is caused by a force.
+    // None of these errors is caused by a force on the bar.
     let sphere = evidence(&found, &robot.joint_limits()).spheres.remove(0).after;
     assert!(sphere.size_m.rms > 0.0 && sphere.size_m.rms == sphere.unexplained_rms_m, "{sphere:?}");
 }

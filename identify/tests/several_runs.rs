@@ -1,4 +1,4 @@
-//! Several runs in one solve: they share the robot, and each has its own clock, base position and encoder offsets.
+//! Several runs in one solve. They share the robot, but each run has its own clock, base position and encoder offsets.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 
 use crate::support::{Cell, bar, irb2400};
@@ -28,7 +28,7 @@ fn input<'a>(run: &'a Simulated, bar: &'a BallBarConfig) -> RunInput<'a> {
     RunInput { cycles: &run.cycles, encoders: &run.encoders, unwrapped: None, log: &run.robot_log, bar }
 }
 
-/// Without priors: only the data determine the result.
+/// A configuration without priors, so that only the data determine the result.
 fn by_data(cost: CostName) -> IdentifyConfig {
     IdentifyConfig {
         cost: Some(cost),
@@ -51,7 +51,7 @@ fn robot_error(found: &Calibration, run: &Simulated) -> f64 {
     Comparison::new(found, &run.truth).only(is_robot).euclidean_mm_mrad()
 }
 
-/// Root mean square of the robot's standard deviations \[mm|mrad\].
+/// Root mean square of the standard deviations of the robot's parameters \[mm|mrad\].
 fn robot_sigma(found: &Calibration) -> f64 {
     let sigmas: Vec<f64> = (found.model().columns().enumerate())
         .filter(|(_, parameter)| is_robot(parameter.id))
@@ -73,7 +73,7 @@ fn two_short_runs_at_two_places_know_the_robot_better_than_either() {
         let (with, without) = (robot_sigma(&both), robot_sigma(&found));
         assert!(with < 0.8 * without, "sigma {with} with both, {without} with one");
     }
-    // Each run has its own base position and clock, with the same result as in a separate solve.
+    // Each run has its own base position and clock. Their values must equal those of a separate solve.
     let other = &both.runs[1];
     for (name, truth) in [("ox", "ox"), ("oy", "oy"), ("oz", "oz")] {
         let found = other.model.parameter(name.parse().unwrap()).unwrap().value;

@@ -1,4 +1,4 @@
-//! From a simulated recording and robot log to the true parameters: simulation, preparation and solve together.
+//! Simulates a recording and a robot log, prepares them and solves. The result must be the true parameters.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::f64::consts::TAU;
@@ -12,7 +12,8 @@ use identify::simulate::{self, Experiment, Simulated, StaticErrors};
 use identify::solver::{Options, Solution, solve};
 use shared::config::{BallBarConfig, RobotConfig};
 
-/// The thesis' 38 parameters and the two clocks, from the start values of the preparation.
+/// A model with the 38 parameters of the thesis and the two parameters of the clock. It starts at
+/// the values of the preparation.
 fn model(prepared: &Prepared, robot: &RobotConfig, bar: &BallBarConfig) -> Model {
     let mut bar_chain = ball_bar_chain(bar);
     bar_chain.root_from_base.translation.vector = prepared.initial.base_m;
@@ -26,7 +27,7 @@ fn model(prepared: &Prepared, robot: &RobotConfig, bar: &BallBarConfig) -> Model
     model
 }
 
-/// True value of each free parameter \[SI\].
+/// True value of a free parameter \[SI\].
 fn truth(run: &Simulated, prepared: &Prepared, id: ParameterId) -> f64 {
     let clock = &run.truth.clock;
     let name = id.to_string();
@@ -46,7 +47,7 @@ fn truth(run: &Simulated, prepared: &Prepared, id: ParameterId) -> f64 {
     }
 }
 
-/// Error of each free parameter; mm, mrad, ms and 0.1 % have equal weight.
+/// Error of each free parameter \[mm, mrad, ms, 0.1 %\]. All of these units have equal weight.
 fn errors(
     run: &Simulated,
     prepared: &Prepared,

@@ -1,4 +1,4 @@
-//! Simulated experiments: consistent, within the ranges of robot and bar, and identifiable.
+//! Simulated experiments are consistent, within the ranges of robot and bar, and determine their parameters.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use crate::support::{bar, irb2400, nj220, repository};
@@ -179,7 +179,7 @@ fn effects_have_the_size_that_was_asked_for() {
     let sigma = (noise.iter().map(|d| d * d).sum::<f64>() / noise.len() as f64).sqrt();
     assert!((sigma - 1e-4).abs() < 1e-6, "{sigma}");
     let sine = differences(&noisy(Effects { gear_sine_urad: 50.0, ..Effects::default() }));
-    // The first axis has an independent gear.
+    // The gear of the first axis is not coupled to other axes.
     let largest = sine.iter().step_by(6).fold(0.0_f64, |most, d| most.max(d.abs()));
     assert!((largest - 5e-5).abs() < 1e-6, "{largest}");
     let tilted = noisy(Effects { base_tilt_urad: 5000.0, ..Effects::default() });
@@ -211,7 +211,7 @@ fn other_configurations_of_the_bar_can_be_simulated() {
     }
 }
 
-/// The default design with the bar in another configuration.
+/// The default design with the bar in another of its four configurations.
 fn design_in(configuration: Configuration) -> Design {
     use identify::kinematics::Side;
     let mut design = Design { duration_s: 60.0, ..Design::IRB_2400 };
@@ -263,7 +263,7 @@ fn drawn_errors_touch_the_38_free_parameters_and_no_other() {
     }
 }
 
-/// A model with the true gear terms corrects the log to the joints of a robot without gear errors.
+/// A model with the true gear terms corrects the reported joints to those of a robot without gear errors.
 #[test]
 fn gear_errors_of_the_truth_correct_the_log() {
     for robot in robots() {

@@ -1,4 +1,4 @@
-//! The solver compared with certified results, another solver, and Monte Carlo simulation.
+//! Compares the solver with certified results, with another solver, and with Monte Carlo simulations.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -16,10 +16,10 @@ use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
 use rand_distr::StandardNormal;
 
-/// Residual and gradient of one row at `x`.
+/// A function that returns residual and gradient of row `k` at `x`.
 type Row<'a> = dyn Fn(&[f64], usize) -> (f64, Vec<f64>) + Sync + 'a;
 
-/// Scalar rows given by a function.
+/// A least-squares problem with scalar rows that a function computes.
 struct Rows<'a> {
     columns: usize,
     samples: usize,
@@ -58,7 +58,7 @@ impl LeastSquares for Rows<'_> {
             for (column, derivative) in gradient.into_iter().enumerate() {
                 block.column_mut(column)[0] = derivative;
             }
-            // A row without a value has an infinite residual.
+            // An infinite residual means that the row has no value.
             value != f64::INFINITY
         })
     }
@@ -77,7 +77,8 @@ fn close(found: &[f64], expected: &[f64], relative: f64) {
     }
 }
 
-/// Two columns appear only as their sum and one has a wide prior: both are determined, however exact the samples are.
+/// Two columns appear only as their sum, and one of them has a wide prior. Both must be determined, even if
+/// the samples are very accurate.
 #[test]
 fn a_prior_determines_its_parameter_whatever_the_samples_are_worth() {
     for noise in [1.0, 1e-4, 1e-9] {
@@ -99,7 +100,7 @@ fn a_prior_determines_its_parameter_whatever_the_samples_are_worth() {
     }
 }
 
-/// NIST StRD Misra1a, `y = b1 (1 - exp(-b2 x))`.
+/// Data set Misra1a of NIST StRD: `y = b1 (1 - exp(-b2 x))`.
 const MISRA1A: [(f64, f64); 14] = [
     (10.07, 77.6),
     (14.73, 114.9),
@@ -123,7 +124,7 @@ fn misra1a(b: &[f64], k: usize) -> (f64, Vec<f64>) {
     (b[0] * (1.0 - e) - y, vec![1.0 - e, b[0] * x * e])
 }
 
-/// NIST StRD MGH10 (Meyer), `y = b1 exp(b2 / (x + b3))`, x = 50, 55 ... 125.
+/// Data set MGH10 (Meyer) of NIST StRD: `y = b1 exp(b2 / (x + b3))` for x = 50, 55 ... 125.
 const MGH10: [f64; 16] = [
     34780.0, 28610.0, 23650.0, 19630.0, 16370.0, 13720.0, 11540.0, 9744.0, 8261.0, 7030.0, 6005.0, 5147.0,
     4427.0, 3820.0, 3307.0, 2872.0,
@@ -179,7 +180,7 @@ fn rosenbrocks_valley_ends_at_one_one() {
     close(&solution.x, &[1.0, 1.0], 1e-10);
 }
 
-/// 60 noisy poses of the reference cell, with the thesis' 38 parameters.
+/// Solves 60 noisy poses of the reference set-up with the 38 parameters of the thesis.
 #[test]
 fn the_closed_chain_with_noise_ends_where_another_solver_ends() {
     let cell = Cell::irb2400();
@@ -256,7 +257,7 @@ fn known_noise_scales_the_covariance_and_estimated_noise_finds_it() {
     assert!(strongest[0].2.abs() >= strongest[2].2.abs());
 }
 
-/// Two rows and two columns: no residual remains.
+/// Two rows determine two columns, so no residual remains from which noise could be estimated.
 #[test]
 fn without_a_degree_of_freedom_there_is_no_sigma_unless_the_noise_is_known() {
     let solved = |noise| {
@@ -271,7 +272,7 @@ fn without_a_degree_of_freedom_there_is_no_sigma_unless_the_noise_is_known() {
     assert!(known.covariance.sigma(0).is_some() && known.require_sigmas().is_ok());
 }
 
-/// x0 + x1 and x2 are determined, x0 and x1 are not, x3 has no effect.
+/// A row in which x0 + x1 and x2 are determined. x0 and x1 are not determined separately, and x3 has no effect.
 fn sums(x: &[f64], k: usize) -> (f64, Vec<f64>) {
     let t = k as f64;
     (x[0] + x[1] + t * x[2] - 3.0 - 0.5 * t, vec![1.0, 1.0, t, 0.0])
@@ -365,7 +366,7 @@ fn an_iteration_limit_is_not_called_convergence() {
     assert!(!solution.summary.termination.converged());
 }
 
-/// Derivatives with the wrong sign: every step increases the cost.
+/// The derivatives have the wrong sign, so every step increases the cost.
 #[test]
 fn steps_that_were_all_refused_are_not_called_convergence() {
     let climbing = |x: &[f64], k: usize| (x[0] - k as f64, vec![-1.0]);
@@ -375,7 +376,7 @@ fn steps_that_were_all_refused_are_not_called_convergence() {
     assert_eq!((solution.x[0], solution.summary.iterations), (9.0, 0));
 }
 
-/// The minimum is at a point where one sample has no value: beyond the end of a log.
+/// The minimum is at a point where one sample has no value, as beyond the end of a log.
 #[test]
 fn a_minimum_that_costs_a_sample_is_not_called_convergence() {
     let row = |x: &[f64], k: usize| {
@@ -387,7 +388,7 @@ fn a_minimum_that_costs_a_sample_is_not_called_convergence() {
     assert!(solution.x[0] <= 2.0);
 }
 
-/// A line with samples of one, two and three rows in turn.
+/// A straight line whose samples have one, two and three rows in turn.
 struct Ragged<'a>(&'a [f64]);
 
 impl LeastSquares for Ragged<'_> {
@@ -422,7 +423,8 @@ impl LeastSquares for Ragged<'_> {
     }
 }
 
-/// Rows `x_j - k` of measured samples, each for one of two columns, and after them one known sample of three rows.
+/// Measured samples with one row `x_j - k` each, for one of two columns in turn. After them, one
+/// known sample has three rows.
 struct BesideKnown {
     measured: usize,
 }
@@ -461,7 +463,8 @@ impl LeastSquares for BesideKnown {
     }
 }
 
-/// Each column is the mean of its numbers, wherever the rows of the known sample are among those that are reduced at once.
+/// The solution of each column must be the mean of its numbers. This must hold wherever the rows of the known sample are in
+/// the block of rows that are reduced together.
 #[test]
 fn a_known_sample_with_more_rows_than_the_measured_ones_counts_whole() {
     for measured in 230..=250 {

@@ -1,4 +1,4 @@
-//! Threads, progress and cancellation of a long solve.
+//! A long solve uses threads, reports its progress, and can be cancelled.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 
 use std::num::NonZeroUsize;
@@ -16,7 +16,7 @@ struct Poses {
 }
 
 impl Poses {
-    /// Enough samples for several parts.
+    /// A problem with enough samples for several blocks.
     fn new() -> Self {
         let cell = Cell::irb2400();
         let (observations, joints) = noisy_poses(&cell, 3000, 2, 1e-3);
@@ -74,7 +74,7 @@ fn watched(calls_max: usize) -> (Result<identify::solver::Solution, SolveError>,
 fn who_looks_on_sees_every_part_of_every_pass() {
     let (solution, count) = watched(usize::MAX);
     let summary = solution.unwrap().summary;
-    // 24 parts of 128 of the 3000 samples, and one more pass for identifiability.
+    // The 3000 samples are divided into 24 blocks of 128. Identifiability needs one more pass.
     assert_eq!(count.calls.into_inner(), 24 * (summary.evaluations + 1));
     assert!(count.last.into_inner() + 1 >= summary.iterations);
 }
@@ -84,7 +84,7 @@ fn a_solve_ends_when_it_is_told_to_and_says_so() {
     for calls in [1, 4, 8] {
         let (result, count) = watched(calls);
         assert!(matches!(result, Err(SolveError::Cancelled { .. })), "{result:?}");
-        // At most the parts that were in progress are completed.
+        // After the cancellation, at most the blocks in progress are completed.
         assert!(count.calls.into_inner() <= calls + 2);
     }
 }
@@ -93,7 +93,7 @@ fn a_solve_ends_when_it_is_told_to_and_says_so() {
 fn a_solve_that_is_cancelled_at_its_solution_states_the_iterations_made() {
     let (solution, count) = watched(usize::MAX);
     let (iterations, calls) = (solution.unwrap().summary.iterations, count.calls.into_inner());
-    // The last call is for the last part of the pass for identifiability.
+    // The last call is for the last block of the pass for identifiability.
     let (result, _) = watched(calls);
     assert_eq!(result.unwrap_err(), SolveError::Cancelled { iterations });
 }

@@ -1,4 +1,4 @@
-//! A run with a change at one instant, calibrated from both sides of it.
+//! A run in which something changes at one instant. It is calibrated from the data on both sides of the change.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use crate::support::refused::Typed;
@@ -6,7 +6,7 @@ use crate::support::{bar, irb2400};
 use identify::simulate::{self, Effects, Experiment, Simulated};
 use shared::recording::schema::CycleRecord;
 
-/// Error of the robot's parameters as printed by the terminal's comparison with the truth \[mm|mrad\].
+/// Error of the robot's parameters \[mm|mrad\], as the command prints it if the truth is given.
 fn robot_error(run: &Simulated, extra: &[&str]) -> f64 {
     let typed = Typed::new(run, &irb2400(), &bar());
     let out = tempfile::tempdir().unwrap();
@@ -14,7 +14,7 @@ fn robot_error(run: &Simulated, extra: &[&str]) -> f64 {
     let output = typed.calibrate(&[&["--truth", truth.to_str().unwrap()], extra].concat(), out.path());
     let told = String::from_utf8_lossy(&output.stdout).into_owned();
     assert!(output.status.success(), "{told}\n{}", String::from_utf8_lossy(&output.stderr));
-    // The options can be repeated.
+    // The experiment file repeats the options of the command.
     let repeated = std::fs::read_to_string(out.path().join("experiment.toml")).unwrap();
     assert_eq!(repeated.contains("split_at_changes = true"), !extra.is_empty());
     let (_, after) = told.split_once("robot alone (").unwrap();
@@ -40,7 +40,7 @@ fn both_sides_of_a_slip_and_of_a_jump_calibrate_better_than_either() {
         cycle.sample_time = cycle.sample_time.plus_ns(20_000_000);
     }
     Typed::new(&slipped, &robot, &bar).refused(&["encoder of joint 4 slips"], &[]);
-    // A separate recording starts with its own first cycle.
+    // The cycles of a side are numbered from zero, as in a separate recording.
     let numbered = |(cycle, record): (u64, &CycleRecord)| CycleRecord { cycle, ..*record };
     let of_side = |cycles: &[CycleRecord]| {
         let cycles = (0..).zip(cycles).map(numbered).collect();

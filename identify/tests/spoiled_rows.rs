@@ -1,4 +1,4 @@
-//! Corrupted files of measured poses are refused, and the cause is named.
+//! Corrupted files of measured poses are refused, and the message names the cause.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -12,7 +12,7 @@ use crate::support::{irb120, irb2400, ur10};
 
 const FILES: [&str; 2] = ["iso_cubes.csv", "grid.csv"];
 
-/// Rows of a real UR10.
+/// Rows of a real UR10 from a file of this repository.
 fn measured(name: &str) -> Vec<PoseRow> {
     let mapping: MeasuredPoseMapping =
         config::load(&crate::support::repository("config/measured_pose.toml")).unwrap();
@@ -20,12 +20,12 @@ fn measured(name: &str) -> Vec<PoseRow> {
     MeasuredPoses::load(&path, &mapping).unwrap().rows
 }
 
-/// Links alone: the fit then reveals the corruption.
+/// Calibrates links only, without joint errors. The residuals of such a fit reveal the corruption.
 fn calibrated(rows: &[PoseRow], robot: &RobotConfig) -> Result<Found, String> {
     Alone::quick().without_joint_errors().poses(rows, robot).map_err(|error| error.to_string())
 }
 
-/// Messages for each file with changed rows.
+/// The message for each file after `change` was applied to its rows, or `accepted`.
 fn said(change: impl Fn(Vec<PoseRow>) -> Vec<PoseRow>) -> Vec<String> {
     let of = |name: &&str| {
         calibrated(&change(measured(name)), &ur10()).map_or_else(|said| said, |_| "accepted".into())
@@ -158,7 +158,7 @@ fn angles_of_orientation_in_another_order_or_unit_are_named() {
 
 #[test]
 fn a_table_in_the_other_convention_is_named() {
-    // A table in the modified convention: lengths and twists are one row later.
+    // The table is in the modified convention, so lengths and twists are one row later than in the standard convention.
     let mut typed = ur10();
     let links = typed.links.clone();
     for (link, before) in typed.links.iter_mut().skip(1).zip(&links) {

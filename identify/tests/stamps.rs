@@ -1,4 +1,4 @@
-//! Logs with the stamps of real controllers: rows get the times of the regular clock behind the stamps.
+//! Logs with stamps that real controllers write. Rows must get the times of the regular clock from which the stamps derive.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::collections::BTreeSet;
@@ -13,7 +13,7 @@ use rand_distr::{Distribution, Normal};
 use crate::support::irb2400;
 use crate::support::stamped::stamped;
 
-/// Five joints in smooth motion with rests, for a minute.
+/// A log of a minute with smooth motion and rests.
 fn log(rate_hz: f64) -> RobotLog {
     let t_s: Vec<f64> = (0..(60.0 * rate_hz) as usize).map(|row| row as f64 / rate_hz).collect();
     let at = |t_s: f64| {
@@ -25,12 +25,13 @@ fn log(rate_hz: f64) -> RobotLog {
     RobotLog { q_rad: Stream::new(0, t_s, q_rad).into(), ..RobotLog::default() }
 }
 
-/// The log as read from a file with these stamps \[s\].
+/// The log as it is read from a file that has these stamps \[s\].
 fn read_back(log: &RobotLog, stamps_s: Vec<f64>) -> RobotLog {
     stamped(log, &irb2400(), stamps_s.into_iter().map(|stamp_s| Some(stamp_s + 100.0)), 6)
 }
 
-/// Largest difference of two clocks without shift and rate, which a calibration estimates \[s\].
+/// Largest difference between two series of times, after their mean difference and rate are subtracted
+/// \[s\]. A calibration estimates these two.
 fn apart_s(a: &[f64], b: &[f64]) -> f64 {
     assert_eq!(a.len(), b.len());
     let middle = 0.5 * (a.len() - 1) as f64;
@@ -65,7 +66,7 @@ fn stamps_of_every_kind_lead_back_to_the_clock_behind_them() {
     for rate_hz in [50.0, 250.0, 1000.0] {
         let log = log(rate_hz);
         let mut random = ChaCha8Rng::seed_from_u64(7);
-        // The controller's clock is 37 ppm fast.
+        // The clock of the controller is fast by 37 ppm.
         let times_s: Vec<f64> = log.q_rad.t_s.iter().map(|t_s| t_s * (1.0 + 37e-6)).collect();
         let rounded = |step_ms: f64| {
             let step_s = step_ms * 1e-3;
@@ -115,7 +116,7 @@ fn what_stamps_scatter_by_is_measured_and_said() {
         message.contains("rounded to 10.0 ms") && message.contains("rows have the stamp of the one before"),
         "{message}"
     );
-    // A sound log gets no remark.
+    // A log without faults causes no remark.
     let perfect = read_back(&log, log.q_rad.t_s.clone());
     assert!(!stamps(&perfect).evened);
     assert_eq!(inspect::robot_log(&perfect, &irb2400()).suspicious, Vec::<String>::new());
@@ -131,7 +132,7 @@ fn rows_that_are_missing_leave_the_others_where_they_were() {
     let exact = read_back(&log, log.q_rad.t_s.clone());
     assert!(apart_s(&exact.q_rad.t_s, &log.q_rad.t_s) < 2e-6);
     let jittered = read_back(&log, jittered(&log.q_rad.t_s, 1e-3, &mut random));
-    // During a rest the missing rows cannot be located, which has no effect.
+    // During a rest it is not possible to locate missing rows, but their location has no effect there.
     let moves = |t_s: f64| (std::f64::consts::TAU * t_s / 20.0).cos() < 0.7;
     let off =
         jittered.q_rad.t_s.iter().zip(&log.q_rad.t_s).filter(|(_, t_s)| moves(**t_s)).map(|(a, b)| a - b);
@@ -141,14 +142,15 @@ fn rows_that_are_missing_leave_the_others_where_they_were() {
     assert!(rms_s < 1e-3, "{rms_s}");
 }
 
-/// Stamps rounded to 4 ms with a clock that drifts to the next multiple about once a minute, missing rows of 4 ms, and both.
+/// Three types of stamps: rounded to 4 ms by a clock that drifts to the next multiple about once a minute, missing rows
+/// of 4 ms, and both.
 #[test]
 fn rounded_stamps_are_no_missing_rows_and_missing_rows_no_rounding() {
     let noise = Normal::new(0.0, 15e-6).unwrap();
     for (missing, ppm) in [(0.0, 50.0), (2e-4, 50.0), (0.01, 50.0), (0.05, 50.0), (0.01, 0.0), (0.05, 0.0)] {
         let mut random = ChaCha8Rng::seed_from_u64(11);
         let mut whole = log(250.0);
-        // A motion so slow that noise hides a single row.
+        // The motion is so slow that noise hides a single missing row.
         whole.q_rad.iter_mut().flatten().for_each(|q| *q = 0.2 * *q + noise.sample(&mut random));
         let kept: Vec<bool> = whole.q_rad.iter().map(|_| !random.random_bool(missing)).collect();
         let kept_row = |row: usize, q: &Joints| kept[row].then_some(*q);
@@ -166,7 +168,7 @@ fn rounded_stamps_are_no_missing_rows_and_missing_rows_no_rounding() {
     }
 }
 
-/// Near a rest the motion hardly separates a missing row from a clock that drifts to the next multiple of 4 ms.
+/// Near a rest, the motion hardly separates a missing row from a clock that drifts to the next multiple of 4 ms.
 #[test]
 fn rows_that_are_lost_near_a_rest_are_missing_rows() {
     let noise = Normal::new(0.0, 15e-6).unwrap();
@@ -202,7 +204,8 @@ fn a_step_of_the_stamps_that_the_motion_does_not_share_is_taken_out_and_said() {
     }
 }
 
-/// Also if whole periods do not mean missing rows, and a rest of unknown length follows.
+/// A step of the clock must not count as missing rows. This also holds if the step is a whole number of periods and a
+/// rest of unknown length follows.
 #[test]
 fn a_clock_that_is_set_by_seconds_or_an_hour_leaves_no_row_missing() {
     let log = log(250.0);
@@ -228,7 +231,7 @@ fn no_step_is_said_of_stamps_that_only_scatter() {
     }
 }
 
-/// A program that samples at irregular times with correct stamps has no regular clock.
+/// If a program samples at irregular times and its stamps are correct, there is no regular clock to recover.
 #[test]
 fn stamps_that_are_right_stay_as_they_are_even_if_rows_come_as_they_like() {
     let even = log(100.0);

@@ -1,7 +1,7 @@
-//! Calibrations from logs with the stamps of real controllers are as accurate as with perfect stamps.
+//! Calibrations from logs with the stamps of real controllers must be as accurate as with perfect stamps.
 //!
-//! `cargo test -p identify --test all stamps_calibrated -- --include-ignored --nocapture` prints the table;
-//! `IDENTIFY_SEEDS=6` runs that many of each row.
+//! `cargo test -p identify --test all stamps_calibrated -- --include-ignored --nocapture` prints the table.
+//! `IDENTIFY_SEEDS=6` evaluates this number of runs for each row.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -18,28 +18,28 @@ use rand_distr::{Distribution, Normal};
 use crate::support::stamped::{resampled, stamped};
 use crate::support::{bar, irb2400};
 
-/// Relation between a stamp and the time of its sample.
+/// How a stamp follows from the time of its sample.
 #[derive(Debug, Clone, Copy)]
 enum Stamp {
     Exact,
-    /// Rounded down to a multiple of this \[ms\].
+    /// Rounded down to a multiple of this time \[ms\].
     Floor(f64),
-    /// Rounded to the nearest multiple of this \[ms\].
+    /// Rounded to the nearest multiple of this time \[ms\].
     Nearest(f64),
-    /// Standard deviation of the stamp \[ms\].
+    /// Random error with this standard deviation \[ms\].
     Jittered(f64),
 }
 
-/// A row of the table.
+/// A row of the table: properties of the stamps of a log.
 #[derive(Debug, Clone, Copy)]
 struct Case {
     stamp: Stamp,
     rate_hz: f64,
     /// Rate of the robot's clock minus one \[%\].
     skew_percent: f64,
-    /// Rate of the stamping clock relative to the sampling clock, minus one \[ppm\].
+    /// Rate of the clock that stamps relative to the clock that samples, minus one \[ppm\].
     stamp_ppm: f64,
-    /// Part of the rows that is missing \[%\].
+    /// Percentage of rows that are missing.
     missing_percent: f64,
     decimals: usize,
 }
@@ -53,7 +53,7 @@ const PERFECT: Case = Case {
     decimals: 9,
 };
 
-/// Stamped by another clock than the sampling clock.
+/// A log that is stamped by another clock than the one that samples.
 const STAMPED: Case = Case { stamp_ppm: 50.0, ..PERFECT };
 
 const fn rounded(stamp: Stamp) -> Case {
@@ -72,7 +72,7 @@ const fn sampled(rate_hz: f64, stamp: Stamp) -> Case {
     Case { rate_hz, stamp, ..STAMPED }
 }
 
-/// Rates, resolutions, gaps and clocks of controllers.
+/// Rates, resolutions, gaps and clocks that controllers have.
 const CASES: [Case; 26] = [
     rounded(Stamp::Floor(4.0)),
     rounded(Stamp::Nearest(4.0)),
@@ -88,7 +88,7 @@ const CASES: [Case; 26] = [
     incomplete(Stamp::Floor(4.0), 0.01),
     incomplete(Stamp::Floor(4.0), 1.0),
     incomplete(Stamp::Exact, 5.0),
-    // The sampling clock gives the stamps: they are whole cycles.
+    // The clock that samples also stamps, so all stamps are whole cycles.
     Case { stamp_ppm: 0.0, ..incomplete(Stamp::Nearest(4.0), 1.0) },
     Case { stamp_ppm: 0.0, ..incomplete(Stamp::Nearest(4.0), 5.0) },
     clock_off(0.01),
@@ -134,7 +134,7 @@ impl Case {
         stamped(&log, &irb2400(), stamps_s, self.decimals)
     }
 
-    /// Error of the robot's parameters \[mm|mrad\], or the reason of the failure.
+    /// Error of the robot's parameters after a calibration \[mm|mrad\], or the reason why the calibration failed.
     fn calibrated(&self, seed: u64) -> Result<f64, String> {
         let run = self.run(seed);
         let log = self.log(&run, seed);
@@ -178,5 +178,6 @@ fn what_controllers_write_calibrates_as_perfect_stamps_do() {
     assert!(wrong.is_empty(), "{wrong:#?}");
 }
 
-/// Perfect stamps give errors of 0.007 to 0.034 mm|mrad, depending on the rate of the clock: each rate is another run.
+/// Largest permitted error \[mm|mrad\]. With perfect stamps, errors are 0.007 to 0.034, depending on the rate of the clock,
+/// because each rate leads to a different run.
 const LIMIT_MM_MRAD: f64 = 0.04;

@@ -1,5 +1,5 @@
-//! Several targets on the flange, measured from several stations of a tracker, or several anchors of a wire: one file, one
-//! solve.
+//! Several targets on the flange that a tracker measures from several stations, or several anchors of a wire. All rows are
+//! in one file and in one solve.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 
 use std::fmt::Write;
@@ -25,7 +25,7 @@ const STATIONS: [&str; 2] = ["north", "south"];
 const TARGETS: [&str; 3] = ["A", "B", "C"];
 const NOISE_M: f64 = 3e-5;
 
-/// A robot, the poses of the tracker, and the positions of targets on the flange \[m\].
+/// A robot, two poses of the tracker, and three positions of targets on the flange \[m\].
 struct Cell {
     truth: Chain,
     places: [Pose; 2],
@@ -51,8 +51,8 @@ fn cell() -> Cell {
 }
 
 impl Cell {
-    /// Rows of poses, each with all `targets`; the tracker moves to its second station after the `first` of them. All targets
-    /// at a pose share the robot's error.
+    /// Rows of the tracker with all `targets` for each pose. After the first `first` poses, the tracker moves to its second
+    /// station. All targets at a pose have the same error of the robot, with standard deviation `off_rad`.
     fn rows(&self, poses: usize, first: usize, targets: &[usize], off_rad: f64) -> Vec<PoseRow> {
         let [mut random, mut noise] = [23, 24].map(StdRng::seed_from_u64);
         let mut rows = Vec::new();
@@ -112,7 +112,7 @@ fn three_targets_from_two_stations_place_all_of_them_and_tell_the_robot_better_t
         assert!(output.status.success(), "{said}{}", String::from_utf8(output.stderr).unwrap());
         (CalibrationFile::open(&out).unwrap(), said)
     };
-    // Five poses locate the second station; its targets are known from the first station.
+    // Only five poses determine the second station. They suffice, because the targets are known from the first station.
     let (file, said) = calibrated(&cell.rows(80, 75, &[0, 1, 2], 0.0));
     for names in ["tracker_* north, tracker2_* south", "probe_* A, probe2_* B, probe3_* C"] {
         assert!(said.contains(names), "{said}");
@@ -123,7 +123,7 @@ fn three_targets_from_two_stations_place_all_of_them_and_tell_the_robot_better_t
         let turn = Rotation3::new(vector(&format!("{tracker}_r")));
         Pose::from_parts(vector(&format!("{tracker}_")).into(), turn)
     };
-    // Parameters that do not depend on the frames of the robot's base and flange.
+    // Compares quantities that do not depend on the frames of the robot's base and flange.
     let second_from_first = place("tracker2").inverse() * place("tracker");
     let truly = cell.places[1].inverse() * cell.places[0];
     let off_m = (second_from_first.translation.vector - truly.translation.vector).norm();
@@ -146,7 +146,7 @@ fn targets_of_one_pose_have_its_error_in_common_and_claim_no_more_than_it_tells(
         let found = Alone::quick().without_joint_errors().poses(&rows, &ur10()).unwrap();
         found.sigma("ra2".parse().unwrap()).unwrap()
     };
-    // Three equal targets contain the same information as one.
+    // Three targets at the same position contain the same information as one.
     let (once, thrice) = (sigma(&[0]), sigma(&[0, 0, 0]));
     assert!((0.9..1.1).contains(&(thrice / once)), "{thrice} {once}");
 }
@@ -189,7 +189,7 @@ fn a_wire_of_several_anchors_and_attachments_is_one_instrument_and_what_is_known
         (found.value, found.sigma.unwrap_or_default())
     };
     let (free, fixed) = (calibrated(&[]), calibrated(&["--fix", "length_offset"]));
-    // The rows contain no offset: the free estimate is zero within its uncertainty.
+    // The lengths have no offset, so the free estimate must be zero within its uncertainty.
     let (left_m, sigma_m) = number(&free, "length_offset");
     assert!(left_m.abs() < 4.0 * sigma_m && sigma_m < 2e-4, "{left_m} {sigma_m}");
     assert_eq!(number(&fixed, "length_offset"), (0.0, 0.0));

@@ -1,4 +1,4 @@
-//! Guarantees of every stream of readings, for any log.
+//! Properties that every stream of readings must have, for any log.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::borrow::Cow;
@@ -7,10 +7,10 @@ use std::f64::consts::TAU;
 use identify::logs::Stream;
 use proptest::prelude::*;
 
-/// Gap limit of these streams \[s\].
+/// Longest interval that is no gap in these streams \[s\].
 const GAP_S: f64 = 0.05;
 
-/// Irregular stamps, some after a gap, starting at 0 \[s\].
+/// Irregular stamps that start at 0, some of them after a gap \[s\].
 fn times() -> impl Strategy<Value = Vec<f64>> {
     let step_s = prop_oneof![9 => 0.002..0.02, 1 => 0.06..1.0];
     proptest::collection::vec(step_s, 30..120).prop_map(|steps| {
@@ -58,7 +58,7 @@ proptest! {
         let begins_anew = wrapped.parts().into_iter().any(|part| wrapped[part].windows(2).any(jumps));
         prop_assert_eq!(matches!(continuous, Cow::Owned(_)), begins_anew);
         for part in truth.parts() {
-            // The number of turns during a gap is unknown.
+            // The number of turns during a gap is unknown, so whole turns are permitted between segments.
             let turns = (continuous[part.start][0] - truth[part.start][0]) / TAU;
             prop_assert!((turns - turns.round()).abs() < 1e-9);
             for row in part {

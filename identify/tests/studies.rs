@@ -1,4 +1,4 @@
-//! `identify study`: results that do not depend on order or machine, and correct answers for known cases.
+//! `identify study`: results must not depend on order or machine, and answers must be correct for known cases.
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test stops at the first surprise")]
 
 use std::collections::BTreeMap;
@@ -17,7 +17,7 @@ use shared::config::JointKind;
 
 use crate::support::{irb2400, repository};
 
-/// Two estimators, two series, three seeds: 12 experiments.
+/// Writes a small study of 12 experiments: two estimators, two series, three seeds. Returns the path of its file.
 fn small(directory: &Path, path: &str) -> String {
     let (robot, bar) = (repository("config/robots/irb2400_16.toml"), repository("config/ball_bar.toml"));
     let text = format!(
@@ -84,7 +84,7 @@ fn study(arguments: &[&str]) -> Output {
     command(arguments).output().unwrap()
 }
 
-/// Contents of every file of a directory, by name.
+/// Content of every file in a directory, by its name.
 fn files(directory: &Path) -> BTreeMap<String, Vec<u8>> {
     let entries = fs::read_dir(directory).unwrap().map(|entry| entry.unwrap().path());
     entries
@@ -125,7 +125,7 @@ fn threads_shards_and_a_torn_line_make_no_difference() {
     let mut merge = vec!["merge", "--out"];
     let merged = at("merged");
     merge.push(&merged);
-    // All except the first: missing experiments are reported.
+    // Without the first shard, experiments are missing. The message states their number.
     let incomplete = study(&[merge.clone(), shards[1..].iter().map(String::as_str).collect()].concat());
     assert!(!incomplete.status.success());
     assert!(said(&incomplete).contains("3 of 12 experiments are missing"), "{}", said(&incomplete));
@@ -133,7 +133,7 @@ fn threads_shards_and_a_torn_line_make_no_difference() {
     assert!(study(&merge).status.success());
     assert_same(Path::new(&at("whole")), Path::new(&merged));
 
-    // The process was killed while writing a line.
+    // A process that was killed while it wrote a line leaves such a file.
     let lines = fs::read_to_string(Path::new(&at("whole")).join("trials.jsonl")).unwrap();
     let half: Vec<&str> = lines.split_inclusive('\n').take(6).collect();
     fs::create_dir(at("resumed")).unwrap();
@@ -142,7 +142,7 @@ fn threads_shards_and_a_torn_line_make_no_difference() {
     assert!(study(&[&file, "--out", &at("resumed")]).status.success());
     assert_same(Path::new(&at("whole")), Path::new(&at("resumed")));
 
-    // Results of another study are not extended.
+    // Results of one study are not extended by those of another study.
     let other = study(&[&file, "--out", &at("one"), "--seeds", "4"]);
     assert!(!other.status.success());
     assert!(said(&other).contains("results of another study"), "{}", said(&other));
@@ -188,7 +188,7 @@ fn a_study_without_a_single_estimate_ends_with_an_error_and_its_reason() {
     let room = tempfile::tempdir().unwrap();
     let file = small(room.path(), "");
     let text = fs::read_to_string(&file).unwrap();
-    // The encoder that the cost requires is missing.
+    // An encoder that the cost requires is missing.
     let text = text.replace("x = [0]\n", "x = [0]\nwith = { encoders = 0 }\n");
     fs::write(&file, text).unwrap();
     for (out, shard) in [("whole", &[][..]), ("shard", &["--shard", "1/2"])] {
@@ -208,7 +208,7 @@ fn an_arm_that_is_not_simulated_is_refused_before_the_first_experiment() {
     let arm = room.path().join("arm.toml");
     let urdf = fs::read_to_string(repository("identify/tests/data/seven_axes.urdf")).unwrap();
     let imported = import(&urdf, Some("base"), Some("flange")).unwrap().config;
-    // Six axes, of which the first is a track.
+    // A robot of six axes whose first axis is a track.
     let mut on_track = irb2400();
     on_track.links[0].joint = JointKind::Prismatic;
     on_track.joint_limits_deg.remove(0);
@@ -239,7 +239,8 @@ fn the_help_lists_every_condition_and_the_log_of_a_batch_job_has_lines_of_progre
     assert!(log.contains("1 of 3 experiments") && log.contains("3 of 3 experiments"), "{log}");
 }
 
-/// The path of a real robot comes from its log: the bar's joints follow from it, and all costs find the errors on it.
+/// The log of a real robot can be the path of a study. The bar's joints follow from the path, and all costs must
+/// find the errors on it.
 #[test]
 fn the_log_of_a_run_is_a_path_for_a_study() {
     let room = tempfile::tempdir().unwrap();
@@ -256,7 +257,8 @@ fn the_log_of_a_run_is_a_path_for_a_study() {
     assert!(said(&done).contains("holds: exact") && !said(&done).contains("failed"), "{}", said(&done));
 }
 
-/// Thesis: every cost finds the errors if no condition varies, and the length is most sensitive to noise.
+/// The shipped study of the thesis: without errors in the data, every cost finds the errors of the robot. The cost `length`
+/// is the most sensitive to noise.
 #[test]
 fn the_shipped_study_is_that_of_the_file_and_checks_itself() {
     let definition = Definition::load(THESIS).unwrap();
@@ -270,12 +272,12 @@ fn the_shipped_study_is_that_of_the_file_and_checks_itself() {
     for row in &results.done()[&0].rows {
         assert!(row.euclidean_mm_mrad.unwrap() < 2e-3 && row.largest_mm_mrad.unwrap() < 1e-3, "{row:?}");
     }
-    // A study that is written and read again is the same study, so that it can continue.
+    // A study that is written and read again must count as the same study, so that it can be continued.
     drop(results);
     assert_eq!(Results::open(room.path(), &definition).unwrap().done().len(), 1);
 }
 
-/// `points.parquet` as an independent reader has it, beside `points.csv`.
+/// Reads `points.parquet` with an independent program and compares it with `points.csv`.
 #[test]
 #[ignore = "needs Python with pyarrow: set BALLBAR_PYTHON"]
 fn an_independent_reader_finds_the_same_in_both_tables() {
@@ -301,7 +303,8 @@ for a, b in zip(table, rows):
     assert!(checked.status.success(), "{}", said(&checked));
 }
 
-/// Residuals of the transform by matrices of Denavit and Hartenberg, and their least squares by SciPy.
+/// Python code that computes the residuals of the cost `transform` from Denavit-Hartenberg matrices,
+/// and minimises them with SciPy.
 const SCIPY: &str = r#"
 import json, sys, time
 import numpy as np
@@ -369,7 +372,7 @@ fn scipy_finds_the_same_from_the_same_angles_and_takes_longer() {
     }
 }
 
-/// The commands of the documentation for several machines.
+/// Runs the commands that the documentation states for several machines.
 #[test]
 #[ignore = "computes figure 3.2 twice: half a minute"]
 fn the_documented_shards_give_what_one_machine_gives() {

@@ -1,5 +1,5 @@
-//! Selection of terms: the error of a single drive is found, and terms that do not exist are not taken. `CAMPAIGNS=full` for
-//! more runs.
+//! Selection of terms. The error of a single drive must be found, and terms that do not exist must not be
+//! accepted. `CAMPAIGNS=full` evaluates more runs.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -19,18 +19,18 @@ use crate::support::rows::Alone;
 use crate::support::truth::apart_m;
 use crate::support::{bar, irb120, irb2400, nj220};
 
-/// Robots without errors of gears.
+/// Errors of the laboratory without those of gears.
 const NO_GEARS: Level = Level { gear_sine_urad: 0.0, cycloid_urad: 0.0, ..Level::USUAL };
-/// Amplitude of the wave of one drive, once per turn \[rad\].
+/// Amplitude of the error of one drive, which has one period per turn \[rad\].
 const WAVE_RAD: f64 = 60e-6;
 
 /// Result of one calibration.
 struct Outcome {
-    /// Names of the accepted terms of the robot.
+    /// Names of the robot's terms that were accepted.
     accepted: Vec<String>,
-    /// Number of groups that were tried.
+    /// Number of groups of terms that were tried.
     tried: usize,
-    /// Axes (from 0) with an accepted term.
+    /// Axes (from 0) for which a term was accepted.
     axes: Vec<usize>,
     /// Mean position error over the workspace \[mm\].
     position_mm: f64,
@@ -50,15 +50,16 @@ impl Outcome {
     }
 }
 
-/// Calibrates a robot from data of a seed; a drive may have a wave once per turn.
+/// A function that calibrates a robot from the data of a seed. If a drive is given, it has an error
+/// with one period per turn.
 type Run = fn(&RobotConfig, u64, Option<usize>) -> Outcome;
 
-/// Phase of the wave, different for each seed.
+/// Phase of this error \[rad\], different for each seed.
 fn phase(seed: u64) -> f64 {
     TAU * (0.618 * seed as f64).fract()
 }
 
-/// A run with a ball-bar; `drive` has a wave once per turn.
+/// Calibrates from a run with a ball-bar. `drive` has an error with one period per turn.
 fn with_bar(robot: &RobotConfig, seed: u64, drive: Option<usize>) -> Outcome {
     let mut run = laboratory::without_noise(robot, &bar(), seed, &NO_GEARS, Design::for_robot(robot));
     if let Some(drive) = drive {
@@ -75,7 +76,7 @@ fn with_bar(robot: &RobotConfig, seed: u64, drive: Option<usize>) -> Outcome {
     Outcome::new(&found, position_m)
 }
 
-/// Poses of a tracker; `drive` has a wave once per turn.
+/// Calibrates from poses of a tracker. `drive` has an error with one period per turn.
 fn with_tracker(robot: &RobotConfig, seed: u64, drive: Option<usize>) -> Outcome {
     let level = rows_campaign::Level { gears: 0.0, sag: 0.0, ..USUAL };
     let rows = rows(Kind::Tracker, robot, seed, &level);
@@ -90,7 +91,7 @@ fn with_tracker(robot: &RobotConfig, seed: u64, drive: Option<usize>) -> Outcome
     Outcome::new(&found.0, apart_m(robot, &links, &rows.truth))
 }
 
-/// Largest number of events with at most this probability, except in one campaign of a thousand.
+/// Largest number of events with at most this probability that occurs, except in one campaign of a thousand.
 fn most(probability: f64, of: usize) -> u64 {
     Binomial::new(probability, of as u64).unwrap().inverse_cdf(0.999)
 }

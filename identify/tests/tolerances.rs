@@ -1,5 +1,5 @@
-//! Parameters that are free by default: every link parameter, with a prior at its nominal value and its tolerance, for any
-//! instrument and any separable parameters.
+//! By default every link parameter is free and has a prior: its nominal value with its tolerance. This holds for any
+//! instrument, and whether or not the data separate the parameters.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -20,7 +20,7 @@ use rand::{Rng, SeedableRng};
 use rand_distr::StandardNormal;
 use shared::config::RobotConfig;
 
-/// Without terms, to save time.
+/// A configuration without joint terms, to save time.
 fn quick() -> IdentifyConfig {
     IdentifyConfig {
         bar_length_um: 0.0,
@@ -29,7 +29,7 @@ fn quick() -> IdentifyConfig {
     }
 }
 
-/// A minute with the bar on a robot with errors of a millimetre or milliradian in every parameter.
+/// A run of a minute with the bar. The robot has errors of a millimetre or milliradian in every parameter.
 fn run(robot: &RobotConfig) -> Simulated {
     let (errors, effects) = (StaticErrors::Drawn { seed: 3 }, Effects::LABORATORY);
     let design = Design { duration_s: 60.0, ..Design::for_robot(robot) };
@@ -44,14 +44,14 @@ fn names(ids: &[ParameterId]) -> String {
     ids.iter().map(ToString::to_string).collect::<Vec<_>>().join("|")
 }
 
-/// Link parameters with a tolerance, without the last link, to which instruments are mounted.
+/// Link parameters that have a tolerance. The last link is left out, because instruments are mounted on it.
 fn with_tolerance(model: &Model) -> BTreeSet<ParameterId> {
     let is_one = |id: ParameterId| matches!(id, ParameterId::Robot { link, .. } if link < 5);
     let of_links = model.columns().filter(|one| is_one(one.id));
     of_links.filter(|one| matches!(one.role, Role::Prior { .. })).map(|one| one.id).collect()
 }
 
-/// A tracker's rows of a robot with known link errors, at joints within this range \[rad\].
+/// Rows of a tracker for a robot with known link errors. Joints are within this range about zero \[rad\].
 fn tracked(robot: &RobotConfig, reach_rad: [f64; 6]) -> Vec<PoseRow> {
     let mut random = StdRng::seed_from_u64(5);
     let mut truth = flange_chain(robot);
@@ -71,7 +71,7 @@ fn tracked(robot: &RobotConfig, reach_rad: [f64; 6]) -> Vec<PoseRow> {
     (0..200).map(row).collect()
 }
 
-/// Three parallel axes: `rd2`, `rd3` and `rd4` shift the same height.
+/// Three axes are parallel, so `rd2`, `rd3` and `rd4` have the same effect on the height.
 #[test]
 fn a_ur10_is_calibrated_with_the_ball_bar_and_what_its_parallel_axes_do_not_separate_is_named() {
     let robot = ur10();
@@ -96,7 +96,8 @@ fn the_same_numbers_are_free_whichever_instrument_measures_the_robot() {
     assert!(named(LinkParameter::Beta) && !named(LinkParameter::D), "{by_bar:?}");
 }
 
-/// A parameter fixed by name keeps its value. It is exact if it only defines a frame, else it has its tolerance as uncertainty.
+/// A parameter that is fixed by name keeps its value. If it only defines a frame, it is exact. Otherwise
+/// its tolerance is its uncertainty.
 #[test]
 fn only_what_is_fixed_by_name_is_fixed() {
     let robot = ur10();
@@ -116,7 +117,8 @@ fn only_what_is_fixed_by_name_is_fixed() {
     assert_eq!(fixed.into_iter().collect::<BTreeSet<_>>(), expected);
 }
 
-/// Joint 3 does not move: parameters that it would separate are named and stay near nominal; the others are estimated.
+/// Joint 3 does not move. Parameters that its motion would separate are named and remain near nominal,
+/// and the others are estimated.
 #[test]
 fn what_the_data_do_not_determine_is_named_and_stays_near_nominal() {
     let robot = irb2400();
@@ -153,7 +155,8 @@ fn a_parameter_that_has_a_role_by_name_has_to_be_one_of_the_model() {
     }
 }
 
-/// Cobots have such zeros. The nominal robot is the one in the file; the true one differs by its joints' zeros, too.
+/// Cobots have such offsets of their joints. The nominal robot is that of the file, and the true robot differs from
+/// it also by these offsets.
 #[test]
 fn zeros_of_joints_half_a_degree_off_contradict_no_expectation() {
     let robot = ur10();

@@ -1,4 +1,5 @@
-//! A tip on the flange that touches the faces of a block: simulated rows with known truth, for arms of six and seven axes.
+//! Calibration with a tip on the flange that touches the faces of a block. Rows are simulated with known truth, for arms
+//! of six and seven axes.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -44,7 +45,7 @@ fn calibrated(robot: &RobotConfig, made: &SimulatedTouches) -> Calibration {
     try_calibrate(robot, &made.rows, &made.table, made).unwrap()
 }
 
-/// Error of the calibrated robot relative to the nominal one.
+/// Error of the calibrated robot divided by that of the nominal robot.
 fn part_left(robot: &RobotConfig, made: &SimulatedTouches) -> f64 {
     let found = calibrated(robot, made);
     let before_m = apart_m(robot, &flange_chain(robot), &made.robot);
@@ -82,10 +83,10 @@ fn faces_of_which_nothing_is_known_leave_the_scale_to_the_robots_file_and_say_so
         &workspace.budget,
     );
     assert!(scale.contains("no distance between the faces is known"), "{scale}");
-    // No correct value is reported as wrong.
+    // No value that is correct may be reported as a contradiction.
     let limits = limits(&found, &workspace);
     assert!(limits.iter().all(|limit| !limit.sentence.contains("contradict")), "{limits:?}");
-    // The uncertainty of known positions includes that of the scale.
+    // The uncertainty of known positions includes that of their common scale.
     let after_m = apart_m(&robot, &found.model().geometry(&[]).robot, &made.robot);
     assert!(workspace.budget.expanded_m > 0.9e-3, "{}", workspace.budget.expanded_m);
     assert!(after_m < 1.5 * workspace.budget.expanded_m, "{after_m}");
@@ -126,7 +127,7 @@ fn intervals_of_links_hold_95_percent_over_robots_that_touch() {
     }
 }
 
-/// Runs `identify` in a directory; returns whether it succeeded, and its output.
+/// Runs `identify` in a directory. Returns whether it succeeded, and its output.
 fn told(directory: &Path, arguments: &[&str]) -> (bool, String) {
     let run = Command::new(env!("CARGO_BIN_EXE_identify"))
         .current_dir(directory)
@@ -135,7 +136,7 @@ fn told(directory: &Path, arguments: &[&str]) -> (bool, String) {
         .output()
         .unwrap();
     let texts = [run.stdout, run.stderr].map(|text| String::from_utf8(text).unwrap());
-    // Sentences are wrapped to the width of a terminal.
+    // The output is wrapped to the width of a terminal, so line breaks are removed.
     let words: Vec<String> = texts.concat().split_whitespace().map(Into::into).collect();
     (run.status.success(), words.join(" "))
 }
@@ -166,7 +167,7 @@ fn a_simulated_block_is_inspected_and_calibrates_from_its_files_and_its_experime
         .map(|out| std::fs::read_to_string(at.join(out).join("corrections.csv")).unwrap_or_default());
     assert!(!first.is_empty() && first == second);
 
-    // A block that is longer than in its table is reported.
+    // A block that is longer than its table states is reported.
     let faces = std::fs::read_to_string(at.join("cube/faces.toml")).unwrap();
     let line = faces.lines().find(|line| line.starts_with("distance_mm")).unwrap();
     let mm: f64 = line.split_once("= ").unwrap().1.parse().unwrap();
@@ -176,7 +177,7 @@ fn a_simulated_block_is_inspected_and_calibrates_from_its_files_and_its_experime
     let (done, text) = told(at, &[&calibrate[..], &wrong].concat());
     assert!(done && text.contains("verdict amber"), "{text}");
     assert!(text.contains("the table of sockets or faces: the distance between faces `"), "{text}");
-    // Known values of a name without rows are not used, and a warning is printed.
+    // Known values of a face without rows are not used, and the command prints a warning.
     std::fs::write(at.join("spelt.toml"), faces.replace("\"right\"", "\"rihgt\"")).unwrap();
     let spelt = ["--faces", "spelt.toml", "--robot", "irb120_3", "--out", "spelt"];
     let mut command = Command::new(env!("CARGO_BIN_EXE_identify"));

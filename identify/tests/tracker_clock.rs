@@ -1,4 +1,4 @@
-//! A tracker and a robot with independent clocks: aligned by the motion, with shift and rate in the solve.
+//! A tracker and a robot with independent clocks. The motion aligns them, and the solve estimates the clock shift and rate.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -21,7 +21,7 @@ fn calibrated(tracker: Tracker) -> Calibration {
     calibrate(&DataSets { rows, ..DataSets::default() }, &ur10(), &config, None).unwrap()
 }
 
-/// Error of a calibration, and of one of the same rows with the true times of measurement \[m\].
+/// Error of a calibration \[m\], and that of a calibration of the same rows with the true times of measurement.
 fn errors_m(followed: &Followed, aligned: &AlignedPoses, found: &Calibration) -> [f64; 2] {
     let perfect = calibrated(Tracker::new(&followed.with_perfect_times(aligned)));
     [found, &perfect].map(|found| followed.error_m(&found.runs[0].model))
@@ -30,7 +30,7 @@ fn errors_m(followed: &Followed, aligned: &AlignedPoses, found: &Calibration) ->
 #[test]
 fn clocks_of_a_moving_target_are_found_and_calibrate_as_well_as_perfect_times() {
     for seed in 1..=4 {
-        // Some trackers measure at regular times, some on request.
+        // Some trackers measure at regular times, others on request.
         let uneven_s = if seed % 2 == 0 { 4e-3 } else { 0.0 };
         let followed = Followed::new(seed, Sizes { with_rotation: seed == 1, uneven_s, ..Sizes::default() });
         let aligned = followed.aligned().unwrap();
@@ -73,7 +73,7 @@ fn two_milliseconds_of_jitter_leave_a_third_of_one() {
             perfect_m * 1e6,
         );
         assert!(shift_s.abs() < 3e-4, "{shift_s}");
-        // Times of a regular clock are recovered; others remain uncertain, and so do the measured positions.
+        // Times of a regular clock are recovered. Other times remain uncertain, which also affects the measured positions.
         assert_eq!(evened, uneven_s == 0.0);
         assert!(error_m < if evened { 3.0 * perfect_m } else { 1.5e-4 }, "{error_m} {perfect_m}");
     }
@@ -126,7 +126,8 @@ fn a_tracker_that_is_moved_and_sees_two_targets_is_aligned_as_one() {
     }
 }
 
-/// An hour with stops of 1.2 s each; the robot's clock is fast by twice the usual rate error: a third of a second at the ends.
+/// The logs cover an hour with stops of 1.2 s each. The robot's clock is fast by twice the usual rate error, which is a
+/// third of a second at the ends.
 #[test]
 fn clocks_that_run_apart_over_an_hour_of_stops_lose_no_row() {
     let sizes = Sizes { rate_hz: 0.1, duration_s: 3600.0, skew: 190e-6, stay: 0.06, ..Sizes::default() };
@@ -146,7 +147,7 @@ fn logs_that_do_not_belong_together_are_errors_that_say_so() {
         |tracker: &Followed, robot: &Followed| tracker.aligned_with(&robot.log).unwrap_err().to_string();
     let another_run = said(&one, &other);
     assert!(another_run.contains("tracker's log do not match at any clock difference"), "{another_run}");
-    // The robot's log ends shortly after the start of the tracker's.
+    // The robot's log ends shortly after the start of the tracker's log.
     let late = Followed::new(1, Sizes { lead_s: [60.0, -110.0], ..Sizes::default() });
     let late = late.aligned().unwrap_err().to_string();
     println!("{late}");
@@ -162,7 +163,7 @@ fn a_motion_that_repeats_itself_fits_elsewhere_too_and_is_said_to() {
     let followed = Followed::new(1, Sizes { lap_s: Some(40.0), ..Sizes::default() });
     let aligned = followed.aligned().unwrap();
     assert!(aligned.alignment.ambiguous);
-    // The longest overlap is used, which is the correct one here.
+    // The alignment with the longest overlap is used. Here this is the correct one.
     let found = calibrated(followed.measured(&aligned));
     let [shift_s, _] = followed.clock_errors(&aligned, &found.runs[0].model);
     assert!(shift_s.abs() < 5e-5, "{shift_s}");
@@ -200,21 +201,21 @@ fn the_command_takes_both_logs_and_what_it_writes_repeats_it() {
     assert!(out.contains("robot's clock minus tracker's: 4321.09") && out.contains("clock_skew"), "{out}");
     let page = std::fs::read_to_string(folder.path().join("result/report.html")).unwrap();
     assert!(page.contains("robot&#39;s clock minus tracker") || page.contains("robot's clock minus tracker"));
-    // The tracker's clock has no date: the certificate leaves it to be written by hand.
+    // The clock of the tracker has no date, so the certificate has an empty field in which it can be written by hand.
     assert!(page.contains("<dt>Measured</dt><dd class=\"blank\"></dd>"), "{page:.2000}");
     let (done, _, err) = run(&["--experiment", "result/experiment.toml"], "again");
     assert!(done, "{err}");
     let found = |name: &str| CalibrationFile::open(&folder.path().join(name)).unwrap();
     assert_eq!(found("result").parameters, found("again").parameters);
     assert!(found("result").inputs.iter().any(|input| input.role == "robot log"));
-    // Estimated clock parameters.
+    // Checks the estimated parameters of the clock.
     let clock = found("result").clocks.remove(0);
     assert_eq!((clock.data_set, clock.instrument.as_str()), (1, "tracker"));
     let reference_s: f64 = clock.reference_utc.split(' ').next().unwrap().parse().unwrap();
     let off_ns = clock.robot_minus_instrument_ns as f64 - 1e9 * followed.clock_difference_s(reference_s);
     let (sigma_ns, sigma_ppm) = (clock.sigma_ns.unwrap(), clock.skew_sigma_ppm.unwrap());
     println!("off by {off_ns:.0} ns (sigma {sigma_ns:.0}), {} ppm (sigma {sigma_ppm:.3})", clock.skew_ppm);
-    // The reference is written in whole milliseconds: 35 ns at this rate.
+    // The reference time is written in whole milliseconds, which causes an error of 35 ns at this rate.
     assert!(off_ns.abs() < 4.0 * sigma_ns + 35.0 && sigma_ns < 2e4, "{off_ns} {sigma_ns}");
     assert!(
         (clock.skew_ppm - 35.0).abs() < 4.0 * sigma_ppm && sigma_ppm < 2.0,
@@ -224,7 +225,7 @@ fn the_command_takes_both_logs_and_what_it_writes_repeats_it() {
     assert!(clock.correlation > 0.99 && !clock.ambiguous);
     let json = std::fs::read_to_string(folder.path().join("result/calibration.json")).unwrap();
     assert!(json.contains("\"robot_minus_instrument_ns\":4321"));
-    // Rows with joints are used to validate the robot; rows with times have none.
+    // The rows that validate the robot have joints, whereas rows with times have none.
     let rows = followed.with_perfect_times(&followed.aligned().unwrap());
     let mut other = String::from("q1;q2;q3;q4;q5;q6;x;y;z\n");
     for row in rows.iter().step_by(20) {
@@ -248,7 +249,7 @@ fn the_command_takes_both_logs_and_what_it_writes_repeats_it() {
     assert!(done && out.contains("other.csv"), "{out}{err}");
     let (done, _, err) = with(&[&robot_log[..], &["other.csv"]].concat(), "out");
     assert!(!done && err.contains("tracker.toml") && err.contains("--validate-mapping"), "{err}");
-    // Times without the robot's log, and the robot's log without times.
+    // Refused are times without a robot log, and a robot log without times.
     let (done, _, err) = with(&[], "out");
     assert!(!done && err.contains("tracker.toml") && err.contains("--robot-log"), "{err}");
     let shipped = crate::support::repository("config/measured_pose.toml");
@@ -260,7 +261,7 @@ fn the_command_takes_both_logs_and_what_it_writes_repeats_it() {
     std::fs::write(folder.path().join("tracker.toml"), both).unwrap();
     let (done, _, err) = with(&["--robot-log", "robot.csv"], "out");
     assert!(!done && err.contains("rows with [time] get their joints from the robot's own log"), "{err}");
-    // Another run is refused with a page, and an older calibration is set aside.
+    // The log of another run is refused with a page, and the older calibration is moved to another name.
     followed.write(folder.path());
     let other = Followed::new(2, followed.sizes);
     std::fs::write(folder.path().join("tracker.csv"), &other.text).unwrap();
@@ -269,7 +270,7 @@ fn the_command_takes_both_logs_and_what_it_writes_repeats_it() {
     assert!(err.contains("report.html") && !folder.path().join("result/calibration.toml").exists(), "{err}");
 }
 
-/// A tracker writes zeros when its beam is interrupted.
+/// When its beam is interrupted, the tracker writes zeros.
 #[test]
 fn rows_of_a_broken_beam_are_left_out_and_named() {
     let mut followed = Followed::new(1, Sizes::default());
@@ -298,7 +299,8 @@ fn stamps_that_go_back_are_refused_by_their_line() {
     assert!(error.to_string().contains("line 22"), "{error}");
 }
 
-/// Each stamp has the first target once and the second twice, as from a logger that reads faster than the buffer is filled.
+/// For each stamp, the first target occurs once and the second twice, as if a logger had read faster
+/// than its buffer was filled.
 #[test]
 fn targets_that_are_seen_at_once_are_all_read_at_their_time() {
     let stamp_ms = |row: usize| 1e3 * row as f64 + 37.0 * (row * row % 7) as f64;

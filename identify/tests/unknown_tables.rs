@@ -1,4 +1,4 @@
-//! Tables without a mapping are read through the proposed mapping.
+//! For tables without a mapping, `inspect` proposes one. Reading the table with the proposed mapping must be correct.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::path::Path;
@@ -17,7 +17,7 @@ use crate::support::irb2400;
 /// Number of rows of every table.
 const ROWS: usize = 80;
 
-/// Joints of a row \[rad\]: a motion through much of the workspace.
+/// Joints at a row \[rad\]. The motion covers much of the workspace.
 fn joints_rad(row: usize) -> [f64; 6] {
     let phase = row as f64 * 0.17;
     std::array::from_fn(|joint| {
@@ -26,7 +26,7 @@ fn joints_rad(row: usize) -> [f64; 6] {
     })
 }
 
-/// `tracker_from_probe` of a row.
+/// The pose `tracker_from_probe` that the tracker measures at a row.
 fn seen(row: usize) -> Pose {
     let tracker_from_base = Pose::from_parts(
         Translation3::new(3.1, -1.2, 0.4),
@@ -39,29 +39,29 @@ fn seen(row: usize) -> Pose {
     tracker_from_base * flange_chain(&irb2400()).forward(&joints_rad(row)) * flange_from_probe
 }
 
-/// Length of a wire from an anchor to the flange \[m\].
+/// Length of a wire between an anchor and the flange at a row \[m\].
 fn length_m(row: usize) -> f64 {
     let flange = flange_chain(&irb2400()).forward(&joints_rad(row));
     (flange.translation.vector - Vector3::new(2.2, 0.4, 0.1)).norm()
 }
 
-/// Table format of another program.
+/// Format of a table that another program writes.
 struct Style {
     delimiter: &'static str,
     decimal_comma: bool,
-    /// Number of lines before the header.
+    /// Text of the lines before the header.
     title: &'static str,
-    /// Whether a line of units follows the header.
+    /// True if a line of units follows the header.
     unit_line: bool,
-    /// `#` is replaced by the joint's number, `@` by its letter at Yaskawa.
+    /// Name of a joint's column. `#` is replaced by the number of the joint, `@` by the letter that Yaskawa uses for it.
     joint: &'static str,
     /// Number of the first joint.
     first: usize,
     degrees: bool,
-    /// A column with other data between time and joints.
+    /// A column with other data, which is between the time and the joints.
     between: &'static str,
     time: &'static str,
-    /// Number of time stamps in one second.
+    /// Number of time units in one second.
     ticks: f64,
     encode: fn(String) -> Vec<u8>,
 }
@@ -149,7 +149,7 @@ const STYLES: &[Style] = &[
     },
 ];
 
-/// Columns of a table besides the joints.
+/// The data that a table has in addition to the joints.
 #[derive(Clone, Copy, PartialEq)]
 enum Beside {
     Time,
@@ -233,7 +233,7 @@ fn proposed(bytes: &[u8]) -> Proposal {
     propose(bytes, Path::new("table.txt"), &irb2400()).unwrap()
 }
 
-/// The mapping read from its file, as a user gets it.
+/// The proposed mapping as a user gets it: written to a file and read again.
 fn from_file<T: serde::de::DeserializeOwned + config::Validate>(proposal: &Proposal) -> T {
     config::parse(&proposal.to_toml().unwrap(), Path::new("mapping.toml")).unwrap()
 }
@@ -356,7 +356,7 @@ fn columns_that_are_exchanged_or_reversed_or_in_another_unit_are_named_by_trying
     );
 }
 
-/// Rows at 1 Hz in seconds and at 1 kHz in milliseconds have the same stamps.
+/// Rows at 1 Hz with stamps in seconds have the same stamps as rows at 1 kHz with stamps in milliseconds.
 #[test]
 fn a_unit_of_the_time_that_is_not_in_the_header_is_named_as_a_guess() {
     let doubts = |time: &'static str, ticks: f64| {
@@ -368,7 +368,7 @@ fn a_unit_of_the_time_that_is_not_in_the_header_is_named_as_a_guess() {
         matches!(&guess[..], [one] if one.contains("ms is taken") && one.contains("if it is in s")),
         "{guess:?}"
     );
-    // Seconds that are less than one second apart have no other reading.
+    // Stamps in seconds that differ by less than one second cannot be in another unit.
     for (time, ticks) in [("time", 1.0), ("time [ms]", 1e3), ("time [us]", 1e6)] {
         assert!(doubts(time, ticks).is_empty(), "{time}");
     }

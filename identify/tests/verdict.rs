@@ -1,4 +1,4 @@
-//! The verdict of a calibration, green, amber or red, and the files that the user gets to apply.
+//! The verdict of a calibration (green, amber or red), and the files that the user gets to apply the calibration.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::collections::BTreeMap;
@@ -17,7 +17,8 @@ use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 
-/// Root mean squares \[mm, mrad\], nominal and calibrated.
+/// The verdict for root mean square errors of position \[mm\] and rotation \[mrad\], each of the nominal
+/// and of the calibrated robot.
 fn judged(
     position: [f64; 2],
     rotation: [f64; 2],
@@ -27,7 +28,8 @@ fn judged(
     judged_within(0.1e-3, position, rotation, limits, required_m)
 }
 
-/// The same for a geometry known within this over the workspace, with an error of a millimetre of the nominal one \[m\].
+/// The verdict if positions are known within `expanded_m` over the workspace \[m\]. The nominal robot
+/// has an error of a millimetre.
 fn judged_within(
     expanded_m: f64,
     position: [f64; 2],
@@ -66,7 +68,7 @@ fn figures(rows: usize, mm: f64) -> PoseFigures {
     PoseFigures { rows, position_m: Sizes { rms: mm * 1e-3, ..Sizes::default() }, rotation_rad: None }
 }
 
-/// Rows with these errors of the nominal and of the calibrated robot \[mm\].
+/// An entry of a file for rows whose errors are those of the nominal and of the calibrated robot \[mm\].
 fn rows_entry(rows: usize, [nominal_mm, calibrated_mm]: [f64; 2]) -> RowsEntry {
     let nominal = figures(rows, nominal_mm);
     let stages = Stages { nominal, joints: figures(rows, calibrated_mm), ..Stages::default() };
@@ -83,7 +85,7 @@ fn rows_entry(rows: usize, [nominal_mm, calibrated_mm]: [f64; 2]) -> RowsEntry {
 
 #[test]
 fn green_needs_unseen_data_within_the_claim_beyond_chance() {
-    // Rows of another file, and residuals of the fitted file [mm].
+    // The verdict for rows of another file with this error, if the fitted file has residuals of this size \[mm\].
     let verdict = |rows: usize, calibrated_mm: f64, fitted_mm: f64| {
         let (mut file, workspace) = file(0.1e-3, [1.0, 0.05], [1.0, 0.1]);
         file.rows.push(rows_entry(rows, [1.0, fitted_mm]));
@@ -106,7 +108,7 @@ fn green_needs_unseen_data_within_the_claim_beyond_chance() {
         "{reason}"
     );
     assert_eq!(verdict(100, 0.1, 0.05).grade, Grade::Green);
-    // Noise that the fit also has is not an error of the robot; the scatter of three rows is large.
+    // Noise that the fit also has does not count as an error of the robot. Three rows scatter too much for a conclusion.
     assert_eq!(verdict(100, 0.42, 0.41).grade, Grade::Green);
     assert_eq!(verdict(3, 0.2, 0.15).grade, Grade::Green);
     assert_eq!(verdict(100, 1.5, 0.05).grade, Grade::Red);
@@ -170,13 +172,13 @@ fn green_needs_both_answers_and_amber_names_what_is_missed() {
         assert_eq!(missed.grade, Grade::Amber);
         assert!(missed.reason.unwrap().contains(why));
     }
-    // The covariance claims an accuracy that held-out data contradict.
+    // The covariance predicts an accuracy that contradicts the held-out data.
     let belied = judged([1.0, 0.4], [1.0, 0.1], &[], Some(0.2e-3)).reason.unwrap();
     assert!(belied.contains("required 0.2 mm") && belied.contains("0.400 mm"), "{belied}");
     let limit = |serious| Limit { sentence: "Joint 3 turned by 2 degrees only.".into(), serious };
     assert_eq!(good(&[limit(false)], None).grade, Grade::Green);
     assert_eq!(good(&[limit(true)], None).reason.unwrap(), limit(true).sentence);
-    // Rows in one corner of the workspace predict each other.
+    // All rows are in one corner of the workspace, so they predict each other well.
     let of_a_corner = judged_within(1.5e-3, [1.0, 0.05], [1.0, 0.1], &[], None);
     assert_eq!(of_a_corner.grade, Grade::Amber);
     assert!(of_a_corner.reason.unwrap().contains("valid near the measured poses only"));
@@ -197,13 +199,13 @@ fn wire(csv: &str, extra: &[&str], out: &Path) -> (std::process::Output, Vec<Str
     (output, files)
 }
 
-/// Lengths of a robot with errors of millimetres in two of its links, and noise of 20 um.
+/// A table of lengths of a robot with errors of millimetres in two of its links, and with noise of 20 um.
 fn of_another_robot() -> String {
     let mut robot = irb2400();
     robot.links[1].a_m += 2e-3;
     robot.links[3].d_m -= 3e-3;
     let mut random = ChaCha8Rng::seed_from_u64(7);
-    // The controller's own positions would be those of the nominal robot.
+    // Positions of the controller are computed with the nominal robot.
     let csv = lengths::table(&robot, 300, 12.0);
     let nominal = lengths::table(&irb2400(), 300, 12.0);
     let rows = csv.lines().zip(nominal.lines()).map(|(measured, row)| {
@@ -225,12 +227,12 @@ fn a_required_accuracy_is_judged_and_repeated_for_every_instrument() {
         let text = String::from_utf8_lossy(&output.stdout);
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
         assert!(text.starts_with(&format!("verdict {grade}: ")), "{text}");
-        // Verdict, errors before and after, parts, scale, limits, unseparated parameters, files, next step; the rest needs
-        // --verbose.
+        // The output has verdict, errors before and after, deployments, scale, limits, parameters that are not separated,
+        // files, and the next step. Everything else needs --verbose.
         let fits = |line: &str| line.chars().count() <= 100 || !line.trim().contains(' ');
         assert!(text.lines().all(fits), "{text}");
         assert_eq!(text.lines().filter(|line| !line.starts_with("  ")).count(), 8, "{text}");
-        // The number is at the start.
+        // The stated number is at the start of the output.
         assert!(
             text.starts_with(&format!("verdict {grade}: 0.0"))
                 && text.contains("scale: the lengths of the wire")
@@ -241,7 +243,7 @@ fn a_required_accuracy_is_judged_and_repeated_for_every_instrument() {
         assert!(experiment.contains("require_mm"), "{experiment}");
         let page = std::fs::read_to_string(out.path().join("report.html")).unwrap();
         assert_eq!(page.contains("<div class=\"verdict doubt\">"), grade == "amber");
-        // The certified values are in the file for programs.
+        // The certified values are also in the file that programs read.
         let expected = CalibrationFile::open(out.path()).unwrap().expected.unwrap();
         let cube = expected.cube.unwrap();
         assert!(expected.calibrated.mean_m < expected.nominal.mean_m, "{expected:?}");

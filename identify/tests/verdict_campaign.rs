@@ -1,5 +1,5 @@
-//! Verdicts of many experiments with known truth: the claimed error of the robot holds, and no green result is less accurate
-//! than claimed. `CAMPAIGNS=full` for all of them.
+//! Verdicts of many experiments with known truth. The stated error of the robot must be correct, and no green result may be
+//! less accurate than stated. `CAMPAIGNS=full` evaluates all experiments.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -23,11 +23,11 @@ use crate::support::campaign::size;
 use crate::support::laboratory::{self, Level};
 use crate::support::{bar, irb2400, nj220};
 
-/// The plate as measured with a calliper.
+/// Standard uncertainty of a plate length that was measured with a calliper \[um\].
 const PLATE_U_UM: f64 = 50.0;
 
-/// A run with errors between noise alone and more than `hard`, and the configured bar: its plate is wrong by a calliper's
-/// error.
+/// A run and its configured bar. The errors of the run vary between noise alone and more than those of level `hard`. The
+/// configured plate length is wrong by the error of a calliper.
 fn experiment(robot: &RobotConfig, seed: u64) -> (Simulated, BallBarConfig) {
     let mut random = ChaCha8Rng::seed_from_u64(31_000 + seed);
     let mut up_to = |most: f64| random.random_range(0.0..most);
@@ -52,8 +52,8 @@ fn experiment(robot: &RobotConfig, seed: u64) -> (Simulated, BallBarConfig) {
     (run, BallBarConfig { plate_m: bar.plate_m + 1e-6 * PLATE_U_UM * off, ..bar })
 }
 
-/// Claimed error over the workspace, verdict, and true error with the errors of joints: the mean and the 95 % quantile over the
-/// postures \[m\].
+/// Stated error over the workspace, verdict, and true errors with the errors of joints \[m\]. The true errors are the mean
+/// and the 95 % quantile over the postures.
 pub fn judged(
     run: &Simulated,
     found: &Calibration,
@@ -71,7 +71,7 @@ pub fn judged(
     Ok((evidence.workspace, file.verdict.unwrap(), [mean_m, p95_m]))
 }
 
-/// Results of this number of experiments with two robots.
+/// Evaluates this number of experiments with two robots.
 #[test]
 #[ignore = "a dozen calibrations with everything that is said of them: most of a minute"]
 fn nothing_is_green_that_is_wrong_and_no_good_run_is_refused() {
@@ -123,7 +123,7 @@ fn nothing_is_green_that_is_wrong_and_no_good_run_is_refused() {
     assert!(within >= least(0.95) && below >= least(0.975), "{within}, {below} of {cases}");
 }
 
-/// A mistake in a run, or a wrong configuration of bar and robot.
+/// A function that corrupts a run, or makes the configuration of bar or robot wrong.
 type Spoil = fn(&mut Simulated, &mut BallBarConfig, &RobotConfig);
 
 fn spoils() -> Vec<(&'static str, Spoil)> {
@@ -179,7 +179,7 @@ fn spoils() -> Vec<(&'static str, Spoil)> {
     ]
 }
 
-/// Changes the joints of each row as a function of the part of the run that has passed.
+/// Changes the joints of each row. `change` also gets the fraction of the run that has passed.
 fn rows(run: &mut Simulated, change: impl Fn(&mut Joints, f64)) {
     let count = run.robot_log.q_rad.len() as f64;
     for (row, q) in run.robot_log.q_rad.iter_mut().enumerate() {

@@ -1,4 +1,5 @@
-//! Runs calibrated with the configuration of another robot or bar: reported with the correct cause, or calibrated correctly.
+//! Runs that are calibrated with the configuration of another robot or bar. Either the correct cause is
+//! reported, or the calibration is correct.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use crate::support::laboratory::of_drive;
@@ -17,7 +18,7 @@ fn laboratory(robot: &RobotConfig, seed: u64) -> Simulated {
         .unwrap()
 }
 
-/// Lengths of a robot's links that a bar can determine.
+/// Lengths of a robot's links that a bar determines.
 #[derive(Debug, Clone, Copy)]
 enum Length {
     A(usize),
@@ -68,7 +69,7 @@ fn links_that_are_decimetres_too_long_are_never_told_as_a_clock_or_an_encoder() 
     }
 }
 
-/// The robot configured for a plate that is mounted with this rotation about the flange's axis.
+/// The robot configured for a plate that is mounted with this rotation about the axis of the flange \[deg\].
 fn with_plate_turned(robot: &RobotConfig, by_deg: f64) -> RobotConfig {
     let mut robot = robot.clone();
     robot.links.last_mut().unwrap().theta_deg += by_deg;
@@ -131,7 +132,7 @@ fn calibrated(run: &Simulated, robot: &RobotConfig, bar: &BallBarConfig) -> Cali
     calibrate_run(&run.cycles, &run.encoders, &run.robot_log, robot, bar, &config).unwrap()
 }
 
-/// Names of lengths that are reported as far from the configured ones, and their differences \[mm\].
+/// Names of the lengths that are reported as far from their configured values, and the differences \[mm\].
 fn told_of_lengths(found: &Calibration) -> Vec<(String, f64)> {
     let told = limits(found, &WorkspaceError::default());
     let Some(told) = told.into_iter().find(|limit| limit.sentence.starts_with("Estimated lengths")) else {
@@ -166,7 +167,7 @@ fn centimetres_are_found_and_told() {
     for (robot, bar, expected) in cases {
         let found = calibrated(&run, &robot, &bar);
         println!("{expected:?} {:.4} mm|mrad, {:.4} otherwise", error(&found), error(&right));
-        // Other start values lead to the same robot, up to the bias by tolerances about a wrong nominal length.
+        // Other start values lead to the same robot, except for the bias by priors about a wrong nominal length.
         assert!(error(&found) < 1.3 * error(&right), "{expected:?}");
         let told = told_of_lengths(&found);
         let same = |(told, expected): (&(String, f64), &(&str, f64))| {
@@ -174,7 +175,7 @@ fn centimetres_are_found_and_told() {
         };
         assert!(told.len() == expected.len() && told.iter().zip(&expected).all(same), "{told:?}");
     }
-    // The plate defines the scale: a wrong one only changes all lengths by the same factor.
+    // The plate defines the scale, so a wrong plate only changes all lengths by the same factor.
     let scaled = told_of_lengths(&calibrated(&run, &robot, &BallBarConfig { plate_m: 0.255, ..bar }));
     let part = |name: &str, length_mm: f64| {
         scaled.iter().find(|one| one.0 == name).map_or(0.0, |one| one.1 / length_mm)
@@ -202,7 +203,7 @@ fn a_wrong_ratio_contradicts_what_is_expected_and_is_reported_and_expectations_t
     assert!(strained.serious, "{}", strained.sentence);
 }
 
-/// Drive 5 is delayed in the log by 8 ms relative to the others; drive 2 moves 1 % less than configured.
+/// In the log, drive 5 is delayed by 8 ms relative to the other drives, and drive 2 moves 1 % less than configured.
 #[test]
 #[ignore = "takes more than four seconds"]
 fn a_late_drive_and_a_wrong_ratio_are_named_and_taken_out() {
@@ -226,7 +227,7 @@ fn a_late_drive_and_a_wrong_ratio_are_named_and_taken_out() {
     assert!(error < 2.0 * sound, "{error} {sound}");
     let (error, told) = calibrated(&|run| of_drive(run, &robot, 1, |g, row| 1.01 * g[row]));
     assert!(told.contains("Joint 2 turns by 0.99 % less than its log says"), "{told}");
-    // With free ratios the angles are less certain; before, the error was millimetres.
+    // Free ratios make the angles less certain. Without them, the error was millimetres.
     assert!(error < 4.0 * sound, "{error} {sound}");
 }
 
