@@ -100,7 +100,7 @@ def bag_with_efforts(path, storage, table):
 
 
 def rtde_with_force(path, table):
-    """Writes a log like the recorder of Universal Robots' RTDE client: outputs in the order of its guide, numbers as Python prints them."""
+    """Writes a log like the recorder of Universal Robots' RTDE client: outputs as in its guide, numbers as in Python."""
     vectors = ["target_q", "target_qd", "target_qdd", "target_current", "target_moment", "actual_q", "actual_qd",
                "actual_current", "joint_control_output", "actual_TCP_pose", "actual_TCP_speed", "actual_TCP_force"]
     with open(path, "w", newline="") as sink:
@@ -171,7 +171,7 @@ def egm(path, utc):
 
 
 def rtde(path):
-    """Writes a log like the CSV writer of Universal Robots' RTDE client: Python's csv, blanks between cells, outputs in any order."""
+    """Writes a log like the CSV writer of Universal Robots' RTDE client: blanks between cells, outputs in any order."""
     with open(path, "w", newline="") as sink:
         writer = csv.writer(sink, delimiter=" ")
         joints = range(6)
@@ -198,7 +198,7 @@ def rsi(path):
 
 
 def table(path):
-    """Writes a spreadsheet export with decimal commas: a title line, UTF-8 with BOM, CRLF, all cells quoted, angles in degrees."""
+    """Writes a spreadsheet export with decimal commas: a title line, UTF-8 with BOM, CRLF, cells quoted, angles in degrees."""
     with open(path, "w", newline="", encoding="utf-8-sig") as sink:
         writer = csv.writer(sink, delimiter=";", quoting=csv.QUOTE_ALL)
         writer.writerow(["Prüfstand 3; Lauf 7"])

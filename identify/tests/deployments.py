@@ -27,7 +27,7 @@ def placed(robot, seen):
 
 
 def errors(vector, handler, seen):
-    """Errors of each coordinate: the sum of squares of `optimize_accuracy`, whose distances are too coarse for a step."""
+    """Errors of each coordinate. `optimize_accuracy` minimises the same sum, but its distances determine a step poorly."""
     handler.apply_optimization_vector(vector)
     return np.concatenate([handler.robot.fk(q)[:3, 3] - position for q, position in seen])
 

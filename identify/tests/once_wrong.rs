@@ -87,7 +87,8 @@ fn intervals_of_single_parameters_hold_where_gears_err_otherwise_than_the_model_
             let effects = Effects { gear_sine_urad: 0.0, cycloid_urad: 0.0, ..Effects::LABORATORY };
             let mut run =
                 simulate::run(&Experiment { effects, seed, ..Experiment::new(&robot, &bar()) }).unwrap();
-            // These harmonics are functions of the joint angles, whereas gear errors of the model are functions of the drive angles.
+            // These harmonics are functions of the joint angles, whereas gear errors of the model are functions of
+            // the drive angles.
             let mut random = StdRng::seed_from_u64(seed);
             let phases: [f64; 6] = std::array::from_fn(|_| random.random_range(-3.0..3.0));
             for q in run.robot_log.q_rad.iter_mut() {
