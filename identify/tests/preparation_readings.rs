@@ -98,12 +98,13 @@ fn the_average_takes_noise_and_in_motion_hardly_more_than_at_standstill() {
     assert_eq!(prepared(&noisy, "").timeline.averaged, None);
     let found = prepared(&noisy, "moving_average_ms = 100.0");
     let averaged = found.timeline.averaged.unwrap();
-    // The average loses its width at each end of the recording.
+    // The average needs readings over its whole width, so some samples at each end of the recording are not averaged.
     assert_eq!((averaged.width_s, found.counts.not_averaged), (0.1, 20));
     for side in [&averaged.bar, &averaged.robot] {
         for (still, moving) in side.still_rad.iter().zip(&side.moving_rad) {
             let (still, moving) = (still.unwrap() * 1e6, moving.unwrap() * 1e6);
-            // The average contains a small part of each reading's own noise.
+            // The average contains a small fraction of the noise of each reading, so the difference of
+            // the two is slightly smaller.
             assert!((25.0..30.5).contains(&still) && (moving - still).abs() < 3.0, "{still} {moving}");
         }
         let fastest = &side.fastest;
@@ -129,7 +130,7 @@ fn the_average_takes_noise_and_in_motion_hardly_more_than_at_standstill() {
 fn readings_keep_the_order_of_time_and_begin_near_zero_wherever_counters_start_anew() {
     let mut run = run(Effects::NONE);
     let middle = run.cycles.len() / 2;
-    // Terminals that restart, and a clock that is half a second behind from then on.
+    // The terminals restart, and from then on their clock is half a second behind.
     for cycle in &mut run.cycles[middle..] {
         cycle.origin += 1;
         cycle.sample_time = cycle.sample_time.plus_ns(-500_000_000);

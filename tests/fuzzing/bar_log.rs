@@ -1,4 +1,4 @@
-//! The bar's encoders in tables and bags of other programs, from arbitrary bytes.
+//! Fuzz target: reads logs of the bar's encoders that other programs wrote, tables or bags, from arbitrary bytes.
 
 use std::path::Path;
 use std::sync::LazyLock;
@@ -22,8 +22,8 @@ static SETTING: LazyLock<BarLogSetting> = LazyLock::new(|| {
     BarLogSetting { bars: [crate::ball_bar(), four], mapping }
 });
 
-/// Reads a table or a bag, with and without a mapping. Either its cycles are numbered and their angles finite, or it is
-/// refused with a reason.
+/// Reads a table or a bag, with and without a mapping. If it is accepted, its cycles must be numbered and its angles finite.
+/// If it is refused, the error must have a reason.
 pub fn any_file(bytes: &[u8]) {
     let BarLogSetting { bars, mapping } = &*SETTING;
     for (bar, mapping) in bars.iter().flat_map(|bar| [(bar, None), (bar, Some(mapping))]) {
@@ -50,7 +50,8 @@ pub fn any_file(bytes: &[u8]) {
     }
 }
 
-/// Tables: output of `ballbard export`, the columns of the thesis, angles, and lines without header as in the shipped mapping.
+/// Seeds: tables. They are an output of `ballbard export`, the columns of the thesis, angles, and lines without header
+/// as in the shipped mapping.
 pub fn tables() -> Vec<Vec<u8>> {
     let rows = |header: &str, row: &dyn Fn(usize) -> String| {
         (header.to_owned() + &(0..52).map(row).collect::<String>()).into_bytes()
@@ -71,7 +72,7 @@ pub fn tables() -> Vec<Vec<u8>> {
     ]
 }
 
-/// Bags: joint states of another program, and of our own recordings.
+/// Seeds: bags with joint states of another program, and with those of our own recordings.
 pub fn bags() -> Vec<Vec<u8>> {
     let five = ["bar_joint_5", "bar_joint_1", "bar_joint_2", "bar_joint_3", "bar_joint_4"];
     let mut bags = vec![joint_states::bag(&five), joint_states::bag(&five[..4])];

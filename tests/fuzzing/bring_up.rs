@@ -1,4 +1,4 @@
-//! The daemon's MainDevice on a bus with replies damaged by the fuzzer.
+//! Fuzz target: the daemon brings up a bus whose replies are damaged by the fuzzer.
 
 use std::cell::RefCell;
 use std::time::Duration;
@@ -15,7 +15,7 @@ use super::replies::{DamagedWire, Script};
 
 /// Number of cyclic frames after the bring-up.
 const CYCLES: usize = 5;
-/// Longest permitted bring-up of a bus, in its own time, for any replies.
+/// Longest permitted bring-up for any replies, measured on the virtual clock of the bus \[ns\].
 const BRING_UP_NS_MAX: i64 = 600 * NS_PER_S;
 
 struct BringUpRig {
@@ -23,7 +23,7 @@ struct BringUpRig {
     wire: DamagedWire,
 }
 
-/// A segment of a coupler and one terminal.
+/// A simulated segment of a coupler and one terminal.
 pub(super) fn segment(clock: &Clock) -> InProcessWire {
     let config = SegmentConfig { terminals: 1, ..SegmentConfig::default() };
     InProcessWire::new(SimulatedSegment::new(&config, Box::new(SmoothMotion::new(1, 3600, 1))), clock.clone())
@@ -37,7 +37,8 @@ impl BringUpRig {
     }
 }
 
-/// Either the bus comes up, its clock is followed and it is cycled, or it is refused with a reason; both in bounded time.
+/// Brings up a bus with damaged replies. Either this succeeds, and the bus then runs some cycles, or it is refused with a
+/// reason. Both must end in bounded time.
 pub fn any_replies(bytes: &[u8]) {
     thread_local!(static RIG: RefCell<BringUpRig> = RefCell::new(BringUpRig::new()));
     RIG.with_borrow_mut(|rig| {
@@ -45,7 +46,7 @@ pub fn any_replies(bytes: &[u8]) {
         rig.wire.play(Script::of(bytes));
         let begun = rig.clock.now();
         let plan = plan();
-        // Reuses the EtherCAT stack of the previous bus.
+        // Uses the EtherCAT stack of the previous bus again.
         let bus = Bus::new(Box::new(rig.wire.clone()), rig.clock.clone(), plan.reply_timeout);
         match Acquisition::start(bus, &plan, rig.clock.clone()) {
             Ok(mut acquisition) => (0..CYCLES).for_each(|_| acquisition.idle()),
@@ -55,7 +56,7 @@ pub fn any_replies(bytes: &[u8]) {
     });
 }
 
-/// Configuration that matches the bus of [`segment`].
+/// A configuration that matches the bus of [`segment`].
 pub(super) fn plan() -> BusPlan {
     let bar = crate::ball_bar();
     BusPlan {
@@ -68,7 +69,8 @@ pub(super) fn plan() -> BusPlan {
     }
 }
 
-/// Seeds: no damage; a lost reply; an emergency and an abort in place of the first answers; a wrong length.
+/// Seeds: scripts without damage, with a lost reply, with an emergency and an abort in place of the first answers,
+/// and with a wrong length.
 pub fn scripts() -> Vec<Vec<u8>> {
     vec![
         vec![],

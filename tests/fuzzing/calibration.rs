@@ -1,4 +1,4 @@
-//! Reading and comparing calibrations, from arbitrary text.
+//! Fuzz target: reads and compares calibrations from arbitrary text.
 
 use std::path::Path;
 
@@ -8,8 +8,8 @@ use identify::report::side_by_side;
 
 use super::explained;
 
-/// Reads a text as `calibration.json` and as `calibration.toml`, and compares the calibration with itself. The result is a
-/// table, or a refusal with a reason.
+/// Reads a text as `calibration.json` and as `calibration.toml`. If it is accepted, the calibration is compared with a
+/// changed copy of itself. If it is refused, the error must have a reason.
 pub fn any_text(bytes: &[u8]) {
     let Ok(text) = std::str::from_utf8(bytes) else { return };
     for name in ["calibration.json", "calibration.toml"] {
@@ -22,7 +22,7 @@ pub fn any_text(bytes: &[u8]) {
 
 fn compare(file: &CalibrationFile) {
     let mut other = file.clone();
-    // A second calibration with other corrections and sigmas.
+    // The second calibration has other corrections and sigmas.
     for entry in other.parameters.iter_mut().step_by(2) {
         entry.correction *= 0.5;
         entry.sigma = entry.sigma.map(|sigma| 2.0 * sigma);
@@ -40,7 +40,7 @@ fn compare(file: &CalibrationFile) {
     }
 }
 
-/// A calibration with few parameters in both file formats.
+/// Seeds: a calibration with few parameters, in both file formats.
 pub fn files() -> Vec<Vec<u8>> {
     let solve = SolveEntry {
         cost: "pose".into(),

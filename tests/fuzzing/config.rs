@@ -1,4 +1,4 @@
-//! Every kind of configuration file, from arbitrary text.
+//! Fuzz target: reads every type of configuration file from arbitrary text.
 
 use std::path::Path;
 
@@ -32,8 +32,8 @@ const FILES: [(u8, &str); 16] = [
     (b'r', "robots/irb120_3.toml"),
 ];
 
-/// The first byte selects the kind of file, the rest is its text. It is accepted or refused with a reason; an accepted
-/// configuration can be used.
+/// The first byte selects the type of file, and the other bytes are its text. If the text is accepted, the configuration
+/// must be usable. If it is refused, the error must have a reason.
 pub fn any_text(bytes: &[u8]) {
     let Some((kind, text)) = bytes.split_first() else { return };
     let Ok(text) = std::str::from_utf8(text) else { return };
@@ -83,7 +83,7 @@ fn accepted<T: serde::de::DeserializeOwned + Validate>(text: &str) -> Option<T> 
     parse(text, Path::new("fuzzed.toml")).inspect_err(|error| explained(error)).ok()
 }
 
-/// Seeds: the shipped configuration files, each with the byte of its kind.
+/// Seeds: the shipped configuration files, each after the byte that selects its type.
 pub fn shipped() -> Vec<Vec<u8>> {
     let file = |(kind, name): (u8, &str)| {
         let text = std::fs::read(crate::config_directory().join(name)).expect("a shipped file");

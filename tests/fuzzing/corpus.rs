@@ -1,10 +1,10 @@
-//! Initial inputs of the fuzz targets. For each target `tests/fuzz` contains:
+//! Inputs of the fuzz targets. For each target, `tests/fuzz` contains:
 //!
-//! - `regressions/TARGET/NAME`: inputs that once caused a failure, each named after its property,
-//! - `corpus/TARGET.tar.zst`: inputs found by fuzzing that each reach additional code.
+//! - `regressions/TARGET/NAME`: inputs that once caused a failure, each named after the property that it violated,
+//! - `corpus/TARGET.tar.zst`: inputs found by fuzzing, each of which reaches additional code.
 //!
-//! At its start a fuzz target unpacks both, with its seeds, into `tests/fuzz/corpus/TARGET`. `cargo fuzz` reads that
-//! directory and adds to it. These commands, in `tests/fuzz`, save new inputs:
+//! When a fuzz target starts, it writes these inputs and its seeds to `tests/fuzz/corpus/TARGET`. `cargo fuzz` reads that
+//! directory and adds new inputs to it. To save the new inputs, run in `tests/fuzz`:
 //!
 //! ```sh
 //! cargo +nightly fuzz cmin -s none --fuzz-dir . TARGET
@@ -25,7 +25,7 @@ impl Target {
     /// All inputs with their names: seeds, regressions and the archive.
     ///
     /// # Errors
-    /// A file that cannot be read.
+    /// If a file cannot be read.
     pub fn inputs(&self) -> io::Result<Vec<(String, Vec<u8>)>> {
         let seeds = (self.seeds)().into_iter().enumerate();
         let mut inputs: Vec<_> = seeds.map(|(index, seed)| (format!("seed-{index}"), seed)).collect();
@@ -37,7 +37,7 @@ impl Target {
     /// Inputs that once caused a failure, with their names.
     ///
     /// # Errors
-    /// A file that cannot be read.
+    /// If a file cannot be read.
     pub fn regressions(&self) -> io::Result<Vec<(String, Vec<u8>)>> {
         let folder = folder().join("regressions").join(self.name);
         if !folder.exists() {
@@ -53,7 +53,7 @@ impl Target {
     /// Inputs of the archive, with their names.
     ///
     /// # Errors
-    /// The archive is missing or cannot be read.
+    /// If the archive is missing or cannot be read.
     pub fn archived(&self) -> io::Result<Vec<(String, Vec<u8>)>> {
         let archive = fs::File::open(folder().join("corpus").join(format!("{}.tar.zst", self.name)))?;
         let mut archive = tar::Archive::new(zstd::Decoder::new(archive)?);

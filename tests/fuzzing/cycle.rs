@@ -1,4 +1,4 @@
-//! The cycle of a bus in operation with replies damaged by the fuzzer.
+//! Fuzz target: the cycle of a bus in operation, whose replies are damaged by the fuzzer.
 
 use std::cell::RefCell;
 
@@ -11,9 +11,10 @@ use shared::time::UtcNs;
 use super::bring_up::{plan, segment};
 use super::replies::{DamagedWire, Script};
 
-/// Largest number of cycles until the script ends.
+/// Largest number of cycles in which a script is played.
 const CYCLES_MAX: usize = 200;
-/// Largest number of cycles from there to the next valid sample: seconds, with a new bring-up of the bus if needed.
+/// Largest number of cycles from the end of the script to the next valid sample. The bus may need a
+/// new bring-up, which takes seconds.
 const RECOVERY_CYCLES_MAX: usize = 1000;
 
 /// An acquisition that continues from one script to the next, because a bring-up for each script would be slow.
@@ -34,7 +35,8 @@ impl CycleRig {
         Self { acquisition, wire, last: None }
     }
 
-    /// Runs one cycle and checks its records.
+    /// Runs one cycle. Records must be numbered without a hole, their times must increase, and an
+    /// invalid record must be flagged.
     fn cycle(&mut self) {
         let last = &mut self.last;
         self.acquisition.next_cycle(&mut |record| {
@@ -53,7 +55,8 @@ impl CycleRig {
     }
 }
 
-/// Every due cycle has its record, time increases, and a bus without further faults returns to valid samples.
+/// Plays a script of damaged replies. Every cycle that is due must have a record, and times must increase. After the script,
+/// the bus must return to valid samples.
 pub fn any_replies(bytes: &[u8]) {
     thread_local!(static RIG: RefCell<CycleRig> = RefCell::new(CycleRig::new()));
     RIG.with_borrow_mut(|rig| {
@@ -73,7 +76,8 @@ pub fn any_replies(bytes: &[u8]) {
     });
 }
 
-/// Seeds: no damage; a lost reply; wrong inputs, working counters and bus times; a truncated reply.
+/// Seeds: scripts without damage, with a lost reply, with wrong inputs, working counters and bus times,
+/// and with a truncated reply.
 pub fn scripts() -> Vec<Vec<u8>> {
     vec![
         vec![],

@@ -1,4 +1,4 @@
-//! Forces on the bar in separate files, from arbitrary bytes.
+//! Fuzz target: reads forces on the bar in separate files from arbitrary bytes.
 
 use std::path::Path;
 use std::sync::LazyLock;
@@ -8,7 +8,8 @@ use shared::config::{self, RobotConfig};
 
 use super::explained;
 
-/// Mappings: components without header on the other clock, and torques of six motors.
+/// Two mappings. The first is for force components on the clock of the bar, in a table without header. The second is
+/// for torques of six motors.
 const MAPPINGS: [&str; 2] = [
     "clock = \"bar\"\n[csv]\nheader = false\n[time]\ncolumn = \"1\"\nunit = \"date_time\"\n\
      [force]\ncolumns = [\"2\", \"3\", \"4\"]\nunit = \"lbf\"\nframe = \"base\"\n",
@@ -31,8 +32,8 @@ static SETTING: LazyLock<ForceLogSetting> = LazyLock::new(|| {
     }
 });
 
-/// Reads a table with each mapping and without one. Either the result is finite and in order, or the table is refused with a
-/// reason.
+/// Reads a table with each mapping and without one. If it is accepted, its values must be finite and its times in order. If
+/// it is refused, the error must have a reason.
 pub fn any_table(bytes: &[u8]) {
     for mapping in &SETTING.mappings {
         match ForceLog::read(bytes, Path::new("force"), &SETTING.robot, mapping.as_ref()) {
@@ -42,7 +43,7 @@ pub fn any_table(bytes: &[u8]) {
     }
 }
 
-/// Checks the properties of every force, for any source.
+/// Checks the properties that forces from any source must have.
 pub fn check(log: &ForceLog) {
     let log = &log.values;
     assert!(log.t_s.len() == log.rows.len() && log.t_s.first() == Some(&0.0));

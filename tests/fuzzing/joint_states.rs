@@ -1,4 +1,5 @@
-//! ROS 2 bags with joint states, as seeds. The messages are not compressed, so that fuzzing can change them.
+//! Generates ROS 2 bags with joint states as seeds. Messages are not compressed, so that the
+//! fuzzer can change their content.
 
 use std::collections::BTreeMap;
 use std::io::Cursor;
@@ -7,7 +8,7 @@ use mcap::records::MessageHeader;
 
 const TYPE: &str = "sensor_msgs/msg/JointState";
 
-/// A bag of 52 messages at 125 Hz on one topic; every joint has a position, a speed and an effort.
+/// A bag of 52 messages at 125 Hz on one topic. Every joint has a position, a speed and an effort.
 pub fn bag(names: &[&str]) -> Vec<u8> {
     let mut writer = mcap::WriteOptions::new()
         .profile("ros2")
@@ -29,7 +30,7 @@ pub fn bag(names: &[&str]) -> Vec<u8> {
     writer.into_inner().into_inner()
 }
 
-/// Little-endian CDR, each number aligned to its size behind the first four bytes.
+/// A message in little-endian CDR. Each number is aligned to its size, counted from the end of the four bytes of the header.
 fn message(names: &[&str], row: u32) -> Vec<u8> {
     let mut body = Vec::new();
     body.extend(1_795_000_000_u32.to_le_bytes());

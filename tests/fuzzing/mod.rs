@@ -1,8 +1,8 @@
-//! Fuzz targets: each [`Target`] takes arbitrary bytes and panics if a guarantee is violated.
+//! Fuzz targets. Each [`Target`] takes arbitrary bytes and panics if a guarantee is violated.
 //!
-//! The same functions serve `cargo fuzz` (`tests/fuzz`, needs nightly) and the ordinary test `corpus`, which runs
-//! them on all saved inputs (`corpus.rs` describes their directories and how to save new ones). The message of each error is
-//! formatted too, because that must not fail either.
+//! `cargo fuzz` (`tests/fuzz`, needs nightly) and the ordinary test `corpus` call the same functions. The test runs them on
+//! all saved inputs; `corpus.rs` describes the directories of these inputs and how to save new ones. Each target also
+//! formats the message of an error, because formatting must not fail either.
 
 mod api;
 mod bar_log;
@@ -23,17 +23,17 @@ mod segment;
 pub use corpus::unpack;
 use input::UnusedBytes;
 
-/// A function that takes bytes from an external source.
+/// A function under test that takes bytes from an external source, with its inputs.
 pub struct Target {
     /// Name of the fuzz target and of its saved inputs.
     pub name: &'static str,
     /// Takes arbitrary bytes; panics if a guarantee is violated.
     pub run: fn(&[u8]),
-    /// Well-formed initial inputs.
+    /// Returns the seeds: well-formed inputs with which fuzzing starts.
     pub seeds: fn() -> Vec<Vec<u8>>,
 }
 
-/// All fuzz targets, one for each kind of external input.
+/// All fuzz targets, at least one for each type of external input.
 pub const TARGETS: &[Target] = &[
     Target { name: "recording", run: recording::any_bytes, seeds: recording::whole_and_cut },
     Target { name: "recording_content", run: recording::any_content, seeds: recording::contents },
@@ -55,13 +55,13 @@ pub const TARGETS: &[Target] = &[
     Target { name: "api", run: api::any_requests, seeds: api::requests },
 ];
 
-/// Runs the target of that name.
+/// Runs the target with this name on these bytes.
 pub fn run(name: &str, bytes: &[u8]) {
     let target = TARGETS.iter().find(|target| target.name == name).expect("a target of that name");
     (target.run)(bytes);
 }
 
-/// Checks that the message of a refusal is not empty.
+/// Checks that the message of an error has a text.
 fn explained(error: &dyn std::fmt::Display) {
     assert!(error.to_string().len() > 10, "an error without words");
 }

@@ -1,4 +1,4 @@
-//! Recordings from arbitrary bytes, and from arbitrary content with correct checksums.
+//! Fuzz targets: read recordings from arbitrary bytes, and from arbitrary content with correct checksums.
 
 use std::collections::BTreeMap;
 use std::io::{Cursor, Read};
@@ -16,7 +16,8 @@ const START: UtcNs = UtcNs(1_790_000_000_000_000_000);
 const RUN: &str = "ballbard.run";
 const END: &str = "ballbard.end";
 
-/// A file is read, or refused with a reason; the result of a recovery is a valid recording.
+/// Reads and recovers a file of arbitrary bytes. Reading may refuse the file with a reason. If a recovery succeeds, its
+/// result must be a valid recording.
 pub fn any_bytes(bytes: &[u8]) {
     let read = Recording::read(bytes);
     match &read {
@@ -46,7 +47,8 @@ fn check(recording: &Recording) {
     assert_eq!(recording.cycles.len() as u64, recording.end.cycles);
 }
 
-/// A file with correct checksums and with messages and metadata from the fuzzer: pieces of kind, length, bytes.
+/// Reads a file with correct checksums, whose messages and metadata are from the fuzzer. The bytes of the fuzzer consist of
+/// pieces; each has kind, length and content.
 pub fn any_content(bytes: &[u8]) {
     let mut writer = mcap::WriteOptions::new()
         .profile("ros2")
@@ -104,7 +106,7 @@ pub fn whole_and_cut() -> Vec<Vec<u8>> {
     vec![finished, unfinished, recovered.into_inner(), recording(0)]
 }
 
-/// Seeds: the pieces of those recordings.
+/// Seeds: the recordings of [`whole_and_cut`], split into pieces.
 pub fn contents() -> Vec<Vec<u8>> {
     whole_and_cut().iter().map(|file| pieces(file)).collect()
 }
@@ -166,7 +168,7 @@ fn cycle(number: u64) -> CycleRecord {
     }
 }
 
-/// Messages and metadata of a file in the form that [`any_content`] takes.
+/// Splits a recording into pieces of messages and metadata, in the form that [`any_content`] takes.
 fn pieces(file: &[u8]) -> Vec<u8> {
     let mut reader = LinearReader::new();
     let (mut source, mut pieces, mut topics) = (file, Vec::new(), BTreeMap::new());

@@ -1,4 +1,4 @@
-//! Replies of a simulated bus, damaged by the fuzzer.
+//! Damages the replies of a simulated bus as the fuzzer determines.
 
 use std::io;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -8,7 +8,8 @@ use shared::time::MonoNs;
 
 use super::UnusedBytes;
 
-/// Script of damage to replies: each entry waits for a number of replies, or of mailbox replies if selected.
+/// A script that damages replies. Each entry waits for a number of replies before it damages one. If selected, it only
+/// counts replies that read a mailbox.
 pub struct Script {
     entries: Vec<DamagedReply>,
     passed: u16,
@@ -23,12 +24,12 @@ struct DamagedReply {
 enum ReplyDamage {
     Drop,
     Cut(usize),
-    /// First byte of the damage, in the data of the first datagram.
+    /// Position of the first damaged byte in the data of the first datagram, and the bytes to write there.
     Overwrite(usize, Vec<u8>),
 }
 
 impl Script {
-    /// Parses entries until the bytes end.
+    /// Parses the entries of a script until the bytes end.
     pub fn of(bytes: &[u8]) -> Self {
         let mut input = UnusedBytes(bytes);
         let mut entries = Vec::new();
@@ -48,7 +49,7 @@ impl Script {
         Self { entries, passed: 0 }
     }
 
-    /// Returns the reply, damaged if the script requires it; `None` if it is lost.
+    /// Damages the reply if the script requires it. Returns its length, or `None` if the reply is lost.
     fn apply(&mut self, reply: &mut [u8]) -> Option<usize> {
         let Some(next) = self.entries.last() else { return Some(reply.len()) };
         if next.only_mailbox && !is_mailbox_reply(reply) {
@@ -71,7 +72,7 @@ impl Script {
     }
 }
 
-/// True if the first datagram read the mailbox of a terminal and the mailbox was not empty.
+/// True if the first datagram of the reply read the mailbox of a terminal and the mailbox was not empty.
 fn is_mailbox_reply(frame: &[u8]) -> bool {
     frame.get(16) == Some(&4)
         && frame.get(20..22) == Some(&[0x80, 0x10])
@@ -79,8 +80,8 @@ fn is_mailbox_reply(frame: &[u8]) -> bool {
         && frame.get(26 + 128) == Some(&1)
 }
 
-/// A wire to a segment, with the damage to its replies. The segment can be replaced by a new one, because ethercrab lends its
-/// frame storage once per process. Clones share the wire.
+/// A wire to a segment whose replies a script damages. The segment can be replaced by a new one, because ethercrab lends its
+/// frame storage only once per process. Clones share the wire.
 #[derive(Clone)]
 pub struct DamagedWire(Arc<Mutex<(InProcessWire, Script)>>);
 
@@ -94,7 +95,7 @@ impl DamagedWire {
         self.lock().0 = segment;
     }
 
-    /// Applies the script from the next reply on.
+    /// Starts a script, which applies from the next reply on.
     pub fn play(&self, script: Script) {
         self.lock().1 = script;
     }

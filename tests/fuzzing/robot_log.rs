@@ -1,4 +1,4 @@
-//! Robot logs of every format, from arbitrary bytes.
+//! Fuzz targets: read robot logs of every format from arbitrary bytes.
 
 use std::path::Path;
 use std::sync::LazyLock;
@@ -17,7 +17,7 @@ struct RobotLogSetting {
 
 static SETTING: LazyLock<RobotLogSetting> = LazyLock::new(|| {
     let directory = crate::config_directory();
-    // Limits that no joint reaches, so that most logs are accepted.
+    // No joint reaches these limits, so most logs are accepted.
     let mut robot: RobotConfig =
         config::load(&directory.join("robots/irb120_3.toml")).expect("a shipped file");
     robot.joint_limits_deg = vec![[-1e6, 1e6]; 6];
@@ -26,8 +26,8 @@ static SETTING: LazyLock<RobotLogSetting> = LazyLock::new(|| {
     RobotLogSetting { robot, mapping: RobotLogMapping { force: Some(torques), ..shipped } }
 });
 
-/// Reads a log of that format, with and without a mapping. Either it has the guaranteed properties, or it is refused with a
-/// reason.
+/// Reads a log in this format, with and without a mapping. If it is accepted, it must have the guaranteed properties. If it
+/// is refused, the error must have a reason.
 fn any_log(format: LogFormat, bytes: &[u8]) {
     let RobotLogSetting { robot, mapping } = &*SETTING;
     for mapping in [None, Some(mapping.clone())] {
@@ -76,7 +76,7 @@ fn row(row: usize) -> [f64; 6] {
     std::array::from_fn(|joint| 20.0 * (0.3 * row as f64 + joint as f64).sin())
 }
 
-/// Seeds: the robot's own table and RTDE's, both with a force, and that of the shipped mapping.
+/// Seeds: a table of the robot itself and one of RTDE, both with a force, and a table for the shipped mapping.
 pub fn tables() -> Vec<Vec<u8>> {
     let table = |header: &str, separator: &str, step: f64, more: &str| {
         let mut text = header.to_owned();
@@ -110,7 +110,7 @@ pub fn telegrams() -> Vec<Vec<u8>> {
     vec![format!("<?xml version=\"1.0\"?>\n<Log>{text}</Log>").into_bytes(), text.into_bytes()]
 }
 
-/// Seeds: messages with the controller's milliseconds.
+/// Seeds: EGM messages that are stamped with the controller's milliseconds.
 pub fn egm_messages() -> Vec<Vec<u8>> {
     let message = |index: usize| {
         let mut joints = Vec::new();
@@ -130,7 +130,8 @@ pub fn egm_messages() -> Vec<Vec<u8>> {
     vec![(0..30).flat_map(message).collect(), message(1)]
 }
 
-/// Seeds: bags with efforts and the joint names of drivers or of the shipped mapping, and our own recordings.
+/// Seeds: bags with efforts, and our own recordings. The joint names of the bags are those of
+/// drivers or of the shipped mapping.
 pub fn mcap_bags() -> Vec<Vec<u8>> {
     let driver = ["joint_2", "joint_1", "joint_3", "gripper", "joint_4", "joint_5", "joint_6"];
     let mut bags = vec![joint_states::bag(&driver), joint_states::bag(&["J1", "J2", "J3", "J4", "J5", "J6"])];
@@ -138,7 +139,7 @@ pub fn mcap_bags() -> Vec<Vec<u8>> {
     bags
 }
 
-/// No seeds: `small.db3` in the archive was written by another program.
+/// Returns no seeds, because another program is needed to write such bags. The archive of saved inputs contains `small.db3`.
 pub fn sqlite_bags() -> Vec<Vec<u8>> {
     Vec::new()
 }

@@ -1,4 +1,4 @@
-//! The simulated segment with arbitrary frames and mailbox requests.
+//! Fuzz targets: the simulated segment gets arbitrary frames and arbitrary mailbox requests.
 
 use super::UnusedBytes;
 use frames::*;
@@ -11,7 +11,7 @@ use ballbard::segment::simulated::{Conversion, EncoderSource, Periods, Signal};
 
 const MAILBOX_BYTES: usize = 128;
 
-/// Encoder source in which all encoders turn, reported as 238 periods per second.
+/// An encoder source in which all encoders turn. Their reported speed is 238 periods per second.
 struct Turning;
 
 impl EncoderSource for Turning {
@@ -26,7 +26,7 @@ impl EncoderSource for Turning {
     }
 }
 
-/// Frames of arbitrary bytes to a terminal in OP: each returns with its own length or not at all.
+/// Sends frames of arbitrary bytes to a terminal in OP. Each frame must return with its own length, or not at all.
 pub fn any_frames(bytes: &[u8]) {
     let mut wire = Wire::new(2, Turning);
     wire.enter_safeop(TERMINAL);
@@ -46,7 +46,7 @@ pub fn any_frames(bytes: &[u8]) {
     }
 }
 
-/// Command, index and length of each datagram, which no device may change.
+/// Command, index and length of each datagram of a frame. No device may change them.
 fn headers(frame: &[u8]) -> Vec<(u8, u8, u16)> {
     let mut headers = Vec::new();
     let mut rest = frame.get(16..).unwrap_or_default();
@@ -61,8 +61,8 @@ fn headers(frame: &[u8]) -> Vec<(u8, u8, u16)> {
     headers
 }
 
-/// Mailbox requests of arbitrary bytes to a terminal in PRE-OP: answers are well-formed, and the terminal still responds
-/// afterwards.
+/// Sends mailbox requests of arbitrary bytes to a terminal in PRE-OP. Answers must be well-formed, and the
+/// terminal must still respond afterwards.
 pub fn any_requests(bytes: &[u8]) {
     let mut wire = Wire::new(1, Turning);
     wire.enter_preop(TERMINAL);
@@ -76,7 +76,7 @@ pub fn any_requests(bytes: &[u8]) {
             fetch(&mut wire, &request);
         }
     }
-    // For any SDO request: object 0x1018:01 (vendor) is always 2.
+    // After any SDO request, object 0x1018:01 (vendor) still reads as 2.
     assert_eq!(wire.sdo(TERMINAL, &[0x40, 0x18, 0x10, 1, 0, 0, 0, 0])[..5], [0x43, 0x18, 0x10, 1, 2]);
 }
 

@@ -125,7 +125,7 @@ fn the_mailbox_state_can_be_mapped_as_a_single_bit() {
     wire.enter_preop(TERMINAL);
     let mut registers = [0; 16];
     registers[..4].copy_from_slice(&100u32.to_le_bytes());
-    registers[4] = 1; // one byte, of which bit 2
+    registers[4] = 1; // one byte, and only its bit 2
     (registers[6], registers[7]) = (2, 2);
     registers[8..10].copy_from_slice(&0x080du16.to_le_bytes());
     (registers[10], registers[11], registers[12]) = (3, 1, 1);

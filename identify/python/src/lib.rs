@@ -238,7 +238,7 @@ fn read_recording(py: Python<'_>, path: PathBuf) -> PyResult<RecordingTables> {
     })
 }
 
-/// SHA-256 of a file, or of a configuration that is built in under this name, hexadecimal.
+/// Hexadecimal SHA-256 of a file, or of the built-in configuration with this name.
 #[pyfunction]
 fn checksum(path: PathBuf) -> PyResult<String> {
     let read = InputFile::of("", &path).map_err(|error| py_error(format!("{}: {error}", path.display())))?;

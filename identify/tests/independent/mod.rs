@@ -177,7 +177,7 @@ struct Motion {
     path: BarPath,
     schedule: Schedule,
     duration_s: f64,
-    /// Bar length as a function of joints 1 and 2.
+    /// Deviations of the bar length as functions of joints 1 and 2.
     runout: [Waves; 2],
 }
 
