@@ -61,7 +61,7 @@ fn a_run_is_recorded_and_exported_with_counts_and_angles() {
         assert_eq!(row[0], cycle.sample_time.to_string());
         for (index, encoder) in cycle.encoders().iter().enumerate() {
             assert_eq!(row[1 + index], encoder.count.to_string());
-            // The encoder has 3600 lines, each interpolated with 12 bits. Its count is relative to the zero of the encoder.
+            // The encoder has 3600 lines, each interpolated with 12 bits. The angle is zero where the count is zero.
             let angle_rad = f64::from(encoder.count as i32) * std::f64::consts::TAU / 14_745_600.0;
             assert!((row[6 + index].parse::<f64>().unwrap() - angle_rad).abs() < 1e-8);
         }

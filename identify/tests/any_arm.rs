@@ -672,8 +672,8 @@ fn seven_axes_and_an_arm_on_a_track_are_calibrated_by_a_tracker_and_written_as_u
         // The norm of the noise of three coordinates has an RMS of 35 um.
         assert!(nominal.rms > 1e-3 && found.rms < 4.2e-5, "{}: {nominal:?} {found:?}", arm.0);
         assert!(report.held_out().joints.rotation_rad.unwrap().rms < 4.2e-5, "{}", arm.0);
-        // A revolute axis has 4 parameters and a prismatic one 2. Of the 12 parameters of tracker and probe, 6 are in
-        // addition identified through the links. All are identified much better than by their priors.
+        // The data determine 4 parameters for each revolute axis, 2 for each prismatic one, and 6 others. Tracker and probe
+        // have 12 of these, so the links have the rest. All are identified much better than by their priors.
         let links = report.model().ids().into_iter();
         let links = links.filter(|id| matches!(id, ParameterId::Robot { .. }));
         let sigmas: Vec<_> = links.filter_map(|id| Some((id, report.sigma(id)?))).collect();

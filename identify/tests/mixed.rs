@@ -304,7 +304,7 @@ fn data_sets_of_one_robot_agree_and_a_scale_or_zero_of_their_own_is_said() {
     let found = calibrated_wire.calibrated([false, true, true, false]);
     let priors: Vec<String> = found.contradicted.priors.iter().map(ToString::to_string).collect();
     assert!(priors.iter().any(|prior| prior.starts_with("scale@2 by -")), "{priors:?}");
-    // The zero of joint 2 was changed before the tracker measured.
+    // The offset of joint 2 in the controller was changed before the tracker measured.
     let mut mastered = Cell::new(1);
     mastered.poses.iter_mut().for_each(|row| row.joints_rad[1] += 1e-3);
     assert!(!contradicting(&mastered.calibrated([true, true, false, false])).is_empty());

@@ -7,7 +7,7 @@ use std::f64::consts::TAU;
 use identify::logs::Stream;
 use proptest::prelude::*;
 
-/// Longest interval that is no gap in these streams \[s\].
+/// Longest interval that does not count as a gap in these streams \[s\].
 const GAP_S: f64 = 0.05;
 
 /// Irregular stamps that start at 0, some of them after a gap \[s\].

@@ -21,7 +21,7 @@ pub fn assert_reported(service: &Running, log: &Path, code: &str) {
         is_in_metrics(&agent().get(&url).call().unwrap().body_mut().read_to_string().unwrap(), code)
     };
     let logged = || std::fs::read_to_string(log).unwrap().contains(&format!("code=\"{code}\""));
-    // The page lags behind the status, and lines of the log wait in a queue. Each place therefore gets some time.
+    // The page lags behind the status, and lines of the log wait in a queue. Each output therefore gets some time.
     let places: [(&str, &dyn Fn() -> bool); 3] = [("page", &page), ("metrics", &metrics), ("log", &logged)];
     for (place, is_there) in places {
         let is_there = (0..200).any(|_| {
