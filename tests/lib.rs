@@ -7,7 +7,9 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use ballbard::clock::Clock;
-use ballbard::run::{self, About, BusChoice, RunDetails, RunError, RunRequest, RunSummary, Stop, Storage};
+use ballbard::run::{
+    self, About, BusChoice, RunDetails, RunError, RunRequest, RunSummary, Setup, Stop, Storage,
+};
 use ballbard::scheduler::Threads;
 use shared::config::{self, BallBarConfig, DaemonConfig};
 use shared::recording::Recording;
@@ -50,7 +52,8 @@ pub fn record_run(
     let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build().expect("runtime");
     let scheduler = Threads::on(Clock::Real);
     let storage = Storage::new(daemon, &*scheduler).expect("storage");
-    runtime.block_on(run::record(&scheduler, &storage, request, daemon, bar, &Stop::default()))
+    let setup = Setup { scheduler, storage, daemon: daemon.clone(), bar: bar.clone() };
+    runtime.block_on(run::record(&setup, request, &Stop::default()))
 }
 
 /// Records into `directory` and reads the finished file back.

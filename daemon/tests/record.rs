@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use ballbard::record::{RunSummary, Stop, Storage};
-use ballbard::run::{self, BusChoice, RunDetails, RunError, RunRequest};
+use ballbard::run::{self, BusChoice, RunDetails, RunError, RunRequest, Setup};
 use shared::config::DaemonConfig;
 use shared::recording::{Recording, WriteError};
 use shared::time::MonoNs;
@@ -46,9 +46,8 @@ impl Command {
         let scheduler = World::here().unwrap().scheduler();
         let begun = now();
         let storage = Storage::on(self.wall.clone(), &self.daemon, &*scheduler).unwrap();
-        let outcome =
-            run::record(&scheduler, &storage, &self.request, &self.daemon, &bar(), &self.stop).await;
-        (outcome, since(begun))
+        let setup = Setup { scheduler, storage, daemon: self.daemon.clone(), bar: bar() };
+        (run::record(&setup, &self.request, &self.stop).await, since(begun))
     }
 
     /// Interrupts the command after this time. The cell holds the instant of the interruption once it has happened.

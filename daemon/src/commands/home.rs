@@ -15,7 +15,7 @@ use super::{Format, bus_choice, on_signal};
 use crate::clock::Clock;
 use crate::control::controller::homing::Homing;
 use crate::control::status::{Granted, HomeRequest, HomingStatus, Reply, Status, StopRequest};
-use crate::run::{self, RunRequest, Stop, Storage};
+use crate::run::{self, RunRequest, Setup, Stop, Storage};
 use crate::scheduler::{Scheduler, Threads};
 
 /// Period in which progress is polled.
@@ -104,11 +104,12 @@ async fn on_own_bus(
     }
     let request = RunRequest { bus: bus_choice(Some(bus))?, ..RunRequest::default() };
     let storage = Storage::new(&daemon, &**scheduler)?;
-    let session = run::open_with_retry(scheduler, &storage, &request, &daemon, &bar, stop).await?;
+    let setup = Setup { scheduler: Arc::clone(scheduler), storage, daemon, bar };
+    let session = run::open_with_retry(&setup, &request, stop).await?;
     session.log();
     let mut printer = Printer::new(service.format, session.is_simulated())?;
     let mut homing = Homing::begin(&session);
-    while !homing.poll(&bar.encoders, &marks) {
+    while !homing.poll(&setup.bar.encoders, &marks) {
         if let Err(error) = printer.print(homing.status()) {
             stop.stop(&explained(error.as_ref()));
         }

@@ -15,7 +15,7 @@ use super::{Format, bus_choice, on_signal};
 use crate::clock::Clock;
 use crate::control::recordings::runs;
 use crate::control::status::LastRun;
-use crate::run::{self, About, BusChoice, RunDetails, RunRequest, Stop, Storage};
+use crate::run::{self, About, BusChoice, RunDetails, RunRequest, Setup, Stop, Storage};
 use crate::scheduler::Threads;
 use crate::segment::faults::FaultWindow;
 
@@ -67,7 +67,7 @@ pub fn run(arguments: &RecordArguments) -> anyhow::Result<()> {
     let scheduler = Threads::on(Clock::Real);
     let work = async {
         let storage = Storage::new(&daemon, &*scheduler)?;
-        Ok(run::record(&scheduler, &storage, &request, &daemon, &bar, &stop).await?)
+        Ok(run::record(&Setup { scheduler, storage, daemon, bar }, &request, &stop).await?)
     };
     let summary = on_signal(work, |signal| stop.stop(&format!("stopped by {signal}")))?;
     let mut last = LastRun::of(name, summary);

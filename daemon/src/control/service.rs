@@ -23,7 +23,7 @@ pub use super::settings::Settings;
 use super::status::{CheckLine, LastRun, NameReply, NameRequest, Refusal, StartRequest, Status};
 use crate::clock::Clock;
 use crate::problem::{Fact, Problem};
-use crate::run::{self, RunDetails, RunError, Stop, Storage};
+use crate::run::{self, RunDetails, RunError, Setup, Stop, Storage};
 use crate::scheduler::{Pending, Scheduler, Stepper, Threads};
 
 /// Receives why the service has ended.
@@ -81,10 +81,9 @@ impl Service {
         storage: Storage,
         settings: Settings,
     ) -> Result<Self, ServiceError> {
-        let (bus, faults) = (settings.bus.clone(), settings.faults.clone());
-        let (daemon, bar) = (settings.daemon.clone(), settings.bar.clone());
-        let (run_storage, run_scheduler) = (storage.clone(), Arc::clone(&scheduler));
-        let connect = move || run::start_opening(&bus, &faults, &daemon, &bar, &run_storage, &run_scheduler);
+        let Settings { bus, faults, daemon, bar, .. } = settings.clone();
+        let setup = Setup { scheduler: Arc::clone(&scheduler), storage: storage.clone(), daemon, bar };
+        let connect = move || run::start_opening(&setup, &bus, &faults);
         Self::start_with(scheduler, settings, storage, Arc::new(connect))
     }
 
@@ -513,14 +512,14 @@ pub(crate) mod tests {
         let deadly = Arc::new(AtomicBool::new(false));
         let scheduler = Threads::on(Clock::Real);
         let storage = Storage::on(disk, &settings.daemon, &*scheduler).unwrap();
-        let places = storage.clone();
-        let (armed, on_daemon, on_bar) = (Arc::clone(&deadly), settings.daemon.clone(), settings.bar.clone());
+        let (armed, daemon, bar) = (Arc::clone(&deadly), settings.daemon.clone(), settings.bar.clone());
+        let setup = Setup { scheduler: Arc::clone(&scheduler), storage: storage.clone(), daemon, bar };
         let connect = move || {
             on_connect();
-            let motion = SmoothMotion::new(on_bar.encoders.len(), 3600, 1);
+            let motion = SmoothMotion::new(setup.bar.encoders.len(), 3600, 1);
             let segment = SimulatedSegment::new(&SegmentConfig::default(), Box::new(motion));
             let wire = Deadly(InProcessWire::new(segment, Clock::Real), Arc::clone(&armed));
-            run::open_on_wire(Box::new(wire), &on_daemon, &on_bar, &places)
+            run::open_on_wire(Box::new(wire), &setup)
         };
         (Service::start_with(scheduler, settings, storage, Arc::new(connect)).unwrap(), deadly)
     }

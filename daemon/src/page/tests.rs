@@ -34,16 +34,16 @@ impl Bench {
         let scheduler = Threads::on(Clock::Real);
         let storage = Storage::new(&settings.daemon, &*scheduler).unwrap();
         let bus = Arc::new(Mutex::new(None));
-        let (places, by_hand, on_daemon, on_bar) =
-            (storage.clone(), Arc::clone(&bus), settings.daemon.clone(), settings.bar.clone());
+        let (by_hand, daemon, bar) = (Arc::clone(&bus), settings.daemon.clone(), settings.bar.clone());
+        let setup = Setup { scheduler: Arc::clone(&scheduler), storage: storage.clone(), daemon, bar };
         let connect = move || {
-            let motion = SmoothMotion::new(on_bar.encoders.len(), 3600, 1);
+            let motion = SmoothMotion::new(setup.bar.encoders.len(), 3600, 1);
             let (turned, hand) = HandTurned::new(motion);
             let segment = SimulatedSegment::new(&SegmentConfig::default(), Box::new(turned));
             let (segment, faults) = FaultySegment::new(segment, 1);
             *by_hand.lock().unwrap() = Some((faults, hand));
             let wire = InProcessWire::with_faults(segment, Clock::Real);
-            run::open_on_wire(Box::new(wire), &on_daemon, &on_bar, &places)
+            run::open_on_wire(Box::new(wire), &setup)
         };
         Self {
             service: Service::start_with(scheduler, settings, storage, Arc::new(connect)).unwrap(),

@@ -327,8 +327,7 @@ mod tests {
         let motion = SmoothMotion::new(5, 3600, 1);
         let segment = SimulatedSegment::new(&SegmentConfig::default(), Box::new(motion));
         let wire = Box::new(InProcessWire::new(segment, clock.clone()));
-        let prepared = source::on_wire(wire, &DaemonConfig::default(), &config::load(&bar).unwrap());
-        let PreparedBus { wire, plan, .. } = prepared;
+        let plan = source::plan("simulated", &DaemonConfig::default(), &config::load(&bar).unwrap());
         let bus = Bus::new(wire, clock.clone(), plan.reply_timeout);
         let acquisition = Acquisition::start(bus, &plan, clock.clone()).unwrap();
         let (live, replay, hand) = (Arc::default(), None, None);

@@ -13,10 +13,8 @@ mod request;
 mod session;
 mod source;
 
-use std::sync::Arc;
 use std::time::Duration;
 
-use shared::config::{BallBarConfig, DaemonConfig};
 use shared::time::UtcNs;
 
 pub use error::RunError;
@@ -24,7 +22,7 @@ pub use homing::ActiveHoming;
 pub use live::{BUS_FLAGS, LatestSamples, LiveEncoder};
 pub(crate) use place::claim_directory;
 pub use place::finish_leftovers;
-pub use request::{About, BusChoice, RunDetails, RunRequest, check_text, name_by_time, typed_name};
+pub use request::{About, BusChoice, RunDetails, RunRequest, Setup, check_text, name_by_time, typed_name};
 pub use session::{ActiveRun, Opening, Session};
 pub(crate) use source::{open_replay, replaying_segment};
 
@@ -48,44 +46,27 @@ const STOP_PERIOD: Duration = Duration::from_millis(10);
 pub(crate) const DISK_WAIT_AT_END: Duration = Duration::from_millis(1500);
 
 /// Begins to bring a bus into operation for several runs. `faults` are injected into a simulated one.
-pub fn start_opening(
-    bus: &BusChoice,
-    faults: &[FaultWindow],
-    daemon: &DaemonConfig,
-    bar: &BallBarConfig,
-    storage: &Storage,
-    scheduler: &Arc<dyn Scheduler>,
-) -> Result<Opening, RunError> {
+pub fn start_opening(setup: &Setup, bus: &BusChoice, faults: &[FaultWindow]) -> Result<Opening, RunError> {
     let request = RunRequest { bus: bus.clone(), faults: faults.to_vec(), ..RunRequest::default() };
-    let prepared = source::prepare(&request, daemon, bar, scheduler.clock().clone())?;
-    Session::open(prepared, daemon, bar, storage, &Stop::default(), (scheduler, Pace::Clock))
+    Session::open(source::prepare(&request, setup)?, setup.clone(), Pace::Clock, &Stop::default())
 }
 
 /// A bus in operation over another wire, for tests of the layers above.
 #[cfg(test)]
 pub(crate) fn open_on_wire(
     wire: Box<dyn crate::segment::FrameWire>,
-    daemon: &DaemonConfig,
-    bar: &BallBarConfig,
-    storage: &Storage,
+    setup: &Setup,
 ) -> Result<Opening, RunError> {
-    let scheduler = (&Threads::on(Clock::Real), Pace::Clock);
-    Session::open(source::on_wire(wire, daemon, bar), daemon, bar, storage, &Stop::default(), scheduler)
+    let prepared = source::PreparedBus::from_config(wire, shared::recording::schema::SIMULATED_BUS, setup);
+    Session::open(prepared, setup.clone(), Pace::Clock, &Stop::default())
 }
 
-/// Records one run; completes when its file is finished and its bus is closed. The caller waits on `scheduler`.
-pub async fn record(
-    scheduler: &Arc<dyn Scheduler>,
-    storage: &Storage,
-    request: &RunRequest,
-    daemon: &DaemonConfig,
-    bar: &BallBarConfig,
-    stop: &Stop,
-) -> Result<RunSummary, RunError> {
+/// Records one run; completes when its file is finished and its bus is closed. The caller waits on the scheduler of `setup`.
+pub async fn record(setup: &Setup, request: &RunRequest, stop: &Stop) -> Result<RunSummary, RunError> {
     source::check(request)?;
-    let session = open_with_retry(scheduler, storage, request, daemon, bar, stop).await?;
+    let session = open_with_retry(setup, request, stop).await?;
     session.log();
-    let outcome = record_in_session(&**scheduler, storage, &session, &request.run, stop).await;
+    let outcome = record_in_session(setup, &session, &request.run, stop).await;
     // After an error on virtual time the cycle may wait for a disk that hangs, and there is no real bus to close.
     if outcome.is_ok() || !request.fast {
         session.close().await?;
@@ -96,13 +77,12 @@ pub async fn record(
 /// Claims the directory, records one run in an open session, and waits for its end. If the run is stopped before it has a
 /// file, the wait for the disk is limited to [`DISK_WAIT_AT_END`].
 async fn record_in_session(
-    scheduler: &dyn Scheduler,
-    storage: &Storage,
+    Setup { scheduler, storage, .. }: &Setup,
     session: &Session,
     details: &RunDetails,
     stop: &Stop,
 ) -> Result<RunSummary, RunError> {
-    let clock = scheduler.clock();
+    let (scheduler, clock) = (&**scheduler, scheduler.clock());
     let mut first_stopped_at = None;
     let mut disk_wait_is_over = || {
         let stopped_at = stop.is_stopped().then(|| *first_stopped_at.get_or_insert_with(|| clock.now()));
@@ -137,26 +117,19 @@ async fn record_in_session(
 
 /// Brings the bus into operation. If the request waits for the bus, failed attempts are repeated, and the problem is logged
 /// whenever it changes.
-pub async fn open_with_retry(
-    scheduler: &Arc<dyn Scheduler>,
-    storage: &Storage,
-    request: &RunRequest,
-    daemon: &DaemonConfig,
-    bar: &BallBarConfig,
-    stop: &Stop,
-) -> Result<Session, RunError> {
+pub async fn open_with_retry(setup: &Setup, request: &RunRequest, stop: &Stop) -> Result<Session, RunError> {
+    let scheduler = &*setup.scheduler;
     let mut logged = String::new();
     loop {
-        let (run_scheduler, pace) = if request.fast {
+        let (mut run_setup, mut pace) = (setup.clone(), Pace::Clock);
+        if request.fast {
             let clock = Clock::virtual_from(UtcNs::from_datetime(chrono::Utc::now()));
-            (Threads::on(clock), Pace::Fast)
-        } else {
-            (Arc::clone(scheduler), Pace::Clock)
-        };
-        let opening = source::prepare(request, daemon, bar, run_scheduler.clock().clone())
-            .and_then(|prepared| Session::open(prepared, daemon, bar, storage, stop, (&run_scheduler, pace)));
+            (run_setup.scheduler, pace) = (Threads::on(clock), Pace::Fast);
+        }
+        let opening = source::prepare(request, &run_setup)
+            .and_then(|prepared| Session::open(prepared, run_setup, pace, stop));
         let outcome = match opening {
-            Ok(opening) => opened(&**scheduler, opening).await,
+            Ok(opening) => opened(scheduler, opening).await,
             Err(error) => Err(error),
         };
         let problem = match outcome {
@@ -169,7 +142,7 @@ pub async fn open_with_retry(
         }
         let retry_at = scheduler.clock().now().plus_ns(RETRY_PERIOD.as_nanos() as i64);
         let pause_is_over = || (stop.is_stopped() || scheduler.clock().now() >= retry_at).then_some(());
-        until(&**scheduler, STOP_PERIOD, pause_is_over).await;
+        until(scheduler, STOP_PERIOD, pause_is_over).await;
         if stop.is_stopped() {
             return Err(RunError::Waiting { cause: stop.cause(), problem });
         }

@@ -1,11 +1,14 @@
-//! Description of a run and its bus.
+//! Description of a run, its bus and its setup.
 
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::time::Duration;
 
-use shared::config::HomingConfig;
+use shared::config::{BallBarConfig, DaemonConfig, HomingConfig};
 use shared::recording::run_name;
 
+use crate::record::Storage;
+use crate::scheduler::Scheduler;
 use crate::segment::faults::FaultWindow;
 
 /// The bus to record from.
@@ -39,6 +42,19 @@ pub struct About {
     /// Free text about the run
     #[arg(long, default_value = "", hide_default_value = true)]
     pub note: String,
+}
+
+/// What the runs of a bus have in common.
+#[derive(Clone)]
+pub struct Setup {
+    /// Runs the tasks.
+    pub scheduler: Arc<dyn Scheduler>,
+    /// Directories of the recordings.
+    pub storage: Storage,
+    /// `daemon.toml`.
+    pub daemon: DaemonConfig,
+    /// `ball_bar.toml`.
+    pub bar: BallBarConfig,
 }
 
 /// A run and the bus to record it from.

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::time::Duration;
 
-use shared::config::{self, BallBarConfig, DaemonConfig};
+use shared::config;
 use shared::recording::schema::{DeviceInfo, EncoderInfo, Provenance, ReplayOrigin, RunMetadata};
 use shared::recording::{
     Disk, RecordingWriter, Recovery, RunFile, Salvaged, Tap, WriteError, recover_file_on,
@@ -18,7 +18,7 @@ use super::error::RunError;
 use super::homing::{self, ActiveHoming};
 use super::live::LatestSamples;
 use super::place::finish_leftovers;
-use super::request::RunDetails;
+use super::request::{RunDetails, Setup};
 use super::source::PreparedBus;
 use crate::bus::{DeviceClock, absent};
 use crate::claim;
@@ -48,8 +48,6 @@ pub struct Session {
     ready: Ready,
     /// The latest sample of each encoder.
     pub live: Arc<LatestSamples>,
-    /// Runs the session's tasks.
-    pub scheduler: Arc<dyn Scheduler>,
     pace: Pace,
     /// Name of the bus.
     pub bus: String,
@@ -60,9 +58,8 @@ pub struct Session {
     pub encoders: Vec<EncoderInfo>,
     /// Number of cycles of the replayed recording.
     replay_cycles: Option<u64>,
-    daemon: DaemonConfig,
-    bar: BallBarConfig,
-    storage: Storage,
+    /// Scheduler, disk and configuration.
+    pub setup: Setup,
     /// Ends attempts of the cycle to restore the bus, when the session is closed.
     ending: Stop,
     /// Controls faults of a simulated bus; `None` for a real one.
@@ -91,11 +88,9 @@ impl Session {
     /// Starts to bring the bus into operation. `opening` can end the attempt early.
     pub(super) fn open(
         prepared: PreparedBus,
-        daemon: &DaemonConfig,
-        bar: &BallBarConfig,
-        storage: &Storage,
+        setup: Setup,
+        pace: Pace,
         opening: &Stop,
-        (scheduler, pace): (&Arc<dyn Scheduler>, Pace),
     ) -> Result<Opening, RunError> {
         let (ready_tx, ready) = sync_channel(1);
         let (jobs, jobs_rx) = sync_channel(JOBS_MAX);
@@ -106,23 +101,21 @@ impl Session {
             cycle_over,
             ready: Ready::default(),
             live: Arc::clone(&live),
-            scheduler: Arc::clone(scheduler),
             pace,
             bus: prepared.plan.name.clone(),
             replay_of: prepared.replay_of.clone(),
             period: prepared.plan.cycle_period,
             encoders: prepared.encoders.clone(),
             replay_cycles: prepared.cycles,
-            daemon: daemon.clone(),
-            bar: bar.clone(),
-            storage: storage.clone(),
+            setup,
             ending: ending.clone(),
             faults: prepared.faults.clone(),
         };
-        let realtime = daemon.realtime.clone();
+        let realtime = session.setup.daemon.realtime.clone();
         let channels =
             CycleChannels { ready: ready_tx, jobs: jobs_rx, live, opening: opening.clone(), ending, over };
-        start(&**scheduler, "cycle", move || CycleLoop::start(prepared, realtime, pace, channels))?;
+        let cycle = move || CycleLoop::start(prepared, realtime, pace, channels);
+        start(&*session.setup.scheduler, "cycle", cycle)?;
         Ok(Opening { ready, session: Some(session) })
     }
 
@@ -130,7 +123,7 @@ impl Session {
     /// cycles wait in the ring; [`RunProgress::is_open`] once it exists. One run at a time: the previous one must have been
     /// joined. `tap` receives the recorded messages.
     pub fn begin(&self, details: &RunDetails, tap: Option<Tap>) -> Result<ActiveRun, RunError> {
-        if let Some(problem) = self.storage.problem() {
+        if let Some(problem) = self.setup.storage.problem() {
             return Err(RunError::Disk(problem));
         }
         details.about.check().map_err(RunError::Request)?;
@@ -139,23 +132,23 @@ impl Session {
         if !provenance.is_measured() {
             tracing::warn!(run = metadata.name, "{provenance}");
         }
-        let ring_cycles = self.daemon.ring_cycles(self.period);
+        let ring_cycles = self.setup.daemon.ring_cycles(self.period);
         let (sink, ring) = self.ring(ring_cycles);
         let (marks, marks_rx) = sync_channel(MARKS_MAX);
         let limits = Limits {
             cycle_period: self.period,
-            sync_period: self.daemon.sync_period(),
+            sync_period: self.setup.daemon.sync_period(),
             ring_cycles,
             cycle_waits: self.pace == Pace::Fast,
         };
         let progress = Arc::new(RunProgress::new(Arc::clone(ring.handed()), limits, self.clock().clone()));
         let stop = Stop::default();
-        self.storage.watch(&progress, &stop);
+        self.setup.storage.watch(&progress, &stop);
         let link = RunLink {
             marks: marks_rx,
             progress: Arc::clone(&progress),
-            storage: self.storage.clone(),
-            scheduler: Arc::clone(&self.scheduler),
+            storage: self.setup.storage.clone(),
+            scheduler: Arc::clone(&self.setup.scheduler),
         };
         let job = self.run_job(sink, &stop, details.duration, metadata.utc_minus_monotonic_ns);
         let (result, outcome) = sync_channel(1);
@@ -164,10 +157,10 @@ impl Session {
             recorder: None,
             stop: stop.clone(),
             progress: Arc::clone(&progress),
-            disk: self.storage.disk(),
+            disk: self.setup.storage.disk(),
             result,
         };
-        start(&*self.scheduler, "recorder", || recording)?;
+        start(&*self.setup.scheduler, "recorder", || recording)?;
         claim::set_activity(format!("recording run `{}`", details.name));
         // If the cycle does not take the job, the recorder finds the ring abandoned and finishes an empty file.
         let _ = self.jobs.try_send(Job::Run(job));
@@ -176,7 +169,7 @@ impl Session {
 
     /// Provides cycles, events and timing without a file, for this duration or until `stop`.
     pub fn begin_watch(&self, duration: Option<Duration>, stop: &Stop) -> CycleSource {
-        let (sink, source) = self.ring(self.daemon.ring_cycles(self.period));
+        let (sink, source) = self.ring(self.setup.daemon.ring_cycles(self.period));
         let job = self.run_job(sink, stop, duration, self.clock().utc_minus_monotonic_ns());
         // If the cycle does not take the job, the source ends at once.
         let _ = self.jobs.try_send(Job::Run(job));
@@ -196,7 +189,7 @@ impl Session {
         duration: Option<Duration>,
         utc_minus_monotonic_ns: i64,
     ) -> RunJob {
-        let full_fault = Duration::from_secs(self.daemon.full_fault_s.into());
+        let full_fault = Duration::from_secs(self.setup.daemon.full_fault_s.into());
         RunJob {
             sink,
             stop: stop.clone(),
@@ -228,7 +221,7 @@ impl Session {
 
     /// Disk of runs and reference marks.
     pub fn disk(&self) -> Arc<dyn Disk> {
-        self.storage.disk()
+        self.setup.storage.disk()
     }
 
     /// Whether the cycle is running.
@@ -237,7 +230,7 @@ impl Session {
     }
 
     fn clock(&self) -> &Clock {
-        self.scheduler.clock()
+        self.setup.scheduler.clock()
     }
 
     /// Devices on the bus.
@@ -286,7 +279,7 @@ impl Session {
 
     /// Ends the cycle; completes once it has ended.
     pub async fn close(self) -> Result<(), RunError> {
-        let scheduler = Arc::clone(&self.scheduler);
+        let scheduler = Arc::clone(&self.setup.scheduler);
         let cycle_over = self.begin_close();
         let over = until(&*scheduler, CLOSE_PERIOD, || received(&cycle_over)).await;
         over.map_err(|Died| RunError::Thread("the cycle panicked; its cause is in the log".into()))
@@ -331,12 +324,12 @@ impl Session {
             bus: self.bus.clone(),
             replay_of: self.replay_of.clone(),
             cycle_period_ns: self.period.as_nanos() as u64,
-            distributed_clocks: self.daemon.distributed_clocks,
+            distributed_clocks: self.setup.daemon.distributed_clocks,
             utc_minus_monotonic_ns,
             encoders: self.encoders_with_marks(details),
             devices: self.ready.devices.clone(),
-            daemon_config: toml_text(&self.daemon),
-            ball_bar_config: toml_text(&self.bar),
+            daemon_config: toml_text(&self.setup.daemon),
+            ball_bar_config: toml_text(&self.setup.bar),
         }
     }
 }

@@ -10,7 +10,7 @@ use shared::recording::schema::{EncoderInfo, ReplayOrigin, SIMULATED_BUS};
 use shared::time::UtcNs;
 
 use super::error::RunError;
-use super::request::{BusChoice, RunRequest};
+use super::request::{BusChoice, RunRequest, Setup};
 use crate::bus::BusPlan;
 use crate::clock::Clock;
 use crate::segment::faults::{FaultHandle, FaultWindow, FaultySegment};
@@ -39,27 +39,23 @@ pub(super) struct PreparedBus {
 }
 
 /// Derives wire, clock and plan from the request.
-pub(super) fn prepare(
-    request: &RunRequest,
-    daemon: &DaemonConfig,
-    bar: &BallBarConfig,
-    clock: Clock,
-) -> Result<PreparedBus, RunError> {
+pub(super) fn prepare(request: &RunRequest, setup: &Setup) -> Result<PreparedBus, RunError> {
     let prepared = match &request.bus {
         BusChoice::Interface(name) => {
             let wire = Box::new(EthernetWire::open(name)?);
-            PreparedBus::from_config(wire, clock, name, daemon, bar)
+            PreparedBus::from_config(wire, name, setup)
         }
         BusChoice::Simulated => {
             // One motion for all encoders of the bar: their discs have the same number of lines.
-            let lines = bar.encoders.first().map_or(0, |encoder| encoder.lines);
-            let config = SegmentConfig { terminals: bar.encoders.len(), ..SegmentConfig::default() };
-            let (source, hand) = HandTurned::new(SmoothMotion::new(bar.encoders.len(), lines, config.seed));
-            let (wire, faults) = in_process(&config, Box::new(source), &clock, &request.faults)?;
-            let prepared = PreparedBus::from_config(wire, clock, SIMULATED_BUS, daemon, bar);
+            let encoders = &setup.bar.encoders;
+            let lines = encoders.first().map_or(0, |encoder| encoder.lines);
+            let config = SegmentConfig { terminals: encoders.len(), ..SegmentConfig::default() };
+            let (source, hand) = HandTurned::new(SmoothMotion::new(encoders.len(), lines, config.seed));
+            let (wire, faults) = in_process(&config, Box::new(source), setup, &request.faults)?;
+            let prepared = PreparedBus::from_config(wire, SIMULATED_BUS, setup);
             PreparedBus { hand: Some(hand), faults: Some(faults), ..prepared }
         }
-        BusChoice::Replay(path) => prepare_replay(path, clock, daemon, bar, &request.faults)?,
+        BusChoice::Replay(path) => prepare_replay(path, &request.faults, setup)?,
     };
     Ok(prepared)
 }
@@ -81,26 +77,14 @@ pub(super) fn check(request: &RunRequest) -> Result<(), RunError> {
 }
 
 impl PreparedBus {
-    fn from_config(
-        wire: Box<dyn FrameWire>,
-        clock: Clock,
-        bus: &str,
-        daemon: &DaemonConfig,
-        bar: &BallBarConfig,
-    ) -> Self {
+    /// A bus of this name with the configured encoders.
+    pub fn from_config(wire: Box<dyn FrameWire>, bus: &str, setup: &Setup) -> Self {
         let info = |encoder: &EncoderConfig| EncoderInfo { joint: encoder.joint, scale: encoder.scale() };
         Self {
             wire,
-            clock,
-            plan: BusPlan {
-                name: bus.to_owned(),
-                encoders: bar.encoders.clone(),
-                cycle_period: daemon.cycle_period(),
-                distributed_clocks: daemon.distributed_clocks,
-                sync0_shift: daemon.cycle_period() / 2,
-                reply_timeout: daemon.reply_timeout(),
-            },
-            encoders: bar.encoders.iter().map(info).collect(),
+            clock: setup.scheduler.clock().clone(),
+            plan: plan(bus, &setup.daemon, &setup.bar),
+            encoders: setup.bar.encoders.iter().map(info).collect(),
             replay_of: None,
             replay: None,
             hand: None,
@@ -110,23 +94,29 @@ impl PreparedBus {
     }
 }
 
-/// A bus on this wire, in real time.
-#[cfg(test)]
-pub(super) fn on_wire(wire: Box<dyn FrameWire>, daemon: &DaemonConfig, bar: &BallBarConfig) -> PreparedBus {
-    PreparedBus::from_config(wire, crate::clock::Clock::Real, SIMULATED_BUS, daemon, bar)
+/// The plan of a bus of this name with the configured encoders.
+pub(super) fn plan(bus: &str, daemon: &DaemonConfig, bar: &BallBarConfig) -> BusPlan {
+    BusPlan {
+        name: bus.to_owned(),
+        encoders: bar.encoders.clone(),
+        cycle_period: daemon.cycle_period(),
+        distributed_clocks: daemon.distributed_clocks,
+        sync0_shift: daemon.cycle_period() / 2,
+        reply_timeout: daemon.reply_timeout(),
+    }
 }
 
 /// The simulated segment as a wire of this process, with `faults` scheduled.
 fn in_process(
     config: &SegmentConfig,
     source: Box<dyn EncoderSource>,
-    clock: &Clock,
+    setup: &Setup,
     faults: &[FaultWindow],
 ) -> Result<(Box<dyn FrameWire>, FaultHandle), RunError> {
     FaultWindow::ensure_effective(faults, config.terminals)?;
     let (mut segment, handle) = FaultySegment::new(SimulatedSegment::new(config, source), config.seed);
     segment.schedule(faults);
-    Ok((Box::new(InProcessWire::with_faults(segment, clock.clone())), handle))
+    Ok((Box::new(InProcessWire::with_faults(segment, setup.scheduler.clock().clone())), handle))
 }
 
 /// A recording with the source of encoders that follow it.
@@ -146,20 +136,14 @@ pub fn replaying_segment(segment: SegmentConfig, recording: &Recording) -> Segme
 }
 
 /// A simulated bus whose encoders follow a recording; period and encoders are those of the recording.
-fn prepare_replay(
-    path: &Path,
-    clock: Clock,
-    daemon: &DaemonConfig,
-    bar: &BallBarConfig,
-    faults: &[FaultWindow],
-) -> Result<PreparedBus, RunError> {
+fn prepare_replay(path: &Path, faults: &[FaultWindow], setup: &Setup) -> Result<PreparedBus, RunError> {
     let (recording, source, handle) = open_replay(path)?;
     let encoders = &recording.run.encoders;
     // A replay has at least one row.
     let first_sample = recording.cycles.first().map(|record| record.sample_time);
     let segment = replaying_segment(SegmentConfig::default(), &recording);
-    let (wire, _) = in_process(&segment, Box::new(source), &clock, faults)?;
-    let mut prepared = PreparedBus::from_config(wire, clock, SIMULATED_BUS, daemon, bar);
+    let (wire, _) = in_process(&segment, Box::new(source), setup, faults)?;
+    let mut prepared = PreparedBus::from_config(wire, SIMULATED_BUS, setup);
     prepared.plan.encoders = encoders
         .iter()
         .map(|info| EncoderConfig {

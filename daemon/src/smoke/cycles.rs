@@ -137,7 +137,7 @@ impl Figures {
     ) {
         let watch_stop = Stop::default();
         let mut source = session.begin_watch(duration, &watch_stop);
-        until(&*session.scheduler, PERIOD, || {
+        until(&*session.setup.scheduler, PERIOD, || {
             if stop.is_stopped() {
                 watch_stop.stop(&stop.cause());
             }

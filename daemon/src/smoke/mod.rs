@@ -27,7 +27,7 @@ pub use report::Report;
 use crate::devices::{EK1100, EL5021};
 use crate::homing::{self, HomingError};
 use crate::problem::Fact;
-use crate::run::{self, BusChoice, RunError, RunRequest, Session, Stop, Storage};
+use crate::run::{self, BusChoice, RunError, RunRequest, Session, Setup, Stop, Storage};
 use crate::scheduler::{Scheduler, until};
 use cable::Pull;
 use host::Host;
@@ -79,7 +79,11 @@ pub async fn smoke(
     };
     // A session watches the disk of its runs, although none is recorded.
     let storage = Storage::new(daemon, &**scheduler).map_err(|error| RunError::Thread(error.to_string()))?;
-    let mut test = Test { scheduler, bench, report, storage, blocked: None, not_up: BTreeMap::new(), print };
+    // Another rate needs its own time for a reply. A test does not end because no encoder gives samples.
+    let daemon =
+        DaemonConfig { reply_timeout_us: None, full_fault_s: u32::MAX, ring_s: RING_S, ..(*daemon).clone() };
+    let setup = Setup { scheduler: Arc::clone(scheduler), storage, daemon, bar: bar.clone() };
+    let mut test = Test { setup, bench, report, blocked: None, not_up: BTreeMap::new(), print };
     for wanted in &smoke.cycles {
         test.check_cycles(*wanted).await;
     }
@@ -90,10 +94,9 @@ pub async fn smoke(
 
 /// A smoke test in progress.
 struct Test<'a> {
-    scheduler: &'a Arc<dyn Scheduler>,
+    setup: Setup,
     bench: &'a Bench<'a>,
     report: Report,
-    storage: Storage,
     /// Why nothing further can be done.
     blocked: Option<Reason>,
     /// Rates at which the bus did not come up.
@@ -113,16 +116,8 @@ impl Test<'_> {
         if let Some(reason) = self.blocked.as_ref().or_else(|| self.not_up.get(&rate_hz)) {
             return Err(reason.clone());
         }
-        let Bench { daemon, bar, request, stop, .. } = *self.bench;
-        // Another rate needs its own time for a reply. A test does not end because no encoder gives samples.
-        let test_daemon = DaemonConfig {
-            rate_hz,
-            reply_timeout_us: None,
-            full_fault_s: u32::MAX,
-            ring_s: RING_S,
-            ..daemon.clone()
-        };
-        match run::open_with_retry(self.scheduler, &self.storage, request, &test_daemon, bar, stop).await {
+        self.setup.daemon.rate_hz = rate_hz;
+        match run::open_with_retry(&self.setup, self.bench.request, self.bench.stop).await {
             Ok(session) => {
                 self.identify(session.devices(), Outcome::passed(self.devices_expected()));
                 Ok(session)
@@ -306,7 +301,7 @@ impl Test<'_> {
     async fn home(&mut self, session: &Session) -> Outcome {
         let Bench { stop, bar, .. } = *self.bench;
         let mut active = session.begin_homing();
-        let found = until(&**self.scheduler, POLL, || {
+        let found = until(&*self.setup.scheduler, POLL, || {
             while let Some(step) = active.take_step() {
                 if let Some(line) = step.line() {
                     (self.print)(&line);

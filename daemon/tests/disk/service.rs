@@ -12,7 +12,7 @@ use ballbard::clock::Clock;
 use ballbard::control::api;
 use ballbard::control::service::Service;
 use ballbard::control::status::{ServiceState, Status};
-use ballbard::run::{self, RunDetails, RunRequest, Stop, Storage};
+use ballbard::run::{self, RunDetails, RunRequest, Setup, Stop, Storage};
 use ballbard::scheduler::Threads;
 use serde_json::{Value, json};
 use shared::config::DaemonConfig;
@@ -159,9 +159,8 @@ fn check_record(call: Call) {
         let recording = scope.spawn(|| {
             let scheduler = Threads::on(Clock::Real);
             let storage = Storage::on(wall.clone(), &daemon, &*scheduler).unwrap();
-            let outcome =
-                runtime().block_on(run::record(&scheduler, &storage, &request, &daemon, &bar(), &stop));
-            (outcome, Instant::now())
+            let setup = Setup { scheduler, storage, daemon: daemon.clone(), bar: bar() };
+            (runtime().block_on(run::record(&setup, &request, &stop)), Instant::now())
         });
         while wall.struck().is_none() {
             assert!(!recording.is_finished(), "it never came to {call:?}");

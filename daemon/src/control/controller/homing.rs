@@ -27,7 +27,7 @@ impl Homing {
         Self {
             active: session.begin_homing(),
             disk: session.disk(),
-            scheduler: Arc::clone(&session.scheduler),
+            scheduler: Arc::clone(&session.setup.scheduler),
             status: HomingStatus::default(),
             saving: None,
         }

@@ -239,7 +239,7 @@ mod tests {
 
     use super::*;
     use crate::clock::Clock;
-    use crate::run::{self, BusChoice, RunDetails, RunRequest, Stop, Storage};
+    use crate::run::{self, BusChoice, RunDetails, RunRequest, Setup, Stop, Storage};
     use crate::scheduler::Threads;
 
     #[test]
@@ -253,11 +253,12 @@ mod tests {
         let duration = Some(Duration::from_secs(60));
         let run = RunDetails { name: "minute".into(), duration, ..RunDetails::default() };
         let request = RunRequest { run, bus: BusChoice::Simulated, fast: true, ..RunRequest::default() };
-        let (bar, stop) = (config::load(&bar).unwrap(), Stop::default());
-        let recorded = run::record(&scheduler, &storage, &request, &daemon, &bar, &stop);
+        let (rate_hz, stop) = (daemon.rate_hz, Stop::default());
+        let setup = Setup { scheduler, storage, daemon, bar: config::load(&bar).unwrap() };
+        let recorded = run::record(&setup, &request, &stop);
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
         let bytes = std::fs::metadata(runtime.block_on(recorded).unwrap().path).unwrap().len();
-        let minutes = 60.0 * hours_left(bytes, daemon.rate_hz);
+        let minutes = 60.0 * hours_left(bytes, rate_hz);
         assert!((minutes - 1.0).abs() < 0.05, "{minutes}");
     }
 
