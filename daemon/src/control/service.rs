@@ -13,8 +13,8 @@ use shared::recording::Disk;
 use shared::time::MonoNs;
 use tokio::sync::{Semaphore, oneshot, watch};
 
-use super::controller::preflight::DiskFindings;
-use super::controller::{Controller, ServiceCommand};
+use super::controller::preflight::{self, DiskFindings};
+use super::controller::{Command, Controller};
 use super::live::{self, Minute, Moment, Watched};
 use super::machine::Answer;
 use super::recordings::runs;
@@ -32,7 +32,7 @@ type ServiceEnd = Receiver<Result<(), ServiceError>>;
 /// Handle of the service. Clones refer to the same service.
 #[derive(Clone)]
 pub struct Service {
-    commands: SyncSender<ServiceCommand>,
+    commands: SyncSender<Command>,
     ending: Stop,
     status: watch::Receiver<Status>,
     live: Watched,
@@ -157,18 +157,19 @@ impl Service {
             return Ok(disk_silent());
         };
         let details = Box::new(details?);
-        self.ask(|reply| ServiceCommand::Start(details, named, reply)).await
+        let begun = self.ask(move |controller| controller.start(details, named)).await?;
+        begun.await.map_err(|_| ending())
     }
 
     /// Ends the run; also returns a channel that receives it once it is over.
     pub(super) async fn stop(&self, cause: String) -> Result<(Answer, oneshot::Receiver<LastRun>), Refusal> {
-        self.ask(|reply| ServiceCommand::Stop(cause, reply)).await
+        self.ask(|controller| controller.stop(cause)).await
     }
 
     /// Begins a homing; refused if the marks could not be saved, so that joints are not turned in vain.
     pub(super) async fn home(&self) -> Result<Answer, Refusal> {
         match self.ask_disk(DISK_TIMEOUT, |settings, disk| settings.marks_file.problem(disk)).await {
-            Some(None) => self.ask(ServiceCommand::Home).await,
+            Some(None) => self.ask(Controller::home).await,
             Some(Some(problem)) => Ok(Answer::Refused(problem)),
             None => Ok(disk_silent()),
         }
@@ -181,14 +182,14 @@ impl Service {
         ago_ms: u32,
     ) -> Result<Option<(String, String)>, Refusal> {
         let at = self.now().plus_ns(-1_000_000 * i64::from(ago_ms));
-        let marked = self.ask(|reply| ServiceCommand::Mark(text, at, reply)).await?;
+        let marked = self.ask(move |controller| controller.mark(text, at)).await?;
         marked.map_err(Refusal::new)
     }
 
     /// Runs the pre-flight check.
     pub async fn check(&self) -> Result<Vec<CheckLine>, Refusal> {
         let found = self.ask_disk(DISK_TIMEOUT, DiskFindings::now).await;
-        self.ask(|reply| ServiceCommand::Check(found, reply)).await
+        self.ask(move |controller| preflight::check(controller, found.as_ref())).await
     }
 
     /// The name that a run would get; `None` if the disk does not answer.
@@ -266,28 +267,40 @@ impl Service {
     /// Ends the control's thread by a panic.
     #[cfg(test)]
     pub(crate) fn kill_control(&self) {
-        let _ = self.commands.try_send(ServiceCommand::Panic);
+        let _ = self.commands.try_send(Box::new(|_| panic!("the test ends this thread")));
     }
 
-    /// Sends a command with a channel for its reply, and waits for that.
-    async fn ask<T>(&self, command: impl FnOnce(oneshot::Sender<T>) -> ServiceCommand) -> Result<T, Refusal> {
-        let ended = || Refusal::from(Problem::from(Fact::ServiceEnding {}));
+    /// Executes a request in the control's thread, publishes the status, and returns the reply.
+    async fn ask<T: Send + 'static>(
+        &self,
+        request: impl FnOnce(&mut Controller) -> T + Send + 'static,
+    ) -> Result<T, Refusal> {
         let (reply, answer) = oneshot::channel();
-        self.commands.try_send(command(reply)).map_err(|error| match error {
+        let command = move |controller: &mut Controller| {
+            let answer = request(controller);
+            controller.publish();
+            // The client may have gone in the meantime; its request is executed regardless.
+            let _ = reply.send(answer);
+        };
+        self.commands.try_send(Box::new(command)).map_err(|error| match error {
             TrySendError::Full(_) => Refusal::from(Problem::from(Fact::ServiceBusy {})),
-            TrySendError::Disconnected(_) => ended(),
+            TrySendError::Disconnected(_) => ending(),
         })?;
-        answer.await.map_err(|_| ended())
+        answer.await.map_err(|_| ending())
     }
+}
+
+fn ending() -> Refusal {
+    Problem::from(Fact::ServiceEnding {}).into()
 }
 
 /// The controller with its queue of commands.
 struct Control {
     /// `None` once the service has ended.
     controller: Option<Controller>,
-    commands: Receiver<ServiceCommand>,
+    commands: Receiver<Command>,
     /// Commands for the next step.
-    waiting: Vec<ServiceCommand>,
+    waiting: Vec<Command>,
     ended: SyncSender<Result<(), ServiceError>>,
 }
 

@@ -24,7 +24,7 @@ use crate::control::machine::{Action, Answer, MachineEvent, State, StateMachine}
 use crate::control::recordings::runs;
 use crate::control::recordings::verdict::Verdict;
 use crate::control::settings::{Connect, Settings};
-use crate::control::status::{CheckLine, LastRun, ServiceState, Status, Totals};
+use crate::control::status::{LastRun, ServiceState, Status, Totals};
 use crate::problem::{Fact, Problem};
 use crate::record::{RunSummary, Snapshot};
 use crate::run::{self, ActiveRun, DISK_WAIT_AT_END, RunDetails, RunError, Stop, Storage};
@@ -32,7 +32,6 @@ use crate::scheduler::{Pending, Scheduler};
 use bus_link::BusLink;
 use homing::Homing;
 use marks::Marks;
-use preflight::DiskFindings;
 use problem_log::ProblemLog;
 
 /// How often bus and recorder are polled when no command arrives.
@@ -44,21 +43,8 @@ const CONTROL_DIED: &str = "the control thread has ended; the log shows why";
 /// Without anything new on disk for this long a run is not being written \[sync periods\].
 const STALLED_SYNC_PERIODS: u32 = 3;
 
-/// A request to the service.
-pub(super) enum ServiceCommand {
-    /// The flag: a person chose the name.
-    Start(Box<RunDetails>, bool, oneshot::Sender<Answer>),
-    /// The reply contains a channel that receives the run once it is over.
-    Stop(String, oneshot::Sender<(Answer, oneshot::Receiver<LastRun>)>),
-    Home(oneshot::Sender<Answer>),
-    /// Text (absent: a number) and instant; the reply has run and text, or nothing without a run.
-    Mark(Option<String>, MonoNs, oneshot::Sender<Result<Option<(String, String)>, String>>),
-    /// With the findings on disk; `None` if the disk did not answer.
-    Check(Option<DiskFindings>, oneshot::Sender<Vec<CheckLine>>),
-    /// Ends the thread by a panic.
-    #[cfg(test)]
-    Panic,
-}
+/// A request to the service, executed at the beginning of a step.
+pub(super) type Command = Box<dyn FnOnce(&mut Controller) + Send>;
 
 /// Counts of session and run that [`Totals`] includes already.
 #[derive(Debug, Default)]
@@ -157,12 +143,12 @@ impl Controller {
 
     /// Handles the commands and polls bus, disk, homing and run. Returns the time until the next step, or `None` once the
     /// service has ended, on request or because it has no place to record to.
-    pub fn poll(&mut self, now: MonoNs, commands: Vec<ServiceCommand>) -> Option<Duration> {
+    pub fn poll(&mut self, now: MonoNs, commands: Vec<Command>) -> Option<Duration> {
         self.now = now;
         if self.outcome.is_some() {
             return (!self.bus.is_closed()).then_some(OPENING_POLL);
         }
-        commands.into_iter().for_each(|command| self.execute(command));
+        commands.into_iter().for_each(|command| command(self));
         if self.ending.is_stopped() && self.leaving_since.is_none() {
             self.shutdown(&self.ending.cause());
         }
@@ -239,46 +225,34 @@ impl Controller {
         self.bus.close();
     }
 
-    fn execute(&mut self, command: ServiceCommand) {
-        // The client may have gone in the meantime; its command is executed regardless.
-        match command {
-            ServiceCommand::Start(details, named, reply) => {
-                // The cable may have been pulled since the last poll.
-                self.poll_bus();
-                let answer = self.handle(MachineEvent::Start { run: details, named }).unwrap_or(Answer::Idle);
-                self.publish();
-                if self.is_opening() && matches!(answer, Answer::Beginning | Answer::Running(_)) {
-                    self.start_clients.push((reply, answer));
-                } else {
-                    let _ = reply.send(answer);
-                }
-            }
-            ServiceCommand::Stop(cause, reply) => {
-                let answer = self.handle(MachineEvent::Stop(cause)).unwrap_or(Answer::Idle);
-                let (over, last) = oneshot::channel();
-                if matches!(answer, Answer::Stopping(_)) {
-                    self.stop_clients.push(over);
-                }
-                self.publish();
-                let _ = reply.send((answer, last));
-            }
-            ServiceCommand::Home(reply) => {
-                self.poll_bus();
-                let answer = self.handle(MachineEvent::Home);
-                self.publish();
-                let _ = reply.send(answer.unwrap_or(Answer::Idle));
-            }
-            ServiceCommand::Mark(text, at, reply) => {
-                let marked = self.mark(text, at);
-                self.publish();
-                let _ = reply.send(marked);
-            }
-            ServiceCommand::Check(found, reply) => {
-                let _ = reply.send(preflight::check(self, &self.status(), found.as_ref()));
-            }
-            #[cfg(test)]
-            ServiceCommand::Panic => panic!("the test ends this thread"),
+    /// Begins a run; `named`: a person chose its name. The reply follows once its file is created, or refused.
+    pub fn start(&mut self, details: Box<RunDetails>, named: bool) -> oneshot::Receiver<Answer> {
+        // The cable may have been pulled since the last poll.
+        self.poll_bus();
+        let answer = self.handle(MachineEvent::Start { run: details, named }).unwrap_or(Answer::Idle);
+        let (reply, begun) = oneshot::channel();
+        if self.is_opening() && matches!(answer, Answer::Beginning | Answer::Running(_)) {
+            self.start_clients.push((reply, answer));
+        } else {
+            let _ = reply.send(answer);
         }
+        begun
+    }
+
+    /// Ends the run or the homing; the receiver gets the run once it is over.
+    pub fn stop(&mut self, cause: String) -> (Answer, oneshot::Receiver<LastRun>) {
+        let answer = self.handle(MachineEvent::Stop(cause)).unwrap_or(Answer::Idle);
+        let (over, last) = oneshot::channel();
+        if matches!(answer, Answer::Stopping(_)) {
+            self.stop_clients.push(over);
+        }
+        (answer, last)
+    }
+
+    /// Begins a homing.
+    pub fn home(&mut self) -> Answer {
+        self.poll_bus();
+        self.handle(MachineEvent::Home).unwrap_or(Answer::Idle)
     }
 
     /// Lets the machine decide and executes its actions; events that result are handled in turn.
@@ -289,6 +263,7 @@ impl Controller {
                 Action::Answer(given) => answer = answer.or(Some(given)),
                 Action::Open(run) => {
                     if let Err(problem) = self.begin_run(&run) {
+                        self.handle(MachineEvent::OpenFailed(problem.clone()));
                         answer = Some(Answer::Refused(problem));
                     }
                 }
@@ -325,8 +300,8 @@ impl Controller {
         answer
     }
 
-    /// Puts a marker into the run; returns the run and the marker's text.
-    fn mark(&mut self, text: Option<String>, at: MonoNs) -> Result<Option<(String, String)>, String> {
+    /// Puts a marker with this text, or else a number, into the run; returns the run and the text, nothing without a run.
+    pub fn mark(&mut self, text: Option<String>, at: MonoNs) -> Result<Option<(String, String)>, String> {
         let current_run = self.run.as_ref().filter(|run| !run.stop.is_stopped());
         let Some((run, name)) = current_run.zip(self.machine.run()) else { return Ok(None) };
         let (is_numbered, text) = (text.is_none(), self.marks.text(text));
@@ -343,26 +318,13 @@ impl Controller {
     }
 
     fn begin_run(&mut self, details: &RunDetails) -> Result<(), Problem> {
-        let begun = match self.bus.session() {
-            None => Err(self.no_bus()),
-            Some(session) => {
-                let tap = self.settings.live_tap.as_ref().map(LiveTap::writer_end);
-                session.begin(details, tap).map_err(|error| error.problem())
-            }
-        };
-        match begun {
-            Ok(run) => {
-                self.run = Some(run);
-                self.duration = details.duration;
-                self.marks = Marks::new(self.now);
-                (self.cycles_synced, self.counted.lost) = (0, 0);
-                Ok(())
-            }
-            Err(problem) => {
-                self.handle(MachineEvent::OpenFailed(problem.clone()));
-                Err(problem)
-            }
-        }
+        let session = self.bus.session().ok_or_else(|| self.no_bus())?;
+        let tap = self.settings.live_tap.as_ref().map(LiveTap::writer_end);
+        self.run = Some(session.begin(details, tap).map_err(|error| error.problem())?);
+        self.duration = details.duration;
+        self.marks = Marks::new(self.now);
+        (self.cycles_synced, self.counted.lost) = (0, 0);
+        Ok(())
     }
 
     /// Answers the clients that requested the run: it has its file, or gets none.
@@ -537,7 +499,7 @@ impl Controller {
         self.counted.lost = lost;
     }
 
-    fn publish(&self) {
+    pub fn publish(&self) {
         self.status.send_replace(self.status());
     }
 }

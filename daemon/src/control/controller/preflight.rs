@@ -39,15 +39,12 @@ impl DiskFindings {
 }
 
 /// All lines; each is independent of the others. `found` is `None` if the disk did not answer.
-pub(super) fn check(
-    controller: &Controller,
-    status: &Status,
-    found: Option<&DiskFindings>,
-) -> Vec<CheckLine> {
+pub(in crate::control) fn check(controller: &Controller, found: Option<&DiskFindings>) -> Vec<CheckLine> {
+    let status = controller.status();
     let findings = [
-        ("bus", bus(controller, status)),
-        ("encoders", encoders(status)),
-        ("cables", cables(status)),
+        ("bus", bus(controller, &status)),
+        ("encoders", encoders(&status)),
+        ("cables", cables(&status)),
         ("reference marks", reference_marks(controller, found)),
         ("state", state(controller, found)),
         (DISK, disk(controller)),
