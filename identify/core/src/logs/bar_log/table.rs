@@ -66,11 +66,10 @@ pub(super) fn read(
     };
     let readings = layout.encoders.iter().map(|encoder| encoder.reading).collect();
     let mut raw = RawBarLog::new(path, kind, readings);
-    let mut row = CsvRow::default();
     let mut simulated = false;
-    while table.next_row(&mut row)? {
-        raw.push(layout.read(&table, &row)?)?;
-        let event = layout.events.as_ref().map(|events| table.text(&row, events));
+    while let Some(row) = table.next_row()? {
+        raw.push(layout.read(&row)?)?;
+        let event = layout.events.as_ref().map(|events| row.text(events));
         simulated |= event.is_some_and(|event| event.starts_with(SIMULATED));
     }
     let declared = table.comment("clock").map(str::to_owned);
@@ -151,22 +150,22 @@ impl BarTableLayout {
         Ok(Self { time, encoders, flags: None, events: None })
     }
 
-    fn read(&mut self, table: &CsvTable<'_>, row: &CsvRow) -> Result<RawBarRow, LogError> {
+    fn read(&mut self, row: &CsvRow<'_>) -> Result<RawBarRow, LogError> {
         let mut read = RawBarRow {
             place: row.line,
-            stamp_ns: self.time.next_ns(table, row)?,
+            stamp_ns: self.time.next_ns(row)?,
             valid: [true; MAX_ENCODERS],
             ..RawBarRow::default()
         };
         let slots = read.counts.iter_mut().zip(&mut read.valid);
         for (encoder, (count, valid)) in self.encoders.iter().zip(slots) {
-            *count = encoder.count(table, row)?;
+            *count = encoder.count(row)?;
             if let Some(column) = &encoder.valid {
-                *valid = is_true(table, row, column)?;
+                *valid = is_true(row, column)?;
             }
         }
         if let Some(column) = &self.flags {
-            read.flags = flags_of(table, row, column)?;
+            read.flags = flags_of(row, column)?;
         }
         Ok(read)
     }
@@ -174,60 +173,55 @@ impl BarTableLayout {
 
 impl Encoder {
     /// `None` for an empty cell and for NaN.
-    fn count(&self, table: &CsvTable<'_>, row: &CsvRow) -> Result<Option<i64>, LogError> {
-        let text = table.text(row, &self.value);
+    fn count(&self, row: &CsvRow<'_>) -> Result<Option<i64>, LogError> {
+        let text = row.text(&self.value);
         if text.is_empty() || text.eq_ignore_ascii_case("nan") {
             return Ok(None);
         }
         if self.reading.is_counts() {
-            return self.whole_number(table, row, text).map(Some);
+            return self.whole_number(row, text).map(Some);
         }
-        let value = table.number(row, &self.value)?;
+        let value = row.number(&self.value)?;
         let count = self.reading.count_of_angle(value).ok_or_else(|| {
             let problem = format!("{value} is not an angle of a bar");
-            table.bad(row, &self.value, problem, "check the unit of the column")
+            row.bad(&self.value, problem, "check the unit of the column")
         })?;
         Ok(Some(count))
     }
 
-    fn whole_number(&self, table: &CsvTable<'_>, row: &CsvRow, text: &str) -> Result<i64, LogError> {
+    fn whole_number(&self, row: &CsvRow<'_>, text: &str) -> Result<i64, LogError> {
         if let Ok(count) = text.parse::<i64>() {
             return Ok(count);
         }
         // Spreadsheets write `1.5E+09`, PLCs `1500000000.0`.
-        let value = table.number(row, &self.value)?;
+        let value = row.number(&self.value)?;
         let exact = value.fract() == 0.0 && value.abs() < (1_i64 << f64::MANTISSA_DIGITS) as f64;
         exact.then_some(value as i64).ok_or_else(|| {
             let problem = format!("`{text}` is not a whole number of counts");
-            table.bad(
-                row,
-                &self.value,
-                problem,
-                "if the column has angles, give their unit in a mapping file",
-            )
+            row.bad(&self.value, problem, "if the column has angles, give their unit in a mapping file")
         })
     }
 }
 
-fn is_true(table: &CsvTable<'_>, row: &CsvRow, column: &CsvColumn) -> Result<bool, LogError> {
-    match table.text(row, column).to_lowercase().as_str() {
+fn is_true(row: &CsvRow<'_>, column: &CsvColumn) -> Result<bool, LogError> {
+    match row.text(column).to_lowercase().as_str() {
         "1" | "true" => Ok(true),
         "0" | "false" | "" => Ok(false),
         other => {
             let problem = format!("`{other}` is neither true nor false");
-            Err(table.bad(row, column, problem, "write 1 or 0, true or false"))
+            Err(row.bad(column, problem, "write 1 or 0, true or false"))
         }
     }
 }
 
 /// Bits of the flags that a cell names, separated by blanks, as `ballbard export` writes them.
-fn flags_of(table: &CsvTable<'_>, row: &CsvRow, column: &CsvColumn) -> Result<u32, LogError> {
+fn flags_of(row: &CsvRow<'_>, column: &CsvColumn) -> Result<u32, LogError> {
     let mut bits = 0;
-    for word in table.text(row, column).split_whitespace() {
+    for word in row.text(column).split_whitespace() {
         let known = flags::NAMES.iter().find(|(_, name)| *name == word);
         bits |= known.map(|(bit, _)| *bit).ok_or_else(|| {
             let problem = format!("`{word}` is not a flag of a recording");
-            table.bad(row, column, problem, "rename the column if it is not that of `ballbard export`")
+            row.bad(column, problem, "rename the column if it is not that of `ballbard export`")
         })?;
     }
     Ok(bits)

@@ -170,17 +170,17 @@ impl ForceLayout {
     }
 
     /// The numbers of one row \[N or N m\].
-    pub fn row(&self, table: &CsvTable<'_>, row: &CsvRow) -> Result<Joints, LogError> {
+    pub fn row(&self, row: &CsvRow<'_>) -> Result<Joints, LogError> {
         let mut values = Joints::zeros(self.columns.len());
         for (value, (column, factor)) in values.iter_mut().zip(&self.columns) {
-            *value = table.number(row, column)? * factor;
+            *value = row.number(column)? * factor;
             if value.abs() > FORCE_MAX {
                 let problem = format!("{value:.3e} N or Nm is more than any robot meets");
-                return Err(table.bad(row, column, problem, "check the unit, or correct or remove the row"));
+                return Err(row.bad(column, problem, "check the unit, or correct or remove the row"));
             }
             if self.kind == ForceKind::Sign && !(-1.0..=1.0).contains(value) {
                 let remedy = "give -1, 0 or 1; a force in newtons belongs into `force_N`";
-                return Err(table.bad(row, column, format!("invalid sign {value}"), remedy));
+                return Err(row.bad(column, format!("invalid sign {value}"), remedy));
             }
         }
         Ok(values)

@@ -14,7 +14,7 @@ use crate::kinematics::Joints;
 use crate::logs::robot::mapping::CsvLayout;
 use crate::logs::robot::table::TIME_COLUMN;
 use crate::logs::source::LogSource;
-use crate::logs::tables::csv_text::{CsvRow, CsvTable};
+use crate::logs::tables::csv_text::CsvTable;
 use crate::logs::tables::stamp::{StampColumn, TimeColumn, TimeUnit};
 use crate::logs::{JointConversion, LogError, ROWS_MIN, Stream};
 
@@ -128,10 +128,9 @@ fn rows(
 ) -> Result<Stream<Joints>, LogError> {
     let mut forces = Stream::default();
     let mut before: Option<(i64, u64)> = None;
-    let mut row = CsvRow::default();
-    while table.next_row(&mut row)? {
-        let stamp = stamps.next_ns(table, &row)?;
-        let values = layout.row(table, &row)?;
+    while let Some(row) = table.next_row()? {
+        let stamp = stamps.next_ns(&row)?;
+        let values = layout.row(&row)?;
         match before {
             // Loggers that read faster than their source is updated give the same row again.
             Some((last, _)) if stamp == last && forces.last() == Some(&values) => continue,

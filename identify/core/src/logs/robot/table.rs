@@ -9,7 +9,7 @@ use super::raw::{Meaning, RawLog, RawRobotRow};
 use crate::kinematics::Joints;
 use crate::logs::force::ForceLayout;
 use crate::logs::source::LogSource;
-use crate::logs::tables::csv_text::{CsvColumn, CsvRow, CsvTable};
+use crate::logs::tables::csv_text::{CsvColumn, CsvTable};
 use crate::logs::tables::stamp::{StampColumn, TimeColumn, TimeUnit};
 use crate::logs::tables::text::Text;
 use crate::logs::{ForceColumns, LogError, LogFormat, RobotLog, ValueOrigin, usual_and_longest_step_s};
@@ -242,18 +242,17 @@ fn read_rows(
     layout: &mut RobotTableLayout,
     raw: &mut RawLog,
 ) -> Result<(), LogError> {
-    let mut row = CsvRow::default();
-    while table.next_row(&mut row)? {
+    while let Some(row) = table.next_row()? {
         let numbers = |columns: &[(CsvColumn, f64)]| -> Result<Joints, LogError> {
-            columns.iter().map(|(column, factor)| Ok(table.number(&row, column)? * factor)).collect()
+            columns.iter().map(|(column, factor)| Ok(row.number(column)? * factor)).collect()
         };
         raw.push(RawRobotRow {
             place: row.line,
-            stamp_ns: layout.time.next_ns(table, &row)?,
+            stamp_ns: layout.time.next_ns(&row)?,
             joints: numbers(&layout.joints)?,
             speeds: layout.speeds.as_deref().map(numbers).transpose()?,
             torques: layout.torques.as_deref().map(numbers).transpose()?,
-            force: layout.force.as_ref().map(|force| force.row(table, &row)).transpose()?,
+            force: layout.force.as_ref().map(|force| force.row(&row)).transpose()?,
         })?;
     }
     Ok(())

@@ -137,9 +137,7 @@ impl MeasuredLengths {
     pub fn read(bytes: &[u8], path: &Path, mapping: &MeasuredLengthMapping) -> Result<Self, LogError> {
         let find = |table: &CsvTable<'_>| LengthTableColumns::find(table, mapping);
         let mut names = SetUpNames::default();
-        let read = |columns: &mut LengthTableColumns<'_>, table: &CsvTable<'_>, row: &CsvRow| {
-            columns.read(table, row, &mut names)
-        };
+        let read = |columns: &mut LengthTableColumns<'_>, row: &CsvRow<'_>| columns.read(row, &mut names);
         let rows = rows(LogSource::in_memory(bytes, path), &mapping.csv, find, read)?;
         let [anchors, attachments] = names.in_order();
         Ok(Self { rows, anchors, attachments })
@@ -176,32 +174,26 @@ impl<'a> LengthTableColumns<'a> {
         })
     }
 
-    fn read(
-        &self,
-        table: &CsvTable<'_>,
-        row: &CsvRow,
-        names: &mut SetUpNames,
-    ) -> Result<LengthRow, LogError> {
-        let set_up = names.place(table, row, &self.set_up)?;
+    fn read(&self, row: &CsvRow<'_>, names: &mut SetUpNames) -> Result<LengthRow, LogError> {
+        let set_up = names.place(row, &self.set_up)?;
         let (column, LengthColumn { unit, offset_mm, .. }) = &self.length;
-        let length_m = table.number(row, column)? * unit.to_m() - offset_mm * 1e-3;
+        let length_m = row.number(column)? * unit.to_m() - offset_mm * 1e-3;
         if !(0.0..=LENGTH_M_MAX).contains(&length_m) {
-            return Err(table.bad(
-                row,
+            return Err(row.bad(
                 column,
                 format!("the length {length_m} m is outside 0 to {LENGTH_M_MAX} m"),
                 "check `unit` and `offset_mm` under [length] in the mapping file",
             ));
         }
-        let joints_rad = self.joints.read(table, row)?;
+        let joints_rad = self.joints.read(row)?;
         let flange_m = match &self.flange {
             Some(([x, y, z], unit)) => {
-                let number_m = |column: &CsvColumn| Ok(table.number(row, column)? * unit.to_m());
+                let number_m = |column: &CsvColumn| Ok(row.number(column)? * unit.to_m());
                 Some([number_m(x)?, number_m(y)?, number_m(z)?])
             }
             None => None,
         };
-        let stated = self.uncertainty.as_ref().map(|column| uncertainty(table, row, column));
+        let stated = self.uncertainty.as_ref().map(|column| uncertainty(row, column));
         let uncertainty_m = stated.transpose()?;
         Ok(LengthRow { joints_rad, length_m, flange_m, uncertainty_m, set_up, line: row.line })
     }

@@ -302,11 +302,10 @@ impl MeasuredPoses {
             Ok((PoseColumns::find(table, mapping)?, JointColumns::find(table, &mapping.joints)?))
         };
         let mut names = SetUpNames::default();
-        let read =
-            |(pose, joints): &mut (PoseColumns<'_>, JointColumns<'_>), table: &CsvTable<'_>, row: &CsvRow| {
-                let measured = pose.read(table, row, &mut names)?;
-                Ok(PoseRow { joints_rad: joints.read(table, row)?, ..measured })
-            };
+        let read = |(pose, joints): &mut (PoseColumns<'_>, JointColumns<'_>), row: &CsvRow<'_>| {
+            let measured = pose.read(row, &mut names)?;
+            Ok(PoseRow { joints_rad: joints.read(row)?, ..measured })
+        };
         let rows = rows(LogSource::in_memory(bytes, path), &mapping.csv, find, read)?;
         let [stations, targets] = names.in_order();
         Ok(Self { rows, stations, targets })
@@ -348,11 +347,10 @@ impl TimedPoses {
             Ok((columns, StampColumn::new(mapped(table, &time.column)?, time)))
         };
         let mut names = SetUpNames::default();
-        let read =
-            |(columns, stamps): &mut (PoseColumns<'_>, StampColumn), table: &CsvTable<'_>, row: &CsvRow| {
-                let pose = columns.read(table, row, &mut names)?;
-                Ok((stamps.next_ns(table, row)?, pose))
-            };
+        let read = |(columns, stamps): &mut (PoseColumns<'_>, StampColumn), row: &CsvRow<'_>| {
+            let pose = columns.read(row, &mut names)?;
+            Ok((stamps.next_ns(row)?, pose))
+        };
         let mut rows = rows(LogSource::in_memory(bytes, path), &mapping.csv, find, read)?;
         let not_increasing = rows.windows(2).find(|pair| pair[1].0 < pair[0].0);
         if let Some([(before_ns, before), (after_ns, after)]) = not_increasing {
@@ -426,24 +424,23 @@ struct PoseColumns<'a> {
 
 /// Numbers of a row times `to_si`, none of them larger than `largest`; `si` is the symbol of the SI unit.
 fn numbers(
-    table: &CsvTable<'_>,
-    row: &CsvRow,
+    row: &CsvRow<'_>,
     columns: &[CsvColumn],
     (to_si, si): (f64, &str),
     largest: f64,
 ) -> Result<Vec<f64>, LogError> {
     let number = |column: &CsvColumn| {
-        let value = table.number(row, column)? * to_si;
+        let value = row.number(column)? * to_si;
         if value.abs() <= largest {
             return Ok(value);
         }
         if si.is_empty() {
             let problem = format!("{value:.3} is too large for a number of a rotation");
-            return Err(table.bad(row, column, problem, "check `as` and the columns in the mapping file"));
+            return Err(row.bad(column, problem, "check `as` and the columns in the mapping file"));
         }
         let problem =
             format!("{value:.3} {si} is more than anything measured here (at most {largest:.1} {si})");
-        Err(table.bad(row, column, problem, "check the column's unit in the mapping file"))
+        Err(row.bad(column, problem, "check the column's unit in the mapping file"))
     };
     columns.iter().map(number).collect()
 }
@@ -466,14 +463,13 @@ impl<'a> PoseColumns<'a> {
         })
     }
 
-    fn read(&self, table: &CsvTable<'_>, row: &CsvRow, names: &mut SetUpNames) -> Result<PoseRow, LogError> {
+    fn read(&self, row: &CsvRow<'_>, names: &mut SetUpNames) -> Result<PoseRow, LogError> {
         let (columns, unit) = &self.position;
-        let position_m = numbers(table, row, columns, (unit.to_m(), "m"), POSITION_M_MAX)?;
-        let rotation = self.rotation.as_ref().map(|(columns, form)| rotation(table, row, columns, form));
+        let position_m = numbers(row, columns, (unit.to_m(), "m"), POSITION_M_MAX)?;
+        let rotation = self.rotation.as_ref().map(|(columns, form)| rotation(row, columns, form));
         let [position_u, rotation_u] = self.uncertainty.each_ref();
-        let uncertainty = |column: &Option<CsvColumn>| {
-            column.as_ref().map(|column| uncertainty(table, row, column)).transpose()
-        };
+        let uncertainty =
+            |column: &Option<CsvColumn>| column.as_ref().map(|column| uncertainty(row, column)).transpose();
         Ok(PoseRow {
             joints_rad: Joints::default(),
             line: row.line,
@@ -483,24 +479,23 @@ impl<'a> PoseColumns<'a> {
                 position_m: uncertainty(position_u)?,
                 rotation_rad: uncertainty(rotation_u)?,
             },
-            set_up: names.place(table, row, &self.set_up)?,
+            set_up: names.place(row, &self.set_up)?,
         })
     }
 }
 
 fn rotation(
-    table: &CsvTable<'_>,
-    row: &CsvRow,
+    row: &CsvRow<'_>,
     columns: &[CsvColumn],
     form: &RotationColumns,
 ) -> Result<Rotation3<f64>, LogError> {
     let (to_si, largest) = form.scale();
     let si = if form.unit.is_some() { "rad" } else { "" };
-    let values = numbers(table, row, columns, (to_si, si), largest)?;
+    let values = numbers(row, columns, (to_si, si), largest)?;
     form.rotation(&values).ok_or_else(|| {
         let names: Vec<&str> = columns.iter().map(|column| column.name.as_str()).collect();
         let cell = CsvColumn { index: 0, name: names.join(", ") };
         let problem = format!("{values:.3?} is not a rotation");
-        table.bad(row, &cell, problem, "check `as` and the order of the columns in the mapping file")
+        row.bad(&cell, problem, "check `as` and the order of the columns in the mapping file")
     })
 }

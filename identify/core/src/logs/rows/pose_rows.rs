@@ -156,7 +156,7 @@ impl JointTableMapping {
     /// Every way in which the file cannot be used, see [`LogError`].
     pub fn load(&self, path: &Path) -> Result<Vec<Joints>, LogError> {
         let find = |table: &CsvTable<'_>| JointColumns::find(table, &self.joints);
-        rows(LogSource::open(path)?, &self.csv, find, |joints, table, row| joints.read(table, row))
+        rows(LogSource::open(path)?, &self.csv, find, |joints, row| joints.read(row))
     }
 }
 
@@ -236,15 +236,14 @@ pub(in crate::logs) fn rows<C, R>(
     source: LogSource<'_>,
     layout: &CsvLayout,
     find: impl FnOnce(&CsvTable<'_>) -> Result<C, LogError>,
-    mut read: impl FnMut(&mut C, &CsvTable<'_>, &CsvRow) -> Result<R, LogError>,
+    mut read: impl FnMut(&mut C, &CsvRow<'_>) -> Result<R, LogError>,
 ) -> Result<Vec<R>, LogError> {
     let path = source.path;
     let mut table = CsvTable::of_mapping(source, Some(layout))?;
     let mut columns = find(&table)?;
     let mut rows = Vec::new();
-    let mut row = CsvRow::default();
-    while table.next_row(&mut row)? {
-        rows.push(read(&mut columns, &table, &row)?);
+    while let Some(row) = table.next_row()? {
+        rows.push(read(&mut columns, &row)?);
     }
     LogError::unless_enough(path, rows.len(), ROWS_MIN)?;
     Ok(rows)
@@ -284,15 +283,14 @@ impl Names {
     /// The place of the name in a row; 0 without a column of names.
     pub(in crate::logs) fn place(
         &mut self,
-        table: &CsvTable<'_>,
-        row: &CsvRow,
+        row: &CsvRow<'_>,
         column: Option<&CsvColumn>,
     ) -> Result<usize, LogError> {
         let Some(column) = column else { return Ok(0) };
-        let name = table.text(row, column).trim();
+        let name = row.text(column).trim();
         if name.is_empty() {
             let problem = "no name is given".to_owned();
-            return Err(table.bad(row, column, problem, "write it, or remove the row"));
+            return Err(row.bad(column, problem, "write it, or remove the row"));
         }
         let next = self.0.len();
         Ok(*self.0.entry(name.to_owned()).or_insert(next))
@@ -313,13 +311,12 @@ impl SetUpNames {
     /// The set-up of a row by the columns of its names, where the file has them.
     pub(in crate::logs) fn place(
         &mut self,
-        table: &CsvTable<'_>,
-        row: &CsvRow,
+        row: &CsvRow<'_>,
         [station, target]: &[Option<CsvColumn>; 2],
     ) -> Result<SetUp, LogError> {
         let [stations, targets] = &mut self.0;
-        let station = stations.place(table, row, station.as_ref())?;
-        Ok(SetUp { station, target: targets.place(table, row, target.as_ref())? })
+        let station = stations.place(row, station.as_ref())?;
+        Ok(SetUp { station, target: targets.place(row, target.as_ref())? })
     }
 
     pub(in crate::logs) fn in_order(self) -> [Vec<String>; 2] {
@@ -337,13 +334,12 @@ impl<'a> JointColumns<'a> {
     }
 
     /// Joint variables of a row \[rad, m\].
-    pub(in crate::logs) fn read(&self, table: &CsvTable<'_>, row: &CsvRow) -> Result<Joints, LogError> {
+    pub(in crate::logs) fn read(&self, row: &CsvRow<'_>) -> Result<Joints, LogError> {
         let mut q_rad = Joints::zeros(self.0.len());
         for (q, (column, joint)) in q_rad.iter_mut().zip(&self.0) {
-            *q = joint.sign * (table.number(row, column)? * joint.unit.to_si() - joint.offset());
+            *q = joint.sign * (row.number(column)? * joint.unit.to_si() - joint.offset());
             if joint.unit.kind() == JointKind::Revolute && q.abs() > JOINT_RAD_MAX {
-                return Err(table.bad(
-                    row,
+                return Err(row.bad(
                     column,
                     format!("{:.1} rad is more than two turns", *q),
                     "the column looks like degrees: check the joint's unit in the mapping file",
@@ -355,20 +351,16 @@ impl<'a> JointColumns<'a> {
 }
 
 /// A stated standard uncertainty of mm or mrad, in m or rad.
-pub(in crate::logs) fn uncertainty(
-    table: &CsvTable<'_>,
-    row: &CsvRow,
-    column: &CsvColumn,
-) -> Result<f64, LogError> {
+pub(in crate::logs) fn uncertainty(row: &CsvRow<'_>, column: &CsvColumn) -> Result<f64, LogError> {
     /// A larger number means another unit.
     const UNCERTAINTY_MAX: f64 = 0.1;
-    let value = table.number(row, column)? * 1e-3;
+    let value = row.number(column)? * 1e-3;
     if value > 0.0 && value <= UNCERTAINTY_MAX {
         return Ok(value);
     }
     let (given, most) = (value * 1e3, UNCERTAINTY_MAX * 1e3);
     let problem = format!("the standard uncertainty {given} is not above 0 and up to {most}");
-    Err(table.bad(row, column, problem, "correct the row, or the column's name or unit in the mapping file"))
+    Err(row.bad(column, problem, "correct the row, or the column's name or unit in the mapping file"))
 }
 
 /// A column that the mapping names.

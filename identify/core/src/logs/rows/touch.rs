@@ -68,12 +68,12 @@ impl ContactMapping {
     /// # Errors
     /// As [`Self::load`].
     pub fn read(&self, bytes: &[u8], path: &Path, sockets: &[&str]) -> Result<Vec<TipRow>, LogError> {
-        let socket = |table: &CsvTable<'_>, row: &CsvRow, column: &CsvColumn| {
-            let name = table.text(row, column);
+        let socket = |row: &CsvRow<'_>, column: &CsvColumn| {
+            let name = row.text(column);
             sockets.iter().position(|known| *known == name).ok_or_else(|| {
                 let known = sockets.join(", ");
                 let problem = format!("no socket is called `{name}`; the table of sockets has {known}");
-                table.bad(row, column, problem, "correct the name here, or give the socket there")
+                row.bad(column, problem, "correct the name here, or give the socket there")
             })
         };
         tip_rows(LogSource::in_memory(bytes, path), &self.csv, (&*self.socket, None, &*self.joints), socket)
@@ -138,8 +138,7 @@ impl Touches {
     /// As [`Self::load`].
     pub fn read(bytes: &[u8], path: &Path, mapping: &TouchMapping) -> Result<Self, LogError> {
         let mut names = Names::default();
-        let face =
-            |table: &CsvTable<'_>, row: &CsvRow, column: &CsvColumn| names.place(table, row, Some(column));
+        let face = |row: &CsvRow<'_>, column: &CsvColumn| names.place(row, Some(column));
         let columns = (&*mapping.face, mapping.reading.as_ref(), &*mapping.joints);
         let rows = tip_rows(LogSource::in_memory(bytes, path), &mapping.csv, columns, face)?;
         Ok(Self { rows, faces: names.in_order() })
@@ -151,7 +150,7 @@ fn tip_rows(
     source: LogSource<'_>,
     layout: &CsvLayout,
     (name, gauge, joints): (&str, Option<&ReadingColumn>, &[JointColumn]),
-    mut part: impl FnMut(&CsvTable<'_>, &CsvRow, &CsvColumn) -> Result<usize, LogError>,
+    mut part: impl FnMut(&CsvRow<'_>, &CsvColumn) -> Result<usize, LogError>,
 ) -> Result<Vec<TipRow>, LogError> {
     type TipColumns<'a> = (CsvColumn, Option<(CsvColumn, LengthUnit)>, JointColumns<'a>);
     let find = |table: &CsvTable<'_>| -> Result<TipColumns<'_>, LogError> {
@@ -159,18 +158,18 @@ fn tip_rows(
         let gauge = gauge.map(|gauge| Ok((mapped(table, &gauge.column)?, gauge.unit))).transpose()?;
         Ok((name, gauge, JointColumns::find(table, joints)?))
     };
-    let read = |(name, gauge, joints): &mut TipColumns<'_>, table: &CsvTable<'_>, row: &CsvRow| {
-        let part = part(table, row, name)?;
+    let read = |(name, gauge, joints): &mut TipColumns<'_>, row: &CsvRow<'_>| {
+        let part = part(row, name)?;
         let mut reading_m = 0.0;
         if let Some((column, unit)) = gauge {
-            reading_m = table.number(row, column)? * unit.to_m();
+            reading_m = row.number(column)? * unit.to_m();
             if reading_m.abs() > READING_M_MAX {
                 let problem = format!("the gauge reads {reading_m} m");
                 let remedy = "check the reading's unit in the mapping file";
-                return Err(table.bad(row, column, problem, remedy));
+                return Err(row.bad(column, problem, remedy));
             }
         }
-        Ok(TipRow { joints_rad: joints.read(table, row)?, part, reading_m, line: row.line })
+        Ok(TipRow { joints_rad: joints.read(row)?, part, reading_m, line: row.line })
     };
     rows(source, layout, find, read)
 }

@@ -19,20 +19,16 @@ pub(in crate::logs) struct CsvTable<'a> {
     header: Vec<String>,
     decimal_comma: bool,
     rows: csv::Reader<Text<'a>>,
-}
-
-/// One row and its line in the file.
-#[derive(Default)]
-pub(in crate::logs) struct CsvRow {
-    pub line: u64,
+    /// Cells of the row that was read last.
     cells: csv::StringRecord,
 }
 
-impl CsvRow {
-    /// The cells in their order.
-    pub fn cells(&self) -> impl Iterator<Item = &str> {
-        self.cells.iter().map(str::trim)
-    }
+/// One row and its line in the file.
+pub(in crate::logs) struct CsvRow<'t> {
+    pub line: u64,
+    path: &'t Path,
+    decimal_comma: bool,
+    cells: &'t csv::StringRecord,
 }
 
 /// A column that the header names.
@@ -90,7 +86,7 @@ impl<'a> CsvTable<'a> {
         let format = NumberFormat { delimiter, decimal_comma: layout.decimal_comma };
         let mut table = Self::open_as(text, format, layout.header)?;
         for _ in 0..layout.unit_lines {
-            match table.read(&mut CsvRow::default()) {
+            match table.read() {
                 // These lines need not have the cells of the table.
                 Ok(_) | Err(LogError::Malformed { .. }) => {}
                 Err(error) => return Err(error),
@@ -115,7 +111,7 @@ impl<'a> CsvTable<'a> {
         if header.iter().all(String::is_empty) {
             return Err(LogError::NoHeader { path: rows.get_ref().path.to_owned() });
         }
-        Ok(Self { header, decimal_comma: format.decimal_comma, rows })
+        Ok(Self { header, decimal_comma: format.decimal_comma, rows, cells: csv::StringRecord::new() })
     }
 
     /// The comment lines `# key: value` before the rows that were read, and some beyond; keys in lower case.
@@ -195,55 +191,60 @@ impl<'a> CsvTable<'a> {
         self.header.iter().any(|header| header == name)
     }
 
-    /// Puts the next row into `row`, if there is one.
-    pub fn next_row(&mut self, row: &mut CsvRow) -> Result<bool, LogError> {
-        self.read(row).map_err(|mut error| {
+    /// The next row, if there is one.
+    pub fn next_row(&mut self) -> Result<Option<CsvRow<'_>>, LogError> {
+        let line = self.read().map_err(|mut error| {
             if let LogError::Malformed { problem, .. } = &mut error
-                && matches!(self.rows.read_record(&mut csv::StringRecord::new()), Ok(false))
+                && matches!(self.rows.read_record(&mut self.cells), Ok(false))
             {
                 problem.push_str(", in the last line: if the file was cut off there, remove that line");
             }
             error
-        })
+        })?;
+        let Self { decimal_comma, ref cells, .. } = *self;
+        Ok(line.map(|line| CsvRow { line, path: self.path(), decimal_comma, cells }))
     }
 
-    fn read(&mut self, row: &mut CsvRow) -> Result<bool, LogError> {
-        let is_there = self.rows.read_record(&mut row.cells);
+    /// Reads the cells of the next row and returns its line, if there is one.
+    fn read(&mut self) -> Result<Option<u64>, LogError> {
+        let is_there = self.rows.read_record(&mut self.cells);
         let is_there = is_there.map_err(|error| malformed(error, self.rows.get_mut()))?;
-        if let Some(position) = row.cells.position().filter(|_| is_there) {
-            row.line = self.rows.get_mut().line_of_record(position.byte());
-        }
-        Ok(is_there)
+        let byte = self.cells.position().map_or(0, csv::Position::byte);
+        Ok(is_there.then(|| self.rows.get_mut().line_of_record(byte)))
+    }
+}
+
+impl CsvRow<'_> {
+    /// All cells in their order.
+    pub fn cells(&self) -> impl Iterator<Item = &str> {
+        self.cells.iter().map(str::trim)
     }
 
     /// The text of one cell.
-    pub fn text<'r>(&self, row: &'r CsvRow, column: &CsvColumn) -> &'r str {
-        row.cells.get(column.index).unwrap_or_default().trim()
+    pub fn text(&self, column: &CsvColumn) -> &str {
+        self.cells.get(column.index).unwrap_or_default().trim()
     }
 
     /// A finite number from one cell.
-    pub fn number(&self, row: &CsvRow, column: &CsvColumn) -> Result<f64, LogError> {
-        let text = self.text(row, column);
+    pub fn number(&self, column: &CsvColumn) -> Result<f64, LogError> {
+        let text = self.text(column);
         if text.is_empty() {
-            return Err(self.bad(row, column, "the cell is empty".into(), "remove the row or fill it in"));
+            return Err(self.bad(column, "the cell is empty".into(), "remove the row or fill it in"));
         }
         let parsed = if self.decimal_comma { text.replace(',', ".").parse() } else { text.parse::<f64>() };
         match parsed {
             Ok(value) if value.is_finite() => Ok(value),
             Ok(_) => Err(self.bad(
-                row,
                 column,
                 format!("`{text}` is not a finite number"),
                 "remove the row: its value is missing",
             )),
             Err(_) if text.contains(',') && text.contains('.') => Err(self.bad(
-                row,
                 column,
                 format!("`{text}` has a comma and a point"),
                 "export numbers without separators of thousands",
             )),
             Err(_) if text.contains(',') && !self.decimal_comma => Err(self.bad(
-                row,
                 column,
                 format!("`{text}` has a decimal comma"),
                 "`decimal_comma = true` in the mapping reads it (--mapping, --log-mapping; `identify inspect --propose` \
@@ -251,21 +252,21 @@ impl<'a> CsvTable<'a> {
             )),
             Err(_) => {
                 let has_digit = |cell: &str| cell.contains(|letter: char| letter.is_ascii_digit());
-                let remedy = if !row.cells().any(has_digit) {
+                let remedy = if !self.cells().any(has_digit) {
                     "unit_lines = 1 under [csv] of a mapping skips a line of units"
                 } else if text.contains(':') {
                     "[time] unit = \"date_time\" of a mapping reads stamps such as 2026-11-22 10:15:00.25"
                 } else {
                     "correct or remove the row"
                 };
-                Err(self.bad(row, column, format!("`{text}` is not a number"), remedy))
+                Err(self.bad(column, format!("`{text}` is not a number"), remedy))
             }
         }
     }
 
     /// An error about one cell.
-    pub fn bad(&self, row: &CsvRow, column: &CsvColumn, problem: String, remedy: &'static str) -> LogError {
-        let cell = Cell { path: self.path().to_owned(), line: row.line, column: column.name.clone() };
+    pub fn bad(&self, column: &CsvColumn, problem: String, remedy: &'static str) -> LogError {
+        let cell = Cell { path: self.path.to_owned(), line: self.line, column: column.name.clone() };
         LogError::BadValue { cell, problem, remedy }
     }
 }

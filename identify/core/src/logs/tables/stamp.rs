@@ -6,7 +6,7 @@ use chrono::{DateTime, NaiveDateTime};
 use serde::{Deserialize, Serialize};
 use shared::config::Violation;
 
-use super::csv_text::{CsvColumn, CsvRow, CsvTable};
+use super::csv_text::{CsvColumn, CsvRow};
 use crate::logs::LogError;
 
 /// Unit of a time column.
@@ -185,13 +185,13 @@ impl StampColumn {
 
     /// The stamp of the next row to integer ns. Decimal digits are taken as they are: a UTC stamp in seconds has more of them
     /// than an `f64` can hold.
-    pub(in crate::logs) fn next_ns(&mut self, table: &CsvTable<'_>, row: &CsvRow) -> Result<i64, LogError> {
+    pub(in crate::logs) fn next_ns(&mut self, row: &CsvRow<'_>) -> Result<i64, LogError> {
         let Self { column, stamps } = self;
         if stamps.unit == TimeUnit::DateTime {
-            return date_ns(table, row, column);
+            return date_ns(row, column);
         }
-        let number = table.number(row, column)?;
-        let text = table.text(row, column);
+        let number = row.number(column)?;
+        let text = row.text(column);
         let zero = if stamps.unit == TimeUnit::Filetime { FILETIME_1970 } else { 0 };
         let exact = match stamps.unit {
             TimeUnit::S => decimal_to_ns(text),
@@ -199,8 +199,7 @@ impl StampColumn {
         };
         let shown_ns = exact.or_else(|| within_range((number - zero as f64) * stamps.unit_ns));
         shown_ns.and_then(|shown_ns| stamps.unwrapped(shown_ns)).ok_or_else(|| {
-            table.bad(
-                row,
+            row.bad(
                 column,
                 format!("{number} is more than 292 years"),
                 "give the time in seconds, from any zero within 292 years",
@@ -214,8 +213,8 @@ const FILETIME_1970: i64 = 116_444_736_000_000_000;
 /// Ways to write date and time of day beside RFC 3339: with a blank, and as TwinCAT does.
 const DATES: [&str; 3] = ["%Y-%m-%dT%H:%M:%S%.f", "%Y-%m-%d %H:%M:%S%.f", "%Y-%m-%d-%H:%M:%S%.f"];
 
-fn date_ns(table: &CsvTable<'_>, row: &CsvRow, column: &CsvColumn) -> Result<i64, LogError> {
-    let text = table.text(row, column);
+fn date_ns(row: &CsvRow<'_>, column: &CsvColumn) -> Result<i64, LogError> {
+    let text = row.text(column);
     let plain = text.strip_prefix("DT#").unwrap_or(text).replace(',', ".");
     let with_zone = DateTime::parse_from_rfc3339(&plain).map(|date| date.to_utc());
     let date = with_zone.ok().or_else(|| {
@@ -223,8 +222,7 @@ fn date_ns(table: &CsvTable<'_>, row: &CsvRow, column: &CsvColumn) -> Result<i64
         dates.flatten().next().map(|date| date.and_utc())
     });
     date.and_then(|date| date.timestamp_nanos_opt()).ok_or_else(|| {
-        table.bad(
-            row,
+        row.bad(
             column,
             format!("`{text}` is not a date and time of the years 1678 to 2262"),
             "write it as 2026-11-22T10:15:00.25Z, or name its unit in a mapping",

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use encoding_rs::{Decoder, Encoding, WINDOWS_1252};
 
-use super::csv_text::{CsvRow, CsvTable};
+use super::csv_text::CsvTable;
 use super::workbook::{is_workbook, sheets, text_of_sheet};
 use crate::logs::source::LogSource;
 use crate::logs::{CsvLayout, LogError};
@@ -330,8 +330,9 @@ impl<'a> RowsAsText<'a> {
         let mut table = CsvTable::mapped(text, &CsvLayout { unit_lines: 0, ..layout.clone() })?;
         let header = table.header().to_vec();
         let mut rows = Vec::new();
-        let mut row = CsvRow::default();
-        while rows.len() < rows_max + layout.unit_lines && table.next_row(&mut row)? {
+        while rows.len() < rows_max + layout.unit_lines
+            && let Some(row) = table.next_row()?
+        {
             rows.push(row.cells().map(str::to_owned).collect());
         }
         let values = rows.split_off(layout.unit_lines.min(rows.len()));
