@@ -135,10 +135,10 @@ impl MeasuredLengths {
     /// # Errors
     /// As [`Self::load`].
     pub fn read(bytes: &[u8], path: &Path, mapping: &MeasuredLengthMapping) -> Result<Self, LogError> {
-        let find = |table: &CsvTable<'_>| LengthTableColumns::find(table, mapping);
+        let mut table = CsvTable::of_mapping(LogSource::in_memory(bytes, path), Some(&mapping.csv))?;
+        let columns = LengthTableColumns::find(&table, mapping)?;
         let mut names = SetUpNames::default();
-        let read = |columns: &mut LengthTableColumns<'_>, row: &CsvRow<'_>| columns.read(row, &mut names);
-        let rows = rows(LogSource::in_memory(bytes, path), &mapping.csv, find, read)?;
+        let rows = rows(&mut table, |row| columns.read(row, &mut names))?;
         let [anchors, attachments] = names.in_order();
         Ok(Self { rows, anchors, attachments })
     }

@@ -298,15 +298,14 @@ impl MeasuredPoses {
     /// # Errors
     /// As [`Self::load`].
     pub fn read(bytes: &[u8], path: &Path, mapping: &MeasuredPoseMapping) -> Result<Self, LogError> {
-        let find = |table: &CsvTable<'_>| {
-            Ok((PoseColumns::find(table, mapping)?, JointColumns::find(table, &mapping.joints)?))
-        };
+        let mut table = CsvTable::of_mapping(LogSource::in_memory(bytes, path), Some(&mapping.csv))?;
+        let columns = PoseColumns::find(&table, mapping)?;
+        let joints = JointColumns::find(&table, &mapping.joints)?;
         let mut names = SetUpNames::default();
-        let read = |(pose, joints): &mut (PoseColumns<'_>, JointColumns<'_>), row: &CsvRow<'_>| {
-            let measured = pose.read(row, &mut names)?;
+        let rows = rows(&mut table, |row| {
+            let measured = columns.read(row, &mut names)?;
             Ok(PoseRow { joints_rad: joints.read(row)?, ..measured })
-        };
-        let rows = rows(LogSource::in_memory(bytes, path), &mapping.csv, find, read)?;
+        })?;
         let [stations, targets] = names.in_order();
         Ok(Self { rows, stations, targets })
     }
@@ -342,16 +341,14 @@ impl TimedPoses {
     /// As [`Self::load`].
     pub fn read(bytes: &[u8], path: &Path, mapping: &MeasuredPoseMapping) -> Result<Self, LogError> {
         let time = TimeColumn::of_table(mapping.time.as_ref(), path)?;
-        let find = |table: &CsvTable<'_>| {
-            let columns = PoseColumns::find(table, mapping)?;
-            Ok((columns, StampColumn::new(mapped(table, &time.column)?, time)))
-        };
+        let mut table = CsvTable::of_mapping(LogSource::in_memory(bytes, path), Some(&mapping.csv))?;
+        let columns = PoseColumns::find(&table, mapping)?;
+        let mut stamps = StampColumn::new(mapped(&table, &time.column)?, time);
         let mut names = SetUpNames::default();
-        let read = |(columns, stamps): &mut (PoseColumns<'_>, StampColumn), row: &CsvRow<'_>| {
+        let mut rows = rows(&mut table, |row| {
             let pose = columns.read(row, &mut names)?;
             Ok((stamps.next_ns(row)?, pose))
-        };
-        let mut rows = rows(LogSource::in_memory(bytes, path), &mapping.csv, find, read)?;
+        })?;
         let not_increasing = rows.windows(2).find(|pair| pair[1].0 < pair[0].0);
         if let Some([(before_ns, before), (after_ns, after)]) = not_increasing {
             let (before, after) = ((before.line, *before_ns), (after.line, *after_ns));

@@ -155,8 +155,9 @@ impl JointTableMapping {
     /// # Errors
     /// Every way in which the file cannot be used, see [`LogError`].
     pub fn load(&self, path: &Path) -> Result<Vec<Joints>, LogError> {
-        let find = |table: &CsvTable<'_>| JointColumns::find(table, &self.joints);
-        rows(LogSource::open(path)?, &self.csv, find, |joints, row| joints.read(row))
+        let mut table = CsvTable::of_mapping(LogSource::open(path)?, Some(&self.csv))?;
+        let joints = JointColumns::find(&table, &self.joints)?;
+        rows(&mut table, |row| joints.read(row))
     }
 }
 
@@ -231,21 +232,16 @@ pub(in crate::logs) fn check_joints(joints: &[JointColumn]) -> Result<(), Violat
     Ok(())
 }
 
-/// All rows of a table: `find` finds its columns, `read` reads a row of them.
-pub(in crate::logs) fn rows<C, R>(
-    source: LogSource<'_>,
-    layout: &CsvLayout,
-    find: impl FnOnce(&CsvTable<'_>) -> Result<C, LogError>,
-    mut read: impl FnMut(&mut C, &CsvRow<'_>) -> Result<R, LogError>,
+/// All rows of a table.
+pub(in crate::logs) fn rows<R>(
+    table: &mut CsvTable<'_>,
+    mut read: impl FnMut(&CsvRow<'_>) -> Result<R, LogError>,
 ) -> Result<Vec<R>, LogError> {
-    let path = source.path;
-    let mut table = CsvTable::of_mapping(source, Some(layout))?;
-    let mut columns = find(&table)?;
     let mut rows = Vec::new();
     while let Some(row) = table.next_row()? {
-        rows.push(read(&mut columns, &row)?);
+        rows.push(read(&row)?);
     }
-    LogError::unless_enough(path, rows.len(), ROWS_MIN)?;
+    LogError::unless_enough(table.path(), rows.len(), ROWS_MIN)?;
     Ok(rows)
 }
 

@@ -152,16 +152,14 @@ fn tip_rows(
     (name, gauge, joints): (&str, Option<&ReadingColumn>, &[JointColumn]),
     mut part: impl FnMut(&CsvRow<'_>, &CsvColumn) -> Result<usize, LogError>,
 ) -> Result<Vec<TipRow>, LogError> {
-    type TipColumns<'a> = (CsvColumn, Option<(CsvColumn, LengthUnit)>, JointColumns<'a>);
-    let find = |table: &CsvTable<'_>| -> Result<TipColumns<'_>, LogError> {
-        let name = mapped(table, name)?;
-        let gauge = gauge.map(|gauge| Ok((mapped(table, &gauge.column)?, gauge.unit))).transpose()?;
-        Ok((name, gauge, JointColumns::find(table, joints)?))
-    };
-    let read = |(name, gauge, joints): &mut TipColumns<'_>, row: &CsvRow<'_>| {
-        let part = part(row, name)?;
+    let mut table = CsvTable::of_mapping(source, Some(layout))?;
+    let name = mapped(&table, name)?;
+    let gauge = gauge.map(|gauge| Ok((mapped(&table, &gauge.column)?, gauge.unit))).transpose()?;
+    let joints = JointColumns::find(&table, joints)?;
+    rows(&mut table, |row| {
+        let part = part(row, &name)?;
         let mut reading_m = 0.0;
-        if let Some((column, unit)) = gauge {
+        if let Some((column, unit)) = &gauge {
             reading_m = row.number(column)? * unit.to_m();
             if reading_m.abs() > READING_M_MAX {
                 let problem = format!("the gauge reads {reading_m} m");
@@ -170,6 +168,5 @@ fn tip_rows(
             }
         }
         Ok(TipRow { joints_rad: joints.read(row)?, part, reading_m, line: row.line })
-    };
-    rows(source, layout, find, read)
+    })
 }

@@ -124,7 +124,8 @@ impl<'a> CsvTable<'a> {
         self.comments().iter().find(|(known, _)| known == key).map(|(_, value)| &**value)
     }
 
-    fn path(&self) -> &'a Path {
+    /// Path of the file, for errors.
+    pub fn path(&self) -> &'a Path {
         self.rows.get_ref().path
     }
 
