@@ -9,11 +9,11 @@ use super::mapping::{BarLogMapping, EncoderColumn, EncoderUnit};
 use super::samples::{BarLogKind, EncoderReader, RawBarLog, RawBarRow};
 use super::{LogError, OtherBarLog};
 use crate::kinematics::BAR_JOINTS;
-use crate::logs::SIMULATED;
 use crate::logs::source::LogSource;
 use crate::logs::tables::csv_text::{CsvColumn, CsvRow, CsvTable};
 use crate::logs::tables::stamp::{StampColumn, TimeColumn, TimeUnit};
 use crate::logs::tables::text::Text;
+use crate::logs::{CsvLayout, SIMULATED};
 
 /// Usual names of the time column, with their units.
 const TIMES: [(&str, TimeUnit); 2] = [("time_utc", TimeUnit::DateTime), ("t_s", TimeUnit::S)];
@@ -48,7 +48,7 @@ pub(super) fn read(
     mapping: Option<&BarLogMapping>,
 ) -> Result<OtherBarLog, LogError> {
     let path = source.path;
-    let mut table = CsvTable::of_mapping(source, mapping.map(|mapping| &mapping.csv))?;
+    let mut table = CsvTable::open(source, mapping.map_or(&CsvLayout::default(), |mapping| &mapping.csv))?;
     let mut layout = match mapping {
         Some(mapping) => {
             let time = TimeColumn::of_table(mapping.time.as_ref(), path)?;

@@ -76,7 +76,8 @@ impl ForceLog {
         mapping: Option<&ForceLogMapping>,
     ) -> Result<Self, LogError> {
         let path = source.path;
-        let mut table = CsvTable::of_mapping(source, mapping.map(|mapping| &mapping.csv))?;
+        let mut table =
+            CsvTable::open(source, mapping.map_or(&CsvLayout::default(), |mapping| &mapping.csv))?;
         let own_time = TimeColumn::new(TIME_COLUMN, TimeUnit::S);
         let time = mapping.map_or(&own_time, |mapping| &mapping.time);
         let remedy =

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use shared::config::{AngleUnit, JointKind, RobotConfig};
 
-use super::mapping::{Columns, RobotLogMapping};
+use super::mapping::{Columns, CsvLayout, RobotLogMapping};
 use super::raw::{Meaning, RawLog, RawRobotRow};
 use crate::kinematics::Joints;
 use crate::logs::force::ForceLayout;
@@ -44,7 +44,7 @@ struct RobotTableLayout {
 pub(in crate::logs) fn read_own(source: LogSource<'_>, robot: &RobotConfig) -> Result<RobotLog, LogError> {
     let path = source.path;
     let meaning = Meaning::own(robot, own_columns(robot))?;
-    let mut table = CsvTable::open(Text::new(source, None)?)?;
+    let mut table = CsvTable::open(source, &CsvLayout::default())?;
     let remedy = "Name the column of time stamps, in seconds, `t_s`, or assign the columns in a mapping (--log-mapping).";
     let mut layout = RobotTableLayout {
         time: seconds_column(table.column(TIME_COLUMN, remedy)?),
@@ -126,7 +126,7 @@ fn own_joints(
 /// A table of `record.py` of the RTDE client, joints in radians.
 pub(in crate::logs) fn read_rtde(source: LogSource<'_>, robot: &RobotConfig) -> Result<RobotLog, LogError> {
     let path = source.path;
-    let table = &mut CsvTable::delimited(Text::new(source, None)?, b' ')?;
+    let table = &mut CsvTable::delimited(Text::new(source, None)?, b' ', &CsvLayout::default())?;
     let origin = if table.has("actual_q_0") { ValueOrigin::Measured } else { ValueOrigin::Commanded };
     let kind = if origin == ValueOrigin::Measured { "actual" } else { "target" };
     let columns = |quantity: &str| -> Columns {
@@ -160,8 +160,7 @@ pub(in crate::logs) fn read_mapped(
     mapping: &RobotLogMapping,
 ) -> Result<RobotLog, LogError> {
     let path = source.path;
-    let text = Text::new(source, mapping.csv.sheet.as_deref())?;
-    let mut table = CsvTable::mapped(text, &mapping.csv)?;
+    let mut table = CsvTable::open(source, &mapping.csv)?;
     let (mut layout, meaning) = mapped_layout(&table, robot, path, mapping)?;
     let mut raw = RawLog::new(path, "line");
     read_rows(&mut table, &mut layout, &mut raw)?;

@@ -135,7 +135,7 @@ impl MeasuredLengths {
     /// # Errors
     /// As [`Self::load`].
     pub fn read(bytes: &[u8], path: &Path, mapping: &MeasuredLengthMapping) -> Result<Self, LogError> {
-        let mut table = CsvTable::of_mapping(LogSource::in_memory(bytes, path), Some(&mapping.csv))?;
+        let mut table = CsvTable::open(LogSource::in_memory(bytes, path), &mapping.csv)?;
         let columns = LengthTableColumns::find(&table, mapping)?;
         let mut names = SetUpNames::default();
         let rows = rows(&mut table, |row| columns.read(row, &mut names))?;

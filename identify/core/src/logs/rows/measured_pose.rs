@@ -298,7 +298,7 @@ impl MeasuredPoses {
     /// # Errors
     /// As [`Self::load`].
     pub fn read(bytes: &[u8], path: &Path, mapping: &MeasuredPoseMapping) -> Result<Self, LogError> {
-        let mut table = CsvTable::of_mapping(LogSource::in_memory(bytes, path), Some(&mapping.csv))?;
+        let mut table = CsvTable::open(LogSource::in_memory(bytes, path), &mapping.csv)?;
         let columns = PoseColumns::find(&table, mapping)?;
         let joints = JointColumns::find(&table, &mapping.joints)?;
         let mut names = SetUpNames::default();
@@ -341,7 +341,7 @@ impl TimedPoses {
     /// As [`Self::load`].
     pub fn read(bytes: &[u8], path: &Path, mapping: &MeasuredPoseMapping) -> Result<Self, LogError> {
         let time = TimeColumn::of_table(mapping.time.as_ref(), path)?;
-        let mut table = CsvTable::of_mapping(LogSource::in_memory(bytes, path), Some(&mapping.csv))?;
+        let mut table = CsvTable::open(LogSource::in_memory(bytes, path), &mapping.csv)?;
         let columns = PoseColumns::find(&table, mapping)?;
         let mut stamps = StampColumn::new(mapped(&table, &time.column)?, time);
         let mut names = SetUpNames::default();

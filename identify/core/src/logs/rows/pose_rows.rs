@@ -155,7 +155,7 @@ impl JointTableMapping {
     /// # Errors
     /// Every way in which the file cannot be used, see [`LogError`].
     pub fn load(&self, path: &Path) -> Result<Vec<Joints>, LogError> {
-        let mut table = CsvTable::of_mapping(LogSource::open(path)?, Some(&self.csv))?;
+        let mut table = CsvTable::open(LogSource::open(path)?, &self.csv)?;
         let joints = JointColumns::find(&table, &self.joints)?;
         rows(&mut table, |row| joints.read(row))
     }

@@ -152,7 +152,7 @@ fn tip_rows(
     (name, gauge, joints): (&str, Option<&ReadingColumn>, &[JointColumn]),
     mut part: impl FnMut(&CsvRow<'_>, &CsvColumn) -> Result<usize, LogError>,
 ) -> Result<Vec<TipRow>, LogError> {
-    let mut table = CsvTable::of_mapping(source, Some(layout))?;
+    let mut table = CsvTable::open(source, layout)?;
     let name = mapped(&table, name)?;
     let gauge = gauge.map(|gauge| Ok((mapped(&table, &gauge.column)?, gauge.unit))).transpose()?;
     let joints = JointColumns::find(&table, joints)?;

@@ -8,12 +8,6 @@ use super::text::{COMMENT, Text};
 use crate::logs::source::LogSource;
 use crate::logs::{Cell, CsvLayout, LogError};
 
-/// How the numbers of a file are written.
-struct NumberFormat {
-    delimiter: u8,
-    decimal_comma: bool,
-}
-
 /// A header and its rows, read on demand.
 pub(in crate::logs) struct CsvTable<'a> {
     header: Vec<String>,
@@ -45,28 +39,9 @@ fn delimiter_of(header: &str) -> u8 {
 }
 
 impl<'a> CsvTable<'a> {
-    /// Reads the header of a text whose numbers have decimal points.
-    pub fn open(mut text: Text<'a>) -> Result<Self, LogError> {
-        let delimiter = delimiter_of(text.header_line()?);
-        Self::delimited(text, delimiter)
-    }
-
-    /// [`Self::open`] with a known delimiter.
-    pub fn delimited(text: Text<'a>, delimiter: u8) -> Result<Self, LogError> {
-        Self::open_as(text, NumberFormat { delimiter, decimal_comma: false }, true)
-    }
-
-    /// The table of a file, in the layout that a mapping gives, if there is one.
-    pub fn of_mapping(source: LogSource<'a>, layout: Option<&CsvLayout>) -> Result<Self, LogError> {
-        let text = Text::new(source, layout.and_then(|layout| layout.sheet.as_deref()))?;
-        match layout {
-            Some(layout) => Self::mapped(text, layout),
-            None => Self::open(text),
-        }
-    }
-
-    /// The table of a text in the layout that a mapping gives, its first row of numbers next.
-    pub fn mapped(mut text: Text<'a>, layout: &CsvLayout) -> Result<Self, LogError> {
+    /// Opens the table of a file, its first row of numbers next.
+    pub fn open(source: LogSource<'a>, layout: &CsvLayout) -> Result<Self, LogError> {
+        let mut text = Text::new(source, layout.sheet.as_deref())?;
         text.skip_lines(layout.skip_lines)?;
         let header = text.header_line()?;
         let delimiter = match (layout.delimiter, delimiter_of(header)) {
@@ -83,8 +58,7 @@ impl<'a> CsvTable<'a> {
             }
             (None, found) => found,
         };
-        let format = NumberFormat { delimiter, decimal_comma: layout.decimal_comma };
-        let mut table = Self::open_as(text, format, layout.header)?;
+        let mut table = Self::delimited(text, delimiter, layout)?;
         for _ in 0..layout.unit_lines {
             match table.read() {
                 // These lines need not have the cells of the table.
@@ -95,10 +69,11 @@ impl<'a> CsvTable<'a> {
         Ok(table)
     }
 
-    /// Without header the columns are called `1`, `2` and so on.
-    fn open_as(text: Text<'a>, format: NumberFormat, has_header: bool) -> Result<Self, LogError> {
+    /// The table of a text at its header. Without header the columns are called `1`, `2` and so on.
+    pub fn delimited(text: Text<'a>, delimiter: u8, layout: &CsvLayout) -> Result<Self, LogError> {
+        let &CsvLayout { decimal_comma, header: has_header, .. } = layout;
         let mut rows = csv::ReaderBuilder::new()
-            .delimiter(format.delimiter)
+            .delimiter(delimiter)
             .has_headers(has_header)
             .comment(Some(COMMENT))
             // Cells are trimmed when they are read: the reader would copy each row for it.
@@ -111,7 +86,7 @@ impl<'a> CsvTable<'a> {
         if header.iter().all(String::is_empty) {
             return Err(LogError::NoHeader { path: rows.get_ref().path.to_owned() });
         }
-        Ok(Self { header, decimal_comma: format.decimal_comma, rows, cells: csv::StringRecord::new() })
+        Ok(Self { header, decimal_comma, rows, cells: csv::StringRecord::new() })
     }
 
     /// The comment lines `# key: value` before the rows that were read, and some beyond; keys in lower case.

@@ -326,8 +326,8 @@ impl<'a> RowsAsText<'a> {
     /// # Errors
     /// [`LogError`] if the rows do not have this layout.
     pub fn rows(&self, layout: &CsvLayout, rows_max: usize) -> Result<Cells, LogError> {
-        let text = Text::new(LogSource::in_memory(self.text.as_bytes(), self.path), None)?;
-        let mut table = CsvTable::mapped(text, &CsvLayout { unit_lines: 0, ..layout.clone() })?;
+        let source = LogSource::in_memory(self.text.as_bytes(), self.path);
+        let mut table = CsvTable::open(source, &CsvLayout { unit_lines: 0, sheet: None, ..layout.clone() })?;
         let header = table.header().to_vec();
         let mut rows = Vec::new();
         while rows.len() < rows_max + layout.unit_lines
