@@ -14,8 +14,8 @@ use crate::logs::time_series::frozen::repeated_rows;
 use crate::logs::time_series::sampling::Stamps;
 use crate::logs::time_series::stream::retain;
 use crate::logs::{
-    ForceClock, ForceKind, ForceLog, JointConversion, JointMistake, LogError, LogFormat, LogQuality,
-    ROWS_MIN, RobotLog, Stream, ValueOrigin, since_first_s, travel,
+    ForceClock, ForceKind, ForceLog, JointConversion, JointMistake, LogError, LogFormat, ROWS_MIN, RobotLog,
+    Stream, ValueOrigin, since_first_s, travel,
 };
 use crate::statistics::{extremes, largest_difference};
 use crate::threads;
@@ -54,11 +54,8 @@ pub(in crate::logs) struct RawLog {
     joints: Vec<Joints>,
     /// Speeds, torques and force; used only if all rows have them.
     more: [Vec<Joints>; 3],
-    quality: LogQuality,
-    pub robot: Option<String>,
-    pub clock: String,
-    pub origin: ValueOrigin,
-    pub remarks: Vec<String>,
+    /// What is known besides the rows.
+    pub log: RobotLog,
     /// Kind of the rows' force on the bar, if they have one. Joint torques without columns of their own are the rows' torques.
     pub force: Option<ForceKind>,
 }
@@ -144,28 +141,33 @@ impl<'a> Meaning<'a> {
 
 impl RawLog {
     pub fn new(path: &Path, what: &'static str) -> Self {
-        Self { path: path.to_owned(), what, clock: "unstated".into(), ..Self::default() }
+        let log = RobotLog { clock: "unstated".into(), ..RobotLog::default() };
+        Self { path: path.to_owned(), what, log, ..Self::default() }
     }
 
     /// Default for a format with measured joints on a clock, unless a mapping states another.
     pub fn measured(path: &Path, what: &'static str, mapping: Option<&RobotLogMapping>, clock: &str) -> Self {
         let stated = mapping.and_then(|mapping| mapping.clock.clone());
-        Self {
-            clock: stated.unwrap_or_else(|| clock.into()),
-            origin: mapping.and_then(|mapping| mapping.values).unwrap_or(ValueOrigin::Measured),
-            ..Self::new(path, what)
-        }
+        let mut raw = Self::new(path, what);
+        raw.log.clock = stated.unwrap_or_else(|| clock.into());
+        raw.log.origin = mapping.and_then(|mapping| mapping.values).unwrap_or(ValueOrigin::Measured);
+        raw
+    }
+
+    /// Adds a remark on the quality of the log.
+    pub fn remark(&mut self, remark: impl Into<String>) {
+        self.log.quality.remarks.push(remark.into());
     }
 
     /// Takes the next row; one that repeats the row before it, or lacks a joint, is only counted.
     pub fn push(&mut self, row: RawRobotRow) -> Result<(), LogError> {
         if row.joints.iter().any(|joint| !joint.is_finite()) {
-            self.quality.incomplete_dropped += 1;
+            self.log.quality.incomplete_dropped += 1;
             return Ok(());
         }
         if let (Some(&place), Some(&stamp_ns)) = (self.places.last(), self.stamps_ns.last()) {
             if row.stamp_ns == stamp_ns && self.joints.last() == Some(&row.joints) {
-                self.quality.duplicates_dropped += 1;
+                self.log.quality.duplicates_dropped += 1;
                 return Ok(());
             }
             if row.stamp_ns < stamp_ns {
@@ -184,7 +186,7 @@ impl RawLog {
     /// Adds a remark if the mapping has a force and the format is not searched for one.
     pub fn remark_unused_force(&mut self, mapping: Option<&RobotLogMapping>) {
         if mapping.is_some_and(|mapping| mapping.force.is_some()) {
-            self.remarks.push(format!(
+            self.remark(format!(
                 "the force on the bar is not used: {}s are not searched for one; give it in a table of its own with \
                  --force-log",
                 self.what
@@ -213,23 +215,14 @@ impl RawLog {
         if q_rad.len() < ROWS_MIN {
             return Err(self.too_few(q_rad.len()));
         }
-        self.quality.stamps = stamps;
+        self.log.quality.stamps = stamps;
         let [speeds, torque, force_columns] =
             std::mem::take(&mut self.more).map(|values| (!values.is_empty()).then_some(values));
         let speed_rad_s =
             speeds.map(|speeds| speeds.iter().map(|row| meaning.conversion.to_joint_rate(row)).collect());
         let force = self.bar_force(force_columns, torque.as_deref(), meaning, &q_rad);
-        let quality = self.quality(&q_rad);
-        Ok(RobotLog {
-            robot: self.robot,
-            clock: self.clock,
-            origin: self.origin,
-            q_rad: q_rad.into(),
-            speed_rad_s,
-            torque,
-            force,
-            quality,
-        })
+        self.remark_quality(&q_rad);
+        Ok(RobotLog { q_rad: q_rad.into(), speed_rad_s, torque, force, ..self.log })
     }
 
     /// The force on the bar at the stamps of the joints; a remark if the log should have one but lacks it.
@@ -249,7 +242,7 @@ impl RawLog {
             _ => columns,
         };
         if values.is_none() {
-            self.remarks.push(format!(
+            self.remark(format!(
                 "the force on the bar is not used: in some {}s its value is missing or above 1e7 Nm; \
                  correct the mapping, or give the force in a table of its own with --force-log",
                 self.what
@@ -264,7 +257,7 @@ impl RawLog {
         let joint = |row: usize| meaning.conversion.to_joint(&self.joints[row]);
         let step = |from: usize, to: usize| largest_difference(&joint(from), &joint(to));
         let repeated = repeated_rows(self.joints.len(), 1, step);
-        self.quality.repeated_dropped = repeated.len();
+        self.log.quality.repeated_dropped = repeated.len();
         self.remove(&repeated);
     }
 
@@ -280,8 +273,9 @@ impl RawLog {
         let t_s = since_first_s(&self.stamps_ns);
         let excursions = Excursions { t_s: &t_s, columns: kinds.len(), fastest: FASTEST, step }.find();
         let places: Vec<u64> = excursions.iter().map(|row| self.places[*row]).collect();
-        self.remarks.extend(remark(&places, q.len(), (&self.path, self.what), "they are left out")?);
-        self.quality.excursions_dropped = excursions.len();
+        let remark = remark(&places, q.len(), (&self.path, self.what), "they are left out")?;
+        self.log.quality.remarks.extend(remark);
+        self.log.quality.excursions_dropped = excursions.len();
         self.remove(&excursions);
         Ok(())
     }
@@ -297,7 +291,7 @@ impl RawLog {
     /// Adds a remark on rows that were dropped because they have the stamp of the one before.
     fn remark_equal(&mut self, dropped: usize) {
         if dropped > 0 {
-            self.remarks.push(format!(
+            self.remark(format!(
                 "{dropped} {}s have the stamp of the one before, and no regular clock is behind the stamps; they are left out",
                 self.what
             ));
@@ -305,7 +299,7 @@ impl RawLog {
     }
 
     fn too_few(&self, rows: usize) -> LogError {
-        let (path, incomplete) = (self.path.clone(), self.quality.incomplete_dropped);
+        let (path, incomplete) = (self.path.clone(), self.log.quality.incomplete_dropped);
         if incomplete > rows {
             return LogError::Content {
                 path,
@@ -383,10 +377,9 @@ impl RawLog {
             .into()
     }
 
-    /// The log's quality with all remarks, at the end of the checks.
-    fn quality(&mut self, q_rad: &[Joints]) -> LogQuality {
-        let mut quality = std::mem::take(&mut self.quality);
-        quality.remarks.append(&mut self.remarks);
+    /// Adds the remarks on the log as a whole.
+    fn remark_quality(&mut self, q_rad: &[Joints]) {
+        let RobotLog { quality, origin, .. } = &mut self.log;
         quality.remarks.extend(quality.stamps.iter().flat_map(Stamps::remarks).collect::<Vec<_>>());
         if travel(q_rad).to_degrees() < MOTION_DEG_MIN {
             quality.remarks.push(format!(
@@ -395,12 +388,11 @@ impl RawLog {
             ));
         }
         quality.remark_counts(self.what, "the joints", "they are left out", "lack a joint");
-        if self.origin == ValueOrigin::Commanded {
+        if *origin == ValueOrigin::Commanded {
             quality
                 .remarks
                 .push("the values are commanded, not measured: they do not contain the servo lag".into());
         }
-        quality
     }
 }
 

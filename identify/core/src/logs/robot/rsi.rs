@@ -40,7 +40,7 @@ pub(in crate::logs) fn read(
     let (meaning, to_unit) = Meaning::of_degrees(robot, mapping, names, LogFormat::Rsi, path)?;
     let mut raw = RawLog::measured(path, "telegram", mapping, "IPOC");
     raw.remark_unused_force(mapping);
-    let element = if raw.origin == ValueOrigin::Commanded { "ASPos" } else { "AIPos" };
+    let element = if raw.log.origin == ValueOrigin::Commanded { "ASPos" } else { "AIPos" };
     let time = mapping.and_then(|mapping| mapping.time.clone());
     if time.as_ref().is_some_and(|time| time.unit.is_dated()) {
         return Err(LogError::Content {

@@ -55,7 +55,7 @@ pub(in crate::logs) fn read_own(source: LogSource<'_>, robot: &RobotConfig) -> R
     };
     let mut raw = RawLog::new(path, "line");
     read_rows(&mut table, &mut layout, &mut raw)?;
-    take_comments(&mut raw, &table);
+    take_comments(&mut raw.log, &table);
     raw.force = layout.force.as_ref().map(|force| force.kind(&table));
     refuse_if_not_seconds(raw.finish(&meaning)?, path)
 }
@@ -147,7 +147,7 @@ pub(in crate::logs) fn read_rtde(source: LogSource<'_>, robot: &RobotConfig) -> 
         force: ForceLayout::find_usual(table, robot)?,
     };
     let mut raw = RawLog::new(path, "line");
-    (raw.clock, raw.origin) = ("since the controller's start".into(), origin);
+    (raw.log.clock, raw.log.origin) = ("since the controller's start".into(), origin);
     read_rows(table, &mut layout, &mut raw)?;
     raw.force = layout.force.as_ref().map(|force| force.kind(table));
     raw.finish(&meaning)
@@ -164,9 +164,9 @@ pub(in crate::logs) fn read_mapped(
     let (mut layout, meaning) = mapped_layout(&table, robot, path, mapping)?;
     let mut raw = RawLog::new(path, "line");
     read_rows(&mut table, &mut layout, &mut raw)?;
-    take_comments(&mut raw, &table);
-    raw.clock = mapping.clock.clone().unwrap_or(raw.clock);
-    raw.origin = mapping.values.unwrap_or(raw.origin);
+    take_comments(&mut raw.log, &table);
+    raw.log.clock = mapping.clock.clone().unwrap_or(raw.log.clock);
+    raw.log.origin = mapping.values.unwrap_or(raw.log.origin);
     raw.force = mapping.force.as_ref().map(ForceColumns::kind);
     raw.finish(&meaning)
 }
@@ -220,13 +220,13 @@ fn find_columns(
 }
 
 /// Takes robot, clock and origin from comment lines.
-fn take_comments(raw: &mut RawLog, table: &CsvTable<'_>) {
+fn take_comments(log: &mut RobotLog, table: &CsvTable<'_>) {
     for (key, value) in table.comments() {
         match key.as_str() {
-            "robot" => raw.robot = Some(value.clone()),
-            "clock" => value.clone_into(&mut raw.clock),
+            "robot" => log.robot = Some(value.clone()),
+            "clock" => value.clone_into(&mut log.clock),
             "values" => {
-                raw.origin = [ValueOrigin::Measured, ValueOrigin::Commanded]
+                log.origin = [ValueOrigin::Measured, ValueOrigin::Commanded]
                     .into_iter()
                     .find(|origin| origin.name() == value.to_lowercase())
                     .unwrap_or_default();

@@ -65,13 +65,13 @@ pub(in crate::logs) fn read(
     };
     let stamped = topic.is_stamped();
     let mut raw = RawLog::measured(path, "message", mapping, clock_name(stamped));
-    raw.remarks.clone_from(&bag.remarks);
+    raw.log.quality.remarks.clone_from(&bag.remarks);
     raw.force = mapping
         .and_then(|mapping| mapping.force.as_ref())
         .map(|force| kind_of_efforts(force, path))
         .transpose()?;
     if !stamped {
-        raw.remarks.push(UNSTAMPED.into());
+        raw.remark(UNSTAMPED);
     }
     let to_si = si_units(joint_mapping, robot.axes());
     for message in &topic.messages {
