@@ -83,7 +83,7 @@ pub(in crate::logs) fn read(
 ) -> Result<RobotLog, LogError> {
     let messages = decode(bytes, path)?;
     let names = (1..=robot.axes()).map(|joint| format!("joint {joint}")).collect();
-    let (meaning, to_unit) = Meaning::of_degrees(robot, mapping, names, LogFormat::Egm, path)?;
+    let meaning = Meaning::of_degrees(robot, mapping, names, LogFormat::Egm, path)?;
     let origin = mapping.and_then(|mapping| mapping.values);
     let utc: Option<Vec<i64>> = messages.iter().map(|message| message.position(origin)?.utc_ns()).collect();
     let clock = if utc.is_some() { "controller, UTC" } else { "controller, ms of its own" };
@@ -96,9 +96,9 @@ pub(in crate::logs) fn read(
     for ((message, stamp_ns), number) in messages.iter().zip(stamps_ns).zip(1..) {
         let joints = message.position(origin).and_then(|position| position.joints.as_ref());
         let values = joints.map_or(&[][..], |joints| &joints.joints);
-        let value = |joint: usize| values.get(joint).map_or(f64::NAN, |value| value * to_unit[joint]);
+        let value = |joint: usize| values.get(joint).copied().unwrap_or(f64::NAN);
         let joints = Joints::from_fn(robot.axes(), value);
-        raw.push(RawRobotRow { place: number, stamp_ns, joints, ..RawRobotRow::default() })?;
+        raw.push(RawRobotRow { place: number, stamp_ns, joints, ..RawRobotRow::default() }, &meaning)?;
     }
     raw.finish(&meaning)
 }

@@ -28,7 +28,7 @@ const MOTION_DEG_MIN: f64 = 5.0;
 /// Wrists of small robots reach 1500 deg/s, within 0.13 s.
 const FASTEST: Fastest = Fastest { speed: 30.0, acceleration: 200.0 };
 
-/// One row of a log, in the units that its [`Meaning`] converts.
+/// One row of a log, in the units of the file.
 #[derive(Debug, Clone, Default)]
 pub(in crate::logs) struct RawRobotRow {
     /// Line or number in the file.
@@ -66,13 +66,16 @@ pub(in crate::logs) struct Meaning<'a> {
     /// Unit of angles, as robot's file, format or mapping state it.
     unit: AngleUnit,
     is_mapped: bool,
+    /// By which the values of the file are multiplied before the conversion: that of a mapping is from radians and metres.
+    factors: Joints,
     conversion: JointConversion,
-    names: Vec<String>,
+    pub names: Vec<String>,
 }
 
 impl<'a> Meaning<'a> {
     fn new(robot: &'a RobotConfig, log: &LogConversion, names: Vec<String>) -> Result<Self, LogError> {
-        Ok(Self { robot, unit: log.unit, is_mapped: false, conversion: JointConversion::new(log)?, names })
+        let (conversion, factors) = (JointConversion::new(log)?, Joints::from_fn(robot.axes(), |_| 1.0));
+        Ok(Self { robot, unit: log.unit, is_mapped: false, factors, conversion, names })
     }
 
     /// The conversion that a mapping with joints states for this robot.
@@ -85,39 +88,41 @@ impl<'a> Meaning<'a> {
         joints_of_robot(&mapping.joints, robot, path)?;
         let is_in_deg = mapping.joints.iter().any(|joint| joint.unit == JointUnit::Deg);
         let unit = if is_in_deg { AngleUnit::Deg } else { AngleUnit::Rad };
-        Ok(Self { unit, is_mapped: true, ..Self::new(robot, &mapping.conversion(), names)? })
+        let factors = mapping.joints.iter().map(|joint| joint.unit.to_si()).collect();
+        Ok(Self { unit, is_mapped: true, factors, ..Self::new(robot, &mapping.conversion(), names)? })
     }
 
-    /// The robot's own log.
-    pub fn own(robot: &'a RobotConfig, names: Vec<String>) -> Result<Self, LogError> {
-        Ok(Self { conversion: JointConversion::of(robot)?, ..Self::new(robot, &robot.log, names)? })
+    /// The robot's own log, angles in `unit`.
+    pub fn own(robot: &'a RobotConfig, unit: AngleUnit, names: Vec<String>) -> Result<Self, LogError> {
+        let meaning = Self::new(robot, &LogConversion { unit, ..robot.log.clone() }, names)?;
+        Ok(Self { conversion: meaning.conversion.with_prismatic(robot), ..meaning })
     }
 
     /// For joints in degrees, prismatic ones in millimetres or as a mapping states: the conversion of a mapping with joints, or
-    /// of the robot's configuration. Returns also the factors by which values are multiplied before: the conversion of a mapping
-    /// is from radians and metres.
+    /// of the robot's configuration.
     pub fn of_degrees(
         robot: &'a RobotConfig,
         mapping: Option<&RobotLogMapping>,
         names: Vec<String>,
         format: LogFormat,
         path: &Path,
-    ) -> Result<(Self, Joints), LogError> {
+    ) -> Result<Self, LogError> {
         Ok(match mapping.and_then(RobotLogMapping::with_joints) {
             Some(mapping) => {
                 let factors = mapping.joints.iter().map(|joint| match joint.unit.kind() {
                     JointKind::Revolute => AngleUnit::Deg.to_rad(),
                     JointKind::Prismatic => joint.unit.to_si(),
                 });
-                let mapped = Self::mapped(robot, mapping, names, path)?;
-                (Self { unit: AngleUnit::Deg, ..mapped }, factors.collect())
+                let (unit, factors) = (AngleUnit::Deg, factors.collect());
+                Self { unit, factors, ..Self::mapped(robot, mapping, names, path)? }
             }
             None => {
                 let factors = robot.joint_kinds().map(|kind| match kind {
                     JointKind::Revolute => 1.0,
                     JointKind::Prismatic => 1e-3,
                 });
-                (Self::of_controller(robot, AngleUnit::Deg, names, format, path)?, factors.collect())
+                let meaning = Self::of_controller(robot, AngleUnit::Deg, names, format, path)?;
+                Self { factors: factors.collect(), ..meaning }
             }
         })
     }
@@ -134,8 +139,12 @@ impl<'a> Meaning<'a> {
             let robot = robot.name.clone();
             return Err(LogError::NeedsMapping { path: path.to_owned(), format: format.name(), robot });
         }
-        let meaning = Self::new(robot, &LogConversion { unit, ..robot.log.clone() }, names)?;
-        Ok(Self { conversion: meaning.conversion.with_prismatic(robot), ..meaning })
+        Self::own(robot, unit, names)
+    }
+
+    /// Joints or speeds of a row in the units that the conversion needs.
+    fn scaled(&self, values: Joints) -> Joints {
+        values.iter().zip(self.factors).map(|(value, factor)| value * factor).collect()
     }
 }
 
@@ -160,13 +169,14 @@ impl RawLog {
     }
 
     /// Takes the next row; one that repeats the row before it, or lacks a joint, is only counted.
-    pub fn push(&mut self, row: RawRobotRow) -> Result<(), LogError> {
-        if row.joints.iter().any(|joint| !joint.is_finite()) {
+    pub fn push(&mut self, row: RawRobotRow, meaning: &Meaning<'_>) -> Result<(), LogError> {
+        let joints = meaning.scaled(row.joints);
+        if joints.iter().any(|joint| !joint.is_finite()) {
             self.log.quality.incomplete_dropped += 1;
             return Ok(());
         }
         if let (Some(&place), Some(&stamp_ns)) = (self.places.last(), self.stamps_ns.last()) {
-            if row.stamp_ns == stamp_ns && self.joints.last() == Some(&row.joints) {
+            if row.stamp_ns == stamp_ns && self.joints.last() == Some(&joints) {
                 self.log.quality.duplicates_dropped += 1;
                 return Ok(());
             }
@@ -177,8 +187,8 @@ impl RawLog {
         }
         self.places.push(row.place);
         self.stamps_ns.push(row.stamp_ns);
-        self.joints.push(row.joints);
-        let values = [row.speeds, row.torques, row.force];
+        self.joints.push(joints);
+        let values = [row.speeds.map(|speeds| meaning.scaled(speeds)), row.torques, row.force];
         self.more.iter_mut().zip(values).for_each(|(rows, value)| rows.extend(value));
         Ok(())
     }

@@ -37,7 +37,7 @@ pub(in crate::logs) fn read(
     let path = source.path;
     let text = &*Text::new(source, None)?.whole()?;
     let names = AXES.map(str::to_owned).to_vec();
-    let (meaning, to_unit) = Meaning::of_degrees(robot, mapping, names, LogFormat::Rsi, path)?;
+    let meaning = Meaning::of_degrees(robot, mapping, names, LogFormat::Rsi, path)?;
     let mut raw = RawLog::measured(path, "telegram", mapping, "IPOC");
     raw.remark_unused_force(mapping);
     let element = if raw.log.origin == ValueOrigin::Commanded { "ASPos" } else { "AIPos" };
@@ -62,9 +62,9 @@ pub(in crate::logs) fn read(
             })?;
         // An axis that telegrams do not have is missing in every row.
         let joints_deg = telegram.joints_deg.unwrap_or([f64::NAN; AXES.len()]);
-        let joint = |axis: usize| joints_deg.get(axis).map_or(f64::NAN, |value| value * to_unit[axis]);
+        let joint = |axis: usize| joints_deg.get(axis).copied().unwrap_or(f64::NAN);
         let joints = Joints::from_fn(robot.axes(), joint);
-        raw.push(RawRobotRow { place: number, stamp_ns, joints, ..RawRobotRow::default() })?;
+        raw.push(RawRobotRow { place: number, stamp_ns, joints, ..RawRobotRow::default() }, &meaning)?;
     }
     raw.finish(&meaning)
 }

@@ -33,17 +33,16 @@ pub fn own_columns(robot: &RobotConfig) -> Columns {
 /// The columns of a table that are read.
 struct RobotTableLayout {
     time: StampColumn,
-    /// Columns and the factors of their values.
-    joints: Vec<(CsvColumn, f64)>,
-    speeds: Option<Vec<(CsvColumn, f64)>>,
-    torques: Option<Vec<(CsvColumn, f64)>>,
+    joints: Vec<CsvColumn>,
+    speeds: Option<Vec<CsvColumn>>,
+    torques: Option<Vec<CsvColumn>>,
     force: Option<ForceLayout>,
 }
 
 /// The robot's own columns: `t_s` and those that its configuration names; other columns are ignored.
 pub(in crate::logs) fn read_own(source: LogSource<'_>, robot: &RobotConfig) -> Result<RobotLog, LogError> {
     let path = source.path;
-    let meaning = Meaning::own(robot, own_columns(robot))?;
+    let meaning = Meaning::own(robot, robot.log.unit, own_columns(robot))?;
     let mut table = CsvTable::open(source, &CsvLayout::default())?;
     let remedy = "Name the column of time stamps, in seconds, `t_s`, or assign the columns in a mapping (--log-mapping).";
     let mut layout = RobotTableLayout {
@@ -54,7 +53,7 @@ pub(in crate::logs) fn read_own(source: LogSource<'_>, robot: &RobotConfig) -> R
         force: ForceLayout::find_usual(&table, robot)?,
     };
     let mut raw = RawLog::new(path, "line");
-    read_rows(&mut table, &mut layout, &mut raw)?;
+    read_rows(&mut table, &mut layout, &meaning, &mut raw)?;
     take_comments(&mut raw.log, &table);
     raw.force = layout.force.as_ref().map(|force| force.kind(&table));
     refuse_if_not_seconds(raw.finish(&meaning)?, path)
@@ -89,11 +88,7 @@ fn refuse_if_not_seconds(log: RobotLog, path: &Path) -> Result<RobotLog, LogErro
 }
 
 /// The columns with the joints of the robot's own log.
-fn own_joints(
-    table: &CsvTable<'_>,
-    path: &Path,
-    robot: &RobotConfig,
-) -> Result<Vec<(CsvColumn, f64)>, LogError> {
+fn own_joints(table: &CsvTable<'_>, path: &Path, robot: &RobotConfig) -> Result<Vec<CsvColumn>, LogError> {
     let unit = robot.log.unit;
     let other = match unit {
         AngleUnit::Rad => AngleUnit::Deg,
@@ -118,7 +113,7 @@ fn own_joints(
             column_name(robot, 0, unit),
             column_name(robot, robot.axes() - 1, unit)
         );
-        joints.push((table.column(&name, &remedy)?, 1.0));
+        joints.push(table.column(&name, &remedy)?);
     }
     Ok(joints)
 }
@@ -132,23 +127,22 @@ pub(in crate::logs) fn read_rtde(source: LogSource<'_>, robot: &RobotConfig) -> 
     let columns = |quantity: &str| -> Columns {
         (0..robot.axes()).map(|joint| format!("{kind}_{quantity}_{joint}")).collect()
     };
-    let as_is = vec![1.0; robot.axes()];
     let remedy = "Record timestamp and actual_q; add actual_qd and actual_current if you like.";
     let optional = |names: &Columns| {
         let are_all_there = names.iter().all(|name| table.has(name));
-        are_all_there.then(|| find_columns(table, names, &as_is, remedy)).transpose()
+        are_all_there.then(|| find_columns(table, names, remedy)).transpose()
     };
     let meaning = Meaning::of_controller(robot, AngleUnit::Rad, columns("q"), LogFormat::UrRtde, path)?;
     let mut layout = RobotTableLayout {
         time: seconds_column(table.column("timestamp", remedy)?),
-        joints: find_columns(table, &columns("q"), &as_is, remedy)?,
+        joints: find_columns(table, &meaning.names, remedy)?,
         speeds: optional(&columns("qd"))?,
         torques: optional(&columns("current"))?,
         force: ForceLayout::find_usual(table, robot)?,
     };
     let mut raw = RawLog::new(path, "line");
     (raw.log.clock, raw.log.origin) = ("since the controller's start".into(), origin);
-    read_rows(table, &mut layout, &mut raw)?;
+    read_rows(table, &mut layout, &meaning, &mut raw)?;
     raw.force = layout.force.as_ref().map(|force| force.kind(table));
     raw.finish(&meaning)
 }
@@ -163,7 +157,7 @@ pub(in crate::logs) fn read_mapped(
     let mut table = CsvTable::open(source, &mapping.csv)?;
     let (mut layout, meaning) = mapped_layout(&table, robot, path, mapping)?;
     let mut raw = RawLog::new(path, "line");
-    read_rows(&mut table, &mut layout, &mut raw)?;
+    read_rows(&mut table, &mut layout, &meaning, &mut raw)?;
     take_comments(&mut raw.log, &table);
     raw.log.clock = mapping.clock.clone().unwrap_or(raw.log.clock);
     raw.log.origin = mapping.values.unwrap_or(raw.log.origin);
@@ -184,23 +178,21 @@ fn mapped_layout<'a>(
     let remedy = "Correct the name in the mapping file.";
     let time = TimeColumn::of_table(mapping.time.as_ref(), path)?;
     let time = StampColumn::new(table.column(&time.column, remedy)?, time);
-    let to_si: Vec<f64> = mapping.joints.iter().map(|joint| joint.unit.to_si()).collect();
     let (joints, meaning) = match mapping.with_joints() {
         Some(mapping) => {
             let names: Columns = mapping.joints.iter().map(|joint| joint.column.clone()).collect();
-            let joints = find_columns(table, &names, &to_si, remedy)?;
+            let joints = find_columns(table, &names, remedy)?;
             (joints, Meaning::mapped(robot, mapping, names, path)?)
         }
-        None => (own_joints(table, path, robot)?, Meaning::own(robot, own_columns(robot))?),
+        None => (own_joints(table, path, robot)?, Meaning::own(robot, robot.log.unit, own_columns(robot))?),
     };
-    let optional = |names: &Option<Columns>, factors: &[f64]| {
-        names.as_ref().map(|names| find_columns(table, names, factors, remedy)).transpose()
-    };
+    let optional =
+        |names: &Option<Columns>| names.as_ref().map(|names| find_columns(table, names, remedy)).transpose();
     let layout = RobotTableLayout {
         time,
         joints,
-        speeds: optional(&mapping.speeds, &to_si)?,
-        torques: optional(&mapping.torques, &vec![1.0; mapping.joints.len()])?,
+        speeds: optional(&mapping.speeds)?,
+        torques: optional(&mapping.torques)?,
         force: mapping
             .force
             .as_ref()
@@ -210,13 +202,8 @@ fn mapped_layout<'a>(
     Ok((layout, meaning))
 }
 
-fn find_columns(
-    table: &CsvTable<'_>,
-    names: &Columns,
-    factors: &[f64],
-    remedy: &str,
-) -> Result<Vec<(CsvColumn, f64)>, LogError> {
-    names.iter().zip(factors).map(|(name, factor)| Ok((table.column(name, remedy)?, *factor))).collect()
+fn find_columns(table: &CsvTable<'_>, names: &Columns, remedy: &str) -> Result<Vec<CsvColumn>, LogError> {
+    names.iter().map(|name| table.column(name, remedy)).collect()
 }
 
 /// Takes robot, clock and origin from comment lines.
@@ -239,20 +226,22 @@ fn take_comments(log: &mut RobotLog, table: &CsvTable<'_>) {
 fn read_rows(
     table: &mut CsvTable<'_>,
     layout: &mut RobotTableLayout,
+    meaning: &Meaning<'_>,
     raw: &mut RawLog,
 ) -> Result<(), LogError> {
     while let Some(row) = table.next_row()? {
-        let numbers = |columns: &[(CsvColumn, f64)]| -> Result<Joints, LogError> {
-            columns.iter().map(|(column, factor)| Ok(row.number(column)? * factor)).collect()
+        let numbers = |columns: &[CsvColumn]| -> Result<Joints, LogError> {
+            columns.iter().map(|column| row.number(column)).collect()
         };
-        raw.push(RawRobotRow {
+        let row = RawRobotRow {
             place: row.line,
             stamp_ns: layout.time.next_ns(&row)?,
             joints: numbers(&layout.joints)?,
             speeds: layout.speeds.as_deref().map(numbers).transpose()?,
             torques: layout.torques.as_deref().map(numbers).transpose()?,
             force: layout.force.as_ref().map(|force| force.row(&row)).transpose()?,
-        })?;
+        };
+        raw.push(row, meaning)?;
     }
     Ok(())
 }

@@ -60,8 +60,8 @@ pub(in crate::logs) fn read(
     let (topic, names) =
         bag.choose(path, topic, &JOINTS, |found| joints_among(found, robot.axes(), joint_mapping))?;
     let meaning = match joint_mapping {
-        Some(mapping) => Meaning::mapped(robot, mapping, names.clone(), path)?,
-        None => Meaning::of_controller(robot, AngleUnit::Rad, names.clone(), format, path)?,
+        Some(mapping) => Meaning::mapped(robot, mapping, names, path)?,
+        None => Meaning::of_controller(robot, AngleUnit::Rad, names, format, path)?,
     };
     let stamped = topic.is_stamped();
     let mut raw = RawLog::measured(path, "message", mapping, clock_name(stamped));
@@ -73,9 +73,8 @@ pub(in crate::logs) fn read(
     if !stamped {
         raw.remark(UNSTAMPED);
     }
-    let to_si = si_units(joint_mapping, robot.axes());
     for message in &topic.messages {
-        raw.push(row(message, &names, &to_si, stamped))?;
+        raw.push(row(message, &meaning.names, stamped), &meaning)?;
     }
     raw.finish(&meaning)
 }
@@ -94,27 +93,19 @@ fn kind_of_efforts(force: &ForceColumns, path: &Path) -> Result<ForceKind, LogEr
     })
 }
 
-/// Factors of the joints' values: a mapping may state that they are degrees, against REP 103.
-fn si_units(mapping: Option<&RobotLogMapping>, axes: usize) -> Vec<f64> {
-    mapping.map_or(vec![1.0; axes], |mapping| mapping.joints.iter().map(|joint| joint.unit.to_si()).collect())
-}
-
-fn row(message: &RecordedJointState, names: &[String], to_si: &[f64], stamped: bool) -> RawRobotRow {
+fn row(message: &RecordedJointState, names: &[String], stamped: bool) -> RawRobotRow {
     let state = &message.state;
     let value = |name: &String, numbers: &[f64]| {
         let place = state.names.iter().position(|other| other == name);
         place.and_then(|place| numbers.get(place)).copied().unwrap_or(f64::NAN)
     };
     let by_name = |numbers: &[f64]| -> Joints { names.iter().map(|name| value(name, numbers)).collect() };
-    let in_si = |numbers: &[f64]| -> Joints {
-        by_name(numbers).iter().zip(to_si).map(|(value, unit)| value * unit).collect()
-    };
     let if_complete = |values: Joints| values.iter().all(|value| value.is_finite()).then_some(values);
     RawRobotRow {
         place: message.number,
         stamp_ns: message.stamp_ns(stamped),
-        joints: in_si(&state.position),
-        speeds: if_complete(in_si(&state.velocity)),
+        joints: by_name(&state.position),
+        speeds: if_complete(by_name(&state.velocity)),
         torques: if_complete(by_name(&state.effort)),
         force: None,
     }
