@@ -145,7 +145,7 @@ impl BarTableLayout {
                 reading: EncoderReader::new(*joint, unit, wraps_at, bar, (path, column))?,
             })
         };
-        let time = StampColumn::new(table.column(&time.column, remedy)?, time);
+        let time = StampColumn::find(table, time, remedy)?;
         let encoders = columns.iter().map(encoder).collect::<Result<_, LogError>>()?;
         Ok(Self { time, encoders, flags: None, events: None })
     }

@@ -106,8 +106,9 @@ impl ForceColumns {
 /// The columns of an open table.
 pub(in crate::logs) struct ForceLayout {
     kind: ForceKind,
-    /// Each with its factor to newtons or newton metres.
-    columns: Vec<(CsvColumn, f64)>,
+    columns: Vec<CsvColumn>,
+    /// Factor to newtons or newton metres.
+    to_si: f64,
     /// Whether a comment may state that the axes are those of the base.
     frame_in_comment: bool,
 }
@@ -132,9 +133,8 @@ impl ForceLayout {
             });
         }
         let remedy = "Correct the name under [force] in the mapping file.";
-        let column = |name: &String| Ok((table.column(name, remedy)?, force.unit.to_si()));
-        let columns = force.columns.iter().map(column).collect::<Result<Vec<_>, LogError>>()?;
-        let layout = Self { kind: force.kind(), columns, frame_in_comment: false };
+        let columns = table.columns(&force.columns, remedy)?;
+        let layout = Self { kind: force.kind(), columns, to_si: force.unit.to_si(), frame_in_comment: false };
         Ok((!layout.columns.is_empty()).then_some(layout))
     }
 
@@ -157,9 +157,8 @@ impl ForceLayout {
             return Ok(None);
         };
         let remedy = "A force needs all of its components, or leave all of them out.";
-        let columns = names.iter().map(|name| Ok((table.column(name, remedy)?, 1.0)));
-        let columns = columns.collect::<Result<_, LogError>>()?;
-        Ok(Some(Self { kind, columns, frame_in_comment: kind == ForceKind::InFlange }))
+        let columns = table.columns(names, remedy)?;
+        Ok(Some(Self { kind, columns, to_si: 1.0, frame_in_comment: kind == ForceKind::InFlange }))
     }
 
     /// Kind of the force, once the table is read to its end: comments may be anywhere.
@@ -172,8 +171,8 @@ impl ForceLayout {
     /// The numbers of one row \[N or N m\].
     pub fn row(&self, row: &CsvRow<'_>) -> Result<Joints, LogError> {
         let mut values = Joints::zeros(self.columns.len());
-        for (value, (column, factor)) in values.iter_mut().zip(&self.columns) {
-            *value = row.number(column)? * factor;
+        for (value, column) in values.iter_mut().zip(&self.columns) {
+            *value = row.number(column)? * self.to_si;
             if value.abs() > FORCE_MAX {
                 let problem = format!("{value:.3e} N or Nm is more than any robot meets");
                 return Err(row.bad(column, problem, "check the unit, or correct or remove the row"));

@@ -82,7 +82,7 @@ impl ForceLog {
         let time = mapping.map_or(&own_time, |mapping| &mapping.time);
         let remedy =
             "Name the column of time stamps `t_s` (seconds), or name it in a mapping (--force-mapping).";
-        let stamps = StampColumn::new(table.column(&time.column, remedy)?, time);
+        let stamps = StampColumn::find(&table, time, remedy)?;
         let layout = match mapping {
             Some(mapping) => ForceLayout::find_named(&table, path, &mapping.force, robot)?,
             None => ForceLayout::find_usual(&table, robot)?,

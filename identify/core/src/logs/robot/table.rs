@@ -46,7 +46,7 @@ pub(in crate::logs) fn read_own(source: LogSource<'_>, robot: &RobotConfig) -> R
     let mut table = CsvTable::open(source, &CsvLayout::default())?;
     let remedy = "Name the column of time stamps, in seconds, `t_s`, or assign the columns in a mapping (--log-mapping).";
     let mut layout = RobotTableLayout {
-        time: seconds_column(table.column(TIME_COLUMN, remedy)?),
+        time: StampColumn::find(&table, &TimeColumn::new(TIME_COLUMN, TimeUnit::S), remedy)?,
         joints: own_joints(&table, path, robot)?,
         speeds: None,
         torques: None,
@@ -130,12 +130,12 @@ pub(in crate::logs) fn read_rtde(source: LogSource<'_>, robot: &RobotConfig) -> 
     let remedy = "Record timestamp and actual_q; add actual_qd and actual_current if you like.";
     let optional = |names: &Columns| {
         let are_all_there = names.iter().all(|name| table.has(name));
-        are_all_there.then(|| find_columns(table, names, remedy)).transpose()
+        are_all_there.then(|| table.columns(names, remedy)).transpose()
     };
     let meaning = Meaning::of_controller(robot, AngleUnit::Rad, columns("q"), LogFormat::UrRtde, path)?;
     let mut layout = RobotTableLayout {
-        time: seconds_column(table.column("timestamp", remedy)?),
-        joints: find_columns(table, &meaning.names, remedy)?,
+        time: StampColumn::find(table, &TimeColumn::new("timestamp", TimeUnit::S), remedy)?,
+        joints: table.columns(&meaning.names, remedy)?,
         speeds: optional(&columns("qd"))?,
         torques: optional(&columns("current"))?,
         force: ForceLayout::find_usual(table, robot)?,
@@ -165,10 +165,6 @@ pub(in crate::logs) fn read_mapped(
     raw.finish(&meaning)
 }
 
-fn seconds_column(column: CsvColumn) -> StampColumn {
-    StampColumn::new(column, &TimeColumn::new("", TimeUnit::S))
-}
-
 fn mapped_layout<'a>(
     table: &CsvTable<'_>,
     robot: &'a RobotConfig,
@@ -177,17 +173,17 @@ fn mapped_layout<'a>(
 ) -> Result<(RobotTableLayout, Meaning<'a>), LogError> {
     let remedy = "Correct the name in the mapping file.";
     let time = TimeColumn::of_table(mapping.time.as_ref(), path)?;
-    let time = StampColumn::new(table.column(&time.column, remedy)?, time);
+    let time = StampColumn::find(table, time, remedy)?;
     let (joints, meaning) = match mapping.with_joints() {
         Some(mapping) => {
             let names: Columns = mapping.joints.iter().map(|joint| joint.column.clone()).collect();
-            let joints = find_columns(table, &names, remedy)?;
+            let joints = table.columns(&names, remedy)?;
             (joints, Meaning::mapped(robot, mapping, names, path)?)
         }
         None => (own_joints(table, path, robot)?, Meaning::own(robot, robot.log.unit, own_columns(robot))?),
     };
     let optional =
-        |names: &Option<Columns>| names.as_ref().map(|names| find_columns(table, names, remedy)).transpose();
+        |names: &Option<Columns>| names.as_ref().map(|names| table.columns(names, remedy)).transpose();
     let layout = RobotTableLayout {
         time,
         joints,
@@ -200,10 +196,6 @@ fn mapped_layout<'a>(
             .transpose()?,
     };
     Ok((layout, meaning))
-}
-
-fn find_columns(table: &CsvTable<'_>, names: &Columns, remedy: &str) -> Result<Vec<CsvColumn>, LogError> {
-    names.iter().map(|name| table.column(name, remedy)).collect()
 }
 
 /// Takes robot, clock and origin from comment lines.

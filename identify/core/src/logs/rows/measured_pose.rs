@@ -11,8 +11,7 @@ use serde::{Deserialize, Serialize};
 use shared::config::{AngleUnit, Kind, Validate, Violation};
 
 use super::pose_rows::{
-    JointColumns, SetUpNames, check_joints, check_scale_u, mapped, mapped_all, mapped_if_named, rows,
-    uncertainty,
+    JointColumns, REMEDY, SetUpNames, check_joints, check_scale_u, mapped_if_named, rows, uncertainty,
 };
 use crate::kinematics::Joints;
 use crate::logs::source::LogSource;
@@ -343,7 +342,7 @@ impl TimedPoses {
         let time = TimeColumn::of_table(mapping.time.as_ref(), path)?;
         let mut table = CsvTable::open(LogSource::in_memory(bytes, path), &mapping.csv)?;
         let columns = PoseColumns::find(&table, mapping)?;
-        let mut stamps = StampColumn::new(mapped(&table, &time.column)?, time);
+        let mut stamps = StampColumn::find(&table, time, REMEDY)?;
         let mut names = SetUpNames::default();
         let mut rows = rows(&mut table, |row| {
             let pose = columns.read(row, &mut names)?;
@@ -444,13 +443,15 @@ fn numbers(
 
 impl<'a> PoseColumns<'a> {
     fn find(table: &CsvTable<'_>, mapping: &'a MeasuredPoseMapping) -> Result<Self, LogError> {
-        let rotation =
-            mapping.rotation.as_ref().map(|rotation| Ok((mapped_all(table, &rotation.columns)?, rotation)));
+        let rotation = mapping
+            .rotation
+            .as_ref()
+            .map(|rotation| Ok((table.columns(&rotation.columns, REMEDY)?, rotation)));
         let uncertainty = mapping.uncertainty.as_ref();
         let position_u = uncertainty.and_then(|columns| columns.position_mm.as_ref());
         let rotation_u = uncertainty.and_then(|columns| columns.rotation_mrad.as_ref());
         Ok(Self {
-            position: (mapped_all(table, &mapping.position.columns)?, mapping.position.unit),
+            position: (table.columns(&mapping.position.columns, REMEDY)?, mapping.position.unit),
             rotation: rotation.transpose()?,
             uncertainty: [mapped_if_named(table, position_u)?, mapped_if_named(table, rotation_u)?],
             set_up: [

@@ -359,17 +359,12 @@ pub(in crate::logs) fn uncertainty(row: &CsvRow<'_>, column: &CsvColumn) -> Resu
     Err(row.bad(column, problem, "correct the row, or the column's name or unit in the mapping file"))
 }
 
+/// What to do if a column that the mapping names is missing.
+pub(in crate::logs) const REMEDY: &str = "Correct the column's name in the mapping file, or the header.";
+
 /// A column that the mapping names.
 pub(in crate::logs) fn mapped(table: &CsvTable<'_>, name: &str) -> Result<CsvColumn, LogError> {
-    table.column(name, "Correct the column's name in the mapping file, or the header.")
-}
-
-/// Columns that the mapping names.
-pub(in crate::logs) fn mapped_all(
-    table: &CsvTable<'_>,
-    names: &[String],
-) -> Result<Vec<CsvColumn>, LogError> {
-    names.iter().map(|name| mapped(table, name)).collect()
+    table.column(name, REMEDY)
 }
 
 /// A column that the mapping may name.

@@ -121,6 +121,11 @@ impl<'a> CsvTable<'a> {
         Ok(CsvColumn { index, name: name.to_owned() })
     }
 
+    /// The columns with these names.
+    pub fn columns(&self, names: &[impl AsRef<str>], remedy: &str) -> Result<Vec<CsvColumn>, LogError> {
+        names.iter().map(|name| self.column(name.as_ref(), remedy)).collect()
+    }
+
     /// What to do if the header shows why a column is missing: it is a row of numbers, or has other delimiters.
     fn remedy_of_header(&self) -> Option<String> {
         let is_number = |name: &String| name.replace(',', ".").parse::<f64>().is_ok();

@@ -6,7 +6,7 @@ use chrono::{DateTime, NaiveDateTime};
 use serde::{Deserialize, Serialize};
 use shared::config::Violation;
 
-use super::csv_text::{CsvColumn, CsvRow};
+use super::csv_text::{CsvColumn, CsvRow, CsvTable};
 use crate::logs::LogError;
 
 /// Unit of a time column.
@@ -173,9 +173,9 @@ pub(in crate::logs) struct StampColumn {
 }
 
 impl StampColumn {
-    /// The column that `time` describes, found in a table.
-    pub(in crate::logs) fn new(column: CsvColumn, time: &TimeColumn) -> Self {
-        Self { column, stamps: StampReader::new(time) }
+    /// The column that `time` describes.
+    pub fn find(table: &CsvTable<'_>, time: &TimeColumn, remedy: &str) -> Result<Self, LogError> {
+        Ok(Self { column: table.column(&time.column, remedy)?, stamps: StampReader::new(time) })
     }
 
     /// Its times have a date.
