@@ -190,7 +190,7 @@ pub(super) fn turned_plate(
         let positions = positions_after(by_deg);
         let sphere = fit_sphere(&positions, options.sphere_tolerance_mm * 1e-3)?;
         // Those that are not near it count as well: else a sphere through a few would be the best.
-        let mut distances_m: Vec<f64> = positions.iter().map(|p| sphere.sphere().distance(p).abs()).collect();
+        let mut distances_m: Vec<f64> = positions.iter().map(|p| sphere.distance(p).abs()).collect();
         Some((by_deg, sphere, median(&mut distances_m)?))
     };
     let (_, _, as_configured_m) = turned(0.0)?;
@@ -231,12 +231,12 @@ fn is_flat(positions_m: &[Vector3<f64>]) -> bool {
 /// Gauss-Newton on the distances, in turn with the selection of the positions near it.
 pub fn fit_sphere(positions_m: &[Vector3<f64>], tolerance_m: f64) -> Option<SphereFit> {
     let mut random = ChaCha8Rng::seed_from_u64(0);
-    let mut best: Option<(usize, Sphere)> = None;
+    let mut best: Option<(usize, SphereFit)> = None;
     for _ in 0..DRAWS {
         let draw: [Vector3<f64>; 4] = [(); 4].map(|()| {
             positions_m.get(random.random_range(0..positions_m.len().max(1))).copied().unwrap_or_default()
         });
-        let Some(sphere) = Sphere::linear(&draw) else { continue };
+        let Some(sphere) = SphereFit::linear(&draw) else { continue };
         let agreeing = positions_m.iter().filter(|p| sphere.distance(p).abs() < tolerance_m).count();
         if best.is_none_or(|(most, _)| agreeing > most) {
             best = Some((agreeing, sphere));
@@ -246,40 +246,23 @@ pub fn fit_sphere(positions_m: &[Vector3<f64>], tolerance_m: f64) -> Option<Sphe
     let mut inliers = Vec::new();
     for _ in 0..ROUNDS {
         inliers = sphere.near(positions_m, tolerance_m);
-        sphere = Sphere::linear(&inliers)?.refined(&inliers, None)?;
+        sphere = SphereFit::linear(&inliers)?.refined(&inliers, None)?;
     }
-    Some(SphereFit {
-        centre_m: sphere.centre_m,
-        radius_m: sphere.radius_m,
-        rms_m: sphere.rms(&inliers),
-        inliers: inliers.len() as f64 / positions_m.len() as f64,
-    })
+    let share = inliers.len() as f64 / positions_m.len() as f64;
+    Some(SphereFit { rms_m: sphere.rms(&inliers), inliers: share, ..sphere })
 }
 
 impl SphereFit {
-    fn sphere(&self) -> Sphere {
-        Sphere { centre_m: self.centre_m, radius_m: self.radius_m }
-    }
-
     /// The sphere with a prior on its radius: on a part of a sphere, centre and radius are hard to separate. Unchanged if the fit
     /// fails.
     fn with_length_prior(self, positions_m: &[Vector3<f64>], tolerance_m: f64, length_m: f64) -> Self {
-        let sphere = self.sphere();
-        let inliers = sphere.near(positions_m, tolerance_m);
+        let inliers = self.near(positions_m, tolerance_m);
         // The radius counts like `weight` positions: the ratio of variances, with the positions as fewer independent ones.
         let weight = inliers.len() as f64 / POSITIONS_INDEPENDENT * (self.rms_m / LENGTH_SIGMA_M).powi(2);
-        let Some(sphere) = sphere.refined(&inliers, Some((length_m, weight))) else { return self };
-        Self { centre_m: sphere.centre_m, radius_m: sphere.radius_m, rms_m: sphere.rms(&inliers), ..self }
+        let Some(sphere) = self.refined(&inliers, Some((length_m, weight))) else { return self };
+        Self { rms_m: sphere.rms(&inliers), ..sphere }
     }
-}
 
-#[derive(Clone, Copy)]
-struct Sphere {
-    centre_m: Vector3<f64>,
-    radius_m: f64,
-}
-
-impl Sphere {
     fn distance(&self, position_m: &Vector3<f64>) -> f64 {
         (position_m - self.centre_m).norm() - self.radius_m
     }
@@ -313,7 +296,7 @@ impl Sphere {
         let solution = normal.cholesky()?.solve(&right);
         let centre = Vector3::new(solution[0], solution[1], solution[2]);
         let radius = (solution[3] + centre.norm_squared()).sqrt();
-        Some(Self { centre_m: mean + centre * size, radius_m: radius * size })
+        Some(Self { centre_m: mean + centre * size, radius_m: radius * size, ..Self::default() })
             .filter(|sphere| sphere.radius_m.is_finite())
     }
 
