@@ -16,13 +16,16 @@ use shared::config::{BallBarConfig, RobotConfig};
 /// the values of the preparation.
 fn model(prepared: &Prepared, robot: &RobotConfig, bar: &BallBarConfig) -> Model {
     let mut bar_chain = ball_bar_chain(bar);
-    bar_chain.root_from_base.translation.vector = prepared.initial.base_m;
+    bar_chain.root_from_base.translation.vector = prepared.base_m;
     let mut model = Model::ball_bar(&robot_chain(robot, bar), &bar_chain);
     model.select(Selection::Thesis, Transform::depends_on);
     model.set_roles([ParameterId::ClockShift, ParameterId::ClockSkew], Role::Free).unwrap();
-    model.set_value(ParameterId::ClockSkew, prepared.initial.clock_skew).unwrap();
-    for (link, offset_rad) in prepared.initial.btheta_rad.into_iter().enumerate() {
-        model.set_value(ParameterId::Bar { link, parameter: LinkParameter::Theta }, offset_rad).unwrap();
+    model.set_value(ParameterId::ClockSkew, prepared.alignment.skew).unwrap();
+    for offset in &prepared.offsets {
+        let link = usize::from(offset.joint) - 1;
+        model
+            .set_value(ParameterId::Bar { link, parameter: LinkParameter::Theta }, offset.offset_rad)
+            .unwrap();
     }
     model
 }

@@ -154,7 +154,7 @@ fn a_clock_that_is_off_by_up_to_one_percent_has_another_rate() {
         let run = clock_off(skew_percent).run(1);
         let options = PrepareOptions::default();
         let found = prepare(&run.cycles, &run.encoders, &run.robot_log, &irb2400(), &bar(), &options);
-        let rate = found.unwrap().initial.clock_skew;
+        let rate = found.unwrap().alignment.skew;
         assert!((rate - skew_percent * 1e-2).abs() < 1e-5, "{skew_percent} %: {rate}");
     }
 }

@@ -198,17 +198,16 @@ fn start_model(prepared: &Prepared, robot: &RobotConfig, bar: &BallBarConfig) ->
     let mut model = Model::ball_bar(&arm, &ball_bar_chain(bar))
         .with_drives(DriveTrain::of(robot, &arm))
         .with(changed_offsets(prepared));
-    let initial = &prepared.initial;
     for axis in Axis::ALL {
-        model.set_value(ParameterId::Base { axis }, initial.base_m[axis.index()])?;
+        model.set_value(ParameterId::Base { axis }, prepared.base_m[axis.index()])?;
     }
-    for link in 0..BAR_JOINTS {
+    for offset in &prepared.offsets {
+        let link = usize::from(offset.joint) - 1;
         let theta = ParameterId::Bar { link, parameter: LinkParameter::Theta };
         let nominal = model.parameter(theta).map_or(0.0, |parameter| parameter.nominal);
-        model.set_value(theta, nominal + initial.btheta_rad[link])?;
+        model.set_value(theta, nominal + offset.offset_rad)?;
     }
-    model.set_value(ParameterId::ClockShift, initial.clock_shift_s)?;
-    model.set_value(ParameterId::ClockSkew, initial.clock_skew)?;
+    model.set_value(ParameterId::ClockSkew, prepared.alignment.skew)?;
     Ok(model)
 }
 

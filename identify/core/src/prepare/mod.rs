@@ -216,22 +216,7 @@ impl Alignment {
     }
 }
 
-/// Start values of a solve.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct InitialValues {
-    /// Clock shift beyond [`Alignment::clock_difference_ns`] \[s\]: zero, the motion is aligned already.
-    pub clock_shift_s: f64,
-    /// Relative rate of the robot's clock minus one.
-    pub clock_skew: f64,
-    /// Centre of the gimbal in the robot's base \[m\].
-    pub base_m: Vector3<f64>,
-    /// Length of the bar as the nominal robot sees it \[m\]. The configured length is usually the better start.
-    pub length_m: f64,
-    /// Encoder offsets \[rad\]; 0 for joints without encoder.
-    pub btheta_rad: [f64; BAR_JOINTS],
-}
-
-/// Samples ready for a solve.
+/// Samples ready for a solve, with its start values: the centre of the gimbal, the offsets, and the skew of the alignment.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Prepared {
     /// Reference time on the bar's clock: the middle of the overlap.
@@ -242,8 +227,8 @@ pub struct Prepared {
     pub motion: AlignedLog,
     /// Bar joints with an encoder.
     pub measured: [bool; BAR_JOINTS],
-    /// Start values of a solve.
-    pub initial: InitialValues,
+    /// Centre of the gimbal in the robot's base \[m\].
+    pub base_m: Vector3<f64>,
     /// The clocks and how well the logs match.
     pub alignment: Alignment,
     /// Offset of each encoder and how well it fits the prediction.
@@ -283,7 +268,7 @@ impl Prepared {
             observations,
             motion,
             measured,
-            initial: InitialValues { base_m, ..InitialValues::default() },
+            base_m,
             alignment: Alignment { correlation: 1.0, overlap_s, ..Alignment::default() },
             offsets: Vec::new(),
             sphere: SphereFit { centre_m: base_m, inliers: 1.0, ..SphereFit::default() },
@@ -300,10 +285,5 @@ impl Prepared {
     /// Time of the first valid sample \[s\].
     pub fn first_s(&self) -> f64 {
         self.timeline.points.first().map_or(0.0, |point| point.t_s)
-    }
-
-    /// Robot clock minus bar clock at the reference time \[ns\], with the shift that a solve has found.
-    pub fn clock_difference_ns(&self, solved_shift_s: f64) -> i64 {
-        self.alignment.solved_difference_ns(solved_shift_s)
     }
 }

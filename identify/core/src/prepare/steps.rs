@@ -1,6 +1,5 @@
 //! The steps of the preparation in their order, as [`prepare`](super) numbers them, and the checks of both logs before them.
 
-use nalgebra::Vector3;
 use shared::config::{BallBarConfig, RobotConfig};
 use shared::recording::schema::{CycleRecord, EncoderInfo};
 
@@ -15,12 +14,12 @@ use super::samples::{Sorted, sort};
 use super::sphere::{sphere_of_log, turned_plate};
 use super::timeline::PreparedRun;
 use super::{
-    AlignedLog, BarForces, EncoderOffset, InitialValues, Predictor, PrepareError, PrepareOptions, Prepared,
-    SampleCounts, SampleStatus, SphereFit,
+    AlignedLog, BarForces, EncoderOffset, Predictor, PrepareError, PrepareOptions, Prepared, SampleCounts,
+    SampleStatus,
 };
 use crate::kinematics::{BAR_JOINTS, ball_bar_chain, robot_chain, wrapped};
 use crate::logs::{RobotLog, travel};
-use crate::model::{Clock, DriveTrain, Observation};
+use crate::model::{DriveTrain, Observation};
 use crate::threads;
 
 /// Joints that travel less than this do not move \[deg\].
@@ -82,16 +81,10 @@ pub fn prepare(
     let numbers: Vec<usize> = origins.iter().map(|span| span.number).collect();
     let mut sorted = sort(&angles.readings, &found, &motion, t_ref_s, reference_origin, &numbers, options)?;
     let offsets = encoder_offsets(&found, reference_origin, &sorted);
-    let initial = initial_values(found.fit.geometry.base.origin_m, &sphere, clock, &offsets);
+    let base_m = found.fit.geometry.base.origin_m;
     let mut statuses = statuses_of_cycles(angles, &sorted.statuses);
-    let context = ForceContext {
-        t_ref,
-        alignment: &alignment,
-        motion: &motion,
-        robot: &arm,
-        base_m: initial.base_m,
-        gravity,
-    };
+    let context =
+        ForceContext { t_ref, alignment: &alignment, motion: &motion, robot: &arm, base_m, gravity };
     let force = with_force(&mut sorted.observations, &mut statuses, log, &context)?;
     let run = PreparedRun {
         cycles,
@@ -107,7 +100,7 @@ pub fn prepare(
     Ok(Prepared {
         t_ref,
         measured: found.encoder_map.used.measured(),
-        initial,
+        base_m,
         alignment,
         offsets,
         sphere,
@@ -138,20 +131,6 @@ fn with_force(
         .filter(|(_, has_force)| !has_force)
         .for_each(|(status, _)| *status = SampleStatus::NoForce);
     Ok(Some(forces))
-}
-
-fn initial_values(
-    base_m: Vector3<f64>,
-    sphere: &SphereFit,
-    clock: Clock,
-    offsets: &[EncoderOffset],
-) -> InitialValues {
-    let mut btheta_rad = [0.0; BAR_JOINTS];
-    for offset in offsets {
-        btheta_rad[usize::from(offset.joint) - 1] = offset.offset_rad;
-    }
-    let (clock_skew, length_m) = (clock.skew, sphere.radius_m);
-    InitialValues { clock_skew, base_m, length_m, btheta_rad, ..InitialValues::default() }
 }
 
 /// Offsets of the reference origin and their scatter.

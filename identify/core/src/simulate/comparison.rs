@@ -62,7 +62,7 @@ impl Comparison {
             .collect();
         let value = |id| calibration.model().parameter(id).map_or(0.0, |parameter| parameter.value);
         let shift_error_ns = calibration.prepared().map(|prepared| {
-            let identified_ns = prepared.clock_difference_ns(value(ParameterId::ClockShift));
+            let identified_ns = prepared.alignment.solved_difference_ns(value(ParameterId::ClockShift));
             let robot_ns = prepared.t_ref.0.saturating_add(identified_ns);
             robot_ns.saturating_sub(truth.clock.robot_ns(prepared.t_ref)) as f64
         });
