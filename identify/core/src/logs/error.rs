@@ -4,23 +4,6 @@ use std::path::{Path, PathBuf};
 
 use super::robot::writer::seconds_text;
 
-/// Place of one value in a text file.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Cell {
-    /// Path of the file concerned.
-    pub path: PathBuf,
-    /// Line in the file, the first is 1.
-    pub line: u64,
-    /// Name of the column in the header.
-    pub column: String,
-}
-
-impl std::fmt::Display for Cell {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "{} line {} column `{}`", self.path.display(), self.line, self.column)
-    }
-}
-
 /// Why a robot log or a table of measured lengths cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum LogError {
@@ -76,14 +59,6 @@ pub enum LogError {
         /// What the user can do.
         remedy: String,
     },
-    /// Two columns have the same name.
-    #[error("{}: column `{column}` occurs twice; remove or rename one", path.display())]
-    RepeatedColumn {
-        /// Path of the file concerned.
-        path: PathBuf,
-        /// Name of that column.
-        column: String,
-    },
     /// The header's unit and the robot's configuration disagree.
     #[error(
         "{}: column `{column}` is in {in_header} by its header, but in {in_config} by log.unit of {robot}'s configuration; \
@@ -100,16 +75,6 @@ pub enum LogError {
         in_config: &'static str,
         /// The robot's name.
         robot: String,
-    },
-    /// One value cannot be used.
-    #[error("{cell}: {problem}; {remedy}")]
-    BadValue {
-        /// Place of the value in the file.
-        cell: Cell,
-        /// What is wrong with it.
-        problem: String,
-        /// What the user can do.
-        remedy: &'static str,
     },
     /// The log has too few rows.
     #[error("{}: {rows} usable rows, at least {needed} are needed; export the log of the whole run", path.display())]
@@ -140,29 +105,6 @@ pub enum LogError {
         /// The stamp of the later row as written.
         after_s: String,
     },
-    /// Joint values that the robot cannot reach.
-    #[error(
-        "{} {what} {line}: joint {joint} would be at {value} \
-         ({rows_beyond} of {rows} rows beyond a limit); {remedy}", path.display()
-    )]
-    BeyondLimits {
-        /// Path of the file concerned.
-        path: PathBuf,
-        /// Name of a row in this format, such as `line`.
-        what: &'static str,
-        /// Line of the first such row.
-        line: u64,
-        /// Number of the joint, from 1.
-        joint: usize,
-        /// Its value and the limits of the configuration, with their unit.
-        value: String,
-        /// Rows with a joint beyond a limit.
-        rows_beyond: usize,
-        /// Number of all rows.
-        rows: usize,
-        /// The likely cause and what to do.
-        remedy: String,
-    },
     /// The format of the file is unknown.
     #[error(
         "{}: not a known kind of robot log; name its kind with --log-format, or export a CSV", path.display()
@@ -171,26 +113,17 @@ pub enum LogError {
         /// Path of the file concerned.
         path: PathBuf,
     },
-    /// The file has no data of the bar.
-    #[error(
-        "{}: neither a recording, nor a table with counters of the bar, nor a ROS 2 bag with its joints; give the file of the \
-         ball-bar", path.display()
-    )]
-    NoBarLog {
-        /// Path of the file concerned.
-        path: PathBuf,
-    },
-    /// A record of a binary file or a telegram of an XML file cannot be used.
+    /// A value of a table, a record of a binary file or a telegram of an XML file cannot be used.
     #[error("{} {place}: {problem}; {remedy}", path.display())]
     BadRecord {
         /// Path of the file concerned.
         path: PathBuf,
-        /// Which record, such as `message 12`.
+        /// Which record, such as `message 12`, or which cell.
         place: String,
         /// What is wrong with it.
         problem: String,
         /// What the user can do.
-        remedy: &'static str,
+        remedy: String,
     },
     /// The content of the file as a whole is invalid.
     #[error("{}: {problem}; {remedy}", path.display())]
@@ -201,20 +134,6 @@ pub enum LogError {
         problem: String,
         /// What the user can do.
         remedy: String,
-    },
-    /// The robot's configuration describes motors, the log has joints.
-    #[error(
-        "{}: it has joint angles ({format}), but the configuration of {robot} converts motor angles; \
-         give the conversion of the joints in a mapping (--log-mapping), see config/robot_log.toml",
-        path.display()
-    )]
-    NeedsMapping {
-        /// Path of the file concerned.
-        path: PathBuf,
-        /// Format of the file.
-        format: &'static str,
-        /// The robot's name.
-        robot: String,
     },
     /// The conversion of the robot's configuration cannot be inverted.
     #[error(

@@ -23,7 +23,7 @@ mod time_series;
 pub use bar_log::{
     BarLog, BarLogError, BarLogMapping, EncoderColumn, EncoderUnit, OtherBarLog, is_recording,
 };
-pub use error::{Cell, LogError};
+pub use error::LogError;
 pub use force::{ForceClock, ForceColumns, ForceFrame, ForceKind, ForceLog, ForceLogMapping, ForceUnit};
 pub use robot::conversion::JointConversion;
 pub use robot::format::LogFormat;

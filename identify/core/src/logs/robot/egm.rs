@@ -112,7 +112,8 @@ fn decode(bytes: &[u8], path: &Path) -> Result<Vec<EgmRobot>, LogError> {
             path: path.to_owned(),
             place: format!("message {} (byte {offset})", messages.len() + 1),
             problem: error.to_string(),
-            remedy: "write each EgmRobot message after its length as a varint; remove an incomplete last one",
+            remedy: "write each EgmRobot message after its length as a varint; remove an incomplete last one"
+                .into(),
         })?;
         messages.push(message);
     }
@@ -129,7 +130,8 @@ fn controller_stamps(messages: &[EgmRobot], path: &Path) -> Result<Vec<i64>, Log
             path: path.to_owned(),
             place: format!("message {number}"),
             problem: "it has neither feedBack.time nor header.tm".into(),
-            remedy: "a log without time stamps cannot be used; record the controller's messages unchanged",
+            remedy: "a log without time stamps cannot be used; record the controller's messages unchanged"
+                .into(),
         })?;
         unwrapped_ms += last.map_or(i64::from(tm), |last| i64::from(tm.wrapping_sub(last) as i32));
         last = Some(tm);

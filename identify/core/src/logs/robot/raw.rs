@@ -136,8 +136,15 @@ impl<'a> Meaning<'a> {
         path: &Path,
     ) -> Result<Self, LogError> {
         if robot.log.column != "joint" {
-            let robot = robot.name.clone();
-            return Err(LogError::NeedsMapping { path: path.to_owned(), format: format.name(), robot });
+            let (format, robot) = (format.name(), &robot.name);
+            return Err(LogError::Content {
+                path: path.to_owned(),
+                problem: format!(
+                    "it has joint angles ({format}), but the configuration of {robot} converts motor angles"
+                ),
+                remedy: "give the conversion of the joints in a mapping (--log-mapping), see config/robot_log.toml"
+                    .into(),
+            });
         }
         Self::own(robot, unit, names)
     }
@@ -330,14 +337,16 @@ impl RawLog {
         let prismatic = meaning.robot.joint_kinds().nth(joint) == Some(JointKind::Prismatic);
         let (factor, unit) = if prismatic { (1.0, "m") } else { (1f64.to_degrees(), "deg") };
         let [low, high] = limits[joint].map(|limit| (limit * factor * 1e6).round() / 1e6);
-        Err(LogError::BeyondLimits {
+        Err(LogError::BadRecord {
             path: self.path.clone(),
-            what: self.what,
-            line,
-            joint: joint + 1,
-            value: format!("{:.1} {unit}, outside {low} to {high} {unit}", q[joint] * factor),
-            rows_beyond,
-            rows: self.joints.len(),
+            place: format!("{} {line}", self.what),
+            problem: format!(
+                "joint {} would be at {:.1} {unit}, outside {low} to {high} {unit} \
+                 ({rows_beyond} of {} rows beyond a limit)",
+                joint + 1,
+                q[joint] * factor,
+                self.joints.len()
+            ),
             remedy: self.likely_cause(meaning),
         })
     }

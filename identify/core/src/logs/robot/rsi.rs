@@ -58,7 +58,7 @@ pub(in crate::logs) fn read(
                 path: path.to_owned(),
                 place: format!("telegram {number}"),
                 problem: "no IPOC".into(),
-                remedy: "record whole telegrams: IPOC is their time",
+                remedy: "record whole telegrams: IPOC is their time".into(),
             })?;
         // An axis that telegrams do not have is missing in every row.
         let joints_deg = telegram.joints_deg.unwrap_or([f64::NAN; AXES.len()]);
@@ -98,7 +98,7 @@ fn parse(text: &str, path: &Path, element: &str) -> Result<Vec<Telegram>, LogErr
             path: path.to_owned(),
             place: format!("telegram {}", telegrams.len() + 1),
             problem,
-            remedy: "write the <Rob> telegrams one after the other; remove an incomplete last one",
+            remedy: "write the <Rob> telegrams one after the other; remove an incomplete last one".into(),
         };
         match reader.read_event().map_err(|error| bad(error.to_string()))? {
             Event::Start(tag) | Event::Empty(tag) if is_named(&tag, element) => {

@@ -6,7 +6,7 @@ use shared::output::named;
 
 use super::text::{COMMENT, Text};
 use crate::logs::source::LogSource;
-use crate::logs::{Cell, CsvLayout, LogError};
+use crate::logs::{CsvLayout, LogError};
 
 /// A header and its rows, read on demand.
 pub(in crate::logs) struct CsvTable<'a> {
@@ -116,7 +116,11 @@ impl<'a> CsvTable<'a> {
             });
         };
         if matching.next().is_some() {
-            return Err(LogError::RepeatedColumn { path: self.path().to_owned(), column: name.to_owned() });
+            return Err(LogError::Content {
+                path: self.path().to_owned(),
+                problem: format!("column `{name}` occurs twice"),
+                remedy: "remove or rename one".into(),
+            });
         }
         Ok(CsvColumn { index, name: name.to_owned() })
     }
@@ -247,8 +251,8 @@ impl CsvRow<'_> {
 
     /// An error about one cell.
     pub fn bad(&self, column: &CsvColumn, problem: String, remedy: &'static str) -> LogError {
-        let cell = Cell { path: self.path.to_owned(), line: self.line, column: column.name.clone() };
-        LogError::BadValue { cell, problem, remedy }
+        let place = format!("line {} column `{}`", self.line, column.name);
+        LogError::BadRecord { path: self.path.to_owned(), place, problem, remedy: remedy.into() }
     }
 }
 

@@ -104,7 +104,8 @@ impl BagTopic {
                 path: path.to_owned(),
                 place: format!("message {number} on {}", self.name),
                 problem,
-                remedy: "the bag is damaged or its messages are not sensor_msgs/JointState; record it again",
+                remedy: "the bag is damaged or its messages are not sensor_msgs/JointState; record it again"
+                    .into(),
             },
         )?;
         self.messages.push(RecordedJointState { number, recorded_ns, state });
