@@ -33,7 +33,7 @@ pub use robot::reader::{LogOptions, load, load_with, read, read_with};
 pub use robot::table::own_columns;
 pub use robot::writer::write;
 pub use rows::measured_length::{
-    FlangeColumns, LengthColumn, LengthRow, LengthUncertaintyColumn, MeasuredLengthMapping, MeasuredLengths,
+    LengthColumn, LengthRow, LengthUncertaintyColumn, MeasuredLengthMapping, MeasuredLengths,
 };
 pub(crate) use rows::measured_pose::SPEED_M_S_MAX;
 pub use rows::measured_pose::{

@@ -14,7 +14,7 @@ use super::pose_rows::{
 use crate::kinematics::Joints;
 use crate::logs::source::LogSource;
 use crate::logs::tables::csv_text::{CsvColumn, CsvRow, CsvTable};
-use crate::logs::{CsvLayout, JointColumn, LengthUnit, LogError};
+use crate::logs::{CsvLayout, JointColumn, LengthUnit, LogError, PositionColumns};
 use crate::model::SetUp;
 
 /// No wire or bar is longer \[m\]: a larger value has another unit.
@@ -43,16 +43,6 @@ pub struct LengthUncertaintyColumn {
     pub length_mm: String,
 }
 
-/// The columns of the position that the controller itself gives for the flange.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct FlangeColumns {
-    /// Names in the header: x, y, z in the robot's base.
-    pub columns: [String; 3],
-    /// Unit of their values.
-    pub unit: LengthUnit,
-}
-
 /// Columns of a table of measured lengths.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -66,8 +56,9 @@ pub struct MeasuredLengthMapping {
     pub length: LengthColumn,
     /// All joints, base to flange.
     pub joints: Vec<JointColumn>,
-    /// Columns of the flange position from the controller. Rows whose joint angles contradict it are not used.
-    pub flange: Option<FlangeColumns>,
+    /// Columns of the flange's position in the robot's base, by the controller. Rows whose joint angles contradict it are not
+    /// used.
+    pub flange: Option<PositionColumns>,
     /// Column of the uncertainty of each row, if the file has one.
     pub uncertainty: Option<LengthUncertaintyColumn>,
     /// Column with the name of the anchor, if there are several.

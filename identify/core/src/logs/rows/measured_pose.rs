@@ -31,11 +31,11 @@ const FASTEST: Fastest = Fastest { speed: SPEED_M_S_MAX, acceleration: 50.0 };
 /// No angle of an orientation is larger \[rad\]; more means a wrong unit.
 const ANGLE_RAD_MAX: f64 = 2.0 * std::f64::consts::TAU;
 
-/// The columns of the measured position.
+/// The columns of a position.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PositionColumns {
-    /// Names in the header: x, y, z in the tracker's frame.
+    /// Names in the header: x, y, z.
     pub columns: [String; 3],
     /// Unit of their values.
     pub unit: LengthUnit,
@@ -198,7 +198,7 @@ pub struct MeasuredPoseMapping {
     /// Layout of the table.
     #[serde(default)]
     pub csv: CsvLayout,
-    /// Columns of the measured position.
+    /// Columns of the measured position in the tracker's frame.
     pub position: PositionColumns,
     /// Column of the measured orientation; `None` if only positions were measured.
     pub rotation: Option<RotationColumns>,

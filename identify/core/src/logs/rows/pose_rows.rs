@@ -123,11 +123,12 @@ fn positive() -> f64 {
 /// The columns of a written table: `q1_deg` and so on, lengths in mm.
 pub fn joint_columns(robot: &RobotConfig) -> Vec<JointColumn> {
     let joint = |(number, kind): (usize, JointKind)| {
-        let (unit, name) = match kind {
-            JointKind::Revolute => (JointUnit::Deg, "deg"),
-            JointKind::Prismatic => (JointUnit::Mm, "mm"),
+        let unit = match kind {
+            JointKind::Revolute => JointUnit::Deg,
+            JointKind::Prismatic => JointUnit::Mm,
         };
-        JointColumn { column: format!("q{number}_{name}"), unit, sign: 1.0, offset_deg: 0.0, offset_m: 0.0 }
+        let column = format!("q{number}_{}", unit.suffix());
+        JointColumn { column, unit, sign: 1.0, offset_deg: 0.0, offset_m: 0.0 }
     };
     (1..).zip(robot.joint_kinds()).map(joint).collect()
 }

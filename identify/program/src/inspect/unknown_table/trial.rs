@@ -12,8 +12,8 @@ use crate::calibrate::rows::{likely, misfit, some_of};
 use crate::instrument::{Instrument, Measures, Mistake, PoseError, Tracker, Wire};
 use crate::kinematics::flange_chain;
 use crate::logs::{
-    EulerFrame, FlangeColumns, JointColumn, JointMistake, JointUnit, MeasuredLengthMapping, MeasuredLengths,
-    MeasuredPoseMapping, MeasuredPoses, RotationColumns, RotationForm,
+    EulerFrame, JointColumn, JointMistake, JointUnit, MeasuredLengthMapping, MeasuredLengths,
+    MeasuredPoseMapping, MeasuredPoses, PositionColumns, RotationColumns, RotationForm,
 };
 use crate::report::rows::OTHER_ROBOT_M;
 
@@ -108,7 +108,7 @@ impl ResidualTrial<'_> {
         let columns = xyz.map(|column| column.name.clone());
         let ((unit, why), names) = (xyz[0].length_unit(), listed(&columns));
         let with_flange =
-            MeasuredLengthMapping { flange: Some(FlangeColumns { columns, unit }), ..mapping.clone() };
+            MeasuredLengthMapping { flange: Some(PositionColumns { columns, unit }), ..mapping.clone() };
         let Ok(read) = MeasuredLengths::read(self.bytes, self.path, &with_flange) else { return mapping };
         if let Err(error) = Wire::new(&read.rows).contradicting(&flange_chain(self.robot)) {
             notes.doubt(format!("{names} are left out: {error}"));
