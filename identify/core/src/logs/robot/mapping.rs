@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use shared::config::{AngleUnit, LogConversion, Validate, Violation};
 
-use crate::logs::rows::pose_rows::{JointColumn, check_format, check_joints};
+use crate::logs::rows::pose_rows::{JointColumn, check_joints};
 use crate::logs::tables::stamp::TimeColumn;
 use crate::logs::{ForceColumns, ValueOrigin};
 
@@ -41,8 +41,19 @@ impl Default for CsvLayout {
 impl CsvLayout {
     /// Checks that the delimiter can separate cells and differs from a decimal comma.
     pub(in crate::logs) fn check(&self) -> Result<(), Violation> {
-        let delimiter = self.delimiter.unwrap_or(';');
-        check_format("csv.delimiter", delimiter, self.decimal_comma)
+        let (key, delimiter) = ("csv.delimiter", self.delimiter.unwrap_or(';'));
+        Violation::unless(
+            delimiter.is_ascii() && !matches!(delimiter, '"' | '#' | '\n' | '\r'),
+            key,
+            format!("`{}` cannot separate cells", delimiter.escape_default()),
+            "use \",\", \";\", \" \" or \"\\t\"",
+        )?;
+        Violation::unless(
+            !self.decimal_comma || delimiter != ',',
+            key,
+            "a comma separates cells and decimals alike",
+            "files with decimal commas mostly have delimiter = \";\"",
+        )
     }
 }
 

@@ -162,26 +162,6 @@ impl JointTableMapping {
     }
 }
 
-/// Checks that the delimiter can separate cells and is not the decimal comma; `key` is its key in the mapping.
-pub(in crate::logs) fn check_format(
-    key: &str,
-    delimiter: char,
-    decimal_comma: bool,
-) -> Result<(), Violation> {
-    Violation::unless(
-        delimiter.is_ascii() && !matches!(delimiter, '"' | '#' | '\n' | '\r'),
-        key,
-        format!("`{}` cannot separate cells", delimiter.escape_default()),
-        "use \",\", \";\", \" \" or \"\\t\"",
-    )?;
-    Violation::unless(
-        !decimal_comma || delimiter != ',',
-        key,
-        "a comma separates cells and decimals alike",
-        "files with decimal commas mostly have delimiter = \";\"",
-    )
-}
-
 /// Checks that the joints of a mapping are the axes of the robot.
 ///
 /// # Errors
