@@ -173,9 +173,4 @@ impl OtherBarLog {
     pub fn unsaid(&self) -> impl Iterator<Item = (&'static str, &'static str)> {
         MISSING_FACTS.into_iter().filter(|(what, _)| self.unknown.contains(what))
     }
-
-    /// Whether a text has the columns of the bar's encoders by their usual names, and so is not a robot's log.
-    pub fn is_usual_table(bytes: &[u8]) -> bool {
-        table::has_usual_columns(bytes)
-    }
 }

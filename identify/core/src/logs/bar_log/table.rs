@@ -78,20 +78,20 @@ pub(super) fn read(
     Ok(OtherBarLog { simulated, ..log })
 }
 
-/// Whether the header of a text names a counter or angle of the bar.
-pub(super) fn has_usual_columns(bytes: &[u8]) -> bool {
-    let text = Text::new(LogSource::in_memory(bytes, Path::new("")), None);
-    let Ok(mut text) = text else { return false };
-    let header = text.header_line().unwrap_or_default();
-    let mut cells = header.split([',', ';', '\t']).map(|cell| cell.trim().trim_matches('"'));
-    let is_value = |cell: &str| (1..=BAR_JOINTS).any(|joint| unit_of(cell, joint).is_some());
-    cells.any(is_value)
+impl OtherBarLog {
+    /// Whether a text has the columns of the bar's encoders by their usual names, and so is not a robot's log.
+    pub fn is_usual_table(bytes: &[u8]) -> bool {
+        let text = Text::new(LogSource::in_memory(bytes, Path::new("")), None);
+        let Ok(mut text) = text else { return false };
+        let header = text.header_line().unwrap_or_default();
+        let mut cells = header.split([',', ';', '\t']).map(|cell| cell.trim().trim_matches('"'));
+        cells.any(|cell| (1..=BAR_JOINTS).flat_map(usual_names).any(|(name, _)| name == cell))
+    }
 }
 
-/// The unit of a column that has a usual name for this joint's encoder.
-fn unit_of(name: &str, joint: usize) -> Option<EncoderUnit> {
-    let usual = VALUES.iter().find(|(before, after, _)| name == format!("{before}{joint}{after}"));
-    usual.map(|(.., unit)| *unit)
+/// Names of the column of a joint's encoder, with their units. Of counts and angles of one joint the counts are read.
+fn usual_names(joint: usize) -> [(String, EncoderUnit); 3] {
+    VALUES.map(|(before, after, unit)| (format!("{before}{joint}{after}"), unit))
 }
 
 /// Layout of a table without a mapping, whose columns have the usual names; encoders in the order of the columns.
@@ -100,8 +100,7 @@ fn usual_layout(table: &CsvTable<'_>, path: &Path, bar: &BallBarConfig) -> Resul
         TIMES.into_iter().find(|(name, _)| table.has(name)).unwrap_or(("time_utc", TimeUnit::DateTime));
     let mut columns = Vec::new();
     for joint in 1..=BAR_JOINTS {
-        // Of counts and angles of one joint the counts are read.
-        let names = VALUES.map(|(before, after, unit)| (format!("{before}{joint}{after}"), unit));
+        let names = usual_names(joint);
         let configured = bar.encoders.iter().any(|encoder| usize::from(encoder.joint) == joint);
         let Some((name, unit)) = names.iter().find(|(name, _)| table.has(name)) else {
             if configured {
