@@ -62,7 +62,7 @@ pub(in crate::prepare) fn longest_overlap<T>(found: Vec<T>, matched: impl Fn(&T)
 
 /// The best clearly different shifts, highest correlation first, at most `count`.
 pub fn candidates(first: &Channels, second: &Channels, overlap_min: usize, count: usize) -> Vec<Match> {
-    let scores = scores(first, second, overlap_min.max(3));
+    let scores = scores(first, second, overlap_min);
     let mut peaks: Vec<(usize, f64)> = (0..scores.len())
         .filter(|&index| is_peak(&scores, index))
         .filter_map(|index| Some((index, scores[index].correlation?)))
@@ -92,16 +92,12 @@ pub fn candidates(first: &Channels, second: &Channels, overlap_min: usize, count
 /// Correlations at all shifts of a short set of signals against a long one.
 pub(in crate::prepare) struct Correlations(Vec<Score>);
 
-/// [`Correlations`] of at least `overlap_min` points.
-pub(in crate::prepare) fn correlations(
-    first: &Channels,
-    second: &Channels,
-    overlap_min: usize,
-) -> Correlations {
-    Correlations(scores(first, second, overlap_min.max(3)))
-}
-
 impl Correlations {
+    /// Those of at least `overlap_min` points.
+    pub fn new(first: &Channels, second: &Channels, overlap_min: usize) -> Self {
+        Self(scores(first, second, overlap_min))
+    }
+
     fn index(&self, shift: i64) -> Option<usize> {
         usize::try_from(shift - self.0.first()?.shift).ok().filter(|index| *index < self.0.len())
     }
@@ -153,6 +149,7 @@ fn vertex(scores: &[Score], peak: usize) -> f64 {
 /// Correlation at every shift, in the order of the shifts.
 fn scores(first: &Channels, second: &Channels, overlap_min: usize) -> Vec<Score> {
     let (first_len, second_len) = (first.known.len(), second.known.len());
+    let overlap_min = overlap_min.max(3);
     let transform = FourierTransforms::new(first_len + second_len);
     let masks = each(2, |number| transform.forward(&mask([first, second][number])));
     let overlaps = transform.product(&masks[0], &masks[1]);

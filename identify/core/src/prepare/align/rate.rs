@@ -8,7 +8,7 @@
 
 use std::ops::Range;
 
-use super::correlate::{Correlations, correlations};
+use super::correlate::Correlations;
 use super::speeds::grid_step_s;
 use crate::prepare::Channels;
 use crate::threads::each;
@@ -72,7 +72,7 @@ pub(in crate::prepare) fn rates(
         let half_length = 0.5 * part_speeds.known.len() as f64;
         let middle = (begins_s - 0.5 * run_s) / step_s + half_length;
         let overlap_min = (OVERLAP_MIN * 2.0 * half_length) as usize;
-        let correlations = correlations(&log_speeds, &part_speeds, overlap_min);
+        let correlations = Correlations::new(&log_speeds, &part_speeds, overlap_min);
         Some(RunPart { middle, half_length, correlations })
     })
     .into_iter()

@@ -336,16 +336,13 @@ pub(in crate::prepare) struct Residuals<'a> {
 }
 
 /// A sample against what the robot's pose implies.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(in crate::prepare) struct SampleErrors {
+struct SampleErrors {
     /// Measured less implied joints; 0 without encoder \[rad\].
-    pub error_rad: [f64; BAR_JOINTS],
-    /// Joints that the robot's pose implies \[rad\].
-    pub implied_rad: [f64; BAR_JOINTS],
-    /// How fast they move by the robot's log \[rad/s\].
-    pub implied_rad_s: [f64; BAR_JOINTS],
+    error_rad: [f64; BAR_JOINTS],
+    /// How fast the implied joints move by the robot's log \[rad/s\].
+    implied_rad_s: [f64; BAR_JOINTS],
     /// Distance of the bar from a singular pose \[rad\].
-    pub margin_rad: f64,
+    margin_rad: f64,
 }
 
 impl<'a> Residuals<'a> {
@@ -383,7 +380,7 @@ impl<'a> Residuals<'a> {
     }
 
     /// `None` outside the robot's log, or at a singular pose.
-    pub fn errors(&self, t_s: f64, bar_rad: &[f64; BAR_JOINTS]) -> Option<SampleErrors> {
+    fn errors(&self, t_s: f64, bar_rad: &[f64; BAR_JOINTS]) -> Option<SampleErrors> {
         let state = self.motion.at(self.geometry.clock.robot_time_s(t_s))?;
         let mut robot = Trace::default();
         self.robot_tracer.trace(&self.geometry.corrected(&state).q, &mut robot);
@@ -400,6 +397,6 @@ impl<'a> Residuals<'a> {
         let rates = robot.joint_twists().zip(state.qd).map(|(twist, qd)| implied.by_pose(&twist) * qd);
         let implied_rad_s = rates.fold(Vector5::zeros(), |sum, rate| sum + rate).into();
         let margin_rad = singularity_margin_rad(&self.bar.links, &implied.joints_rad);
-        Some(SampleErrors { error_rad, implied_rad: implied.joints_rad, implied_rad_s, margin_rad })
+        Some(SampleErrors { error_rad, implied_rad_s, margin_rad })
     }
 }
