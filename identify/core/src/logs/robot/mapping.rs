@@ -5,7 +5,7 @@ use shared::config::{AngleUnit, LogConversion, Validate, Violation};
 
 use crate::logs::rows::pose_rows::{JointColumn, check_joints};
 use crate::logs::tables::stamp::TimeColumn;
-use crate::logs::{ForceColumns, ValueOrigin};
+use crate::logs::{ForceColumns, JointConversion, ValueOrigin};
 
 /// Layout of a text table.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -139,35 +139,29 @@ impl Validate for RobotLogMapping {
                 ("torques", self.torques.is_some()),
                 ("coupling", !self.coupling.is_empty()),
             ];
-            if let Some((key, _)) = need_joints.into_iter().find(|(_, is_given)| *is_given) {
-                return Err(Violation::new(key, "there are no [[joints]]", "write one for each joint"));
+            for (key, is_given) in need_joints {
+                Violation::unless(!is_given, key, "there are no [[joints]]", "write one for each joint")?;
             }
             return self.force.as_ref().map_or(Ok(()), ForceColumns::check);
         }
         check_joints(&self.joints)?;
         for (key, columns) in [("speeds", &self.speeds), ("torques", &self.torques)] {
-            if let Some(columns) = columns.as_ref().filter(|columns| columns.len() != axes) {
-                let problem = format!("{} columns for {axes} joints", columns.len());
-                return Err(Violation::new(key, problem, "name one for each joint, base to flange"));
-            }
+            let count = columns.as_ref().map_or(axes, Vec::len);
+            let problem = format!("{count} columns for {axes} joints");
+            Violation::unless(count == axes, key, problem, "name one for each joint, base to flange")?;
         }
         self.force.as_ref().map_or(Ok(()), ForceColumns::check)?;
         for (index, Coupling { joint, from, factor }) in self.coupling.iter().enumerate() {
             let known = |joint: &usize| (1..=axes).contains(joint);
-            if !known(joint) || !known(from) || joint == from || !(-10.0..=10.0).contains(factor) {
-                return Err(Violation::new(
-                    format!("coupling[{index}]"),
-                    format!("invalid coupling of joint {joint} to {from} by {factor}"),
-                    "write two different joints, counted from 1, and a factor such as 1 or -1",
-                ));
-            }
+            Violation::unless(
+                known(joint) && known(from) && joint != from && (-10.0..=10.0).contains(factor),
+                format!("coupling[{index}]"),
+                format!("invalid coupling of joint {joint} to {from} by {factor}"),
+                "write two different joints, counted from 1, and a factor such as 1 or -1",
+            )?;
         }
-        crate::logs::JointConversion::new(&self.conversion()).map(drop).map_err(|_| {
-            Violation::new(
-                "coupling",
-                "together they leave a joint undetermined",
-                "check joint, from and factor of each",
-            )
-        })
+        let is_regular = JointConversion::new(&self.conversion()).is_ok();
+        let problem = "together they leave a joint undetermined";
+        Violation::unless(is_regular, "coupling", problem, "check joint, from and factor of each")
     }
 }

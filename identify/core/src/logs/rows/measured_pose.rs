@@ -127,14 +127,10 @@ impl RotationColumns {
             };
             return Err(Violation::new(format!("rotation.{key}"), problem, remedy));
         }
-        match &self.order {
-            Some(order) if axes(order).is_none() => Err(Violation::new(
-                "rotation.order",
-                format!("`{order}` is not an order of turns"),
-                "write three letters of x, y, z with different neighbours, such as \"xyz\"",
-            )),
-            _ => Ok(()),
-        }
+        let Some(order) = &self.order else { return Ok(()) };
+        let problem = format!("`{order}` is not an order of turns");
+        let remedy = "write three letters of x, y, z with different neighbours, such as \"xyz\"";
+        Violation::unless(axes(order).is_some(), "rotation.order", problem, remedy)
     }
 
     /// Factor of the columns' values (to radians; 1 for quaternion and matrix), and their largest size after it.
@@ -222,36 +218,22 @@ impl Validate for MeasuredPoseMapping {
         self.csv.check()?;
         check_scale_u(self.scale_u_ppm)?;
         self.rotation.as_ref().map_or(Ok(()), RotationColumns::check)?;
-        match &self.uncertainty {
-            Some(UncertaintyColumns { position_mm: None, rotation_mrad: None }) => {
-                return Err(Violation::new(
-                    "uncertainty",
-                    "no column is named",
-                    "name the column of position_mm or rotation_mrad, or leave the block out",
-                ));
-            }
-            Some(UncertaintyColumns { rotation_mrad: Some(_), .. }) if self.rotation.is_none() => {
-                return Err(Violation::new(
-                    "uncertainty.rotation_mrad",
-                    "no orientation was measured",
-                    "leave it out, or add the [rotation] block",
-                ));
-            }
-            _ => {}
+        if let Some(UncertaintyColumns { position_mm, rotation_mrad }) = &self.uncertainty {
+            let remedy = "name the column of position_mm or rotation_mrad, or leave the block out";
+            let is_named = position_mm.is_some() || rotation_mrad.is_some();
+            Violation::unless(is_named, "uncertainty", "no column is named", remedy)?;
+            let (key, problem) = ("uncertainty.rotation_mrad", "no orientation was measured");
+            let is_measured = rotation_mrad.is_none() || self.rotation.is_some();
+            Violation::unless(is_measured, key, problem, "leave it out, or add the [rotation] block")?;
         }
-        self.time.as_ref().map_or(Ok(()), TimeColumn::check)?;
-        match &self.time {
-            None => check_joints(&self.joints),
-            Some(time) if time.column.is_empty() => {
-                Err(Violation::new("time.column", "it is missing", "name the column of the times"))
-            }
-            Some(_) if !self.joints.is_empty() => Err(Violation::new(
-                "joints",
-                "rows with [time] get their joints from the robot's own log",
-                "remove the [[joints]], or [time] if the joints of each row are those of its measurement",
-            )),
-            Some(_) => Ok(()),
-        }
+        let Some(time) = &self.time else { return check_joints(&self.joints) };
+        time.check()?;
+        let remedy = "name the column of the times";
+        Violation::unless(!time.column.is_empty(), "time.column", "it is missing", remedy)?;
+        let problem = "rows with [time] get their joints from the robot's own log";
+        let remedy =
+            "remove the [[joints]], or [time] if the joints of each row are those of its measurement";
+        Violation::unless(self.joints.is_empty(), "joints", problem, remedy)
     }
 }
 

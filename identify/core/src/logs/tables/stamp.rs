@@ -70,35 +70,20 @@ impl TimeColumn {
 
     /// Checks that only cycles have a duration, and that dates do not wrap.
     pub(in crate::logs) fn check(&self) -> Result<(), Violation> {
-        match (self.unit, self.period_ms) {
-            (TimeUnit::Cycles, None) => {
-                let remedy = "give the duration of a cycle, such as period_ms = 4";
-                return Err(Violation::new(
-                    "time.period_ms",
-                    "it is missing, and unit = \"cycles\" needs it",
-                    remedy,
-                ));
-            }
-            (TimeUnit::Cycles, Some(period_ms)) => {
-                let remedy = "give the duration of a controller's cycle in milliseconds";
-                Violation::unless_within("time.period_ms", period_ms, [1e-3, 1e6], remedy)?;
-            }
-            (_, None) => {}
-            (_, Some(_)) => {
-                let remedy = "remove it, or write unit = \"cycles\"";
-                return Err(Violation::new("time.period_ms", "the column does not count cycles", remedy));
-            }
-        }
-        let problem = match self.wraps_at {
-            Some(_) if self.unit.is_dated() => "times with a date do not wrap",
-            Some(0 | 1) => "a counter has at least 2 values",
-            _ => return Ok(()),
-        };
-        Err(Violation::new(
-            "time.wraps_at",
-            problem,
-            "remove it, or give the number of values, such as 65536",
-        ))
+        let (key, is_cycles) = ("time.period_ms", self.unit == TimeUnit::Cycles);
+        let problem = "it is missing, and unit = \"cycles\" needs it";
+        let remedy = "give the duration of a cycle, such as period_ms = 4";
+        Violation::unless(!is_cycles || self.period_ms.is_some(), key, problem, remedy)?;
+        let (problem, remedy) = ("the column does not count cycles", "remove it, or write unit = \"cycles\"");
+        Violation::unless(is_cycles || self.period_ms.is_none(), key, problem, remedy)?;
+        let remedy = "give the duration of a controller's cycle in milliseconds";
+        let within = |period_ms| Violation::unless_within(key, period_ms, [1e-3, 1e6], remedy);
+        self.period_ms.map_or(Ok(()), within)?;
+        let (key, remedy) = ("time.wraps_at", "remove it, or give the number of values, such as 65536");
+        let can_wrap = self.wraps_at.is_none() || !self.unit.is_dated();
+        Violation::unless(can_wrap, key, "times with a date do not wrap", remedy)?;
+        let has_values = self.wraps_at.is_none_or(|values| values >= 2);
+        Violation::unless(has_values, key, "a counter has at least 2 values", remedy)
     }
 
     /// Length of one unit \[ns\]; dates become ns when they are read.
