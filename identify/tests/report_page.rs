@@ -88,7 +88,7 @@ pub fn page_text(calibration: &Calibration, evidence: &Evidence, robot: &RobotCo
         sources: &[],
         configuration,
     };
-    page.render().unwrap().into_string()
+    page.render().into_string()
 }
 
 #[test]

@@ -40,7 +40,7 @@ pub fn run(arguments: &CompareArguments) -> anyhow::Result<()> {
     show(side_by_side::table(&consistency, &names))?;
     if let Some(out) = &arguments.out {
         let robot = files.first().map_or("", |file| file.robot.as_str());
-        let text = side_by_side::page(&consistency, robot, &names)?.into_string();
+        let text = side_by_side::page(&consistency, robot, &names).into_string();
         std::fs::write(out, text).with_context(|| format!("cannot write {}", out.display()))?;
         say(out.display())?;
     }

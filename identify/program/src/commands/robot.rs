@@ -132,8 +132,7 @@ fn run_check(arguments: &CheckRobotArguments) -> anyhow::Result<()> {
     let checked = check(&robot);
     show(robot_check(&robot, &checked))?;
     let out = output_path(arguments.picture.as_ref(), &arguments.robot, "svg");
-    let picture = picture(&checked)?;
-    std::fs::write(&out, picture).with_context(|| format!("cannot write {}", out.display()))?;
+    std::fs::write(&out, picture(&checked)).with_context(|| format!("cannot write {}", out.display()))?;
     say(format_args!("\npicture: {}", out.display()))?;
     Ok(())
 }

@@ -7,7 +7,7 @@ use maud::{Markup, html};
 
 use super::consistency::P_MIN;
 use super::page::document;
-use super::page::drawing::plot::{COLOURS, Mark, Panel, PlotError, Series};
+use super::page::drawing::plot::{COLOURS, Mark, Panel, Series};
 use crate::model::Unit;
 use crate::report::Consistency;
 use crate::statistics::Sizes;
@@ -94,12 +94,9 @@ fn verdict(consistency: &Consistency) -> String {
 }
 
 /// A page for a browser, without scripts or anything to load.
-///
-/// # Errors
-/// [`PlotError`].
-pub fn page(consistency: &Consistency, robot: &str, names: &[String]) -> Result<Markup, PlotError> {
+pub fn page(consistency: &Consistency, robot: &str, names: &[String]) -> Markup {
     let title = format!("Calibrations of {robot} side by side");
-    Ok(document(
+    document(
         &title,
         &html! {
             h1 { (title) }
@@ -111,8 +108,8 @@ pub fn page(consistency: &Consistency, robot: &str, names: &[String]) -> Result<
                 li { span style=(format!("color: rgb({},{},{})", colour.0, colour.1, colour.2)) { "● " } (name) }
             } }
             figure {
-                (intervals("Lengths", Unit::Metre, consistency, names.len())?)
-                (intervals("Angles", Unit::Radian, consistency, names.len())?)
+                (intervals("Lengths", Unit::Metre, consistency, names.len()))
+                (intervals("Angles", Unit::Radian, consistency, names.len()))
                 figcaption {
                     "How far each calibration is from their weighted mean, with 95 % intervals. Intervals that do not overlap "
                     "are a difference."
@@ -120,11 +117,11 @@ pub fn page(consistency: &Consistency, robot: &str, names: &[String]) -> Result<
             }
             div.wide { (rows(consistency, names.len())) }
         },
-    ))
+    )
 }
 
 /// How far each calibration is from the weighted means, with intervals; calibrations stand side by side at each name.
-fn intervals(title: &str, unit: Unit, consistency: &Consistency, files: usize) -> Result<Markup, PlotError> {
+fn intervals(title: &str, unit: Unit, consistency: &Consistency, files: usize) -> Markup {
     let parameters = || consistency.parameters.iter().filter(|one| one.id.unit() == unit);
     let factor = unit.display_factor();
     let mut series = Vec::new();

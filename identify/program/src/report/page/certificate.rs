@@ -3,7 +3,6 @@
 use chrono::{DateTime, Datelike};
 use maud::{Markup, html};
 
-use super::drawing::plot::PlotError;
 use super::drawing::workspace;
 use super::sections::mm;
 use crate::calibrate::validation::deployment::Deployment;
@@ -13,12 +12,8 @@ use crate::report::result::file::{CalibrationFile, MeasurementEntry, ParameterEn
 use crate::report::verdict::Grade;
 
 /// The certificate: verdict, identity of robot and instrument, errors before and after, map, conditions and signature.
-///
-/// # Errors
-/// [`PlotError`].
-pub(super) fn certificate(file: &CalibrationFile, workspace: &WorkspaceError) -> Result<Markup, PlotError> {
-    let map = workspace::map(workspace)?;
-    Ok(sheet(
+pub(super) fn certificate(file: &CalibrationFile, workspace: &WorkspaceError) -> Markup {
+    sheet(
         file.is_simulated(),
         &html! {
             header {
@@ -28,11 +23,11 @@ pub(super) fn certificate(file: &CalibrationFile, workspace: &WorkspaceError) ->
             (verdict(file, workspace))
             (identity(&file.robot, &file.instrument, &file.measured, Some(required(file)), dated(file)))
             (results(file, workspace))
-            (map)
+            (workspace::map(workspace))
             (conditions(file))
             (signature())
         },
-    ))
+    )
 }
 
 /// The first sheet, with a band across it, on the screen and in print, if nothing was measured.

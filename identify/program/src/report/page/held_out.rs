@@ -5,7 +5,7 @@ use plotters::prelude::RGBColor;
 
 use super::Page;
 use super::drawing::figures::{HALF, TimeAxis, dots};
-use super::drawing::plot::{BLUE, COLOURS, GREEN, GREY, Mark, Panel, PlotError, Series};
+use super::drawing::plot::{BLUE, COLOURS, GREEN, GREY, Mark, Panel, Series};
 use super::run::runs;
 use crate::evaluate::{HeldOut, HeldOutSegment};
 use crate::instrument::PoseError;
@@ -19,13 +19,13 @@ pub(super) type Value = fn(&PoseError) -> Option<f64>;
 pub(super) const POSITION_MM: Value = |error| Some(error.position_m * 1e3);
 pub(super) const ROTATION_MRAD: Value = |error| error.rotation_rad.map(|rad| rad * 1e3);
 
-pub(super) fn section(page: &Page<'_>) -> Result<Markup, PlotError> {
+pub(super) fn section(page: &Page<'_>) -> Markup {
     let Some(held_out) = page.evidence.held_out.as_ref().filter(|held_out| !held_out.segments.is_empty())
     else {
-        return Ok(html! {});
+        return html! {};
     };
     let rms = held_out.rms();
-    Ok(html! {
+    html! {
         h2 { "Held-out validation" }
         p {
             "Each of " (held_out.segments.len()) " segments of time was predicted from a fit to all others. Robot against bar "
@@ -47,7 +47,7 @@ pub(super) fn section(page: &Page<'_>) -> Result<Markup, PlotError> {
         @for (number, name) in runs::names(page).iter().enumerate() {
             figure {
                 @if let Some(name) = name { p.run { (name) } }
-                div.panels { (panels(held_out, number)?) }
+                div.panels { (panels(held_out, number)) }
             }
         }
         p.note {
@@ -56,7 +56,7 @@ pub(super) fn section(page: &Page<'_>) -> Result<Markup, PlotError> {
             "calibrated one. Which errors of the axes the model has was decided on the whole run."
         }
         (table(page, held_out))
-    })
+    }
 }
 
 /// Root mean squares as text; empty without rotations.
@@ -65,28 +65,22 @@ fn texts(rms: &[PoseError; 3], value: Value) -> Vec<String> {
 }
 
 /// Figures of a run over time: errors in position and rotation, nominal and predicted.
-fn panels(held_out: &HeldOut, run: usize) -> Result<Markup, PlotError> {
+fn panels(held_out: &HeldOut, run: usize) -> Markup {
     let segments: Vec<&HeldOutSegment> =
         held_out.segments.iter().filter(|segment| segment.run == run).collect();
     let has_rotations = held_out.rms()[0].rotation_rad.is_some();
-    Ok(html! {
-        (panel("Position, nominal", "[mm]", &segments, false, POSITION_MM)?)
-        (panel("Position, calibrated without the segment", "[mm]", &segments, true, POSITION_MM)?)
+    html! {
+        (panel("Position, nominal", "[mm]", &segments, false, POSITION_MM))
+        (panel("Position, calibrated without the segment", "[mm]", &segments, true, POSITION_MM))
         @if has_rotations {
-            (panel("Rotation, nominal", "[mrad]", &segments, false, ROTATION_MRAD)?)
-            (panel("Rotation, calibrated without the segment", "[mrad]", &segments, true, ROTATION_MRAD)?)
+            (panel("Rotation, nominal", "[mrad]", &segments, false, ROTATION_MRAD))
+            (panel("Rotation, calibrated without the segment", "[mrad]", &segments, true, ROTATION_MRAD))
         }
-    })
+    }
 }
 
 /// One figure; `calibrated` selects the prediction in place of the nominal robot.
-fn panel(
-    title: &str,
-    y: &str,
-    segments: &[&HeldOutSegment],
-    calibrated: bool,
-    value: Value,
-) -> Result<Markup, PlotError> {
+fn panel(title: &str, y: &str, segments: &[&HeldOutSegment], calibrated: bool, value: Value) -> Markup {
     let time = TimeAxis::of(segments.iter().flat_map(|segment| segment.span_s()));
     // Stages: 0 nominal, 1 predicted without the segment, 2 fitted with it. Neighbouring segments have different colours.
     let (stage, colours) = if calibrated { (1, [BLUE, GREEN]) } else { (0, [GREY, LIGHT_GREY]) };

@@ -27,7 +27,6 @@ use crate::report::result::file::{CalibrationFile, FileError, replace};
 use self::run::{inputs, runs, sphere};
 
 pub use drawing::arm::picture;
-pub use drawing::plot::PlotError;
 pub use planned::path::PathPage;
 pub use planned::poses::PosesPage;
 pub use refused::{RefusedPage, WrittenRefusal};
@@ -55,32 +54,17 @@ pub struct Page<'a> {
     pub configuration: &'a str,
 }
 
-/// Why a page cannot be written.
-#[derive(Debug, thiserror::Error)]
-pub enum PageError {
-    /// A figure cannot be drawn.
-    #[error(transparent)]
-    Plot(#[from] PlotError),
-    /// The file cannot be written.
-    #[error(transparent)]
-    File(#[from] FileError),
-}
-
 impl Page<'_> {
     /// Writes `report.html` into the directory, whole or not at all.
     ///
     /// # Errors
-    /// [`PageError`].
-    pub fn write(&self, directory: &Path) -> Result<PathBuf, PageError> {
-        let text = self.render()?.into_string();
-        Ok(replace(directory, "report.html", &text)?)
+    /// [`FileError`].
+    pub fn write(&self, directory: &Path) -> Result<PathBuf, FileError> {
+        replace(directory, "report.html", &self.render().into_string())
     }
 
     /// The page.
-    ///
-    /// # Errors
-    /// [`PlotError`].
-    pub fn render(&self) -> Result<Markup, PlotError> {
+    pub fn render(&self) -> Markup {
         let title = format!("Calibration of {}", self.file.robot);
         let has_bars = !self.evidence.runs.is_empty();
         let names_of_rows = self.rows.iter().cloned();
@@ -92,32 +76,26 @@ impl Page<'_> {
                 ("Place of the bar, clocks", names_of_runs.chain(names_of_rows).collect())
             }
         };
-        let if_bars = |section: fn(&Self) -> Result<Markup, PlotError>| {
-            if has_bars { section(self) } else { Ok(html! {}) }
-        };
-        Ok(document(
+        document(
             &title,
             &html! {
                 main {
-                    (certificate::certificate(self.file, &self.evidence.workspace)?)
+                    (certificate::certificate(self.file, &self.evidence.workspace))
                     (sections::numbers(self))
-                    (held_out::section(self)?)
-                    (rows::section(self)?)
-                    (if_bars(runs::gaps)?)
-                    (if_bars(sphere::section)?)
+                    (held_out::section(self))
+                    (rows::section(self))
+                    @if has_bars { (runs::gaps(self)) (sphere::section(self)) }
                     (sections::bar(self))
                     (sections::parameters(self.file, first_heading, &other_headings))
                     (sections::budget(self.file))
                     (sections::candidates(self.file))
-                    (if_bars(sections::joints)?)
-                    (if_bars(sections::coverage)?)
-                    (if_bars(runs::alignments)?)
+                    @if has_bars { (sections::joints(self)) (sections::coverage(self)) (runs::alignments(self)) }
                     (sections::dependence(self.file))
                     (inputs::section(self.sources))
                     (sections::origin(self))
                 }
             },
-        ))
+        )
     }
 }
 

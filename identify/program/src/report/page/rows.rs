@@ -4,7 +4,7 @@ use maud::{Markup, html};
 
 use super::Page;
 use super::drawing::figures::{WIDE, dots};
-use super::drawing::plot::{BLUE, GREY, ORANGE, Panel, PlotError};
+use super::drawing::plot::{BLUE, GREY, ORANGE, Panel};
 use super::held_out::{POSITION_MM, ROTATION_MRAD, Value};
 use super::sections::{mm, number};
 use crate::calibrate::rows::{RowSet, Stages};
@@ -32,23 +32,23 @@ pub(super) fn numbers(page: &Page<'_>) -> Markup {
 }
 
 /// Figures and tables of each file, and its clocks; its data set comes after those of the runs with a bar.
-pub(super) fn section(page: &Page<'_>) -> Result<Markup, PlotError> {
+pub(super) fn section(page: &Page<'_>) -> Markup {
     if page.rows.is_empty() {
-        return Ok(html! {});
+        return html! {};
     }
-    Ok(html! {
+    html! {
         h2 { "Errors, row by row" }
         p.note { "Robot against measurement. The scales differ. Rejected rows are drawn, too." }
-        @for (name, set) in names_and_sets(page) { figure { p.run { (name) } (panels(set)?) } }
+        @for (name, set) in names_and_sets(page) { figure { p.run { (name) } (panels(set)) } }
         pre.table { (page.tables) }
         @for clock in page.file.clocks.iter().filter(|clock| clock.data_set > page.evidence.runs.len()) {
             p { "Clocks of data set " (clock.data_set) ": " (clock.sentence()) "." }
         }
-    })
+    }
 }
 
 /// The errors of a file, nominal and calibrated.
-fn panels(set: &RowSet) -> Result<Markup, PlotError> {
+fn panels(set: &RowSet) -> Markup {
     // The last stage, with errors of joints, is the calibrated robot.
     let Stages { nominal, joints: calibrated, .. } = &set.errors;
     let panel = |title: &str, y: &str, colour, stage: &[PoseError], value: Value| {
@@ -61,12 +61,12 @@ fn panels(set: &RowSet) -> Result<Markup, PlotError> {
         ];
         Panel::new(title, ["row", y], WIDE, series).with_zero().draw()
     };
-    Ok(html! {
-        (panel("Nominal robot", "[mm]", GREY, nominal, POSITION_MM)?)
-        (panel("Calibrated robot", "[mm]", BLUE, calibrated, POSITION_MM)?)
+    html! {
+        (panel("Nominal robot", "[mm]", GREY, nominal, POSITION_MM))
+        (panel("Calibrated robot", "[mm]", BLUE, calibrated, POSITION_MM))
         @if calibrated.iter().any(|error| error.rotation_rad.is_some()) {
-            (panel("Rotation, nominal", "[mrad]", GREY, nominal, ROTATION_MRAD)?)
-            (panel("Rotation, calibrated", "[mrad]", BLUE, calibrated, ROTATION_MRAD)?)
+            (panel("Rotation, nominal", "[mrad]", GREY, nominal, ROTATION_MRAD))
+            (panel("Rotation, calibrated", "[mrad]", BLUE, calibrated, ROTATION_MRAD))
         }
-    })
+    }
 }

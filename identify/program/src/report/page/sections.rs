@@ -5,7 +5,6 @@ use maud::{Markup, PreEscaped, Render, html};
 use shared::config::BallBarConfig;
 use shared::drawing::ball_bar;
 
-use super::drawing::plot::PlotError;
 use super::drawing::{correlations, figures};
 use super::{Page, rows};
 use crate::evaluate::{Evaluation, Expected};
@@ -215,32 +214,32 @@ fn table(caption: &str, entries: &[&ParameterEntry]) -> Markup {
 }
 
 /// Residuals by joint, as figures, if any joint of the bar has an encoder.
-pub(super) fn joints(page: &Page<'_>) -> Result<Markup, PlotError> {
+pub(super) fn joints(page: &Page<'_>) -> Markup {
     if !page.evidence.by_encoders {
-        return Ok(html! {});
+        return html! {};
     }
-    Ok(html! {
+    html! {
         h2 { "Residuals by joint and direction" }
         figure {
             div.panels.three {
-                @for panel in figures::by_joint(page.evidence, page.calibration.model().robot())? { (panel) }
+                @for panel in figures::by_joint(page.evidence, page.calibration.model().robot()) { (panel) }
             }
             figcaption {
                 "Further motion of each joint alone that would bring the robot's end nearest to the bar's. A wave over the "
                 "angle points at the gear, two branches by direction at backlash, a slope at the gear's ratio."
             }
         }
-    })
+    }
 }
 
-pub(super) fn coverage(page: &Page<'_>) -> Result<Markup, PlotError> {
-    Ok(html! {
+pub(super) fn coverage(page: &Page<'_>) -> Markup {
+    html! {
         h2 { "Where the bar was" }
         figure {
-            div.panels { (figures::coverage(page.evidence)?) (figures::margin(page.evidence)?) }
+            div.panels { (figures::coverage(page.evidence)) (figures::margin(page.evidence)) }
             figcaption { "Left: equal areas of the sphere are equal areas of the figure. Empty regions were not measured." }
         }
-    })
+    }
 }
 
 /// Figures of the solve, correlations above 0.9, twelve at most, and all correlations as a map.

@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 use maud::{Markup, html};
 use plotters::style::RGBColor;
 
-use super::drawing::plot::{COLOURS, GREY, INK, Mark, Panel, PlotError, Series};
-use super::{PageError, document};
+use super::document;
+use super::drawing::plot::{COLOURS, GREY, INK, Mark, Panel, Series};
 use crate::report::result::file::{FileError, replace};
 use crate::study::{
     CurvePoint, Definition, ErrorCurve, Figure, FigureKind, Measure, Reach, StatementAnswer, StudySummary,
@@ -32,22 +32,19 @@ impl StudyPage<'_> {
     /// Writes `summary.json` and `study.html` into the directory, each whole or not at all.
     ///
     /// # Errors
-    /// [`PageError`].
-    pub fn write(&self, directory: &Path) -> Result<[PathBuf; 2], PageError> {
+    /// [`FileError`].
+    pub fn write(&self, directory: &Path) -> Result<[PathBuf; 2], FileError> {
         let summary = serde_json::to_string_pretty(self.summary).map_err(FileError::from)?;
-        let page = self.render()?.into_string();
+        let page = self.render().into_string();
         Ok([replace(directory, "summary.json", &summary)?, replace(directory, "study.html", &page)?])
     }
 
     /// The page.
-    ///
-    /// # Errors
-    /// [`PlotError`].
-    pub fn render(&self) -> Result<Markup, PlotError> {
+    pub fn render(&self) -> Markup {
         let study = &self.definition.study;
         let (claims, answers): (Vec<&StatementAnswer>, Vec<&StatementAnswer>) =
             self.summary.findings.iter().partition(|finding| finding.holds.is_some());
-        Ok(document(
+        document(
             &study.title,
             &html! {
                 header {
@@ -61,29 +58,29 @@ impl StudyPage<'_> {
                     p { (study.about) }
                     (findings("Answers", ["question", "answer"], &answers))
                     (findings("What the thesis found, checked", ["claim", "here"], &claims))
-                    @for figure in &study.figures { (self.figure(figure)?) }
+                    @for figure in &study.figures { (self.figure(figure)) }
                     (self.failures())
                 }
             },
-        ))
+        )
     }
 
     fn curves(&self, figure: &Figure) -> Vec<&ErrorCurve> {
         self.summary.curves.iter().filter(|curve| curve.figure == figure.id).collect()
     }
 
-    fn figure(&self, figure: &Figure) -> Result<Markup, PlotError> {
+    fn figure(&self, figure: &Figure) -> Markup {
         let shown = match figure.kind {
-            FigureKind::Curves => self.drawn(figure)?,
+            FigureKind::Curves => self.drawn(figure),
             FigureKind::Levels | FigureKind::Affected | FigureKind::Errors | FigureKind::Largest => {
                 self.tabled(figure)
             }
         };
-        Ok(html! {
+        html! {
             h2 id=(figure.id) { (figure.id) ": " (figure.title) }
             @if !figure.thesis.is_empty() { p.note { "The thesis: " (figure.thesis) } }
             (shown)
-        })
+        }
     }
 
     fn tabled(&self, figure: &Figure) -> Markup {
@@ -98,7 +95,7 @@ impl StudyPage<'_> {
         }
     }
 
-    fn drawn(&self, figure: &Figure) -> Result<Markup, PlotError> {
+    fn drawn(&self, figure: &Figure) -> Markup {
         let curves = self.curves(figure);
         let limit = self.definition.study.limit_mm_mrad;
         let mut estimators: Vec<(&str, &str)> = Vec::new();
@@ -124,7 +121,7 @@ impl StudyPage<'_> {
                 series.x.first().map(|x| Series::new("", GREY, Mark::Line, vec![(*x, highest)]));
             let title =
                 if series.name.is_empty() { format!("Figure {}", figure.id) } else { series.name.clone() };
-            panels.push(panel(figure, title, lines.chain(highest_point).collect())?);
+            panels.push(panel(figure, title, lines.chain(highest_point).collect()));
         }
         // A second picture where one curve hides what all others do near the limit.
         let near = NEAR * limit;
@@ -138,9 +135,9 @@ impl StudyPage<'_> {
             let ends =
                 all_x.first().zip(all_x.last()).map(|(first, last)| vec![(*first, limit), (*last, limit)]);
             let line = ends.map(|ends| Series::new("limit", INK, Mark::Segments, ends));
-            panels.push(panel(figure, "Near the limit".into(), lines.chain(line).collect())?);
+            panels.push(panel(figure, "Near the limit".into(), lines.chain(line).collect()));
         }
-        Ok(html! {
+        html! {
             figure {
                 div class=(if panels.len() == 3 { "panels three" } else { "panels" }) {
                     @for panel in panels { (panel) }
@@ -155,7 +152,7 @@ impl StudyPage<'_> {
                 }
             }
             (value_table(figure, &curves, limit))
-        })
+        }
     }
 
     fn failures(&self) -> Markup {
@@ -249,7 +246,7 @@ fn medians(curve: &ErrorCurve, measure: Measure) -> Vec<(f64, f64)> {
     points
 }
 
-fn panel(figure: &Figure, title: String, series: Vec<Series>) -> Result<Markup, PlotError> {
+fn panel(figure: &Figure, title: String, series: Vec<Series>) -> Markup {
     Panel::new(title, [&figure.x, figure.measure.label()], PANEL, series).with_zero().draw()
 }
 

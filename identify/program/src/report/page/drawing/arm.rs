@@ -4,7 +4,7 @@
 use nalgebra::Vector3;
 use shared::config::JointKind;
 
-use super::plot::{BLUE, GREEN, GREY, Mark, ORANGE, Panel, PlotError, Series};
+use super::plot::{BLUE, GREEN, GREY, Mark, ORANGE, Panel, Series};
 use crate::robot::RobotCheck;
 use crate::statistics::extremes;
 
@@ -16,19 +16,16 @@ const LABELS_PX: (f64, f64) = (76.0, 100.0);
 const AXIS_PART: f64 = 0.07;
 
 /// Both views as one SVG.
-///
-/// # Errors
-/// [`PlotError`].
-pub fn picture(check: &RobotCheck) -> Result<String, PlotError> {
-    let (side, side_px) = view(check, "from the side", ["x [m]", "z [m]"], |p| (p.x, p.z))?;
-    let (above, above_px) = view(check, "from above", ["x [m]", "y [m]"], |p| (p.x, p.y))?;
+pub fn picture(check: &RobotCheck) -> String {
+    let (side, side_px) = view(check, "from the side", ["x [m]", "z [m]"], |p| (p.x, p.z));
+    let (above, above_px) = view(check, "from above", ["x [m]", "y [m]"], |p| (p.x, p.y));
     let (width_px, height_px) = (side_px.0 + above_px.0, side_px.1.max(above_px.1));
-    Ok(format!(
+    format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width_px}\" height=\"{height_px}\">\n\
          <rect width=\"100%\" height=\"100%\" fill=\"white\"/>\n{}{}</svg>\n",
         placed(&side, 0, side_px),
         placed(&above, side_px.0, above_px)
-    ))
+    )
 }
 
 /// A picture within the picture.
@@ -44,7 +41,7 @@ fn view(
     from: &str,
     axes: [&str; 2],
     project: fn(&Vector3<f64>) -> (f64, f64),
-) -> Result<(String, (u32, u32)), PlotError> {
+) -> (String, (u32, u32)) {
     let reach_m = check.reached_m.iter().map(|p| p.norm()).fold(0.0, f64::max);
     let reached = check.reached_m.iter().take(3000).map(project).collect();
     let mut series = vec![Series::new("flange, random postures", GREY, Mark::Dots, reached)];
@@ -67,5 +64,5 @@ fn view(
     let scale = WIDTH_PX / across_m.max(up_m);
     let size = ((across_m * scale + LABELS_PX.0) as u32, (up_m * scale + LABELS_PX.1) as u32);
     let title = format!("{} {from}", check.facts.first().map_or("", |(_, name)| name));
-    Ok((Panel::new(title, axes, size, series).draw()?.into_string(), size))
+    (Panel::new(title, axes, size, series).draw().into_string(), size)
 }

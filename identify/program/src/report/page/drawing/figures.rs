@@ -6,7 +6,7 @@ use nalgebra::Vector3;
 use plotters::prelude::RGBColor;
 use shared::config::JointKind;
 
-use super::plot::{BLUE, COLOURS, GREEN, GREY, Mark, ORANGE, Panel, PlotError, Series};
+use super::plot::{BLUE, COLOURS, GREEN, GREY, Mark, ORANGE, Panel, Series};
 use crate::cost::Closure;
 use crate::evaluate::{Evidence, JointGap, RunEvidence, ShiftCurve};
 use crate::kinematics::Chain;
@@ -84,7 +84,7 @@ pub(in crate::report::page) fn from_above(direction: &Vector3<f64>) -> (f64, f64
 pub(in crate::report::page) fn sphere_from_above(
     title: &str,
     series: impl IntoIterator<Item = Series>,
-) -> Result<Markup, PlotError> {
+) -> Markup {
     /// Corners of the horizon, which is a polygon.
     const CORNERS: usize = 90;
     let corner = |corner: usize| (std::f64::consts::TAU * corner as f64 / CORNERS as f64).sin_cos();
@@ -94,27 +94,21 @@ pub(in crate::report::page) fn sphere_from_above(
 }
 
 /// Distance of robot and bar over time, nominal and calibrated; `by_encoders` as in [`Closure::gap_m`].
-pub(in crate::report::page) fn gap_over_time(
-    run: &RunEvidence,
-    by_encoders: bool,
-) -> Result<[Markup; 2], PlotError> {
+pub(in crate::report::page) fn gap_over_time(run: &RunEvidence, by_encoders: bool) -> [Markup; 2] {
     let time = TimeAxis::of_run(run);
     let point = |one: &Closure| (time.at(one.t_s), 1e3 * one.gap_m(by_encoders));
     let panel = |title: &str, colour, closures: &[Closure]| {
         let series = vec![dots("", colour, closures.iter().map(point).collect())];
         Panel::new(title, [&time.label(), "distance [mm]"], WIDE, series).with_zero().draw()
     };
-    Ok([
-        panel("Nominal robot, the bar fitted to it", GREY, &run.before)?,
-        panel("Calibrated robot", BLUE, &run.after)?,
-    ])
+    [
+        panel("Nominal robot, the bar fitted to it", GREY, &run.before),
+        panel("Calibrated robot", BLUE, &run.after),
+    ]
 }
 
 /// Components of the calibrated gap over time: position, and rotation if it was measured.
-pub(in crate::report::page) fn components_over_time(
-    run: &RunEvidence,
-    rotations: bool,
-) -> Result<Vec<Markup>, PlotError> {
+pub(in crate::report::page) fn components_over_time(run: &RunEvidence, rotations: bool) -> Vec<Markup> {
     let time = TimeAxis::of_run(run);
     let panel = |title: &str, y: &str, component: &dyn Fn(&Closure, usize) -> f64| {
         let axis = |axis: usize, name, colour| {
@@ -125,18 +119,15 @@ pub(in crate::report::page) fn components_over_time(
         Panel::new(title, [&time.label(), y], HALF, series).draw()
     };
     let mut panels =
-        vec![panel("Position, robot minus bar", "[µm]", &|one, axis| one.position_error_m[axis] * 1e6)?];
+        vec![panel("Position, robot minus bar", "[µm]", &|one, axis| one.position_error_m[axis] * 1e6)];
     if rotations {
-        panels.push(panel("Rotation, robot minus bar", "[µrad]", &|one, axis| one.turned_rad[axis] * 1e6)?);
+        panels.push(panel("Rotation, robot minus bar", "[µrad]", &|one, axis| one.turned_rad[axis] * 1e6));
     }
-    Ok(panels)
+    panels
 }
 
 /// The residual by the value of each robot joint and by its direction of motion.
-pub(in crate::report::page) fn by_joint(
-    evidence: &Evidence,
-    robot: &Chain,
-) -> Result<Vec<Markup>, PlotError> {
+pub(in crate::report::page) fn by_joint(evidence: &Evidence, robot: &Chain) -> Vec<Markup> {
     let panel = |(joint, (gaps, kind)): (usize, (&Vec<JointGap>, JointKind))| {
         let in_direction = |name, colour, forward: bool| {
             let is_wanted = |gap: &&JointGap| (gap.qd > 0.0) == forward;
@@ -154,14 +145,14 @@ pub(in crate::report::page) fn by_joint(
 }
 
 /// The gap as a function of a time shift between the two logs.
-pub(in crate::report::page) fn shift(title: &str, curve: &ShiftCurve) -> Result<Markup, PlotError> {
+pub(in crate::report::page) fn shift(title: &str, curve: &ShiftCurve) -> Markup {
     let points = curve.shift_s.iter().zip(&curve.rms_m).map(|(shift_s, rms_m)| (shift_s * 1e3, rms_m * 1e3));
     let series = vec![Series::new("", BLUE, Mark::Line, points.collect())];
     Panel::new(title, ["added time shift [ms]", "RMS distance [mm]"], THIRD, series).with_zero().draw()
 }
 
 /// How the alignment varies along a run.
-pub(in crate::report::page) fn local_shifts(shifts: &[LocalShift]) -> Result<Markup, PlotError> {
+pub(in crate::report::page) fn local_shifts(shifts: &[LocalShift]) -> Markup {
     let time = TimeAxis::of(shifts.iter().map(|shift| shift.t_s));
     let points = shifts.iter().map(|shift| (time.at(shift.t_s), shift.shift_s * 1e3));
     let series = vec![dots("", BLUE, points.collect())];
@@ -179,13 +170,13 @@ fn by_run(evidence: &Evidence, point: impl Fn(&Closure) -> (f64, f64)) -> Vec<Se
 }
 
 /// Directions of the bar, from above.
-pub(in crate::report::page) fn coverage(evidence: &Evidence) -> Result<Markup, PlotError> {
+pub(in crate::report::page) fn coverage(evidence: &Evidence) -> Markup {
     let series = by_run(evidence, |one| from_above(&one.direction));
     sphere_from_above("Directions of the bar, from above", series)
 }
 
 /// Distance from singular poses over time.
-pub(in crate::report::page) fn margin(evidence: &Evidence) -> Result<Markup, PlotError> {
+pub(in crate::report::page) fn margin(evidence: &Evidence) -> Markup {
     let times = evidence.runs.iter().flat_map(|run| &run.after).map(|closure| closure.t_s);
     let time = TimeAxis::of(times);
     let series = by_run(evidence, |one| (time.at(one.t_s), one.margin_rad.to_degrees()));

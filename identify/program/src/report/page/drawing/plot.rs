@@ -4,19 +4,14 @@
 //! times the bytes, and a browser would be slow with them. The title and the names of the sets stand above the axes, where
 //! they hide nothing.
 
-use maud::{Markup, PreEscaped};
+use std::io;
+
+use maud::{Markup, PreEscaped, html};
 use plotters::coord::Shift;
+use plotters::drawing::DrawingAreaErrorKind;
 use plotters::prelude::*;
 
 use super::thin;
-
-/// A figure that cannot be drawn.
-#[derive(Debug, thiserror::Error)]
-#[error("the figure `{title}` cannot be drawn: {reason}")]
-pub struct PlotError {
-    title: String,
-    reason: String,
-}
 
 /// Colours of sets, in their order.
 pub(in crate::report) const COLOURS: [RGBColor; 6] = [
@@ -148,27 +143,28 @@ impl Panel {
         self.names.get(x.round() as usize).filter(|_| is_whole).cloned().unwrap_or_default()
     }
 
-    /// As an SVG element.
-    pub fn draw(&self) -> Result<Markup, PlotError> {
+    /// As an SVG element. Writing to a string cannot fail, and the widths of letters are estimated, not read from a font. If the
+    /// library returns an error nevertheless, its message is in place of the figure.
+    pub fn draw(&self) -> Markup {
         let mut text = String::new();
-        let strokes = {
-            let area = SVGBackend::with_string(&mut text, (self.size.0 * FINE, self.size.1 * FINE))
-                .into_drawing_area();
-            let error = |reason| PlotError { title: self.title.clone(), reason };
-            let strokes = self.onto(&area).map_err(error)?;
-            area.present().map_err(|failure| error(failure.to_string()))?;
-            strokes
+        let size = (self.size.0 * FINE, self.size.1 * FINE);
+        let strokes = match self.onto(&SVGBackend::with_string(&mut text, size).into_drawing_area()) {
+            Ok(strokes) => strokes,
+            Err(reason) => return html! { "the figure `" (self.title) "` cannot be drawn: " (reason) },
         };
         let end = text.rfind("</svg>").unwrap_or(text.len());
         text.truncate(end);
         strokes.iter().for_each(|strokes| text.push_str(&strokes.svg()));
         text.push_str(&self.heading());
         text.push_str("</svg>\n");
-        Ok(PreEscaped(text))
+        PreEscaped(text)
     }
 
     /// Draws axes and lines, and returns the other series, which are added as text.
-    fn onto(&self, area: &DrawingArea<SVGBackend<'_>, Shift>) -> Result<Vec<Strokes>, String> {
+    fn onto(
+        &self,
+        area: &DrawingArea<SVGBackend<'_>, Shift>,
+    ) -> Result<Vec<Strokes>, DrawingAreaErrorKind<io::Error>> {
         let finite =
             || self.series.iter().flat_map(|one| &one.points).filter(|(x, y)| x.is_finite() && y.is_finite());
         let (x, y) = (range(finite().map(|p| p.0), false), range(finite().map(|p| p.1), self.with_zero));
@@ -178,8 +174,7 @@ impl Panel {
             .margin_right(14 * FINE)
             .x_label_area_size(36 * FINE)
             .y_label_area_size(LEFT_PX * FINE)
-            .build_cartesian_2d(x.0..x.1, y.0..y.1)
-            .map_err(message)?;
+            .build_cartesian_2d(x.0..x.1, y.0..y.1)?;
         chart
             .configure_mesh()
             .x_desc(&self.x)
@@ -193,8 +188,7 @@ impl Panel {
             .y_labels(6)
             .x_label_formatter(&|value| self.x_label(*value, x.1 - x.0))
             .y_label_formatter(&|value| short(*value, y.1 - y.0))
-            .draw()
-            .map_err(message)?;
+            .draw()?;
         let mut strokes = Vec::new();
         for one in &self.series {
             let at = one.points.iter().filter(|(x, y)| x.is_finite() && y.is_finite());
@@ -204,10 +198,11 @@ impl Panel {
                 Mark::Segments => strokes.push(Strokes::segments(one.colour, &at)),
                 Mark::Line => {
                     let line = thin::line(&at, FINE as i32);
-                    area.draw(&PathElement::new(line, one.colour.stroke_width(2 * FINE))).map_err(message)?;
+                    area.draw(&PathElement::new(line, one.colour.stroke_width(2 * FINE)))?;
                 }
             }
         }
+        area.present()?;
         Ok(strokes)
     }
 
@@ -261,15 +256,11 @@ fn letters_px(text: &str, font_px: u32) -> f64 {
 
 fn label(x: f64, y: f64, font_px: u32, text: &str) -> String {
     let RGBColor(r, g, b) = INK;
-    let text = maud::html! { (text) }.into_string();
+    let text = html! { (text) }.into_string();
     format!(
         "<text x=\"{x:.0}\" y=\"{y:.0}\" font-size=\"{}\" font-family=\"{FONT}\" fill=\"rgb({r},{g},{b})\">{text}</text>",
         font_px * FINE
     )
-}
-
-fn message(error: impl std::fmt::Display) -> String {
-    error.to_string()
 }
 
 /// Smallest to largest with a little room; something that can be drawn where there is nothing.

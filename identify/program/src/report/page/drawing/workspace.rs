@@ -4,7 +4,7 @@ use maud::{Markup, html};
 use plotters::style::RGBColor;
 
 use super::figures::dots;
-use super::plot::{Panel, PlotError};
+use super::plot::Panel;
 use crate::evaluate::{PlaceError, WorkspaceError};
 use crate::report::page::sections::mm;
 
@@ -21,24 +21,24 @@ const FIFTHS: [RGBColor; 5] = [
 const SHEET: (u32, u32) = (450, 300);
 
 /// Two maps, with the nominal and with the calibrated robot; nothing without places.
-pub(in crate::report::page) fn map(workspace: &WorkspaceError) -> Result<Markup, PlotError> {
+pub(in crate::report::page) fn map(workspace: &WorkspaceError) -> Markup {
     if workspace.places.is_empty() {
-        return Ok(html! {});
+        return html! {};
     }
-    Ok(html! { figure {
+    html! { figure {
         div.panels {
-            (one_map("Nominal robot", &workspace.places, |place| place.before_m)?)
-            (one_map("Calibrated robot", &workspace.places, |place| place.after_m)?)
+            (one_map("Nominal robot", &workspace.places, |place| place.before_m))
+            (one_map("Calibrated robot", &workspace.places, |place| place.after_m))
         }
         figcaption {
             "Position error that is expected by place, root mean square. Each dot is a posture within the joint limits, each colour a "
             "fifth of the postures; each map has its own scale. Red: the worst fifth, where more measurements help most."
         }
-    } })
+    } }
 }
 
 /// The places as dots, a series for each fifth; its legend is its largest error.
-fn one_map(title: &str, places: &[PlaceError], error_m: fn(&PlaceError) -> f64) -> Result<Markup, PlotError> {
+fn one_map(title: &str, places: &[PlaceError], error_m: fn(&PlaceError) -> f64) -> Markup {
     let mut sorted: Vec<&PlaceError> = places.iter().collect();
     sorted.sort_by(|a, b| error_m(a).total_cmp(&error_m(b)));
     // Distance from the first axis and height [mm].

@@ -9,11 +9,11 @@ use crate::kinematics::BAR_JOINTS;
 use crate::logs::RobotLog;
 use crate::model::ParameterId;
 use crate::plan::{Bodies, Checked, Constraints, Path as BarPath};
+use crate::report::page::document_with;
 use crate::report::page::drawing::figures::{ROUND, WIDE, dots, from_above, sphere_from_above};
-use crate::report::page::drawing::plot::{BLUE, COLOURS, GREY, Mark, Panel, PlotError, Series};
-use crate::report::page::{PageError, document_with};
+use crate::report::page::drawing::plot::{BLUE, COLOURS, GREY, Mark, Panel, Series};
 use crate::report::path::has_prismatic;
-use crate::report::result::file::replace;
+use crate::report::result::file::{FileError, replace};
 
 /// Points of a curve on the page, at most.
 const POINTS: usize = 600;
@@ -41,17 +41,13 @@ impl PathPage<'_> {
     /// Writes `path.html` into the directory, whole or not at all.
     ///
     /// # Errors
-    /// [`PageError`].
-    pub fn write(&self, directory: &Path) -> Result<PathBuf, PageError> {
-        let text = self.render()?.into_string();
-        Ok(replace(directory, "path.html", &text)?)
+    /// [`FileError`].
+    pub fn write(&self, directory: &Path) -> Result<PathBuf, FileError> {
+        replace(directory, "path.html", &self.render().into_string())
     }
 
     /// The page.
-    ///
-    /// # Errors
-    /// [`PlotError`].
-    pub fn render(&self) -> Result<Markup, PlotError> {
+    pub fn render(&self) -> Markup {
         let title = format!("Path for {}", self.robot);
         let sigmas_of = |is_robot: bool| {
             self.sigmas.iter().filter(move |(id, _)| matches!(id, ParameterId::Robot { .. }) == is_robot)
@@ -66,7 +62,7 @@ impl PathPage<'_> {
                 } } }
             } }
         };
-        Ok(document_with(
+        document_with(
             &title,
             path_view::SCRIPTS,
             &html! {
@@ -80,13 +76,13 @@ impl PathPage<'_> {
                     @if let Some(bodies) = &self.constraints.bodies { (collisions(bodies, true)) }
                     h2 { "Where the bar goes" }
                     figure {
-                        div.panels { (self.sphere()?) (self.margin()?) }
+                        div.panels { (self.sphere()) (self.margin()) }
                         figcaption { "Left: equal areas of the sphere are equal areas of the figure." }
                     }
                     h2 { "What the robot does" }
-                    figure { (self.angles()?) (self.speeds()?) }
+                    figure { (self.angles()) (self.speeds()) }
                     h2 { "How far the bar's cables are wound" }
-                    figure { (self.winding()?) }
+                    figure { (self.winding()) }
                     h2 { "What a calibration is expected to know" }
                     div.columns { (table("Robot", true)) (table("Bar, base, clock and errors of axes", false)) }
                     p.note {
@@ -95,7 +91,7 @@ impl PathPage<'_> {
                     }
                 }
             },
-        ))
+        )
     }
 
     fn view(&self) -> Markup {
@@ -136,7 +132,7 @@ impl PathPage<'_> {
         (0..count).map(series).collect()
     }
 
-    fn angles(&self) -> Result<Markup, PlotError> {
+    fn angles(&self) -> Markup {
         let arm = self.constraints.robot();
         let series = self.by_joint("joint ", self.robot_path.axes(), |_, row, joint| {
             Some(self.robot_path.q_rad.get(row)?[joint] * arm.links.get(joint)?.joint.display_factor())
@@ -144,7 +140,7 @@ impl PathPage<'_> {
         over_time("Robot joints", if has_prismatic(arm) { "[deg, mm]" } else { "[deg]" }, series)
     }
 
-    fn speeds(&self) -> Result<Markup, PlotError> {
+    fn speeds(&self) -> Markup {
         let log = self.robot_path;
         let series = self.by_joint("joint ", log.axes(), |_, row, joint| {
             let next = row + 1;
@@ -155,14 +151,14 @@ impl PathPage<'_> {
         over_time("Their speeds", y, series)
     }
 
-    fn winding(&self) -> Result<Markup, PlotError> {
+    fn winding(&self) -> Markup {
         let series = self.by_joint("joint ", BAR_JOINTS, |t_s, _, joint| {
             Some((self.path.at(t_s)[joint] - self.path.start_rad[joint]).to_degrees())
         });
         over_time("Bar joints from the start", "[deg]", series)
     }
 
-    fn sphere(&self) -> Result<Markup, PlotError> {
+    fn sphere(&self) -> Markup {
         let bar = self.constraints.bar_chain();
         let gimbal = bar.root_from_base.translation.vector;
         let place = |t_s: f64| {
@@ -175,7 +171,7 @@ impl PathPage<'_> {
         sphere_from_above("Directions of the rod", series)
     }
 
-    fn margin(&self) -> Result<Markup, PlotError> {
+    fn margin(&self) -> Markup {
         let bar_links = &self.constraints.bar_chain().links;
         let margin =
             |t_s: f64| crate::kinematics::singularity_margin_rad(bar_links, &self.path.at(t_s)).to_degrees();
@@ -200,6 +196,6 @@ pub(in crate::report::page) fn collisions(bodies: &Bodies, with_bar: bool) -> Ma
     } }
 }
 
-fn over_time(title: &str, unit: &str, series: Vec<Series>) -> Result<Markup, PlotError> {
+fn over_time(title: &str, unit: &str, series: Vec<Series>) -> Markup {
     Panel::new(title, ["[s]", unit], WIDE, series).draw()
 }

@@ -10,12 +10,12 @@ use super::path_view::{self, Carried, View, view};
 use crate::kinematics::{Chain, Joints};
 use crate::model::ParameterId;
 use crate::plan::{Bodies, Determined, PlannedPoses};
+use crate::report::page::document_with;
 use crate::report::page::drawing::figures::{ROUND, WIDE, dots};
-use crate::report::page::drawing::plot::{BLUE, COLOURS, GREY, Mark, Panel, PlotError, Series};
+use crate::report::page::drawing::plot::{BLUE, COLOURS, GREY, Mark, Panel, Series};
 use crate::report::page::sections::{mm, number};
-use crate::report::page::{PageError, document_with};
 use crate::report::path;
-use crate::report::result::file::replace;
+use crate::report::result::file::{FileError, replace};
 
 /// Frames of the animation from one chosen pose to the next.
 const FRAMES_PER_MOVE: usize = 12;
@@ -45,21 +45,17 @@ impl PosesPage<'_> {
     /// Writes `poses.html` into the directory, whole or not at all.
     ///
     /// # Errors
-    /// [`PageError`].
-    pub fn write(&self, directory: &Path) -> Result<PathBuf, PageError> {
-        let text = self.render()?.into_string();
-        Ok(replace(directory, "poses.html", &text)?)
+    /// [`FileError`].
+    pub fn write(&self, directory: &Path) -> Result<PathBuf, FileError> {
+        replace(directory, "poses.html", &self.render().into_string())
     }
 
     /// The page.
-    ///
-    /// # Errors
-    /// [`PlotError`].
-    pub fn render(&self) -> Result<Markup, PlotError> {
+    pub fn render(&self) -> Markup {
         let planned = self.planned;
         let title = format!("Poses for {}", self.robot);
         let count = planned.joints.len();
-        Ok(document_with(
+        document_with(
             &title,
             path_view::SCRIPTS,
             &html! {
@@ -82,9 +78,9 @@ impl PosesPage<'_> {
                         "calibration expects. What no parameter describes comes on top."
                     }
                     h2 { "Where the target goes" }
-                    figure { div.panels { (self.above()?) (self.beside()?) } }
+                    figure { div.panels { (self.above()) (self.beside()) } }
                     h2 { "What the robot does" }
-                    figure { (self.angles()?) }
+                    figure { (self.angles()) }
                     (self.travel())
                     h2 { "What a calibration is expected to know" }
                     (self.determined())
@@ -92,7 +88,7 @@ impl PosesPage<'_> {
                     (self.weakest())
                 }
             },
-        ))
+        )
     }
 
     /// Position of the target in the robot's base frame \[m\].
@@ -122,26 +118,21 @@ impl PosesPage<'_> {
         })
     }
 
-    fn places(
-        &self,
-        title: &str,
-        axes: [&str; 2],
-        project: fn(&Vector3<f64>) -> (f64, f64),
-    ) -> Result<Markup, PlotError> {
+    fn places(&self, title: &str, axes: [&str; 2], project: fn(&Vector3<f64>) -> (f64, f64)) -> Markup {
         let places = self.planned.joints.iter().map(|q| project(&self.target(q))).collect();
         Panel::new(title, axes, ROUND, vec![dots("", BLUE, places)]).draw()
     }
 
-    fn above(&self) -> Result<Markup, PlotError> {
+    fn above(&self) -> Markup {
         self.places("From above", ["x [m]", "y [m]"], |at| (at.x, at.y))
     }
 
-    fn beside(&self) -> Result<Markup, PlotError> {
+    fn beside(&self) -> Markup {
         let axes = ["distance from the base's z [m]", "z [m]"];
         self.places("From the side", axes, |at| (at.x.hypot(at.y), at.z))
     }
 
-    fn angles(&self) -> Result<Markup, PlotError> {
+    fn angles(&self) -> Markup {
         let series = |joint: usize| {
             let value = |(pose, q): (usize, &Joints)| (pose as f64 + 1.0, q[joint] * self.unit(joint).0);
             let points = self.planned.joints.iter().enumerate().map(value).collect();

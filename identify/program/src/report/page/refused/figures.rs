@@ -7,7 +7,7 @@ use plotters::prelude::RGBColor;
 use crate::inspect::curves::JointTrace;
 use crate::prepare::Deviations;
 use crate::report::page::drawing::figures::{THIRD, TimeAxis, dots};
-use crate::report::page::drawing::plot::{BLUE, COLOURS, Mark, ORANGE, Panel, PlotError, Series};
+use crate::report::page::drawing::plot::{BLUE, COLOURS, Mark, ORANGE, Panel, Series};
 use crate::statistics::extremes;
 
 const RED: RGBColor = COLOURS[5];
@@ -15,7 +15,7 @@ const RED: RGBColor = COLOURS[5];
 const PARTS_MAX: usize = 200;
 
 /// One figure for each joint of a log.
-pub(super) fn joints(curves: &[JointTrace], at_s: Option<f64>) -> Result<Vec<Markup>, PlotError> {
+pub(super) fn joints(curves: &[JointTrace], at_s: Option<f64>) -> Vec<Markup> {
     let figure = |curve: &JointTrace| {
         let points = || curve.parts.iter().flatten();
         let time = TimeAxis::of(points().map(|(t_s, _)| *t_s));
@@ -34,7 +34,7 @@ pub(super) fn joints(curves: &[JointTrace], at_s: Option<f64>) -> Result<Vec<Mar
 
 /// Residuals of each encoder, and the alignment along the run. The instant is marked in all of them: a step of one encoder
 /// alone is a slip, steps of several at the same instant are a clock step.
-pub(super) fn deviations(deviations: &Deviations, at_s: Option<f64>) -> Result<Vec<Markup>, PlotError> {
+pub(super) fn deviations(deviations: &Deviations, at_s: Option<f64>) -> Vec<Markup> {
     let samples = &deviations.samples;
     let time = TimeAxis::of(samples.iter().map(|(t_s, _)| *t_s));
     let measured = deviations.measured.iter().enumerate().filter(|(_, measured)| **measured);
@@ -42,23 +42,16 @@ pub(super) fn deviations(deviations: &Deviations, at_s: Option<f64>) -> Result<V
         let points = samples.iter().map(|(t_s, error_rad)| (time.at(*t_s), error_rad[joint] * 1e3));
         panel(format!("b{}", joint + 1), "[mrad]", &time, vec![dots("", BLUE, points.collect())], at_s)
     };
-    let mut panels =
-        measured.map(|(joint, _)| of_joint(joint)).collect::<Result<Vec<Markup>, PlotError>>()?;
+    let mut panels: Vec<Markup> = measured.map(|(joint, _)| of_joint(joint)).collect();
     if !deviations.local_shifts.is_empty() {
         let points = deviations.local_shifts.iter().map(|shift| (time.at(shift.t_s), shift.shift_s * 1e3));
         let series = vec![dots("", ORANGE, points.collect())];
-        panels.push(panel("Alignment".into(), "shift [ms]", &time, series, at_s)?);
+        panels.push(panel("Alignment".into(), "shift [ms]", &time, series, at_s));
     }
-    Ok(panels)
+    panels
 }
 
-fn panel(
-    title: String,
-    y: &str,
-    time: &TimeAxis,
-    mut series: Vec<Series>,
-    at_s: Option<f64>,
-) -> Result<Markup, PlotError> {
+fn panel(title: String, y: &str, time: &TimeAxis, mut series: Vec<Series>, at_s: Option<f64>) -> Markup {
     series.extend(mark(time, at_s, &series));
     Panel::new(title, [&time.since_first(), y], THIRD, series).draw()
 }

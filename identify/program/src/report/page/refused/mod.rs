@@ -8,14 +8,13 @@ use std::path::{Path, PathBuf};
 use maud::{Markup, html};
 
 use super::certificate::{identity, sheet, to_the_second};
-use super::drawing::plot::PlotError;
+use super::document;
 use super::run::inputs::{InspectedLog, rows};
 use super::sections::repeated_with;
-use super::{PageError, document};
 use crate::calibrate::refusal::CalibrationRefusal;
 use crate::inspect::JointLine;
 use crate::report::result::earlier::Earlier;
-use crate::report::result::file::{InputFile, MeasurementEntry, now, replace, software};
+use crate::report::result::file::{FileError, InputFile, MeasurementEntry, now, replace, software};
 
 /// Content of the page.
 #[derive(Debug)]
@@ -50,21 +49,18 @@ impl RefusedPage<'_> {
     /// of its own, because the page does not describe it.
     ///
     /// # Errors
-    /// [`PageError`].
-    pub fn write(&self, directory: &Path) -> Result<WrittenRefusal, PageError> {
+    /// [`FileError`].
+    pub fn write(&self, directory: &Path) -> Result<WrittenRefusal, FileError> {
         let earlier = Earlier::in_directory(directory);
-        let text = self.render(earlier.as_ref().map(Earlier::destination))?.into_string();
+        let text = self.render(earlier.as_ref().map(Earlier::destination)).into_string();
         let set_aside = earlier.map(Earlier::set_aside).transpose()?;
         Ok(WrittenRefusal { page: replace(directory, "report.html", &text)?, set_aside })
     }
 
     /// The page; `set_aside` is where an older calibration goes.
-    ///
-    /// # Errors
-    /// [`PlotError`].
-    pub fn render(&self, set_aside: Option<&Path>) -> Result<Markup, PlotError> {
+    pub fn render(&self, set_aside: Option<&Path>) -> Markup {
         let title = format!("Calibration of {}: refused", self.robot);
-        Ok(document(
+        document(
             &title,
             &html! {
                 main {
@@ -76,12 +72,12 @@ impl RefusedPage<'_> {
                         (self.verdict(set_aside))
                         (identity(self.robot, self.instrument, self.measured, None, None))
                     }))
-                    (self.deviations()?)
-                    @for (number, run) in self.runs.iter().enumerate() { (self.run(number, run)?) }
+                    (self.deviations())
+                    @for (number, run) in self.runs.iter().enumerate() { (self.run(number, run)) }
                     (repeated_with(self.inputs, &software(), self.configuration))
                 }
             },
-        ))
+        )
     }
 
     fn verdict(&self, set_aside: Option<&Path>) -> Markup {
@@ -130,13 +126,13 @@ impl RefusedPage<'_> {
     }
 
     /// Encoders against the geometry that fits best.
-    fn deviations(&self) -> Result<Markup, PlotError> {
-        let Some(deviations) = self.refusal.deviations else { return Ok(html! {}) };
-        Ok(html! {
+    fn deviations(&self) -> Markup {
+        let Some(deviations) = self.refusal.deviations else { return html! {} };
+        html! {
             h2 { "Encoders against the robot" }
             figure {
                 div.panels.three {
-                    @for panel in figures::deviations(deviations, self.refusal.place.bar_s)? { (panel) }
+                    @for panel in figures::deviations(deviations, self.refusal.place.bar_s) { (panel) }
                 }
                 figcaption {
                     "Measured minus predicted angle of each encoder, for the geometry that fits best, with less weight near singular "
@@ -148,7 +144,7 @@ impl RefusedPage<'_> {
                     "." (self.legend())
                 }
             }
-        })
+        }
     }
 
     /// Meaning of the red line, if there is one.
@@ -156,21 +152,21 @@ impl RefusedPage<'_> {
         if self.refusal.place.bar_s.is_some() { " Red: time of the problem." } else { "" }
     }
 
-    fn run(&self, number: usize, [recording, robot_log]: &[InspectedLog; 2]) -> Result<Markup, PlotError> {
+    fn run(&self, number: usize, [recording, robot_log]: &[InspectedLog; 2]) -> Markup {
         let place = (self.refusal.run == Some(number)).then_some(&self.refusal.place);
         let name = (self.runs.len() > 1).then(|| self.number(number));
-        Ok(html! {
-            (log("Recording of the bar", name.as_deref(), recording, place.and_then(|place| place.bar_s))?)
-            (log("Robot's log", name.as_deref(), robot_log, place.and_then(|place| place.robot_s))?)
-        })
+        html! {
+            (log("Recording of the bar", name.as_deref(), recording, place.and_then(|place| place.bar_s)))
+            (log("Robot's log", name.as_deref(), robot_log, place.and_then(|place| place.robot_s)))
+        }
     }
 }
 
 /// Content of one log of a run; the instant `at_s` is marked.
-fn log(what: &str, run: Option<&str>, log: &InspectedLog, at_s: Option<f64>) -> Result<Markup, PlotError> {
-    let panels = figures::joints(&log.curves, at_s)?;
+fn log(what: &str, run: Option<&str>, log: &InspectedLog, at_s: Option<f64>) -> Markup {
+    let panels = figures::joints(&log.curves, at_s);
     let found = &log.inspection;
-    Ok(html! {
+    html! {
         h2 {
             (what)
             @if let Some(run) = run { span.run { " · " (run) } }
@@ -194,7 +190,7 @@ fn log(what: &str, run: Option<&str>, log: &InspectedLog, at_s: Option<f64>) -> 
             }
             @for group in found.joints_by_unit() { (joints(group)) }
         }
-    })
+    }
 }
 
 /// Joints of one unit.

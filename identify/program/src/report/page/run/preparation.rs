@@ -6,18 +6,18 @@ use super::readings;
 use crate::kinematics::BAR_JOINTS;
 use crate::prepare::{Prepared, SampleStatus, Timeline, TimelinePoint};
 use crate::report::page::drawing::figures::{THIRD, TimeAxis, WIDE, dots};
-use crate::report::page::drawing::plot::{BLUE, GREEN, GREY, Mark, ORANGE, Panel, PlotError, Series};
+use crate::report::page::drawing::plot::{BLUE, GREEN, GREY, Mark, ORANGE, Panel, Series};
 
 /// Figures and tables of one run.
-pub(in crate::report::page) fn section(prepared: &Prepared) -> Result<Markup, PlotError> {
+pub(in crate::report::page) fn section(prepared: &Prepared) -> Markup {
     let Prepared { timeline, measured, .. } = prepared;
     let joints = || (0..BAR_JOINTS).filter(|&joint| measured[joint]);
-    Ok(html! {
-        (readings::unwrapping(timeline)?)
-        (readings::moving_average(timeline.averaged.as_ref())?)
+    html! {
+        (readings::unwrapping(timeline))
+        (readings::moving_average(timeline.averaged.as_ref()))
         (sphere(prepared))
         figure {
-            (speeds(timeline)?)
+            (speeds(timeline))
             figcaption {
                 "Speed of the fastest joint of robot and bar, on the bar's clock after the alignment. Both stand still together "
                 (timeline.standstills.len()) " times, "
@@ -25,11 +25,11 @@ pub(in crate::report::page) fn section(prepared: &Prepared) -> Result<Markup, Pl
             }
         }
         figure {
-            div.panels.three { @for joint in joints() { (angle_by_status(timeline, joint)?) } }
+            div.panels.three { @for joint in joints() { (angle_by_status(timeline, joint)) } }
             figcaption { "Joints of the bar: usable samples, and samples that were left out for one of the reasons below." }
         }
         figure {
-            div.panels.three { @for joint in joints() { (residuals(timeline, joint)?) } }
+            div.panels.three { @for joint in joints() { (residuals(timeline, joint)) } }
             figcaption {
                 "Used samples of each joint minus the angles that the robot's log implies for the nominal robot and bar. Alignment "
                 "and encoder offsets were estimated from these differences; they contain the errors of robot and bar."
@@ -38,7 +38,7 @@ pub(in crate::report::page) fn section(prepared: &Prepared) -> Result<Markup, Pl
         (encoders(prepared))
         (jitter(timeline))
         (statuses(prepared))
-    })
+    }
 }
 
 fn time_axis(timeline: &Timeline) -> TimeAxis {
@@ -46,7 +46,7 @@ fn time_axis(timeline: &Timeline) -> TimeAxis {
 }
 
 /// Speed of the robot's and of the bar's fastest joint over time.
-fn speeds(timeline: &Timeline) -> Result<Markup, PlotError> {
+fn speeds(timeline: &Timeline) -> Markup {
     /// If points are further apart than this on average, dots are drawn: lines between them would mislead \[s\].
     const APART_S: f64 = 1.0;
     let time = time_axis(timeline);
@@ -75,7 +75,7 @@ const fn is_usable(status: SampleStatus) -> bool {
 }
 
 /// Angle of a bar joint over time: usable samples and those that were left out.
-fn angle_by_status(timeline: &Timeline, joint: usize) -> Result<Markup, PlotError> {
+fn angle_by_status(timeline: &Timeline, joint: usize) -> Markup {
     let time = time_axis(timeline);
     let with_status = |name, colour, usable: bool| {
         let points = timeline.points.iter().filter(|point| is_usable(point.status) == usable);
@@ -88,7 +88,7 @@ fn angle_by_status(timeline: &Timeline, joint: usize) -> Result<Markup, PlotErro
 }
 
 /// Measured minus predicted angle of a bar joint over time.
-fn residuals(timeline: &Timeline, joint: usize) -> Result<Markup, PlotError> {
+fn residuals(timeline: &Timeline, joint: usize) -> Markup {
     let time = time_axis(timeline);
     let used = timeline.points.iter().filter(|point| point.status == SampleStatus::Kept);
     let off = |point: &TimelinePoint| Some((time.at(point.t_s), point.off_rad()?[joint] * 1e3));

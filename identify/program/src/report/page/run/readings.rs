@@ -7,7 +7,7 @@ use maud::{Markup, html};
 use crate::logs::{Unwrapped, UnwrappedPoint};
 use crate::prepare::{Averaged, AveragedJoints, AveragedPoint, Timeline};
 use crate::report::page::drawing::figures::{HALF, TimeAxis, dots};
-use crate::report::page::drawing::plot::{BLUE, GREY, Mark, ORANGE, Panel, PlotError, Series};
+use crate::report::page::drawing::plot::{BLUE, GREY, Mark, ORANGE, Panel, Series};
 
 /// Width and height of a panel \[px\]; low, because a run may have eleven pairs of panels: five encoders and six joints.
 const PAIR_SIZE: (u32, u32) = (450, 170);
@@ -15,18 +15,18 @@ const PAIR_SIZE: (u32, u32) = (450, 170);
 const TURNS_MIN: f64 = 1.5;
 
 /// Readings that wrapped: as their files contain them, and as they were used.
-pub(in crate::report::page) fn unwrapping(timeline: &Timeline) -> Result<Markup, PlotError> {
+pub(in crate::report::page) fn unwrapping(timeline: &Timeline) -> Markup {
     let unwrapped: Vec<&Unwrapped> =
         timeline.unwrapped_encoders.iter().chain(&timeline.unwrapped_joints).collect();
     if unwrapped.is_empty() {
-        return Ok(html! {
+        return html! {
             p { b { "Unwrapping: " } "no counter of the bar and no joint in the robot's log wrapped; nothing was to be unwrapped." }
-        });
+        };
     }
-    Ok(html! {
+    html! {
         p { b { "Unwrapping: " } "these readings wrapped during the run and were made continuous; the others did not wrap." }
         figure {
-            div.panels { @for reading in &unwrapped { (pair(reading)?) } }
+            div.panels { @for reading in &unwrapped { (pair(reading)) } }
             figcaption {
                 "Left: as in the file. Right: as used. The section with the most wraps is shown. b: encoder of the bar by "
                 "the joint that its file states, q: joint in the robot's log. "
@@ -38,7 +38,7 @@ pub(in crate::report::page) fn unwrapping(timeline: &Timeline) -> Result<Markup,
                 "."
             }
         }
-    })
+    }
 }
 
 fn percent(part: f64) -> String {
@@ -46,7 +46,7 @@ fn percent(part: f64) -> String {
 }
 
 /// The readings in the file beside the continuous ones, over time.
-fn pair(reading: &Unwrapped) -> Result<Markup, PlotError> {
+fn pair(reading: &Unwrapped) -> Markup {
     let time = TimeAxis::of(reading.points.iter().map(|point| point.t_s));
     let panel = |title: &str, unit: &str, scale: f64, colour, angle_rad: fn(&UnwrappedPoint) -> f64| {
         let points = reading.points.iter().map(|point| (time.at(point.t_s), angle_rad(point) * scale));
@@ -56,24 +56,24 @@ fn pair(reading: &Unwrapped) -> Result<Markup, PlotError> {
     let degrees = 1f64.to_degrees();
     let in_turns = reading.period_rad > TURNS_MIN * TAU;
     let (unit, scale) = if in_turns { ("counter [turns]", TAU.recip()) } else { ("[deg]", degrees) };
-    Ok(html! {
-        (panel("in the file", unit, scale, GREY, |point| point.shown_rad)?)
-        (panel("continuous", "[deg]", degrees, BLUE, |point| point.continuous_rad)?)
-    })
+    html! {
+        (panel("in the file", unit, scale, GREY, |point| point.shown_rad))
+        (panel("continuous", "[deg]", degrees, BLUE, |point| point.continuous_rad))
+    }
 }
 
 /// Effect of the moving average, or a note that it is off.
-pub(in crate::report::page) fn moving_average(averaged: Option<&Averaged>) -> Result<Markup, PlotError> {
+pub(in crate::report::page) fn moving_average(averaged: Option<&Averaged>) -> Markup {
     let Some(averaged) = averaged else {
-        return Ok(html! {
+        return html! {
             p {
                 b { "Moving average: " } "off (default): the cost contains the noise of the angles. "
                 code { "prepare.moving_average_ms" } " switches it on, for both logs alike."
             }
-        });
+        };
     };
     let width_ms = averaged.width_s * 1e3;
-    Ok(html! {
+    html! {
         p {
             b { "Moving average: " } "both logs were averaged over " (format!("{width_ms:.0}")) " ms, centred and in the same way. "
             "The mean of a curved motion lies inside the curve. This bias was estimated from the mean over twice the time, and corrected. "
@@ -81,8 +81,8 @@ pub(in crate::report::page) fn moving_average(averaged: Option<&Averaged>) -> Re
         }
         figure {
             div.panels {
-                (excerpt("Robot, q", &averaged.robot, BLUE)?)
-                (excerpt("Bar, b", &averaged.bar, ORANGE)?)
+                (excerpt("Robot, q", &averaged.robot, BLUE))
+                (excerpt("Bar, b", &averaged.bar, ORANGE))
             }
             figcaption {
                 "The fastest joint of each log around its fastest moment. Left: its speed from the readings (grey) and from the "
@@ -91,15 +91,11 @@ pub(in crate::report::page) fn moving_average(averaged: Option<&Averaged>) -> Re
             }
         }
         (removed_table(averaged))
-    })
+    }
 }
 
 /// Speeds from the readings and from the averages, and the differences of the angles, over time.
-fn excerpt(
-    name: &str,
-    joints: &AveragedJoints,
-    colour: plotters::style::RGBColor,
-) -> Result<Markup, PlotError> {
+fn excerpt(name: &str, joints: &AveragedJoints, colour: plotters::style::RGBColor) -> Markup {
     let points = &joints.fastest;
     let time = TimeAxis::of(points.iter().map(|point| point.t_s));
     let curve = |value: fn(&AveragedPoint) -> f64| -> Vec<(f64, f64)> {
@@ -114,7 +110,7 @@ fn excerpt(
         Series::new("averaged", colour, Mark::Line, curve(|point| point.averaged_rad_s.to_degrees())),
     ];
     let removed = vec![dots("", colour, curve(|point| point.removed_rad * 1e6))];
-    Ok(html! { (panel("speed", "[deg/s]", speeds)?) (panel("reading minus average", "[µrad]", removed)?) })
+    html! { (panel("speed", "[deg/s]", speeds)) (panel("reading minus average", "[µrad]", removed)) }
 }
 
 /// RMS of reading minus average of each joint, at standstill and in motion.

@@ -7,7 +7,6 @@ use crate::evaluate::{Evidence, RunEvidence};
 use crate::prepare::Prepared;
 use crate::report::page::Page;
 use crate::report::page::drawing::figures;
-use crate::report::page::drawing::plot::PlotError;
 
 /// Name of each run with that of its file; `None` if there is only one run.
 pub(in crate::report::page) fn names(page: &Page<'_>) -> Vec<Option<String>> {
@@ -24,37 +23,37 @@ pub(in crate::report::page) fn title(what: &str, name: Option<&String>) -> Marku
 }
 
 /// Residuals over time of all runs.
-pub(in crate::report::page) fn gaps(page: &Page<'_>) -> Result<Markup, PlotError> {
+pub(in crate::report::page) fn gaps(page: &Page<'_>) -> Markup {
     let Evidence { runs, by_encoders, rotations, .. } = page.evidence;
-    Ok(html! {
+    html! {
         h2 { "Residuals over time" }
         p.note { "Distance between the robot's end and the bar's at each sample that was used. The scales differ." }
         @for (run, name) in runs.iter().zip(names(page)) {
             figure {
                 @if let Some(name) = name { p.run { (name) } }
-                @for distance in figures::gap_over_time(run, *by_encoders)? { (distance) }
+                @for distance in figures::gap_over_time(run, *by_encoders) { (distance) }
             }
             @if *by_encoders {
                 figure {
-                    div.panels { @for panel in figures::components_over_time(run, *rotations)? { (panel) } }
+                    div.panels { @for panel in figures::components_over_time(run, *rotations) { (panel) } }
                     figcaption { "The same at the solution by component, in the robot's base frame." }
                 }
             }
         }
-    })
+    }
 }
 
 /// Alignment and preparation, run by run.
-pub(in crate::report::page) fn alignments(page: &Page<'_>) -> Result<Markup, PlotError> {
+pub(in crate::report::page) fn alignments(page: &Page<'_>) -> Markup {
     let runs = page.evidence.runs.iter().zip(page.calibration.bar_runs()).zip(names(page));
-    Ok(html! {
+    html! {
         @for (number, ((run, (prepared, _)), name)) in runs.enumerate() {
             (title("Alignment of the two logs", name.as_ref()))
-            (alignment(page, number, run, prepared)?)
+            (alignment(page, number, run, prepared))
             (title("Preparation", name.as_ref()))
-            (preparation::section(prepared)?)
+            (preparation::section(prepared))
         }
-    })
+    }
 }
 
 /// Alignment of the logs of a run: figures and the error by time shift.
@@ -63,8 +62,8 @@ fn alignment(
     number: usize,
     run: &RunEvidence,
     Prepared { alignment, local_shifts, .. }: &Prepared,
-) -> Result<Markup, PlotError> {
-    Ok(html! {
+) -> Markup {
+    html! {
         p {
             "The logs overlap for " (format!("{:.1}", alignment.overlap_s)) " s. Joint speeds correlate to "
             (format!("{:.4}", alignment.correlation)) " (next best shift " (format!("{:.3}", alignment.runner_up)) "). "
@@ -77,9 +76,9 @@ fn alignment(
         }
         figure {
             div.panels.three {
-                (figures::shift("Gap against time shift", &run.shift_wide)?)
-                (figures::shift("Near the minimum", &run.shift_near)?)
-                @if !local_shifts.is_empty() { (figures::local_shifts(local_shifts)?) }
+                (figures::shift("Gap against time shift", &run.shift_wide))
+                (figures::shift("Near the minimum", &run.shift_near))
+                @if !local_shifts.is_empty() { (figures::local_shifts(local_shifts)) }
             }
             figcaption {
                 "All other parameters as in the solution. "
@@ -89,5 +88,5 @@ fn alignment(
                 }
             }
         }
-    })
+    }
 }

@@ -9,7 +9,7 @@ use crate::evaluate::{Elongation, ModelDeviation, OffSphere, SphereDeviation};
 use crate::model::ParameterId;
 use crate::report::page::Page;
 use crate::report::page::drawing::figures::{HALF, TimeAxis, WIDE, dots, from_above, sphere_from_above};
-use crate::report::page::drawing::plot::{BLUE, GREEN, GREY, Mark, ORANGE, Panel, PlotError, Series};
+use crate::report::page::drawing::plot::{BLUE, GREEN, GREY, Mark, ORANGE, Panel, Series};
 use crate::report::page::sections::number;
 use crate::statistics::Sizes;
 
@@ -17,21 +17,21 @@ use crate::statistics::Sizes;
 const DOTS_MAX: usize = 1500;
 
 /// One section for each run, because runs differ in force and position of the bar.
-pub(in crate::report::page) fn section(page: &Page<'_>) -> Result<Markup, PlotError> {
-    Ok(html! { @for (sphere, name) in page.evidence.spheres.iter().zip(runs::names(page)) {
+pub(in crate::report::page) fn section(page: &Page<'_>) -> Markup {
+    html! { @for (sphere, name) in page.evidence.spheres.iter().zip(runs::names(page)) {
         (runs::title("Deviation from the sphere", name.as_ref()))
-        (of_run(sphere)?)
-    } })
+        (of_run(sphere))
+    } }
 }
 
 /// Figures of one run.
-fn of_run(sphere: &SphereDeviation) -> Result<Markup, PlotError> {
+fn of_run(sphere: &SphereDeviation) -> Markup {
     let elongation = sphere.elongation;
-    Ok(html! {
+    html! {
         (error_numbers(sphere))
         @if let Some(elongation) = elongation { p { (force_text(&elongation)) } }
         figure {
-            (deviation_over_time(sphere)?)
+            (deviation_over_time(sphere))
             figcaption {
                 "Distance of the robot's end from the centre of the gimbal, minus the length of the bar if it were rigid. "
                 @if elongation.is_some() { "Green: minus the elongation by the force." }
@@ -39,8 +39,8 @@ fn of_run(sphere: &SphereDeviation) -> Result<Markup, PlotError> {
         }
         figure {
             div.panels {
-                (sphere_map("Nominal robot", &sphere.before)?)
-                (sphere_map("Calibrated robot", &sphere.after)?)
+                (sphere_map("Nominal robot", &sphere.before))
+                (sphere_map("Calibrated robot", &sphere.after))
             }
             figcaption {
                 "The same over the part of the sphere where the bar was, from above, the robot's x to the right: blue inside, orange "
@@ -49,10 +49,10 @@ fn of_run(sphere: &SphereDeviation) -> Result<Markup, PlotError> {
             }
         }
         @if let Some(elongation) = elongation { figure {
-            div.panels { (forces(&sphere.after, &elongation)?) }
+            div.panels { (forces(&sphere.after, &elongation)) }
             figcaption { "The force with the sign of its log, and the deviation of the calibrated robot over it. The line is the estimated elongation." }
         } }
-    })
+    }
 }
 
 /// A length in micrometres, as text.
@@ -103,7 +103,7 @@ fn force_text(elongation: &Elongation) -> Markup {
 }
 
 /// Deviations of the nominal and the calibrated robot over time.
-fn deviation_over_time(sphere: &SphereDeviation) -> Result<Markup, PlotError> {
+fn deviation_over_time(sphere: &SphereDeviation) -> Markup {
     let time = TimeAxis::of(sphere.after.samples.iter().map(|one| one.t_s));
     let series = |name: &str, colour, deviation: &ModelDeviation, off_m: fn(&OffSphere) -> f64| {
         let point = |sample: &OffSphere| (time.at(sample.t_s), off_m(sample) * 1e6);
@@ -116,12 +116,12 @@ fn deviation_over_time(sphere: &SphereDeviation) -> Result<Markup, PlotError> {
         after.push(series("force explained", GREEN, &sphere.after, |one| one.unexplained_m));
     }
     let before = vec![series("", GREY, &sphere.before, |one| one.off_m)];
-    Ok(html! { (panel("Nominal robot, the bar fitted to it", before)?) (panel("Calibrated robot", after)?) })
+    html! { (panel("Nominal robot, the bar fitted to it", before)) (panel("Calibrated robot", after)) }
 }
 
 /// The force over time, and the deviation against it. The line is the elongation: compliance \[m/N\] times force \[N\], or half of
 /// the play \[m\] times the sign of the force.
-fn forces(after: &ModelDeviation, elongation: &Elongation) -> Result<Markup, PlotError> {
+fn forces(after: &ModelDeviation, elongation: &Elongation) -> Markup {
     // Play is identified from the sign of the force alone.
     let has_only_signs = elongation.parameter == ParameterId::BarPlay;
     let axis = if has_only_signs { "sign of the force" } else { "force along the bar [N]" };
@@ -132,14 +132,14 @@ fn forces(after: &ModelDeviation, elongation: &Elongation) -> Result<Markup, Plo
     let force = dots("", ORANGE, samples.iter().map(|one| (time.at(one.t_s), one.force)).collect());
     let off = dots("samples", BLUE, samples.iter().map(|one| (one.force, one.off_m * 1e6)).collect());
     let bar = Series::new("bar", ORANGE, Mark::Line, line.into());
-    Ok(html! {
-        (Panel::new("Force", [&time.label(), axis], HALF, vec![force]).draw()?)
-        (Panel::new("Calibrated robot", [axis, "off the sphere [µm]"], HALF, vec![off, bar]).draw()?)
-    })
+    html! {
+        (Panel::new("Force", [&time.label(), axis], HALF, vec![force]).draw())
+        (Panel::new("Calibrated robot", [axis, "off the sphere [µm]"], HALF, vec![off, bar]).draw())
+    }
 }
 
 /// The deviation by direction of the bar, from above. Colours are strongest at the 95 % quantile of the deviations.
-fn sphere_map(title: &str, deviation: &ModelDeviation) -> Result<Markup, PlotError> {
+fn sphere_map(title: &str, deviation: &ModelDeviation) -> Markup {
     /// Number of colours for each sign.
     const STEPS: i32 = 10;
     let every = deviation.samples.len().div_ceil(DOTS_MAX).max(1);
