@@ -4,10 +4,13 @@
 //! `s1 >= .. >= sL` the singular values of the Jacobian over `m` poses and `L` parameters. Larger is better. All of them
 //! depend on units: the columns are scaled by given units, such as one millimetre for lengths.
 
+use std::fmt;
+
 use nalgebra::DMatrix;
+use serde::{Deserialize, Serialize};
 
 /// O1 to O5. All are zero if a parameter is not determined.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct Observability {
     /// `(s1 s2 .. sL)^(1/L) / sqrt(m)`: volume of the ellipsoid of the Jacobian; its maximum is D-optimal (Borm and Menq
     /// 1991).
@@ -20,6 +23,13 @@ pub struct Observability {
     pub o4: f64,
     /// `1 / (1/s1 + .. + 1/sL)`: close to A-optimal (Sun and Hollerbach 2008).
     pub o5: f64,
+}
+
+impl fmt::Display for Observability {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { o1, o2, o3, o4, o5 } = self;
+        write!(f, "O1 {o1:.2e}  O2 {o2:.2e}  O3 {o3:.2e}  O4 {o4:.2e}  O5 {o5:.2e}")
+    }
 }
 
 impl Observability {

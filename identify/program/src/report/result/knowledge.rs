@@ -36,27 +36,6 @@ pub struct CorrelationEntry {
     pub correlation: f64,
 }
 
-/// The five indices of [`Observability`], of the samples without priors.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct ObservabilityEntry {
-    /// Volume of the confidence ellipsoid.
-    pub o1: f64,
-    /// Inverse of the condition number.
-    pub o2: f64,
-    /// Smallest singular value, scaled.
-    pub o3: f64,
-    /// Index of noise amplification.
-    pub o4: f64,
-    /// Harmonic mean of the singular values.
-    pub o5: f64,
-}
-
-impl From<Observability> for ObservabilityEntry {
-    fn from(o: Observability) -> Self {
-        Self { o1: o.o1, o2: o.o2, o3: o.o3, o4: o.o4, o5: o.o5 }
-    }
-}
-
 /// What samples and priors determine.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Knowledge {
@@ -66,8 +45,8 @@ pub struct Knowledge {
     pub rank_of_samples: usize,
     /// Singular values of the column-scaled Jacobian with priors, descending: a gap among them makes the rank uncertain.
     pub singular_values: Vec<f64>,
-    /// With columns in mm, mrad, ms and ppm; all zero if the samples alone do not determine all parameters.
-    pub observability: ObservabilityEntry,
+    /// Of the samples without priors, with columns in mm, mrad, ms and ppm; all zero if the samples alone do not determine all parameters.
+    pub observability: Observability,
     /// What sigmas and covariance rest on.
     #[serde(default)]
     pub sigmas_from: SigmasFrom,
@@ -166,7 +145,7 @@ impl CalibrationFile {
             rank: identifiability.rank,
             rank_of_samples: identifiability.rank_of_samples,
             singular_values: identifiability.singular_values.clone(),
-            observability: identifiability.observability(&from_display).into(),
+            observability: identifiability.observability(&from_display),
             sigmas_from: solution.covariance.sigmas_from,
             by_prior: by_prior.map(|(column, _)| name(column)).collect(),
             correlations: strongest
@@ -207,14 +186,9 @@ impl Knowledge {
         }
         let (from, of_95) = (self.sigmas_from, self.sigmas_from.sigmas_of_95());
         let _ = writeln!(text, "sigmas from {from}; 95 % lie within {of_95:.2} of them");
-        let o = &self.observability;
         // All five are zero where a direction rests on priors alone.
-        if o.o3 > 0.0 {
-            let _ = writeln!(
-                text,
-                "observability (mm, mrad): O1 {:.2e}  O2 {:.2e}  O3 {:.2e}  O4 {:.2e}  O5 {:.2e}",
-                o.o1, o.o2, o.o3, o.o4, o.o5
-            );
+        if self.observability.o3 > 0.0 {
+            let _ = writeln!(text, "observability (mm, mrad): {}", self.observability);
         }
         if !self.correlations.is_empty() {
             let pair = |c: &CorrelationEntry| format!("{}|{} {:+.3}", c.first, c.second, c.correlation);
