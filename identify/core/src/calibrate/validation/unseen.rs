@@ -2,6 +2,8 @@
 //! no fit has seen. It needs parts whose places follow from the other parts and their known geometry, such as the sockets of a
 //! plate.
 
+use serde::{Deserialize, Serialize};
+
 use crate::calibrate::Calibration;
 use crate::calibrate::pipeline::{Solved, problem};
 use crate::calibrate::rows::PoseFigures;
@@ -10,9 +12,9 @@ use crate::model::Model;
 use crate::solver::{LeastSquares, Normals, Options};
 
 /// Rows at one part of an instrument, predicted by the fit to all other data.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct UnseenPart {
-    /// Index of the data set, from 0.
+    /// Number of the data set, from 1.
     pub data_set: usize,
     /// Name of the part.
     pub name: String,
@@ -73,7 +75,7 @@ pub fn unseen_parts(calibration: &Calibration) -> Vec<UnseenPart> {
             PoseFigures::of(part.rows.iter().filter_map(|row| errors.get(*row).copied()))
         };
         Some(UnseenPart {
-            data_set: part.data_set,
+            data_set: part.data_set + 1,
             predicted: figures(&without_part),
             fitted: figures(model),
             name: part.name,

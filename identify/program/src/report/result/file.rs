@@ -18,10 +18,11 @@ use super::deployments::DeploymentEntry;
 use super::earlier::remove_page;
 use super::force::ForceEntry;
 use super::knowledge::{CovarianceEntry, ExpectedEntry, Knowledge, NoiseEntry};
-use super::validation::{HeldOutEntry, RowsEntry, UnseenPartEntry, ValidationEntry};
+use super::validation::{HeldOutEntry, RowsEntry, ValidationEntry};
 use crate::calibrate::Calibration;
 use crate::calibrate::selection::terms::Candidate;
 use crate::calibrate::validation::deployment::Deployment;
+use crate::calibrate::validation::unseen::UnseenPart;
 use crate::cost::SharedColumns;
 use crate::evaluate::{Budget, Limit, Validity, not_separated};
 use crate::model::{Group, Model, Parameter, ParameterId, Role, TermGroup, Unit};
@@ -344,7 +345,7 @@ pub struct CalibrationFile {
     pub rows: Vec<RowsEntry>,
     /// How well rows at each part of an instrument were predicted by all other data.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub unseen: Vec<UnseenPartEntry>,
+    pub unseen: Vec<UnseenPart>,
     /// How well rows of other files were predicted.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub validations: Vec<ValidationEntry>,

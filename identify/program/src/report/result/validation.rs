@@ -49,25 +49,6 @@ pub struct RowsEntry {
     pub independent: Option<usize>,
 }
 
-/// Rows at one part of an instrument, such as a socket, predicted by the fit to all other data.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct UnseenPartEntry {
-    /// Number of the data set, from 1.
-    pub data_set: usize,
-    /// Name of the part.
-    pub name: String,
-    /// Errors by the fit to all other data.
-    pub predicted: PoseFigures,
-    /// Errors by the calibration, which includes these rows.
-    pub fitted: PoseFigures,
-}
-
-impl From<&UnseenPart> for UnseenPartEntry {
-    fn from(UnseenPart { data_set, name, predicted, fitted }: &UnseenPart) -> Self {
-        Self { data_set: data_set + 1, name: name.clone(), predicted: *predicted, fitted: *fitted }
-    }
-}
-
 /// Rows of a file that took no part in the calibration.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ValidationEntry {
@@ -105,7 +86,7 @@ impl CalibrationFile {
                 let [nominal, calibrated, fitted] = held_out.rms();
                 HeldOutEntry { segments: held_out.segments.len(), nominal, calibrated, fitted }
             });
-        self.unseen = evidence.unseen.iter().map(UnseenPartEntry::from).collect();
+        self.unseen.clone_from(&evidence.unseen);
         // A deployment is compared on the same segments only.
         let comparable =
             |held_out: &HeldOut| Some(held_out.segments.len()) == self.held_out.map(|all| all.segments);
@@ -155,7 +136,7 @@ impl CalibrationFile {
     /// Errors of the rows of a data set at its parts, each predicted by the fit to all other data.
     fn at_unseen_parts(&self, rows: &RowsEntry) -> Option<HeldOutErrors> {
         let parts = || self.unseen.iter().filter(|part| part.data_set == rows.data_set);
-        let rms = |errors: fn(&UnseenPartEntry) -> &PoseFigures| {
+        let rms = |errors: fn(&UnseenPart) -> &PoseFigures| {
             let position_m =
                 pooled_rms(parts().map(errors).map(|figures| (figures.rows, figures.position_m.rms)));
             PoseError { position_m, rotation_rad: None }
