@@ -23,11 +23,11 @@ use crate::calibrate::Calibration;
 use crate::calibrate::selection::terms::Candidate;
 use crate::calibrate::validation::deployment::Deployment;
 use crate::calibrate::validation::unseen::UnseenPart;
-use crate::cost::SharedColumns;
 use crate::evaluate::{Budget, Limit, Validity, not_separated};
+use crate::instrument::Run;
 use crate::model::{Group, Model, Parameter, ParameterId, Role, TermGroup, Unit};
 use crate::report::verdict::CalibrationVerdict;
-use crate::solver::{Covariance, Identifiability, Solution, Summary};
+use crate::solver::{Identifiability, Solution, Summary};
 
 /// Version of the file's structure; it rises when a key changes its name or meaning.
 pub const SCHEMA: u32 = 2;
@@ -129,20 +129,11 @@ impl ParameterEntry {
         }
     }
 
-    /// Those of a calibration: all of the first run, then those that each other run has for itself.
+    /// Those of a calibration: all of the first run, then those that no run before has, named as in `ox@2`.
     pub fn of_calibration(calibration: &Calibration) -> Vec<Self> {
-        let models = calibration.runs.iter().map(|run| &run.model);
-        Self::of_all(models, &calibration.solved.columns, &calibration.solution().covariance)
-    }
-
-    /// Those of several models: all of the first one, then those that no model before has, named as in `ox@2`.
-    pub fn of_all<'m>(
-        models: impl IntoIterator<Item = &'m Model>,
-        columns: &SharedColumns,
-        covariance: &Covariance,
-    ) -> Vec<Self> {
+        let (columns, covariance) = (&calibration.solved.columns, &calibration.solution().covariance);
         let mut entries: Vec<Self> = Vec::new();
-        for (run, model) in models.into_iter().enumerate() {
+        for (run, Run { model, .. }) in calibration.runs.iter().enumerate() {
             let columns_of = columns.of_run(run);
             let sigma = |id| covariance.sigma(*columns_of.get(model.column_of(id)?)?);
             if run == 0 {
