@@ -4,12 +4,10 @@
 //! the workspace; for terminal, page, and what may be written.
 
 use std::fmt;
-use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use super::result::earlier::Earlier;
-use super::result::file::{CalibrationFile, FileError};
+use super::result::file::CalibrationFile;
 use super::result::knowledge::ExpectedEntry;
 use super::result::validation::{HeldOutErrors, ValidationEntry};
 use crate::calibrate::rows::is_surely_worse;
@@ -193,14 +191,6 @@ impl CalibrationFile {
     /// Held-out data are predicted better than by the nominal robot, or no data were held out.
     pub fn may_be_applied(&self) -> bool {
         self.verdict.as_ref().and_then(|verdict| verdict.better) != Some(false)
-    }
-
-    /// Moves the files of an earlier calibration that is in the directory to a place of their own.
-    ///
-    /// # Errors
-    /// [`FileError::Io`].
-    pub fn set_earlier_aside(&self, directory: &Path) -> Result<Option<PathBuf>, FileError> {
-        Earlier::in_directory(directory).map(Earlier::set_aside).transpose()
     }
 
     /// Held-out errors of each data set, in position and, where it was measured, in rotation.

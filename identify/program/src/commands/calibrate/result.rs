@@ -9,6 +9,7 @@ use super::experiment::ExperimentFile;
 use crate::calibrate::validation::deployment::Deployment;
 use crate::logs::RobotLogMapping;
 use crate::report::result::deployments::files;
+use crate::report::result::earlier::Earlier;
 use crate::report::result::file::{CalibrationFile, replace};
 use crate::report::summary::wrapped;
 use crate::report::verdict::Grade;
@@ -29,7 +30,7 @@ pub(super) fn write_files(
         !file.serves(deployment) && files(deployment).iter().any(|name| directory.join(name).exists())
     };
     if (is_red(file) || Deployment::PARTIAL.into_iter().any(has_stale_files))
-        && let Some(place) = file.set_earlier_aside(directory)?
+        && let Some(place) = Earlier::in_directory(directory).map(Earlier::set_aside).transpose()?
     {
         experiment.set_aside(directory, &place)?;
     }

@@ -22,7 +22,7 @@ const FILES: [&str; 10] = [
 
 /// Files of an earlier calibration.
 #[derive(Debug)]
-pub(in crate::report) struct Earlier<'d> {
+pub(crate) struct Earlier<'d> {
     directory: &'d Path,
     destination: PathBuf,
 }

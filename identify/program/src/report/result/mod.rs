@@ -3,7 +3,7 @@
 pub mod clocks;
 pub mod corrections;
 pub mod deployments;
-pub(in crate::report) mod earlier;
+pub(crate) mod earlier;
 pub mod file;
 pub mod force;
 pub mod knowledge;
