@@ -12,16 +12,12 @@ pub(super) struct TableColumn {
     pub(super) name: String,
     /// The name in lower case, without unit.
     pub(super) plain: String,
-    pub(super) unit: Option<String>,
+    pub(super) unit: Option<&'static str>,
     pub(super) numbers: Vec<f64>,
     pub(super) is_date: bool,
 }
 
 impl TableColumn {
-    pub(super) fn words(&self) -> impl Iterator<Item = &str> {
-        self.plain.split(|character: char| !character.is_alphanumeric()).filter(|word| !word.is_empty())
-    }
-
     /// Where the name has this text; a single letter only as a word.
     pub(super) fn find(&self, text: &str) -> Option<usize> {
         let is_part = |beside: Option<char>| beside.is_some_and(char::is_alphanumeric);
@@ -34,7 +30,7 @@ impl TableColumn {
 
     /// Whether the name has one of these words, a list with spaces between them; digits at its end do not count.
     pub(super) fn has_word(&self, words: &str) -> bool {
-        self.words().any(|word| {
+        self.plain.split(|character: char| !character.is_alphanumeric()).any(|word| {
             let bare = word.trim_end_matches(|character: char| character.is_ascii_digit());
             words.split(' ').any(|wanted| wanted == word || wanted == bare)
         })
@@ -51,21 +47,17 @@ impl TableColumn {
 
     /// Whether more than half of the steps are upwards, and at most 1 % downwards.
     pub(super) fn rises(&self) -> bool {
-        let steps = self.numbers.windows(2).map(|pair| pair[1] - pair[0]);
-        let (mut rising, mut falling, mut all) = (0, 0, 0);
-        for step in steps {
-            all += 1;
-            rising += usize::from(step > 0.0);
-            falling += usize::from(step < 0.0);
-        }
-        all > 0 && 2 * rising > all && 100 * falling <= all
+        let steps = self.numbers.len().saturating_sub(1);
+        let rising = self.numbers.windows(2).filter(|pair| pair[1] > pair[0]).count();
+        let falling = self.numbers.windows(2).filter(|pair| pair[1] < pair[0]).count();
+        2 * rising > steps && 100 * falling <= steps
     }
 
     /// Unit of a length, by the header or by the size of the numbers, with the reason.
     pub(super) fn length_unit(&self) -> (LengthUnit, String) {
         /// No arm reaches so far in metres; its positions in millimetres are larger.
         const M_MAX: f64 = 20.0;
-        match self.unit.as_deref() {
+        match self.unit {
             Some("mm") => (LengthUnit::Mm, "from the header".into()),
             Some("m") => (LengthUnit::M, "from the header".into()),
             _ if self.largest() > M_MAX => (LengthUnit::Mm, format!("up to {:.0}, so mm", self.largest())),
@@ -91,14 +83,14 @@ const UNITS: [&str; 13] = [
     "rad/s",
 ];
 
-fn unit_named(text: &str) -> Option<String> {
+fn unit_named(text: &str) -> Option<&'static str> {
     let text = text.trim().trim_matches(['[', ']', '(', ')']).trim().to_lowercase().replace('μ', "µ");
     let spellings = UNITS.iter().find(|spellings| spellings.split(' ').any(|one| one == text))?;
-    spellings.split(' ').next().map(str::to_owned)
+    spellings.split(' ').next()
 }
 
 /// A name in lower case without unit, and the unit, which is in brackets or the last word: `J1 [deg]`, `x(mm)`, `q1_deg`.
-fn plain_and_unit(name: &str) -> (String, Option<String>) {
+fn plain_and_unit(name: &str) -> (String, Option<&'static str>) {
     let spaced: String = name.chars().fold(String::new(), |mut out, character| {
         // A capital after a small letter begins a word: TrackerX.
         if character.is_uppercase() && out.chars().last().is_some_and(char::is_lowercase) {

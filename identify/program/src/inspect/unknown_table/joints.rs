@@ -58,18 +58,17 @@ fn families(columns: &[TableColumn], axes: usize) -> Vec<Vec<&TableColumn>> {
 
 /// Whether the values of all columns, taken in this unit, are within the limits of their joints.
 fn are_within(family: &[&TableColumn], robot: &RobotConfig, unit: AngleUnit) -> bool {
-    family.iter().zip(&robot.joint_limits_deg).all(|(column, limits)| is_within(column, *limits, unit))
-}
-
-/// Whether all values, taken in this unit, are within the limits of the joint.
-fn is_within(column: &TableColumn, limits_deg: [f64; 2], unit: AngleUnit) -> bool {
     /// Zeros of controllers and models differ by quarter turns.
     const MARGIN_DEG: f64 = 190.0;
-    let deg = |number: f64| (number * unit.to_rad()).to_degrees();
-    column
-        .numbers
-        .iter()
-        .all(|number| (limits_deg[0] - MARGIN_DEG..=limits_deg[1] + MARGIN_DEG).contains(&deg(*number)))
+    family.iter().zip(&robot.joint_limits_deg).all(|(column, [low, high])| {
+        let limits_deg = low - MARGIN_DEG..=high + MARGIN_DEG;
+        column.numbers.iter().all(|number| limits_deg.contains(&(number * unit.to_rad()).to_degrees()))
+    })
+}
+
+/// The unit of an angle that the header states.
+fn stated_unit(column: &TableColumn) -> Option<AngleUnit> {
+    [AngleUnit::Deg, AngleUnit::Rad].into_iter().find(|unit| column.unit == Some(unit.suffix()))
 }
 
 /// The columns of the joints with their unit: of all candidates the one with the highest score.
@@ -137,10 +136,8 @@ fn first_neighbours<'c>(columns: &'c [TableColumn], robot: &RobotConfig) -> Opti
 fn score(family: &[&TableColumn], robot: &RobotConfig) -> i32 {
     let has = |words| i32::from(family.iter().any(|column| column.has_word(words)));
     let still = family.iter().all(|column| column.numbers.windows(2).all(|pair| pair[0] == pair[1]));
-    let has_other_unit = family
-        .iter()
-        .any(|column| column.unit.as_deref().is_some_and(|unit| !["deg", "rad"].contains(&unit)));
-    let has_angle_unit = family.iter().all(|column| matches!(column.unit.as_deref(), Some("deg" | "rad")));
+    let has_other_unit = family.iter().any(|column| column.unit.is_some() && stated_unit(column).is_none());
+    let has_angle_unit = family.iter().all(|column| stated_unit(column).is_some());
     2 * i32::from(has_angle_unit)
         - has(COMMANDED)
         - 5 * has(NOT_ANGLES)
@@ -153,11 +150,7 @@ fn score(family: &[&TableColumn], robot: &RobotConfig) -> i32 {
 pub(super) fn angle_unit(family: &[&TableColumn], notes: &mut Notes) -> AngleUnit {
     /// Joints of robots turn by little more than a turn either way.
     const RAD_MAX: f64 = 6.7;
-    let stated = family.iter().find_map(|column| match column.unit.as_deref() {
-        Some("deg") => Some(AngleUnit::Deg),
-        Some("rad") => Some(AngleUnit::Rad),
-        _ => None,
-    });
+    let stated = family.iter().copied().find_map(stated_unit);
     let largest = family.iter().map(|column| column.largest()).fold(0.0, f64::max);
     let inferred = if largest > RAD_MAX { AngleUnit::Deg } else { AngleUnit::Rad };
     match stated {

@@ -8,6 +8,18 @@ use crate::statistics::median;
 /// Words of time stamps.
 const TIMES: &str = "t time timestamp stamp zeit clock ipoc utc date datetime tick ticks";
 
+/// Units that a header may state, from the largest.
+const UNITS: [TimeUnit; 4] = [TimeUnit::S, TimeUnit::Ms, TimeUnit::Us, TimeUnit::Ns];
+
+fn name_of(unit: TimeUnit) -> String {
+    format!("{unit:?}").to_lowercase()
+}
+
+/// The unit of times that the header states.
+fn stated_unit(column: &TableColumn) -> Option<TimeUnit> {
+    UNITS.into_iter().find(|unit| column.unit == Some(name_of(*unit).as_str()))
+}
+
 /// `20161122101500`: year, month, day, hours, minutes and seconds written as one number.
 fn is_date_in_digits(number: f64) -> bool {
     let part = |divisor: f64, most: f64| (number / divisor).floor() % most;
@@ -32,8 +44,7 @@ pub(super) fn time(columns: &[&TableColumn], notes: &mut Notes) -> Option<TimeCo
     }
     let rising: Vec<&&TableColumn> =
         columns.iter().filter(|column| column.is_number() && column.rises()).collect();
-    let with_unit =
-        rising.iter().find(|column| matches!(column.unit.as_deref(), Some("s" | "ms" | "us" | "ns")));
+    let with_unit = rising.iter().find(|column| stated_unit(column).is_some());
     let with_name = rising.iter().find(|column| column.has_word(TIMES));
     let column = with_unit.or(with_name)?;
     let mut steps: Vec<f64> =
@@ -43,14 +54,8 @@ pub(super) fn time(columns: &[&TableColumn], notes: &mut Notes) -> Option<TimeCo
         notes.reason(format!("`{}` has dates (YYYYMMDDhhmmss), too coarse for times of rows", column.name));
         return None;
     }
-    let in_header = match column.unit.as_deref() {
-        Some("s") => Some(TimeUnit::S),
-        Some("ms") => Some(TimeUnit::Ms),
-        Some("us") => Some(TimeUnit::Us),
-        Some("ns") => Some(TimeUnit::Ns),
-        _ => None,
-    };
-    let (unit, why) = match in_header {
+    let stated = stated_unit(column);
+    let (unit, why) = match stated {
         Some(unit) => (unit, "from the header".to_owned()),
         _ if FILETIME.contains(&column.numbers[0]) => (TimeUnit::Filetime, "by its size".into()),
         // Robots log faster than 1 Hz, up to 1 kHz: a step of one is a millisecond, of a thousand a microsecond.
@@ -59,16 +64,10 @@ pub(super) fn time(columns: &[&TableColumn], notes: &mut Notes) -> Option<TimeCo
         _ if step < 9e5 => (TimeUnit::Us, format!("stamps are {step:.0} apart")),
         _ => (TimeUnit::Ns, format!("stamps are {step:.0} apart")),
     };
-    let name_of = |unit: TimeUnit| format!("{unit:?}").to_lowercase();
     notes.reason(format!("`{}` is the time in {}: {why}", column.name, name_of(unit)));
     // Stamps of a slow log in the next larger unit are as far apart.
-    let larger = match unit {
-        TimeUnit::Ms => Some(TimeUnit::S),
-        TimeUnit::Us => Some(TimeUnit::Ms),
-        TimeUnit::Ns => Some(TimeUnit::Us),
-        _ => None,
-    };
-    if let Some(larger) = larger.filter(|_| in_header.is_none()) {
+    let larger = UNITS.windows(2).find(|pair| pair[1] == unit).map(|pair| pair[0]);
+    if let Some(larger) = larger.filter(|_| stated.is_none()) {
         notes.doubt(format!(
             "`{}` has no unit: {} is taken, because robots log faster than 1 Hz; if it is in {}, correct `unit` of [time]",
             column.name,
