@@ -55,6 +55,7 @@ enum PlanCommand {
 }
 
 #[derive(Debug, Args)]
+#[command(next_help_heading = "Planning")]
 struct CellArguments {
     /// The robot's configuration, or the name of one in `identify robot list`, such as irb2400_16
     #[arg(long, help_heading = "Input", value_name = "FILE")]
@@ -64,13 +65,13 @@ struct CellArguments {
     bar: PathBuf,
     /// Centre of the bar's gimbal in the robot's base frame [m]; default: 1.0,0.05,0.35, or 1.7,0.05,0.6 if link 2 is longer
     /// than a metre
-    #[arg(long, help_heading = "Planning", value_name = "X,Y,Z", value_parser = numbers::<3>, allow_hyphen_values = true)]
+    #[arg(long, value_name = "X,Y,Z", value_parser = numbers::<3>, allow_hyphen_values = true)]
     base: Option<[f64; 3]>,
     /// Highest speed of a robot joint [rad/s, m/s]
-    #[arg(long, help_heading = "Planning", value_name = "RAD_S", default_value_t = Design::IRB_2400.robot_speed_rad_s)]
+    #[arg(long, value_name = "RAD_S", default_value_t = Design::IRB_2400.robot_speed_rad_s)]
     speed: f64,
     /// Highest acceleration of a robot joint [rad/s^2, m/s^2]
-    #[arg(long, help_heading = "Planning", value_name = "RAD_S2", default_value_t = 5.0)]
+    #[arg(long, value_name = "RAD_S2", default_value_t = 5.0)]
     acceleration: f64,
     #[command(flatten)]
     around: Around,
@@ -153,77 +154,74 @@ impl Around {
 }
 
 #[derive(Debug, Args)]
+#[command(next_help_heading = "Planning")]
 struct PathArguments {
     #[command(flatten)]
     cell: CellArguments,
     /// Criterion of the best path
-    #[arg(long, help_heading = "Planning", value_enum, default_value_t)]
+    #[arg(long, value_enum, default_value_t)]
     criterion: Criterion,
     /// Directory for the path: path.toml, robot_path.csv, path.html, a program for the robot's controller
     #[arg(long, help_heading = "Output", value_name = "DIR")]
     out: PathBuf,
     /// A posture of the robot near which the motion begins, one number for each axis [deg, mm]; it selects elbow and wrist;
     /// default: 0,20,10,0,60,0 for six axes, otherwise a random one
-    #[arg(
-        long,
-        help_heading = "Planning",
-        value_name = "Q1,Q2,..",
-        value_delimiter = ',',
-        allow_hyphen_values = true
-    )]
+    #[arg(long, value_name = "Q1,Q2,..", value_delimiter = ',', allow_hyphen_values = true)]
     posture: Vec<f64>,
     /// Length of the run, such as 90s or 2m; a plain number is seconds
-    #[arg(long, help_heading = "Planning", default_value = "2m", value_parser = parse_duration)]
+    #[arg(long, default_value = "2m", value_parser = parse_duration)]
     duration: Duration,
     /// Time to search for better paths, such as 50s; then the best one is checked every millisecond
-    #[arg(long, help_heading = "Planning", default_value = "50s", value_parser = parse_duration)]
+    #[arg(long, default_value = "50s", value_parser = parse_duration)]
     budget: Duration,
     /// Programs for controllers; default: that of the robot's maker, by its name
     #[arg(long, help_heading = "Output", value_enum, value_delimiter = ',')]
     program: Vec<Language>,
     /// Seed of the paths that are tried
-    #[arg(long, help_heading = "Planning", default_value_t = 1)]
+    #[arg(long, default_value_t = 1)]
     seed: u64,
 }
 
 #[derive(Debug, Args)]
+#[command(next_help_heading = "Planning")]
 struct PlaceArguments {
     #[command(flatten)]
     cell: CellArguments,
     /// Criterion of the best path at a place
-    #[arg(long, help_heading = "Planning", value_enum, default_value_t)]
+    #[arg(long, value_enum, default_value_t)]
     criterion: Criterion,
     /// Lengths of the rod to compare [m]; default: that of the bar
-    #[arg(long, help_heading = "Planning", value_name = "M", value_delimiter = ',')]
+    #[arg(long, value_name = "M", value_delimiter = ',')]
     lengths: Vec<f64>,
     /// Lowest and highest gimbal over the robot's base frame [m]
-    #[arg(long, help_heading = "Planning", value_name = "LOW,HIGH", value_parser = numbers::<2>, allow_hyphen_values = true, default_value = "0,1")]
+    #[arg(long, value_name = "LOW,HIGH", value_parser = numbers::<2>, allow_hyphen_values = true, default_value = "0,1")]
     height: [f64; 2],
     /// Length of the run, such as 90s or 2m; a plain number is seconds
-    #[arg(long, help_heading = "Planning", default_value = "2m", value_parser = parse_duration)]
+    #[arg(long, default_value = "2m", value_parser = parse_duration)]
     duration: Duration,
     /// Time to search for places, such as 60s
-    #[arg(long, help_heading = "Planning", default_value = "60s", value_parser = parse_duration)]
+    #[arg(long, default_value = "60s", value_parser = parse_duration)]
     budget: Duration,
     /// Seed of the places that are tried
-    #[arg(long, help_heading = "Planning", default_value_t = 1)]
+    #[arg(long, default_value_t = 1)]
     seed: u64,
 }
 
 #[derive(Debug, Args)]
+#[command(next_help_heading = "Planning")]
 struct PosesArguments {
     /// The robot's configuration, or the name of one in `identify robot list`, such as irb2400_16
     #[arg(long, help_heading = "Input", value_name = "FILE")]
     robot: PathBuf,
     /// What is measured at each pose
-    #[arg(long, help_heading = "Planning", value_enum)]
+    #[arg(long, value_enum)]
     measures: MeasuredQuantity,
     /// Directory for poses.csv, its mapping poses.toml, poses.html and a program for the robot's controller. The exit code is 1
     /// if no path without collision was found for a move: the table marks it as BLOCKED, and programs stop there
     #[arg(long, help_heading = "Output", value_name = "DIR")]
     out: PathBuf,
     /// Number of poses to choose
-    #[arg(long, help_heading = "Planning", default_value_t = 50)]
+    #[arg(long, default_value_t = 50)]
     count: usize,
     /// A table of poses that the robot reaches, to choose from; default: random ones within half a turn of its joints
     #[arg(long, help_heading = "Input", value_name = "FILE", requires = "mapping", conflicts_with_all = ["draw", "boxes", "floor", "link_radius_mm"])]
@@ -233,21 +231,21 @@ struct PosesArguments {
     #[arg(long, help_heading = "Input", value_name = "FILE", requires = "candidates")]
     mapping: Option<PathBuf>,
     /// Random poses to choose from
-    #[arg(long, help_heading = "Planning", value_name = "N", default_value_t = 2000)]
+    #[arg(long, value_name = "N", default_value_t = 2000)]
     draw: usize,
     #[command(flatten)]
     around: Around,
     /// Reflector, middle of the probe, or the wire's end in the flange's frame [m]
-    #[arg(long, help_heading = "Planning", value_name = "X,Y,Z", value_parser = numbers::<3>, allow_hyphen_values = true, default_value = "0,0,0.1")]
+    #[arg(long, value_name = "X,Y,Z", value_parser = numbers::<3>, allow_hyphen_values = true, default_value = "0,0,0.1")]
     target: [f64; 3],
     /// Outlet of a wire in the robot's base frame [m]; needed with --measures lengths, and with no other
-    #[arg(long, help_heading = "Planning", value_name = "X,Y,Z", value_parser = numbers::<3>, allow_hyphen_values = true)]
+    #[arg(long, value_name = "X,Y,Z", value_parser = numbers::<3>, allow_hyphen_values = true)]
     anchor: Option<[f64; 3]>,
     /// Standard deviation of a measured coordinate or length, including the repeatability of the robot [mm]
-    #[arg(long, help_heading = "Planning", value_name = "MM", default_value_t = 0.05)]
+    #[arg(long, value_name = "MM", default_value_t = 0.05)]
     noise_mm: f64,
     /// Standard deviation of a measured orientation about each axis [mrad]; default: 0.1, with --measures poses only
-    #[arg(long, help_heading = "Planning", value_name = "MRAD")]
+    #[arg(long, value_name = "MRAD")]
     noise_mrad: Option<f64>,
     /// Programs for controllers; default: that of the robot's maker, by its name
     #[arg(long, help_heading = "Output", value_enum, value_delimiter = ',')]
@@ -256,7 +254,7 @@ struct PosesArguments {
     #[arg(long, help_heading = "Output", default_value = "3s", value_parser = parse_duration)]
     stand: Duration,
     /// Seed of the random poses
-    #[arg(long, help_heading = "Planning", default_value_t = 1)]
+    #[arg(long, default_value_t = 1)]
     seed: u64,
 }
 

@@ -52,6 +52,7 @@ enum SimulateCommand {
 
 /// Options that `contact` and `touch` share.
 #[derive(Debug, Args)]
+#[command(next_help_heading = "Simulation")]
 struct ArmArguments {
     /// The robot's configuration, or the name of one in `identify robot list`, such as irb2400_16
     #[arg(long, help_heading = "Input", value_name = "FILE")]
@@ -61,22 +62,22 @@ struct ArmArguments {
     out: PathBuf,
     /// Position of the plate's frame or of the block's centre in the robot's base frame [m]; default: where the robot
     /// reaches it in most postures
-    #[arg(long, help_heading = "Simulation", value_name = "X,Y,Z", value_parser = numbers::<3>, allow_hyphen_values = true)]
+    #[arg(long, value_name = "X,Y,Z", value_parser = numbers::<3>, allow_hyphen_values = true)]
     place: Option<[f64; 3]>,
     /// Seed of poses, noise and errors of the measured objects
-    #[arg(long, help_heading = "Simulation", default_value_t = 1)]
+    #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Seed of the robot's errors: give the same one to simulate one robot with another set-up; default: as --seed
-    #[arg(long, help_heading = "Simulation", value_name = "SEED")]
+    #[arg(long, value_name = "SEED")]
     robot_seed: Option<u64>,
     /// Standard deviation of the error of each link parameter [mm|mrad]
-    #[arg(long, help_heading = "Simulation", value_name = "MM", default_value_t = 1.0)]
+    #[arg(long, value_name = "MM", default_value_t = 1.0)]
     errors_mm_mrad: f64,
     /// White noise of each joint [urad|um]
-    #[arg(long, help_heading = "Simulation", value_name = "URAD", default_value_t = LABORATORY.robot_noise_urad)]
+    #[arg(long, value_name = "URAD", default_value_t = LABORATORY.robot_noise_urad)]
     robot_noise_urad: f64,
     /// Sinusoidal error of each robot gear, amplitude [urad]
-    #[arg(long, help_heading = "Simulation", value_name = "URAD", default_value_t = LABORATORY.gear_sine_urad)]
+    #[arg(long, value_name = "URAD", default_value_t = LABORATORY.gear_sine_urad)]
     gear_sine_urad: f64,
 }
 
@@ -92,6 +93,7 @@ impl ArmArguments {
 }
 
 #[derive(Debug, Args)]
+#[command(next_help_heading = "Simulation")]
 struct SimulateContactArguments {
     #[command(flatten)]
     arm: ArmArguments,
@@ -99,38 +101,40 @@ struct SimulateContactArguments {
     #[arg(long, help_heading = "Input", value_name = "FILE")]
     sockets: Option<PathBuf>,
     /// Write the sockets' distances into sockets.toml instead of their places
-    #[arg(long, help_heading = "Simulation")]
+    #[arg(long)]
     distances: bool,
     /// Number of poses to simulate
-    #[arg(long, help_heading = "Simulation", value_name = "N", default_value_t = 200)]
+    #[arg(long, value_name = "N", default_value_t = 200)]
     rows: usize,
     /// Repeatability of the seated ball, standard deviation along each axis [um]
-    #[arg(long, help_heading = "Simulation", value_name = "UM", default_value_t = 5.0)]
+    #[arg(long, value_name = "UM", default_value_t = 5.0)]
     seating_um: f64,
 }
 
 #[derive(Debug, Args)]
+#[command(next_help_heading = "Simulation")]
 struct SimulateTouchArguments {
     #[command(flatten)]
     arm: ArmArguments,
     /// Edge of the block [mm]; default: by the robot's size
-    #[arg(long, help_heading = "Simulation", value_name = "MM")]
+    #[arg(long, value_name = "MM")]
     block_mm: Option<f64>,
     /// Write a table of faces without known distances and angles
-    #[arg(long, help_heading = "Simulation")]
+    #[arg(long)]
     unknown: bool,
     /// Number of touches to simulate
-    #[arg(long, help_heading = "Simulation", value_name = "N", default_value_t = 300)]
+    #[arg(long, value_name = "N", default_value_t = 300)]
     rows: usize,
     /// Repeatability of a touch, standard deviation [um]
-    #[arg(long, help_heading = "Simulation", value_name = "UM", default_value_t = 2.0)]
+    #[arg(long, value_name = "UM", default_value_t = 2.0)]
     touch_um: f64,
     /// Travel of a dial gauge in place of a touch probe [mm]
-    #[arg(long, help_heading = "Simulation", value_name = "MM", default_value_t = 0.0)]
+    #[arg(long, value_name = "MM", default_value_t = 0.0)]
     gauge_mm: f64,
 }
 
 #[derive(Debug, Args)]
+#[command(next_help_heading = "Simulation")]
 struct SimulateBarArguments {
     /// The robot's configuration, or the name of one in `identify robot list`, such as irb2400_16
     #[arg(long, help_heading = "Input", value_name = "FILE")]
@@ -142,88 +146,76 @@ struct SimulateBarArguments {
     #[arg(long, help_heading = "Output", value_name = "DIR")]
     out: PathBuf,
     /// Seed of path, encoder offsets and noise
-    #[arg(long, help_heading = "Simulation", default_value_t = 1)]
+    #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Seed of drawn errors and of the phases of gears and encoders: give the same one to simulate another run of one robot and
     /// bar; default: as --seed
-    #[arg(long, help_heading = "Simulation", value_name = "SEED")]
+    #[arg(long, value_name = "SEED")]
     robot_seed: Option<u64>,
     /// Errors of robot and bar
-    #[arg(long, help_heading = "Simulation", value_enum, default_value = "thesis")]
+    #[arg(long, value_enum, default_value = "thesis")]
     errors: RobotErrors,
     /// Centre of the bar's gimbal in the robot's base frame [m]; default: 1.0,0.05,0.35, or 1.7,0.05,0.6 if link 2 is longer
     /// than a metre
-    #[arg(long, help_heading = "Simulation", value_name = "X,Y,Z", value_parser = numbers::<3>, allow_hyphen_values = true)]
+    #[arg(long, value_name = "X,Y,Z", value_parser = numbers::<3>, allow_hyphen_values = true)]
     base: Option<[f64; 3]>,
     /// A posture of the robot near which the motion begins, one number for each axis [deg, mm]; it selects elbow and wrist;
     /// default: 0,20,10,0,60,0 for six axes, otherwise a random one
-    #[arg(
-        long,
-        help_heading = "Simulation",
-        value_name = "Q1,Q2,..",
-        value_delimiter = ',',
-        allow_hyphen_values = true
-    )]
+    #[arg(long, value_name = "Q1,Q2,..", value_delimiter = ',', allow_hyphen_values = true)]
     posture: Vec<f64>,
     /// Length of the run, such as 90s or 2m; a plain number is seconds
-    #[arg(long, help_heading = "Simulation", default_value = "2m", value_parser = parse_duration)]
+    #[arg(long, default_value = "2m", value_parser = parse_duration)]
     duration: Duration,
     /// The path that the robot drives, such as path.toml of `identify plan`; default: a random one
     #[arg(long, help_heading = "Input", value_name = "FILE", conflicts_with_all = ["base", "posture", "duration"])]
     path: Option<PathBuf>,
     /// Time of the robot's clock when the recording begins [s], at most 9e9; default: 3712.345678901
-    #[arg(long, help_heading = "Simulation", value_name = "S", allow_hyphen_values = true)]
+    #[arg(long, value_name = "S", allow_hyphen_values = true)]
     robot_clock_s: Option<f64>,
     /// Rate of the robot's clock against the bar's, -10000 to 10000 [ppm]
-    #[arg(
-        long,
-        help_heading = "Simulation",
-        value_name = "PPM",
-        default_value_t = 25.0,
-        allow_hyphen_values = true
-    )]
+    #[arg(long, value_name = "PPM", default_value_t = 25.0, allow_hyphen_values = true)]
     skew_ppm: f64,
     /// None of the effects below, to test the estimator alone
-    #[arg(long, help_heading = "Simulation", conflicts_with_all = Effects::KEYS)]
+    #[arg(long, conflicts_with_all = Effects::KEYS)]
     exact: bool,
     /// White noise of each robot joint [urad]
-    #[arg(long, help_heading = "Simulation", value_name = "URAD", default_value_t = LABORATORY.robot_noise_urad)]
+    #[arg(long, value_name = "URAD", default_value_t = LABORATORY.robot_noise_urad)]
     robot_noise_urad: f64,
     /// White noise of each bar encoder [urad]
-    #[arg(long, help_heading = "Simulation", value_name = "URAD", default_value_t = LABORATORY.encoder_noise_urad)]
+    #[arg(long, value_name = "URAD", default_value_t = LABORATORY.encoder_noise_urad)]
     encoder_noise_urad: f64,
     /// Sinusoidal error of each robot gear, amplitude [urad]
-    #[arg(long, help_heading = "Simulation", value_name = "URAD", default_value_t = LABORATORY.gear_sine_urad)]
+    #[arg(long, value_name = "URAD", default_value_t = LABORATORY.gear_sine_urad)]
     gear_sine_urad: f64,
     /// Ripple of each cycloid gear, amplitude [urad]
-    #[arg(long, help_heading = "Simulation", value_name = "URAD", default_value_t = LABORATORY.cycloid_urad)]
+    #[arg(long, value_name = "URAD", default_value_t = LABORATORY.cycloid_urad)]
     cycloid_urad: f64,
     /// Half of the backlash of each robot gear [urad]
-    #[arg(long, help_heading = "Simulation", value_name = "URAD", default_value_t = LABORATORY.backlash_urad)]
+    #[arg(long, value_name = "URAD", default_value_t = LABORATORY.backlash_urad)]
     backlash_urad: f64,
     /// Eccentricity of each bar encoder: error with one period per turn, amplitude [urad]
-    #[arg(long, help_heading = "Simulation", value_name = "URAD", default_value_t = LABORATORY.encoder_eccentricity_urad)]
+    #[arg(long, value_name = "URAD", default_value_t = LABORATORY.encoder_eccentricity_urad)]
     encoder_eccentricity_urad: f64,
     /// Ellipticity of each bar encoder: error with two periods per turn, amplitude [urad]
-    #[arg(long, help_heading = "Simulation", value_name = "URAD", default_value_t = LABORATORY.encoder_ellipticity_urad)]
+    #[arg(long, value_name = "URAD", default_value_t = LABORATORY.encoder_ellipticity_urad)]
     encoder_ellipticity_urad: f64,
     /// Resolution of each bar encoder, if coarser than its counts [urad]
-    #[arg(long, help_heading = "Simulation", value_name = "URAD", default_value_t = LABORATORY.encoder_step_urad)]
+    #[arg(long, value_name = "URAD", default_value_t = LABORATORY.encoder_step_urad)]
     encoder_step_urad: f64,
     /// Tilt of the bar's base against the robot's [urad]
-    #[arg(long, help_heading = "Simulation", value_name = "URAD", default_value_t = LABORATORY.base_tilt_urad)]
+    #[arg(long, value_name = "URAD", default_value_t = LABORATORY.base_tilt_urad)]
     base_tilt_urad: f64,
     /// Largest force along the bar [N]; above 0 the robot's log has a column `force_N`
-    #[arg(long, help_heading = "Simulation", value_name = "N", default_value_t = 0.0)]
+    #[arg(long, value_name = "N", default_value_t = 0.0)]
     force_n: f64,
     /// Elongation of the bar for each newton of tension [um/N]
-    #[arg(long, help_heading = "Simulation", value_name = "UM", default_value_t = 0.0, requires = "force_n")]
+    #[arg(long, value_name = "UM", default_value_t = 0.0, requires = "force_n")]
     compliance_um_per_n: f64,
     /// Play of the bar: elongation under any tension, and shortening under compression [um]
-    #[arg(long, help_heading = "Simulation", value_name = "UM", default_value_t = 0.0, requires = "force_n")]
+    #[arg(long, value_name = "UM", default_value_t = 0.0, requires = "force_n")]
     bar_play_um: f64,
     /// White noise of the force in the log [N]
-    #[arg(long, help_heading = "Simulation", value_name = "N", default_value_t = 1.0)]
+    #[arg(long, value_name = "N", default_value_t = 1.0)]
     force_noise_n: f64,
 }
 
