@@ -11,7 +11,7 @@ use super::bar::{self, RunFiles};
 use super::experiment::ExperimentFile;
 use super::refused::refused;
 use super::result::{conclude, limited, write_files};
-use super::rows::{self, Aligned, Beside, Others, WithLogs};
+use super::rows::{self, Aligned, Beside, ValidationFile, WithLogs};
 use super::{ResultArguments, inputs};
 use crate::calibrate::validation::unseen::UnseenPart;
 use crate::calibrate::{self, CalibrateError, Calibration, DataSets, RunInput};
@@ -55,9 +55,9 @@ pub(super) fn calibrate(
     let (rows, beside) = rows_of(&experiment, robot, &logs, directory)?;
     experiment.state(&rows);
     let experiment = &experiment;
-    let numbered = experiment.rows().zip(&rows).zip(experiment.bars.len() + 1..);
-    let others = numbered
-        .map(|(((kind, file), rows), number)| Others::read(kind, file, number, rows.seed(), robot))
+    let others = (experiment.bars.len() + 1..)
+        .zip(experiment.rows())
+        .map(|(number, (kind, file))| ValidationFile::read_all(kind, file, number, robot))
         .collect::<anyhow::Result<Vec<_>>>()?;
     let (inputs, bars) = both(|| inputs(&experiment.files()), || bar::runs(experiment, robot, &logs));
     let (mut bars, inputs) = (bars?, inputs?);
@@ -218,7 +218,7 @@ impl Tables {
         unseen: &[UnseenPart],
         rows: &[Rows],
         beside: &[Beside],
-        others: &[Others<'_>],
+        others: &[Vec<ValidationFile<'_>>],
         robot: &RobotConfig,
         validity: &Validity,
     ) -> anyhow::Result<Self> {
@@ -232,7 +232,9 @@ impl Tables {
                 1 => instrument.name().to_owned(),
                 _ => format!("{} (data set {})", instrument.name(), number + 1),
             };
-            let validations = others.judge(number + 1, robot, validity, model)?;
+            let validate =
+                |file: &ValidationFile<'_>| file.validate(rows.seed(), number + 1, robot, validity, model);
+            let validations = others.iter().map(validate).collect::<anyhow::Result<Vec<_>>>()?;
             tables.validation_lines.extend(validations.iter().map(rows_report::Validation::line));
             tables.validations.extend(validations.iter().map(|validation| validation.entry.clone()));
             let unseen: Vec<&UnseenPart> = unseen.iter().filter(|part| part.data_set == number + 1).collect();

@@ -1,7 +1,7 @@
 //! `identify calibrate tracker`, `wire`, `contact` and `touch`: instruments whose measurements are rows of a table,
 //! each a pose of the robot and what was measured there. Options of these commands, and for the `driver` the reading of
-//! such files to [`Rows`]: joints are in the rows, or follow from the robot's log by aligning the clocks. [`Others`]
-//! are files of `--validate`.
+//! such files to [`Rows`]: joints are in the rows, or follow from the robot's log by aligning the clocks. A
+//! [`ValidationFile`] is one of `--validate`.
 
 use std::collections::BTreeMap;
 use std::fmt::Display;
@@ -345,28 +345,22 @@ impl Aligned {
     }
 }
 
-/// Files of `--validate`: the same instrument, but no data of the calibration.
-pub(super) struct Others<'a> {
-    seed: u64,
-    files: Vec<ValidationFile<'a>>,
-}
-
-struct ValidationFile<'a> {
+/// A file of `--validate`: the same instrument, but no data of the calibration.
+pub(super) struct ValidationFile<'a> {
     path: &'a Path,
     instrument: Instrument,
     /// Line number of each row.
     lines: Vec<u64>,
 }
 
-impl<'a> Others<'a> {
-    /// Read before the fit, so that a missing file is reported immediately.
-    pub(super) fn read(
+impl<'a> ValidationFile<'a> {
+    /// Reads those of a data set before the fit, so that a missing file is reported immediately.
+    pub(super) fn read_all(
         kind: RowInstrument,
         options: &'a RowFile,
         data_set: usize,
-        seed: u64,
         robot: &RobotConfig,
-    ) -> anyhow::Result<Self> {
+    ) -> anyhow::Result<Vec<Self>> {
         let mapping_file = options.validate_mapping.as_ref().unwrap_or(&options.mapping);
         if kind == RowInstrument::Tracker && !options.validate.is_empty() {
             let mapping: MeasuredPoseMapping = config::load(mapping_file)?;
@@ -381,29 +375,29 @@ impl<'a> Others<'a> {
         let read_file = |path: &'a PathBuf| {
             let (instrument, beside) =
                 rows_with_joints(kind, options, [path, mapping_file], data_set, robot)?;
-            Ok(ValidationFile { path, instrument, lines: beside.lines })
+            Ok(Self { path, instrument, lines: beside.lines })
         };
-        Ok(Self { seed, files: options.validate.iter().map(read_file).collect::<anyhow::Result<_>>()? })
+        options.validate.iter().map(read_file).collect()
     }
 
-    /// Errors of the nominal and the calibrated robot on each file; `data_set` is the one with the same instrument, from 1.
-    pub(super) fn judge(
+    /// Errors of the nominal and the calibrated robot on the file; `data_set` is the one with the same instrument, from 1, and
+    /// `seed` selects its held-out rows.
+    pub(super) fn validate(
         &self,
+        seed: u64,
         data_set: usize,
         robot: &RobotConfig,
         validity: &Validity,
         model: &Model,
-    ) -> anyhow::Result<Vec<rows_report::Validation>> {
-        let validate_file = |ValidationFile { path, instrument, lines }: &ValidationFile<'_>| {
-            let name = path.display().to_string();
-            let Validated { figures: [nominal, calibrated], gross } =
-                validate(instrument, robot, model, self.seed).with_context(|| name.clone())?;
-            let outside = rows_report::outside(validity, instrument.joints().into_iter(), lines);
-            let (unsupported, left_out) = (outside.len(), gross.len());
-            let entry = ValidationEntry { name, data_set, nominal, calibrated, unsupported, left_out };
-            let gross = gross.iter().filter_map(|row| lines.get(*row)).copied().collect();
-            Ok(rows_report::Validation { entry, gross, outside })
-        };
-        self.files.iter().map(validate_file).collect()
+    ) -> anyhow::Result<rows_report::Validation> {
+        let Self { path, instrument, lines } = self;
+        let name = path.display().to_string();
+        let Validated { figures: [nominal, calibrated], gross } =
+            validate(instrument, robot, model, seed).with_context(|| name.clone())?;
+        let outside = rows_report::outside(validity, instrument.joints().into_iter(), lines);
+        let (unsupported, left_out) = (outside.len(), gross.len());
+        let entry = ValidationEntry { name, data_set, nominal, calibrated, unsupported, left_out };
+        let gross = gross.iter().filter_map(|row| lines.get(*row)).copied().collect();
+        Ok(rows_report::Validation { entry, gross, outside })
     }
 }
