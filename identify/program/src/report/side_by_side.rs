@@ -96,28 +96,26 @@ fn verdict(consistency: &Consistency) -> String {
 /// A page for a browser, without scripts or anything to load.
 pub fn page(consistency: &Consistency, robot: &str, names: &[String]) -> Markup {
     let title = format!("Calibrations of {robot} side by side");
-    document(
-        &title,
-        &html! {
-            h1 { (title) }
-            div.verdict.doubt[!consistency.is_consistent()] { (verdict(consistency)) }
-            @if let Some(sentence) = other_nominals(consistency) { p { (sentence) } }
-            @for sentence in apart(consistency) { p { (sentence) } }
-            ol { @for (index, name) in names.iter().enumerate() {
-                @let colour = COLOURS[index % COLOURS.len()];
-                li { span style=(format!("color: rgb({},{},{})", colour.0, colour.1, colour.2)) { "● " } (name) }
-            } }
-            figure {
-                (intervals("Lengths", Unit::Metre, consistency, names.len()))
-                (intervals("Angles", Unit::Radian, consistency, names.len()))
-                figcaption {
-                    "How far each calibration is from their weighted mean, with 95 % intervals. Intervals that do not overlap "
-                    "are a difference."
-                }
+    let body = html! {
+        h1 { (title) }
+        div.verdict.doubt[!consistency.is_consistent()] { (verdict(consistency)) }
+        @if let Some(sentence) = other_nominals(consistency) { p { (sentence) } }
+        @for sentence in apart(consistency) { p { (sentence) } }
+        ol { @for (index, name) in names.iter().enumerate() {
+            @let colour = COLOURS[index % COLOURS.len()];
+            li { span style=(format!("color: rgb({},{},{})", colour.0, colour.1, colour.2)) { "● " } (name) }
+        } }
+        figure {
+            (intervals("Lengths", Unit::Metre, consistency, names.len()))
+            (intervals("Angles", Unit::Radian, consistency, names.len()))
+            figcaption {
+                "How far each calibration is from their weighted mean, with 95 % intervals. Intervals that do not overlap "
+                "are a difference."
             }
-            div.wide { (rows(consistency, names.len())) }
-        },
-    )
+        }
+        div.wide { (rows(consistency, names.len())) }
+    };
+    document(&title, &body)
 }
 
 /// How far each calibration is from the weighted means, with intervals; calibrations stand side by side at each name.

@@ -13,21 +13,19 @@ use crate::report::verdict::Grade;
 
 /// The certificate: verdict, identity of robot and instrument, errors before and after, map, conditions and signature.
 pub(super) fn certificate(file: &CalibrationFile, workspace: &WorkspaceError) -> Markup {
-    sheet(
-        file.is_simulated(),
-        &html! {
-            header {
-                h1 { "Calibration of " (file.robot) }
-                p.about { "Certificate · " (to_the_second(&file.created)) " · " (file.software) }
-            }
-            (verdict(file, workspace))
-            (identity(&file.robot, &file.instrument, &file.measured, Some(required(file)), dated(file)))
-            (results(file, workspace))
-            (workspace::map(workspace))
-            (conditions(file))
-            (signature())
-        },
-    )
+    let body = html! {
+        header {
+            h1 { "Calibration of " (file.robot) }
+            p.about { "Certificate · " (to_the_second(&file.created)) " · " (file.software) }
+        }
+        (verdict(file, workspace))
+        (identity(&file.robot, &file.instrument, &file.measured, Some(required(file)), dated(file)))
+        (results(file, workspace))
+        (workspace::map(workspace))
+        (conditions(file))
+        (signature())
+    };
+    sheet(file.is_simulated(), &body)
 }
 
 /// The first sheet, with a band across it, on the screen and in print, if nothing was measured.

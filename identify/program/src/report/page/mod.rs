@@ -76,26 +76,24 @@ impl Page<'_> {
                 ("Place of the bar, clocks", names_of_runs.chain(names_of_rows).collect())
             }
         };
-        document(
-            &title,
-            &html! {
-                main {
-                    (certificate::certificate(self.file, &self.evidence.workspace))
-                    (sections::numbers(self))
-                    (held_out::section(self))
-                    (rows::section(self))
-                    @if has_bars { (runs::gaps(self)) (sphere::section(self)) }
-                    (sections::bar(self))
-                    (sections::parameters(self.file, first_heading, &other_headings))
-                    (sections::budget(self.file))
-                    (sections::candidates(self.file))
-                    @if has_bars { (sections::joints(self)) (sections::coverage(self)) (runs::alignments(self)) }
-                    (sections::dependence(self.file))
-                    (inputs::section(self.sources))
-                    (sections::origin(self))
-                }
-            },
-        )
+        let body = html! {
+            main {
+                (certificate::certificate(self.file, &self.evidence.workspace))
+                (sections::numbers(self))
+                (held_out::section(self))
+                (rows::section(self))
+                @if has_bars { (runs::gaps(self)) (sphere::section(self)) }
+                (sections::bar(self))
+                (sections::parameters(self.file, first_heading, &other_headings))
+                (sections::budget(self.file))
+                (sections::candidates(self.file))
+                @if has_bars { (sections::joints(self)) (sections::coverage(self)) (runs::alignments(self)) }
+                (sections::dependence(self.file))
+                (inputs::section(self.sources))
+                (sections::origin(self))
+            }
+        };
+        document(&title, &body)
     }
 }
 

@@ -44,25 +44,23 @@ impl StudyPage<'_> {
         let study = &self.definition.study;
         let (claims, answers): (Vec<&StatementAnswer>, Vec<&StatementAnswer>) =
             self.summary.findings.iter().partition(|finding| finding.holds.is_some());
-        document(
-            &study.title,
-            &html! {
-                header {
-                    h1 { (study.title) }
-                    p.about {
-                        (self.definition.robot.name) " · " (self.definition.bar.name) " · "
-                        (study.seeds) @if study.seeds == 1 { " experiment" } @else { " experiments" } " a point · " (self.definition.software)
-                    }
+        let body = html! {
+            header {
+                h1 { (study.title) }
+                p.about {
+                    (self.definition.robot.name) " · " (self.definition.bar.name) " · "
+                    (study.seeds) @if study.seeds == 1 { " experiment" } @else { " experiments" } " a point · " (self.definition.software)
                 }
-                main {
-                    p { (study.about) }
-                    (findings("Answers", ["question", "answer"], &answers))
-                    (findings("What the thesis found, checked", ["claim", "here"], &claims))
-                    @for figure in &study.figures { (self.figure(figure)) }
-                    (self.failures())
-                }
-            },
-        )
+            }
+            main {
+                p { (study.about) }
+                (findings("Answers", ["question", "answer"], &answers))
+                (findings("What the thesis found, checked", ["claim", "here"], &claims))
+                @for figure in &study.figures { (self.figure(figure)) }
+                (self.failures())
+            }
+        };
+        document(&study.title, &body)
     }
 
     fn curves(&self, figure: &Figure) -> Vec<&ErrorCurve> {

@@ -62,36 +62,33 @@ impl PathPage<'_> {
                 } } }
             } }
         };
-        document_with(
-            &title,
-            path_view::SCRIPTS,
-            &html! {
-                header {
-                    h1 { (title) }
-                    p.about { (format!("{:.0} s with the ball-bar, planned", self.checked.duration_s)) }
+        let body = html! {
+            header {
+                h1 { (title) }
+                p.about { (format!("{:.0} s with the ball-bar, planned", self.checked.duration_s)) }
+            }
+            main {
+                (self.view())
+                pre.table { (self.summary) }
+                @if let Some(bodies) = &self.constraints.bodies { (collisions(bodies, true)) }
+                h2 { "Where the bar goes" }
+                figure {
+                    div.panels { (self.sphere()) (self.margin()) }
+                    figcaption { "Left: equal areas of the sphere are equal areas of the figure." }
                 }
-                main {
-                    (self.view())
-                    pre.table { (self.summary) }
-                    @if let Some(bodies) = &self.constraints.bodies { (collisions(bodies, true)) }
-                    h2 { "Where the bar goes" }
-                    figure {
-                        div.panels { (self.sphere()) (self.margin()) }
-                        figcaption { "Left: equal areas of the sphere are equal areas of the figure." }
-                    }
-                    h2 { "What the robot does" }
-                    figure { (self.angles()) (self.speeds()) }
-                    h2 { "How far the bar's cables are wound" }
-                    figure { (self.winding()) }
-                    h2 { "What a calibration is expected to know" }
-                    div.columns { (table("Robot", true)) (table("Bar, base, clock and errors of axes", false)) }
-                    p.note {
-                        "sigma: one standard deviation for white noise, with the priors of a calibration's default settings and all its "
-                        "terms. Errors that no parameter describes come on top."
-                    }
+                h2 { "What the robot does" }
+                figure { (self.angles()) (self.speeds()) }
+                h2 { "How far the bar's cables are wound" }
+                figure { (self.winding()) }
+                h2 { "What a calibration is expected to know" }
+                div.columns { (table("Robot", true)) (table("Bar, base, clock and errors of axes", false)) }
+                p.note {
+                    "sigma: one standard deviation for white noise, with the priors of a calibration's default settings and all its "
+                    "terms. Errors that no parameter describes come on top."
                 }
-            },
-        )
+            }
+        };
+        document_with(&title, path_view::SCRIPTS, &body)
     }
 
     fn view(&self) -> Markup {

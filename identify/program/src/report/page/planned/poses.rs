@@ -55,40 +55,37 @@ impl PosesPage<'_> {
         let planned = self.planned;
         let title = format!("Poses for {}", self.robot);
         let count = planned.joints.len();
-        document_with(
-            &title,
-            path_view::SCRIPTS,
-            &html! {
-                header {
-                    h1 { (title) }
-                    p.about { (planned.joints.len()) " poses to be measured, chosen out of " (self.candidates) }
+        let body = html! {
+            header {
+                h1 { (title) }
+                p.about { (planned.joints.len()) " poses to be measured, chosen out of " (self.candidates) }
+            }
+            main {
+                (self.view())
+                @if let Some(note) = path::ways(planned) { p.note { (note) } }
+                @if let Some(bodies) = self.bodies { (collisions(bodies, false)) }
+                h2 { "Position error that is expected" }
+                div.numbers {
+                    (number(mm(planned.before_m) + " mm", "of the robot as it is"))
+                    (number(mm(planned.position_m) + " mm", "after a calibration with these poses"))
+                    (number(mm(planned.random_m) + " mm", format!("with {count} random ones, the median")))
                 }
-                main {
-                    (self.view())
-                    @if let Some(note) = path::ways(planned) { p.note { (note) } }
-                    @if let Some(bodies) = self.bodies { (collisions(bodies, false)) }
-                    h2 { "Position error that is expected" }
-                    div.numbers {
-                        (number(mm(planned.before_m) + " mm", "of the robot as it is"))
-                        (number(mm(planned.position_m) + " mm", "after a calibration with these poses"))
-                        (number(mm(planned.random_m) + " mm", format!("with {count} random ones, the median")))
-                    }
-                    p.note {
-                        "Root mean square over all poses that were chosen from, for white noise and the errors of links, loads and gears that a "
-                        "calibration expects. What no parameter describes comes on top."
-                    }
-                    h2 { "Where the target goes" }
-                    figure { div.panels { (self.above()) (self.beside()) } }
-                    h2 { "What the robot does" }
-                    figure { (self.angles()) }
-                    (self.travel())
-                    h2 { "What a calibration is expected to know" }
-                    (self.determined())
-                    h2 { "Least determined parameters" }
-                    (self.weakest())
+                p.note {
+                    "Root mean square over all poses that were chosen from, for white noise and the errors of links, loads and gears that a "
+                    "calibration expects. What no parameter describes comes on top."
                 }
-            },
-        )
+                h2 { "Where the target goes" }
+                figure { div.panels { (self.above()) (self.beside()) } }
+                h2 { "What the robot does" }
+                figure { (self.angles()) }
+                (self.travel())
+                h2 { "What a calibration is expected to know" }
+                (self.determined())
+                h2 { "Least determined parameters" }
+                (self.weakest())
+            }
+        };
+        document_with(&title, path_view::SCRIPTS, &body)
     }
 
     /// Position of the target in the robot's base frame \[m\].

@@ -60,24 +60,22 @@ impl RefusedPage<'_> {
     /// The page; `set_aside` is where an older calibration goes.
     pub fn render(&self, set_aside: Option<&Path>) -> Markup {
         let title = format!("Calibration of {}: refused", self.robot);
-        document(
-            &title,
-            &html! {
-                main {
-                    (sheet(self.measured.iter().any(|one| one.simulated), &html! {
-                        header {
-                            h1 { (title) }
-                            p.about { "Refusal · " (to_the_second(&now())) " · " (software()) }
-                        }
-                        (self.verdict(set_aside))
-                        (identity(self.robot, self.instrument, self.measured, None, None))
-                    }))
-                    (self.deviations())
-                    @for (number, run) in self.runs.iter().enumerate() { (self.run(number, run)) }
-                    (repeated_with(self.inputs, &software(), self.configuration))
-                }
-            },
-        )
+        let body = html! {
+            main {
+                (sheet(self.measured.iter().any(|one| one.simulated), &html! {
+                    header {
+                        h1 { (title) }
+                        p.about { "Refusal · " (to_the_second(&now())) " · " (software()) }
+                    }
+                    (self.verdict(set_aside))
+                    (identity(self.robot, self.instrument, self.measured, None, None))
+                }))
+                (self.deviations())
+                @for (number, run) in self.runs.iter().enumerate() { (self.run(number, run)) }
+                (repeated_with(self.inputs, &software(), self.configuration))
+            }
+        };
+        document(&title, &body)
     }
 
     fn verdict(&self, set_aside: Option<&Path>) -> Markup {
