@@ -90,7 +90,7 @@ impl Page<'_> {
                 @if has_bars { (sections::joints(self)) (sections::coverage(self)) (runs::alignments(self)) }
                 (sections::dependence(self.file))
                 (inputs::section(self.sources))
-                (sections::origin(self))
+                (sections::repeated_with(&self.file.inputs, &self.file.software, self.configuration))
             }
         };
         document(&title, &body)

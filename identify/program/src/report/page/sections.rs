@@ -276,10 +276,6 @@ pub(super) fn dependence(file: &CalibrationFile) -> Markup {
     }
 }
 
-pub(super) fn origin(page: &Page<'_>) -> Markup {
-    repeated_with(&page.file.inputs, &page.file.software, page.configuration)
-}
-
 /// Inputs with their checksums, program and configuration: all that is needed to repeat the calibration.
 pub(super) fn repeated_with(inputs: &[InputFile], software: &str, configuration: &str) -> Markup {
     html! {
