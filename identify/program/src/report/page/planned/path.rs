@@ -115,23 +115,18 @@ impl PathPage<'_> {
     }
 
     /// A curve for each joint; `value` is given the time, the row of the robot's path, and the joint.
-    fn by_joint(
-        &self,
-        name: &str,
-        count: usize,
-        value: impl Fn(f64, usize, usize) -> Option<f64>,
-    ) -> Vec<Series> {
+    fn by_joint(&self, count: usize, value: impl Fn(f64, usize, usize) -> Option<f64>) -> Vec<Series> {
         let series = |joint: usize| {
             let points = self.rows().filter_map(|(t_s, row)| Some((t_s, value(t_s, row, joint)?))).collect();
             let colour = COLOURS.get(joint).copied().unwrap_or(GREY);
-            Series::new(format!("{name}{}", joint + 1), colour, Mark::Line, points)
+            Series::new(format!("joint {}", joint + 1), colour, Mark::Line, points)
         };
         (0..count).map(series).collect()
     }
 
     fn angles(&self) -> Markup {
         let arm = self.constraints.robot();
-        let series = self.by_joint("joint ", self.robot_path.axes(), |_, row, joint| {
+        let series = self.by_joint(self.robot_path.axes(), |_, row, joint| {
             Some(self.robot_path.q_rad.get(row)?[joint] * arm.links.get(joint)?.joint.display_factor())
         });
         over_time("Robot joints", if has_prismatic(arm) { "[deg, mm]" } else { "[deg]" }, series)
@@ -139,7 +134,7 @@ impl PathPage<'_> {
 
     fn speeds(&self) -> Markup {
         let log = self.robot_path;
-        let series = self.by_joint("joint ", log.axes(), |_, row, joint| {
+        let series = self.by_joint(log.axes(), |_, row, joint| {
             let next = row + 1;
             let change = log.q_rad.get(next)?[joint] - log.q_rad.get(row)?[joint];
             Some(change / (log.q_rad.t_s.get(next)? - log.q_rad.t_s.get(row)?))
@@ -149,7 +144,7 @@ impl PathPage<'_> {
     }
 
     fn winding(&self) -> Markup {
-        let series = self.by_joint("joint ", BAR_JOINTS, |t_s, _, joint| {
+        let series = self.by_joint(BAR_JOINTS, |t_s, _, joint| {
             Some((self.path.at(t_s)[joint] - self.path.start_rad[joint]).to_degrees())
         });
         over_time("Bar joints from the start", "[deg]", series)

@@ -136,8 +136,7 @@ impl PosesPage<'_> {
             let colour = COLOURS.get(joint).copied().unwrap_or(GREY);
             Series::new(format!("joint {}", joint + 1), colour, Mark::Line, points)
         };
-        let is_deg = (0..self.limits.len()).all(|joint| self.unit(joint).1 == "deg");
-        let y = if is_deg { "[deg]" } else { "[deg, mm]" };
+        let y = if path::has_prismatic(self.arm) { "[deg, mm]" } else { "[deg]" };
         let series = (0..self.limits.len()).map(series).collect();
         Panel::new("Robot joints", ["pose", y], WIDE, series).draw()
     }
