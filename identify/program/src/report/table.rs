@@ -5,6 +5,7 @@ use std::fmt::Write;
 
 use super::result::corrections::TO_JOINT;
 use super::result::file::{CalibrationFile, ParameterEntry, ParameterStatus, ReadIn};
+use super::result::validation::HeldOutEntry;
 use crate::calibrate::Calibration;
 use crate::calibrate::validation::deployment::Deployment;
 use crate::inspect::{Inspection, JointLine};
@@ -54,7 +55,7 @@ pub fn calibration(file: &CalibrationFile) -> String {
     }
     text.push_str(&budget(file));
     text.push_str(&candidates(file));
-    text.push_str(&super::result::validation::describe(file));
+    text.extend(file.held_out.as_ref().map(HeldOutEntry::line));
     text
 }
 

@@ -1,7 +1,6 @@
 //! Held-out validation as entries of `calibration.toml` and `calibration.json`, and its line for the terminal.
 
 use std::collections::BTreeMap;
-use std::fmt::Write;
 
 use serde::{Deserialize, Serialize};
 
@@ -160,23 +159,17 @@ fn pooled_rms(groups: impl Iterator<Item = (usize, f64)>) -> f64 {
     (sums[1] / sums[0]).sqrt()
 }
 
-/// The line for the terminal on held-out segments; empty without them.
-pub(in crate::report) fn describe(file: &CalibrationFile) -> String {
-    let mut text = String::new();
-    // Writing to a string cannot fail.
-    if let Some(HeldOutEntry { segments, nominal, calibrated, fitted }) = &file.held_out {
-        let mm = |error: &PoseError| error.position_m * 1e3;
-        let _ = write!(
-            text,
-            "held out: {segments} segments predicted from the others, robot against bar {:.4} -> {:.4} mm RMS ({:.4} fitted)",
-            mm(nominal),
-            mm(calibrated),
-            mm(fitted),
-        );
-        if let (Some(before), Some(after)) = (nominal.rotation_rad, calibrated.rotation_rad) {
-            let _ = write!(text, ", {:.4} -> {:.4} mrad", before * 1e3, after * 1e3);
-        }
-        text.push('\n');
+impl HeldOutEntry {
+    /// The line for the terminal.
+    pub(in crate::report) fn line(&self) -> String {
+        let Self { segments, nominal, calibrated, fitted } = self;
+        let [before, after, fit] = [nominal, calibrated, fitted].map(|error| error.position_m * 1e3);
+        let rotations = nominal.rotation_rad.zip(calibrated.rotation_rad);
+        let rotations = rotations.map(|(a, b)| format!(", {:.4} -> {:.4} mrad", a * 1e3, b * 1e3));
+        format!(
+            "held out: {segments} segments predicted from the others, robot against bar {before:.4} -> {after:.4} mm RMS \
+             ({fit:.4} fitted){}\n",
+            rotations.unwrap_or_default()
+        )
     }
-    text
 }
