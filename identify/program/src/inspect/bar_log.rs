@@ -23,9 +23,7 @@ pub fn bar_log(log: &OtherBarLog) -> Inspection {
     }
     unwrapped(&mut inspection, &log.unwrapped);
     quality(&mut inspection, &log.cycles);
-    for remark in &log.quality.remarks {
-        inspection.suspect(remark.clone());
-    }
+    inspection.suspicious.extend_from_slice(&log.quality.remarks);
     motion(&mut inspection, &log.cycles, &log.encoders);
     inspection
 }

@@ -41,9 +41,7 @@ pub fn robot_log(log: &RobotLog, robot: &RobotConfig) -> Inspection {
             "{repeated} rows repeat the joints of the row before, and then the joints jump: the logger got no new values"
         ));
     }
-    for remark in &quality.remarks {
-        inspection.suspect(remark.clone());
-    }
+    inspection.suspicious.extend_from_slice(&quality.remarks);
     let (continuous, wrapped) = unwrapped_log(log);
     unwrapped(&mut inspection, &wrapped);
     inspection.joints = joint_lines('q', robot.joint_kinds(), &continuous.q_rad.t_s, &continuous.q_rad);

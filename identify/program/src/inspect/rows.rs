@@ -28,13 +28,14 @@ pub fn poses(read: &MeasuredPoses, robot: &RobotConfig) -> Inspection {
     set_ups(&mut inspection, [("stations", &read.stations), ("targets", &read.targets)]);
     extent(&mut inspection, rows.iter().map(|row| row.position_m.into()));
     copies(&mut inspection, rows, |row| &mut row.line);
-    ranges(&mut inspection, rows.iter().map(|row| row.joints_rad), robot);
     nominal_robot(&mut inspection, &Tracker::new(rows).into(), robot);
     inspection
 }
 
-/// Reports the residuals of the nominal robot with the instrument fitted to it, and what may be wrong if they are large.
+/// Reports how far each joint goes, the residuals of the nominal robot with the instrument fitted to it, and what may be wrong
+/// if they are large.
 fn nominal_robot(inspection: &mut Inspection, instrument: &Instrument, robot: &RobotConfig) {
+    ranges(inspection, instrument.joints().into_iter(), robot);
     let chain = flange_chain(robot);
     if let Err(error) = instrument.contradicting(&chain) {
         inspection.suspect(error.to_string());
@@ -70,7 +71,7 @@ pub fn timed_poses(read: &TimedPoses) -> Inspection {
     stamps(&mut inspection, &read.rows.t_s, &quality);
     set_ups(&mut inspection, [("stations", &read.stations), ("targets", &read.targets)]);
     extent(&mut inspection, read.rows.iter().map(|row| row.position_m.into()));
-    read.remarks.iter().for_each(|remark| inspection.suspect(remark.clone()));
+    inspection.suspicious.extend_from_slice(&read.remarks);
     inspection
 }
 
@@ -83,7 +84,6 @@ pub fn lengths(read: &MeasuredLengths, robot: &RobotConfig) -> Inspection {
         .fact("rows", format!("{}, lengths of {:.2} to {:.2} mm", rows.len(), low_m * 1e3, high_m * 1e3));
     set_ups(&mut inspection, [("anchors", &read.anchors), ("attachments", &read.attachments)]);
     copies(&mut inspection, rows, |row| &mut row.line);
-    ranges(&mut inspection, rows.iter().map(|row| row.joints_rad), robot);
     nominal_robot(&mut inspection, &Wire::new(rows).into(), robot);
     inspection
 }
@@ -99,7 +99,6 @@ pub fn touches(read: &Touches, robot: &RobotConfig) -> Inspection {
     }
     inspection.fact("faces", format!("{}: {}", read.faces.len(), named(&read.faces, NAMED)));
     copies(&mut inspection, rows, |row| &mut row.line);
-    ranges(&mut inspection, rows.iter().map(|row| row.joints_rad), robot);
     let touch = Touch::new(rows, &read.faces, &FaceTable::default(), &flange_chain(robot));
     nominal_robot(&mut inspection, &touch.into(), robot);
     inspection
