@@ -18,5 +18,4 @@ pub use consistency::{Consistency, ConsistencyError, ParameterEstimates};
 pub use page::picture;
 
 pub use result::read::CalibrationReadError;
-pub use result::robot_files::RobotFileError;
 pub use robot_check::robot_check;

@@ -25,6 +25,7 @@ use crate::calibrate::validation::deployment::Deployment;
 use crate::calibrate::validation::unseen::UnseenPart;
 use crate::evaluate::{Budget, Limit, Validity, not_separated};
 use crate::instrument::Run;
+use crate::logs::LogError;
 use crate::model::{Group, Model, Parameter, ParameterId, Role, TermGroup, Unit};
 use crate::report::verdict::CalibrationVerdict;
 use crate::solver::{Identifiability, Solution, Summary};
@@ -32,7 +33,7 @@ use crate::solver::{Identifiability, Solution, Summary};
 /// Version of the file's structure; it rises when a key changes its name or meaning.
 pub const SCHEMA: u32 = 2;
 
-/// Why the file cannot be written.
+/// Why a file of a result cannot be written.
 #[derive(Debug, thiserror::Error)]
 pub enum FileError {
     /// The operating system refused.
@@ -52,6 +53,9 @@ pub enum FileError {
     /// The table of links cannot be written.
     #[error("the table of links cannot be written as CSV: {0}")]
     Csv(#[from] csv::Error),
+    /// The offsets of the joints cannot be written in terms of the robot's log.
+    #[error(transparent)]
+    Conversion(#[from] LogError),
 }
 
 /// A file that the calibration was made from.

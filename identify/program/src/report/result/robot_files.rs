@@ -10,19 +10,8 @@ use super::corrections::{corrections, csv, log_corrections};
 use super::file::{CalibrationFile, FileError, ParameterEntry, replace};
 use crate::calibrate::validation::deployment::Deployment;
 use crate::kinematics::{Chain, DhLink, Pose, flange_chain, robot_chain, roll_pitch_yaw};
-use crate::logs::{LogError, RobotLogMapping};
+use crate::logs::RobotLogMapping;
 use crate::model::ParameterId;
-
-/// Why the files of the robot cannot be written.
-#[derive(Debug, thiserror::Error)]
-pub enum RobotFileError {
-    /// The robot's log cannot be converted.
-    #[error(transparent)]
-    Conversion(#[from] LogError),
-    /// It cannot be written.
-    #[error(transparent)]
-    File(#[from] FileError),
-}
 
 impl CalibrationFile {
     /// The robot's links from the root, with `number` of each entry, such as its value; kinds of joints are those
@@ -60,14 +49,14 @@ impl CalibrationFile {
     /// or not at all. Returns their paths.
     ///
     /// # Errors
-    /// [`RobotFileError`].
+    /// [`FileError`].
     pub fn write_robot(
         &self,
         robot: &RobotConfig,
         bar: Option<&BallBarConfig>,
         log_mapping: Option<&RobotLogMapping>,
         directory: &Path,
-    ) -> Result<Vec<PathBuf>, RobotFileError> {
+    ) -> Result<Vec<PathBuf>, FileError> {
         let mut written = Vec::new();
         for (name, deployment) in [("corrections", Deployment::Dh), ("offsets", Deployment::Offsets)] {
             if !self.serves(deployment) {
@@ -78,8 +67,7 @@ impl CalibrationFile {
                 ("_log", log_corrections(self, robot, log_mapping, deployment)?),
             ];
             for (ending, rows) in tables {
-                let text = csv(&rows).map_err(FileError::from)?;
-                written.push(replace(directory, &format!("{name}{ending}.csv"), &text)?);
+                written.push(replace(directory, &format!("{name}{ending}.csv"), &csv(&rows)?)?);
             }
         }
         if self.serves(Deployment::Dh) {
