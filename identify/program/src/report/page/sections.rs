@@ -39,11 +39,6 @@ fn expected(label: &str, Expected { mean_m, interval_m, p95_m, .. }: &Expected) 
     number(mm(*mean_m) + " mm", label)
 }
 
-/// List of the limits that the verdict does not name.
-pub(super) fn limits(file: &CalibrationFile) -> Markup {
-    html! { @if file.other_limits().next().is_some() { ul { @for limit in file.other_limits() { li { (limit.sentence) } } } } }
-}
-
 /// Expected errors over the workspace, gaps between robot and bar, and errors of held-out rows, as large numbers.
 pub(super) fn numbers(page: &Page<'_>) -> Markup {
     let expected_errors = &page.evidence.workspace;
@@ -55,7 +50,9 @@ pub(super) fn numbers(page: &Page<'_>) -> Markup {
     };
     html! {
         h2 { "Before and after" }
-        (limits(page.file))
+        @if page.file.other_limits().next().is_some() {
+            ul { @for limit in page.file.other_limits() { li { (limit.sentence) } } }
+        }
         div.numbers {
             (expected("before", before))
             (expected("after", after))

@@ -63,10 +63,6 @@ impl StudyPage<'_> {
         document(&study.title, &body)
     }
 
-    fn curves(&self, figure: &Figure) -> Vec<&ErrorCurve> {
-        self.summary.curves.iter().filter(|curve| curve.figure == figure.id).collect()
-    }
-
     fn figure(&self, figure: &Figure) -> Markup {
         let shown = match figure.kind {
             FigureKind::Curves => self.drawn(figure),
@@ -94,7 +90,8 @@ impl StudyPage<'_> {
     }
 
     fn drawn(&self, figure: &Figure) -> Markup {
-        let curves = self.curves(figure);
+        let curves = self.summary.curves.iter().filter(|curve| curve.figure == figure.id);
+        let curves: Vec<&ErrorCurve> = curves.collect();
         let limit = self.definition.study.limit_mm_mrad;
         let mut estimators: Vec<(&str, &str)> = Vec::new();
         for curve in &curves {

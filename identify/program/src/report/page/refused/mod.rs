@@ -16,6 +16,9 @@ use crate::inspect::JointLine;
 use crate::report::result::earlier::Earlier;
 use crate::report::result::file::{FileError, InputFile, MeasurementEntry, now, replace, software};
 
+/// Meaning of the line in a figure.
+const MARKED: &str = " Red: time of the problem.";
+
 /// Content of the page.
 #[derive(Debug)]
 pub struct RefusedPage<'a> {
@@ -139,15 +142,10 @@ impl RefusedPage<'_> {
                     @if !deviations.local_shifts.is_empty() {
                         "; the last figure is the time shift of the logs in each 5 s, relative to the whole run"
                     }
-                    "." (self.legend())
+                    "." @if self.refusal.place.bar_s.is_some() { (MARKED) }
                 }
             }
         }
-    }
-
-    /// Meaning of the red line, if there is one.
-    fn legend(&self) -> &'static str {
-        if self.refusal.place.bar_s.is_some() { " Red: time of the problem." } else { "" }
     }
 
     fn run(&self, number: usize, [recording, robot_log]: &[InspectedLog; 2]) -> Markup {
@@ -177,7 +175,7 @@ fn log(what: &str, run: Option<&str>, log: &InspectedLog, at_s: Option<f64>) -> 
                 div.panels.three { @for panel in panels { (panel) } }
                 figcaption {
                     "Joints by this log alone, on its own clock."
-                    @if at_s.is_some() { " Red: time of the problem." }
+                    @if at_s.is_some() { (MARKED) }
                 }
             }
         }
