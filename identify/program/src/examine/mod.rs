@@ -12,35 +12,16 @@ use shared::config::{BallBarConfig, RobotConfig};
 
 use crate::calibrate::selection::structure::{is_geometry, redundant};
 use crate::cost::{
-    AngleNoise, CostError, Length, LoopProblem, Position, PositionAngles, Residual, Transform, WhitenedPose,
+    AngleNoise, Length, LoopProblem, Position, PositionAngles, Residual, Transform, WhitenedPose,
 };
 use crate::instrument::CostName;
 use crate::kinematics::{ball_bar_chain, robot_chain};
-use crate::model::{Model, ModelError, ParameterId, Role, Selection, thesis_fixed};
+use crate::model::{Model, ParameterId, Role, Selection, thesis_fixed};
 use crate::simulate::Design;
-use crate::solver::{
-    Identifiability, Influence, Observability, Options, SolveError, identifiability, influence,
-};
+use crate::solver::{Identifiability, Influence, Observability, Options, identifiability, influence};
 
 /// Noise by which the cost `pose` is weighted. Rank and dependence need no realistic values: encoders and robot have the same.
 const NOISE: AngleNoise = AngleNoise { encoder_rad: 1e-5, robot_rad: 1e-5 };
-
-/// Why a cost cannot be examined.
-#[derive(Debug, thiserror::Error)]
-pub enum ExamineError {
-    /// Too few poses were found.
-    #[error(transparent)]
-    Poses(#[from] TooFewPoses),
-    /// The model lacks a parameter.
-    #[error(transparent)]
-    Model(#[from] ModelError),
-    /// The poses do not suit the cost.
-    #[error(transparent)]
-    Cost(#[from] CostError),
-    /// The poses do not suit the solver.
-    #[error(transparent)]
-    Solve(#[from] SolveError),
-}
 
 /// What one cost identifies.
 #[derive(Debug, Clone)]
@@ -62,14 +43,14 @@ pub struct Examination {
 /// Examines one cost on the nominal robot and bar.
 ///
 /// # Errors
-/// [`ExamineError`] where robot and bar have no poses in common.
+/// [`TooFewPoses`] where robot and bar have too few poses in common; those of model, cost and solver.
 pub fn examine(
     robot: &RobotConfig,
     bar: &BallBarConfig,
     cost: CostName,
     count: usize,
     seed: u64,
-) -> Result<Examination, ExamineError> {
+) -> anyhow::Result<Examination> {
     let design = Design::for_robot(robot);
     let robot_chain = robot_chain(robot, bar);
     let mut bar_chain = ball_bar_chain(bar);
@@ -96,9 +77,9 @@ fn examine_with<R: Residual + Clone>(
     poses: &Poses,
     cost: CostName,
     residual: R,
-) -> Result<Examination, ExamineError> {
+) -> anyhow::Result<Examination> {
     let options = Options::default();
-    let identify = |model: &Model| -> Result<Identifiability, ExamineError> {
+    let identify = |model: &Model| -> anyhow::Result<Identifiability> {
         let problem = LoopProblem::new(model, &poses.joints, &poses.observations, residual.clone(), 1.0)?;
         Ok(identifiability(&problem, &model.start(), &options)?)
     };
