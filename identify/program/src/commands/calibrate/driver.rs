@@ -178,7 +178,7 @@ fn calibration_file(
     .with_separation(calibration.model(), solution)
     .with_validation(evidence);
     file.clocks = bar_clocks.chain(tracker_clocks).collect();
-    file.forces = ForceEntry::all(&evidence.spheres);
+    file.forces = evidence.spheres.iter().filter_map(ForceEntry::of).collect();
     let tables = beside.iter().filter_map(|beside| MeasurementEntry::of_table(beside.simulated));
     file.measured = bars.iter().filter_map(RunFiles::measured).chain(tables).collect();
     file.candidates.clone_from(&calibration.solved.candidates);

@@ -37,12 +37,8 @@ pub struct ForceEntry {
 }
 
 impl ForceEntry {
-    /// Of each run that has a force.
-    pub fn all(spheres: &[SphereDeviation]) -> Vec<Self> {
-        spheres.iter().filter_map(Self::of).collect()
-    }
-
-    fn of(sphere: &SphereDeviation) -> Option<Self> {
+    /// Of a run that has a force.
+    pub fn of(sphere: &SphereDeviation) -> Option<Self> {
         let elongation = sphere.elongation?;
         let positive = match elongation.positive {
             PositiveForce::Tension => "tension",
