@@ -15,6 +15,7 @@ use clap::{Args, Subcommand};
 use shared::config;
 
 use crate::calibrate::IdentifyConfig;
+use crate::calibrate::rows::WAVES_PER_TURN_MAX;
 use crate::model::ParameterId;
 use crate::report::result::file::InputFile;
 use crate::solver::LossName;
@@ -92,7 +93,8 @@ pub struct CommonArguments {
 impl CommonArguments {
     /// An experiment without data sets.
     fn experiment(&self) -> anyhow::Result<ExperimentFile> {
-        Ok(ExperimentFile::new(&self.robot, self.identify_config()?))
+        let identify = self.identify_config()?;
+        Ok(ExperimentFile { robot: self.robot.clone(), identify, ..ExperimentFile::default() })
     }
 
     /// The configuration file, overridden by the options.
@@ -150,7 +152,15 @@ pub fn run(arguments: &CalibrateArguments) -> anyhow::Result<()> {
     match &arguments.command {
         CalibrateCommand::Bar(arguments) => bar::run(arguments),
         CalibrateCommand::Wire(rows) => rows.calibrate(|experiment| experiment.wires.push(rows.file.clone())),
-        CalibrateCommand::Tracker(arguments) => arguments.run(),
+        CalibrateCommand::Tracker(TrackerArguments { rows, robot_log, log_format, log_mapping }) => rows
+            .calibrate(|experiment| {
+                (experiment.log_format, experiment.log_mapping) = (*log_format, log_mapping.clone());
+                experiment.trackers.push(RowFile {
+                    joint_waves: Some(rows.file.joint_waves.unwrap_or(WAVES_PER_TURN_MAX)),
+                    robot_log: robot_log.clone(),
+                    ..rows.file.clone()
+                });
+            }),
         CalibrateCommand::Contact(ContactArguments { rows, sockets }) => rows.calibrate(|experiment| {
             experiment.contacts.push(RowFile { sockets: Some(sockets.clone()), ..rows.file.clone() });
         }),

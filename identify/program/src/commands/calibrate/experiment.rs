@@ -90,7 +90,7 @@ pub struct ExperimentFile {
 impl Validate for ExperimentFile {
     fn validate(&self) -> Result<(), Violation> {
         let remedy = "write a [[bar]], [[tracker]], [[wire]], [[contact]] or [[touch]] block for each file";
-        Violation::unless(self.data_sets() > 0, "bar", "nothing was measured", remedy)?;
+        Violation::unless(self.bars.len() + self.rows().count() > 0, "bar", "nothing was measured", remedy)?;
         let forces = self.bars.iter().filter(|run| run.force_log.is_some()).count();
         let all_or_none = forces == 0 || forces == self.bars.len();
         let remedy = "give one for each run, or for none";
@@ -152,14 +152,6 @@ fn check_row_file(kind: RowInstrument, index: usize, file: &RowFile) -> Result<(
 }
 
 impl ExperimentFile {
-    pub(super) fn new(robot: &Path, identify: IdentifyConfig) -> Self {
-        Self { robot: robot.to_owned(), identify, ..Self::default() }
-    }
-
-    fn data_sets(&self) -> usize {
-        self.bars.len() + self.rows().count()
-    }
-
     fn kinds(&self) -> [(RowInstrument, &[RowFile]); 4] {
         [
             (RowInstrument::Tracker, &self.trackers),

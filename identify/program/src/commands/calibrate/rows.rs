@@ -15,7 +15,7 @@ use shared::time::UtcNs;
 
 use super::RowArguments;
 use super::bar::load_log;
-use crate::calibrate::rows::{Validated, WAVES_PER_TURN_MAX, validate};
+use crate::calibrate::rows::{Validated, validate};
 use crate::calibrate::{CalibrateError, Calibration};
 use crate::evaluate::Validity;
 use crate::instrument::{Contact, FaceTable, HoldOut, Instrument, Rows, SocketTable, Touch, Tracker, Wire};
@@ -35,17 +35,17 @@ use crate::report::rows as rows_report;
 #[derive(Debug, Args)]
 pub struct TrackerArguments {
     #[command(flatten)]
-    rows: RowArguments,
+    pub(super) rows: RowArguments,
     /// The robot's own log (CSV, ROS 2 bag, UR RTDE, ABB EGM, KUKA RSI), where the rows have times on the tracker's clock in place
     /// of joints: the clocks are brought together by the motion
     #[arg(long, help_heading = "Input", value_name = "FILE")]
-    robot_log: Option<PathBuf>,
+    pub(super) robot_log: Option<PathBuf>,
     /// Kind of the robot's log; default: recognised by its content
     #[arg(long, help_heading = "Input", value_name = "KIND", requires = "robot_log")]
-    log_format: Option<LogFormat>,
+    pub(super) log_format: Option<LogFormat>,
     /// Mapping of the columns or joints of the robot's log, such as config/robot_log.toml
     #[arg(long, help_heading = "Input", value_name = "FILE", requires = "robot_log")]
-    log_mapping: Option<PathBuf>,
+    pub(super) log_mapping: Option<PathBuf>,
 }
 
 /// Options of a calibration with a ball in sockets.
@@ -105,20 +105,6 @@ pub struct RowFile {
     /// Mapping of the columns of these; default: that of --mapping. Their rows have joints, also if the others have times
     #[arg(long, help_heading = "Input", value_name = "FILE", requires = "validate")]
     pub validate_mapping: Option<PathBuf>,
-}
-
-impl TrackerArguments {
-    pub(super) fn run(&self) -> anyhow::Result<()> {
-        let Self { rows, robot_log, log_format, log_mapping } = self;
-        rows.calibrate(|experiment| {
-            (experiment.log_format, experiment.log_mapping) = (*log_format, log_mapping.clone());
-            experiment.trackers.push(RowFile {
-                joint_waves: Some(rows.file.joint_waves.unwrap_or(WAVES_PER_TURN_MAX)),
-                robot_log: robot_log.clone(),
-                ..rows.file.clone()
-            });
-        })
-    }
 }
 
 /// The instruments whose measurements are rows.
