@@ -16,7 +16,8 @@ use identify::kinematics::{
 };
 use identify::logs::PoseRow;
 use identify::model::{
-    DriveTrain, JointTerm, Load, Model, Observation, Owner, ParameterId, PerObservation, Period, Selection,
+    DriveTrain, JointTerm, Load, Model, Observation, Owner, ParameterId, PerObservation, Period, Phase,
+    Selection,
 };
 use identify::plan::Design;
 use identify::report::result::robot_files::urdf;
@@ -804,7 +805,8 @@ fn a_prismatic_axis_has_a_scale_but_no_waves_and_other_arms_have_loads_of_the_to
     let chain = flange_chain(&robot);
     let drives = DriveTrain::of(&robot, &chain);
     assert!(drives.has(0, JointTerm::Ratio) && !drives.has(0, JointTerm::Backlash));
-    assert!(!drives.has(0, JointTerm::Sine(Period::Once)) && drives.has(1, JointTerm::Sine(Period::Once)));
+    let eccentric = JointTerm::Wave(Period::Once, Phase::Sine);
+    assert!(!drives.has(0, eccentric) && drives.has(1, eccentric));
     assert!(
         drives.has(3, JointTerm::Compliance(Load::Tool))
             && !drives.has(3, JointTerm::Compliance(Load::Wrist))

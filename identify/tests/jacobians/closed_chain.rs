@@ -177,8 +177,7 @@ pub fn true_joints<D: DualNum<f64> + Copy>(
     std::array::from_fn(|i| {
         // Harmonics of the joint itself, in addition to those of its drive.
         let own = [(1.0, Period::JointOnce), (2.0, Period::JointTwice)].map(|(n, period)| {
-            let [sine, cosine] =
-                [JointTerm::Sine(period), JointTerm::Cosine(period)].map(|term| errors[i][place(term)]);
+            let [sine, cosine] = Phase::ALL.map(|phase| errors[i][place(JointTerm::Wave(period, phase))]);
             sine * (q[i] * n).sin() + cosine * (q[i] * n).cos()
         });
         q[i] + moved[i] + own[0] + own[1]

@@ -17,7 +17,7 @@
 use nalgebra::{DMatrix, Vector3};
 use shared::config::{JointKind, RobotConfig};
 
-use super::{JointState, JointTerm, Load, Period, RobotMotion};
+use super::{JointState, JointTerm, Load, Period, Phase, RobotMotion};
 use crate::kinematics::{AXES_MAX, Chain, Joints, Trace, Tracer, Turn, Twist};
 use crate::statistics::mean;
 
@@ -151,9 +151,7 @@ impl DriveTrain {
             return axis < self.axes() && matches!(term, JointTerm::Ratio | JointTerm::Delay);
         }
         match term {
-            JointTerm::Sine(period) | JointTerm::Cosine(period) => {
-                self.waves_per_turn(axis, period).is_some()
-            }
+            JointTerm::Wave(period, _) => self.waves_per_turn(axis, period).is_some(),
             JointTerm::Compliance(load) if self.joints == [JointKind::Revolute; 6] => load.acts_on(axis),
             JointTerm::Compliance(load) => axis > 0 && load == Load::Tool,
             JointTerm::Backlash | JointTerm::Ratio | JointTerm::Delay => true,
@@ -193,13 +191,12 @@ impl DriveTrain {
             }
         };
         match term {
-            JointTerm::Sine(period) => {
+            JointTerm::Wave(period, phase) => {
                 let (turn, rate) = wave(period);
-                (turn.sin, rate * turn.cos)
-            }
-            JointTerm::Cosine(period) => {
-                let (turn, rate) = wave(period);
-                (turn.cos, -rate * turn.sin)
+                match phase {
+                    Phase::Sine => (turn.sin, rate * turn.cos),
+                    Phase::Cosine => (turn.cos, -rate * turn.sin),
+                }
             }
             JointTerm::Backlash => {
                 let side = (rate / BACKLASH_SPEED_RAD_S).tanh();

@@ -1,12 +1,11 @@
 //! Error terms of a robot axis beyond its link.
 
-use std::cmp::Ordering;
 use std::fmt;
 
-use super::{TermGroup, Unit};
+use super::{Phase, TermGroup, Unit};
 
 /// Number of waves per turn of a drive's output.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Period {
     /// Once per turn: an eccentric output gear or joint encoder.
     Once,
@@ -36,7 +35,7 @@ impl Period {
 }
 
 /// The mass whose weight deflects a joint.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Load {
     /// The upper arm: a weight on axis 3.
     Elbow,
@@ -65,14 +64,12 @@ impl Load {
     }
 }
 
-/// One error term of a robot axis. A constant offset is not a term: it is the link's `theta`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+/// One error term of a robot axis, in the order of reports. A constant offset is not a term: it is the link's `theta`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum JointTerm {
-    /// `sin(n g)` of the drive's output angle `g`: `rsin1`, `rsin2`, `rsinc`, `rsinm`; or of the joint angle: `rsinj1`,
-    /// `rsinj2`.
-    Sine(Period),
-    /// `cos(n g)`, named as the sines: `rcos1` .. `rcosj2`.
-    Cosine(Period),
+    /// `sin(n g)` or `cos(n g)` of the drive's output angle `g`: `rsin1`, `rcos1`, `rsin2`, `rsinc`, `rsinm`; or of the joint
+    /// angle: `rsinj1`, `rsinj2`.
+    Wave(Period, Phase),
     /// Half of the lost motion, with the sign of the drive's speed: `rbacklash`.
     Backlash,
     /// Relative error of the gear ratio in the robot's file: `rratio`.
@@ -84,20 +81,20 @@ pub enum JointTerm {
 }
 
 impl JointTerm {
-    /// All terms, in the order of reports.
+    /// All terms, in their order.
     pub const ALL: [Self; 18] = [
-        Self::Sine(Period::Once),
-        Self::Cosine(Period::Once),
-        Self::Sine(Period::Twice),
-        Self::Cosine(Period::Twice),
-        Self::Sine(Period::Cycloid),
-        Self::Cosine(Period::Cycloid),
-        Self::Sine(Period::Motor),
-        Self::Cosine(Period::Motor),
-        Self::Sine(Period::JointOnce),
-        Self::Cosine(Period::JointOnce),
-        Self::Sine(Period::JointTwice),
-        Self::Cosine(Period::JointTwice),
+        Self::Wave(Period::Once, Phase::Sine),
+        Self::Wave(Period::Once, Phase::Cosine),
+        Self::Wave(Period::Twice, Phase::Sine),
+        Self::Wave(Period::Twice, Phase::Cosine),
+        Self::Wave(Period::Cycloid, Phase::Sine),
+        Self::Wave(Period::Cycloid, Phase::Cosine),
+        Self::Wave(Period::Motor, Phase::Sine),
+        Self::Wave(Period::Motor, Phase::Cosine),
+        Self::Wave(Period::JointOnce, Phase::Sine),
+        Self::Wave(Period::JointOnce, Phase::Cosine),
+        Self::Wave(Period::JointTwice, Phase::Sine),
+        Self::Wave(Period::JointTwice, Phase::Cosine),
         Self::Backlash,
         Self::Ratio,
         Self::Delay,
@@ -108,13 +105,13 @@ impl JointTerm {
 
     /// Whether the term depends on the joint angle and moves this joint only; other terms depend on the drive angle.
     pub const fn is_of_joint(self) -> bool {
-        matches!(self, Self::Sine(period) | Self::Cosine(period) if matches!(period, Period::JointOnce | Period::JointTwice))
+        matches!(self, Self::Wave(Period::JointOnce | Period::JointTwice, _))
     }
 
     /// The group of terms to which it belongs.
     pub const fn group(self) -> TermGroup {
         match self {
-            Self::Sine(period) | Self::Cosine(period) => match period {
+            Self::Wave(period, _) => match period {
                 Period::Once => TermGroup::GearOnce,
                 Period::Twice => TermGroup::GearTwice,
                 Period::Cycloid => TermGroup::Cycloid,
@@ -133,40 +130,15 @@ impl JointTerm {
             Self::Ratio => Unit::Ratio,
             Self::Delay => Unit::Second,
             Self::Compliance(_) => Unit::RadianPerMetre,
-            Self::Sine(_) | Self::Cosine(_) | Self::Backlash => Unit::Radian,
+            Self::Wave(..) | Self::Backlash => Unit::Radian,
         }
-    }
-
-    /// Index of the term in [`Self::ALL`].
-    pub(super) const fn index(self) -> usize {
-        match self {
-            Self::Sine(period) => 2 * period as usize,
-            Self::Cosine(period) => 2 * period as usize + 1,
-            Self::Backlash => 12,
-            Self::Ratio => 13,
-            Self::Delay => 14,
-            Self::Compliance(load) => 15 + load as usize,
-        }
-    }
-}
-
-impl Ord for JointTerm {
-    fn cmp(&self, other: &Self) -> Ordering {
-        self.index().cmp(&other.index())
-    }
-}
-
-impl PartialOrd for JointTerm {
-    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
-        Some(self.cmp(other))
     }
 }
 
 impl fmt::Display for JointTerm {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Sine(period) => write!(f, "sin{}", period.letters()),
-            Self::Cosine(period) => write!(f, "cos{}", period.letters()),
+            Self::Wave(period, phase) => write!(f, "{phase}{}", period.letters()),
             Self::Backlash => f.write_str("backlash"),
             Self::Ratio => f.write_str("ratio"),
             Self::Delay => f.write_str("delay"),

@@ -388,7 +388,7 @@ fn decrease([s, c]: [f64; 2], [ss, sc, cc]: WaveNormal) -> f64 {
 fn separate_terms(drives: &DriveTrain) -> impl Iterator<Item = AxisWave> + '_ {
     let turns = [(Period::Cycloid, &drives.cycloid_lobes), (Period::Motor, &drives.motor_turns)];
     turns.into_iter().flat_map(move |(period, numbers)| {
-        let has = move |axis: &usize| drives.has(*axis, JointTerm::Sine(period));
+        let has = move |axis: &usize| drives.has(*axis, JointTerm::Wave(period, Phase::Sine));
         (0..drives.axes()).filter(has).filter_map(move |axis| {
             let number = numbers.get(axis).copied().flatten()?.round();
             (number <= f64::from(*Waves::OF_AXIS.end())).then_some((axis, number as u8))
