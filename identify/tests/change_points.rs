@@ -1,7 +1,9 @@
 //! Tests the detector of changes on generated residuals: its rate of false alarms, and the changes that it detects.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
-use identify::solver::{Change, Course, LeastSquares, Linearisation, Loss, Prior, change_point, minimise};
+use identify::solver::{
+    Change, Course, LeastSquares, Linearisation, Loss, LossName, Prior, change_point, minimise,
+};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal, StudentT};
@@ -111,7 +113,7 @@ fn run(noise: Noise, seed: u64) -> Channels {
 }
 
 fn found(run: &Channels, false_alarms: f64) -> Option<Change> {
-    let loss = Loss::Cauchy { scale: 4.0 };
+    let loss = Loss { name: LossName::Cauchy, scale: 4.0 };
     let options = identify::solver::Options { loss, ..Default::default() };
     let (x, _) = minimise(run, &[0.0; COLUMNS], &options).unwrap();
     let samples: Vec<usize> = (0..SAMPLES).collect();

@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use crate::support::{Cell, noisy_poses};
 use identify::cost::{LoopProblem, Residual, Transform};
 use identify::model::{Model, Observation, PerObservation, Selection};
-use identify::solver::{Loss, Options, Progress, SolveError, Watch, solve};
+use identify::solver::{Loss, LossName, Options, Progress, SolveError, Watch, solve};
 
 struct Poses {
     model: Model,
@@ -36,7 +36,8 @@ fn any_number_of_threads_gives_the_same_solution_bit_for_bit() {
     let problem = poses.problem();
     let with = |threads| {
         let threads = NonZeroUsize::new(threads);
-        let options = Options { threads, loss: Loss::Cauchy { scale: 5e-3 }, ..Options::default() };
+        let options =
+            Options { threads, loss: Loss { name: LossName::Cauchy, scale: 5e-3 }, ..Options::default() };
         solve(&problem, &poses.model.start(), &options).unwrap()
     };
     let alone = with(1);

@@ -14,7 +14,7 @@ use crate::cost::Closure;
 use crate::instrument::{Doubt, Run, ScaleFrom};
 use crate::kinematics::{DhLink, Joints, LinkParameter};
 use crate::model::{JointTerm, Model, ParameterId};
-use crate::solver::{Loss, Solution};
+use crate::solver::{Loss, LossName, Solution};
 use crate::statistics::{Sizes, extremes, median};
 
 /// A joint that moved by less determines the parameters of its link poorly \[deg\].
@@ -106,8 +106,8 @@ fn little_travel(calibration: &Calibration) -> Vec<Limit> {
 fn outliers(solution: &Solution) -> Option<Limit> {
     let weights = &solution.sample_weights;
     // At its scale a loss has weight one half; Geman-McClure has the square of that.
-    let weight_min = match solution.loss {
-        Loss::GemanMcClure { .. } => WEIGHT_MIN.powi(2),
+    let weight_min = match solution.loss.name {
+        LossName::GemanMcclure => WEIGHT_MIN.powi(2),
         _ => WEIGHT_MIN,
     };
     let outliers = weights.iter().filter(|weight| **weight < weight_min).count();

@@ -3,7 +3,7 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Weight of samples that do not fit. Scales are such that one clean sample in a hundred is beyond them.
+/// Weight of samples that do not fit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "snake_case")]
 #[value(rename_all = "snake_case")]
@@ -26,76 +26,55 @@ pub(super) fn squared_norm_quantile(rows: usize, z: f64) -> f64 {
     n * (1.0 - v + z * v.sqrt()).powi(3)
 }
 
-/// Contribution of a sample's squared norm to the cost. Scales are in the residual's (whitened) unit.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub enum Loss {
-    /// Least squares without a robust loss.
-    #[default]
-    Squared,
-    /// Quadratic up to `scale`, linear beyond (Huber 1964).
-    Huber {
-        /// Norm at which it becomes linear.
-        scale: f64,
-    },
-    /// `c^2 ln(1 + s / c^2)`.
-    Cauchy {
-        /// The constant `c`, as a norm of the residual.
-        scale: f64,
-    },
-    /// `c^2 s / (c^2 + s)`: bounded, so that a gross outlier has almost no weight (Geman and McClure 1985).
-    GemanMcClure {
-        /// The constant `c`, as a norm of the residual.
-        scale: f64,
-    },
+/// Standard normal quantile of 0.99: scales are such that one clean sample in a hundred is beyond them.
+pub(super) const CLEAN_QUANTILE: f64 = 2.326;
+
+/// Contribution of a sample's squared norm to the cost. With the scale `c`, a norm in the residual's (whitened) unit:
+///
+/// - `huber` is quadratic up to `c`, linear beyond (Huber 1964);
+/// - `cauchy` is `c^2 ln(1 + s / c^2)`;
+/// - `geman_mcclure` is `c^2 s / (c^2 + s)`: bounded, so that a gross outlier has almost no weight (Geman and McClure 1985).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Loss {
+    /// Formula of the loss.
+    pub name: LossName,
+    /// The scale `c`; without effect on plain least squares.
+    pub scale: f64,
 }
 
 impl Loss {
+    /// Least squares without a robust loss.
+    pub const SQUARED: Self = Self { name: LossName::None, scale: 1.0 };
+
     /// `rho(s)`; equals `s` for small `s`.
     pub fn rho(self, s: f64) -> f64 {
-        match self {
-            Self::Squared => s,
-            Self::Huber { scale } if s <= scale * scale => s,
-            Self::Huber { scale } => 2.0 * scale * s.sqrt() - scale * scale,
-            Self::Cauchy { scale } => scale * scale * (s / (scale * scale)).ln_1p(),
-            Self::GemanMcClure { scale } => scale * scale * s / (scale * scale + s),
+        let squared = self.scale * self.scale;
+        match self.name {
+            LossName::None => s,
+            LossName::Huber if s <= squared => s,
+            LossName::Huber => 2.0 * self.scale * s.sqrt() - squared,
+            LossName::Cauchy => squared * (s / squared).ln_1p(),
+            LossName::GemanMcclure => squared * s / (squared + s),
         }
     }
 
     /// `rho'(s)`, the weight of iteratively reweighted least squares; one at zero.
     pub fn weight(self, s: f64) -> f64 {
-        match self {
-            Self::Squared => 1.0,
-            Self::Huber { scale } if s <= scale * scale => 1.0,
-            Self::Huber { scale } => scale / s.sqrt(),
-            Self::Cauchy { scale } => 1.0 / (1.0 + s / (scale * scale)),
-            Self::GemanMcClure { scale } => (scale * scale / (scale * scale + s)).powi(2),
+        let squared = self.scale * self.scale;
+        match self.name {
+            LossName::None => 1.0,
+            LossName::Huber if s <= squared => 1.0,
+            LossName::Huber => self.scale / s.sqrt(),
+            LossName::Cauchy => 1.0 / (1.0 + s / squared),
+            LossName::GemanMcclure => (squared / (squared + s)).powi(2),
         }
     }
 
     /// The loss for samples of `rows` residuals if this one is for samples of `usual` residuals: the same part of clean samples
     /// is beyond its scale.
     pub(super) fn of_rows(self, rows: usize, usual: usize) -> Self {
-        /// Standard normal quantile of 0.99, by which `robust` defines scales.
-        const Z: f64 = 2.326;
-        self.widened((squared_norm_quantile(rows, Z) / squared_norm_quantile(usual, Z)).sqrt())
-    }
-
-    /// The loss with its scale multiplied by `factor`.
-    pub fn widened(self, factor: f64) -> Self {
-        match self {
-            Self::Squared => Self::Squared,
-            Self::Huber { scale } => Self::Huber { scale: scale * factor },
-            Self::Cauchy { scale } => Self::Cauchy { scale: scale * factor },
-            Self::GemanMcClure { scale } => Self::GemanMcClure { scale: scale * factor },
-        }
-    }
-
-    /// The scale; `None` for plain least squares.
-    pub fn scale(self) -> Option<f64> {
-        match self {
-            Self::Squared => None,
-            Self::Huber { scale } | Self::Cauchy { scale } | Self::GemanMcClure { scale } => Some(scale),
-        }
+        let [rows, usual] = [rows, usual].map(|rows| squared_norm_quantile(rows, CLEAN_QUANTILE));
+        Self { scale: self.scale * (rows / usual).sqrt(), ..self }
     }
 }
 
@@ -106,12 +85,13 @@ mod tests {
     #[test]
     fn weights_are_the_slopes_of_the_losses_and_all_start_as_least_squares() {
         let losses = [
-            Loss::Squared,
-            Loss::Huber { scale: 1.3 },
-            Loss::Cauchy { scale: 0.7 },
-            Loss::GemanMcClure { scale: 2.0 },
+            (LossName::None, 1.0),
+            (LossName::Huber, 1.3),
+            (LossName::Cauchy, 0.7),
+            (LossName::GemanMcclure, 2.0),
         ];
-        for loss in losses {
+        for (name, scale) in losses {
+            let loss = Loss { name, scale };
             assert_eq!(loss.weight(0.0), 1.0);
             for s in [0.01, 0.5, 3.0, 40.0] {
                 let h = 1e-6 * s;

@@ -37,7 +37,7 @@ pub struct Options<'a> {
 impl Default for Options<'_> {
     fn default() -> Self {
         Self {
-            loss: Loss::Squared,
+            loss: Loss::SQUARED,
             iterations_max: 100,
             step_tolerance: 1e-12,
             cost_tolerance: 1e-14,

@@ -5,13 +5,12 @@
 //! Cauchy loss as wide as the spread, and narrows it as the spread decreases (graduated non-convexity, Blake and Zisserman 1987,
 //! with a schedule from the data). Only the last solve uses the requested loss.
 
-use super::loss::squared_norm_quantile;
+use super::loss::{CLEAN_QUANTILE, squared_norm_quantile};
 use super::pass::fits;
 use super::{LeastSquares, Loss, LossName, Options, SolveError, Summary, minimise};
 
-/// Standard normal quantiles of 0.95 and 0.99, which define the scale of intermediate losses and of the last one.
+/// Standard normal quantile of 0.95, which defines the scale of intermediate losses.
 const INTERMEDIATE_QUANTILE: f64 = 1.645;
-const LAST_QUANTILE: f64 = 2.326;
 /// Accepted steps between two estimates of the spread.
 const STEPS_BETWEEN: usize = 2;
 /// The spread has converged if a round reduces it by less than this part.
@@ -106,27 +105,22 @@ impl Schedule {
 impl Loss {
     /// Loss of a round of a schedule, for samples of `rows` residuals with this spread.
     pub fn intermediate(sigma: f64, rows: usize) -> Self {
-        Self::Cauchy { scale: sigma * squared_norm_quantile(rows, INTERMEDIATE_QUANTILE).sqrt() }
+        let scale = sigma * squared_norm_quantile(rows, INTERMEDIATE_QUANTILE).sqrt();
+        Self { name: LossName::Cauchy, scale }
     }
 }
 
 impl LossName {
     /// Loss for samples of `rows` residuals with this spread: one good sample in a hundred is beyond its scale.
     pub fn for_spread(self, sigma: f64, rows: usize) -> Loss {
-        let scale = sigma * squared_norm_quantile(rows, LAST_QUANTILE).sqrt();
-        match self {
-            _ if sigma <= SPREAD_MIN => Loss::Squared,
-            Self::None => Loss::Squared,
-            Self::Huber => Loss::Huber { scale },
-            Self::Cauchy => Loss::Cauchy { scale },
-            Self::GemanMcclure => Loss::GemanMcClure { scale },
-        }
+        let scale = sigma * squared_norm_quantile(rows, CLEAN_QUANTILE).sqrt();
+        if sigma <= SPREAD_MIN { Loss::SQUARED } else { Loss { name: self, scale } }
     }
 
     /// The loss for the spread at `x`, where it has converged.
     pub fn for_spread_at(self, problem: &dyn LeastSquares, x: &[f64]) -> Loss {
         if self == Self::None {
-            return Loss::Squared;
+            return Loss::SQUARED;
         }
         self.for_spread(GoodShare::HALF.spread_at(problem, x), problem.rows())
     }

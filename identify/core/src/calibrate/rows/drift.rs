@@ -15,7 +15,7 @@ use crate::calibrate::CalibrateError;
 use crate::calibrate::selection::terms::falls;
 use crate::instrument::Instrument;
 use crate::model::{Model, ParameterId};
-use crate::solver::{Loss, Normal, Prior, ScaledCholesky, stacked};
+use crate::solver::{Loss, LossName, Normal, Prior, ScaledCholesky, stacked};
 use crate::statistics::mean;
 
 /// Size and memory of a drift, with the errors of the cross-validation.
@@ -40,7 +40,7 @@ const NO_DRIFT: f64 = 1e-6;
 /// Number of reweighted steps of generalised least squares, with a margin: the third changes no printed digit.
 const STEPS: usize = 8;
 /// Residuals beyond this number of standard deviations have a constant influence.
-const HUBER: Loss = Loss::Huber { scale: 3.0 };
+const HUBER: Loss = Loss { name: LossName::Huber, scale: 3.0 };
 
 impl Drift {
     /// A negligible drift of lengths with the standard deviation `sigma_m`.
