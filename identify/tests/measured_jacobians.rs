@@ -8,7 +8,7 @@ use identify::cost::{
     LoopProblem, MeasuredPose, MeasuredPosition, PoseNoise, Residual, SeatedBall, TouchedFace,
 };
 use identify::kinematics::{LinkParameter, Pose};
-use identify::logs::TipRow;
+use identify::logs::{PoseRow, TipRow};
 use identify::model::{
     Axis, Coordinate, FaceNumber, JointState, Model, Observation, Owner, ParameterId, Phase, Placement,
     RobotMotion, Role, SetUp,
@@ -97,13 +97,13 @@ fn flange(model: &Model, by: ParameterId, t_s: f64) -> Matrix<Dual64> {
     forward(&identity(), &links, &joints)
 }
 
-/// Pose of the probe as predicted by the robot, and as measured by the tracker.
-fn probes(model: &Model, by: ParameterId, t_s: f64, measured: &Pose, set_up: SetUp) -> [Matrix<Dual64>; 2] {
-    let SetUp { station, target } = set_up;
+/// Pose of the probe predicted by the robot, and as measured by the tracker.
+fn probes(model: &Model, by: ParameterId, t_s: f64, measured: &PoseRow) -> [Matrix<Dual64>; 2] {
+    let SetUp { station, target } = measured.set_up;
     let place = Coordinate::ALL.map(|coordinate| ParameterId::Tracker { station, coordinate });
     let probe = Coordinate::ALL.map(|coordinate| ParameterId::Probe { target, coordinate });
     let six: Vec<Dual64> = place.into_iter().chain(probe).map(|id| dual(model, by, id)).collect();
-    let m = measured.to_homogeneous();
+    let m = Pose::from_parts(measured.position_m.into(), measured.rotation.unwrap()).to_homogeneous();
     let mut measured: Matrix<Dual64> =
         std::array::from_fn(|i| std::array::from_fn(|j| Dual64::from(m[(i, j)])));
     let scale = dual(model, by, ParameterId::Scale);
@@ -129,13 +129,14 @@ fn times() -> impl Iterator<Item = f64> {
     (0..20).map(|k| 0.4 * f64::from(k) - 3.0)
 }
 
-/// Random poses that are used as measurements of the tracker.
-fn measured() -> Vec<Pose> {
-    let pose = |t: f64| {
+/// Random poses as measurements of the tracker, all with one set-up.
+fn measured() -> Vec<PoseRow> {
+    let row = |t: f64| {
         let turn = Rotation3::new(Vector3::new(0.4 * t.sin(), 0.3, 0.2 * t.cos()));
-        Pose::from_parts(Vector3::new(1.0 + 0.1 * t, t.sin(), 0.5).into(), turn)
+        let position_m = Vector3::new(1.0 + 0.1 * t, t.sin(), 0.5);
+        PoseRow { position_m, rotation: Some(turn), ..PoseRow::default() }
     };
-    times().map(pose).collect()
+    times().map(row).collect()
 }
 
 fn agrees<R: Residual>(
@@ -197,25 +198,24 @@ fn all_free(model: Model, rotation_rad: [f64; 3]) -> Model {
 
 #[test]
 fn measured_position_and_pose_have_the_derivatives_of_tracker_and_robot() {
-    let measured = measured();
-    // Each row has a different uncertainty.
+    let mut rows = measured();
+    for (number, row) in rows.iter_mut().enumerate() {
+        row.set_up = SetUp { station: number % 2, target: number * 2 % 3 };
+    }
+    // Each row has another uncertainty.
     let noise =
         |row| PoseNoise { position_m: 0.2 + 0.01 * row as f64, rotation_rad: 0.5 - 0.02 * row as f64 };
-    let noises: Vec<PoseNoise> = (0..measured.len()).map(noise).collect();
-    let measured_m: Vec<Vector3<f64>> = measured.iter().map(|pose| pose.translation.vector).collect();
-    let set_ups: Vec<SetUp> =
-        (0..measured.len()).map(|row| SetUp { station: row % 2, target: row * 2 % 3 }).collect();
-    let set_ups = &set_ups[..];
+    let noises: Vec<PoseNoise> = (0..rows.len()).map(noise).collect();
+    let (rows, noise) = (&rows[..], &noises[..]);
     for Cell { robot, .. } in [Cell::irb2400(), Cell::nj220()] {
         for rotation_rad in [[0.0; 3], [0.3, -1.9, 1.2]] {
             let model = all_free(Model::alone(&robot).with_set_ups(Owner::Tracker, [2, 3]), rotation_rad);
-            let probes = |by, row: usize, t_s| probes(&model, by, t_s, &measured[row], set_ups[row]);
-            let (measured_m, noise) = (&measured_m[..], &noises[..]);
-            agrees(&model, MeasuredPosition { measured_m, noise, set_ups }, |by, row, t_s| {
+            let probes = |by, row: usize, t_s| probes(&model, by, t_s, &rows[row]);
+            agrees(&model, MeasuredPosition { rows, noise }, |by, row, t_s| {
                 let sigma_m = noises[row].position_m;
                 position(&probes(by, row, t_s)).into_iter().map(|x| x / sigma_m).collect()
             });
-            agrees(&model, MeasuredPose { measured: &measured, noise, set_ups }, |by, row, t_s| {
+            agrees(&model, MeasuredPose { rows, noise }, |by, row, t_s| {
                 let noise = noises[row];
                 let probes = probes(by, row, t_s);
                 let [linear, angular] = [position(&probes), turn(&probes)];
@@ -281,9 +281,8 @@ fn samples_that_were_not_measured_take_no_part() {
     let Cell { robot, .. } = Cell::irb2400();
     let model = all_free(Model::alone(&robot).with_set_ups(Owner::Tracker, [1, 1]), [0.0; 3]);
     let observations: Vec<Observation> = times().map(|t| Observation::bar(t, [0.0; 5])).collect();
-    let measured = &measured()[..12];
     let noise = &[PoseNoise { position_m: 1e-4, rotation_rad: 1e-4 }; 12];
-    let residual = MeasuredPose { measured, noise, set_ups: &[SetUp::default(); 12] };
+    let residual = MeasuredPose { rows: &measured()[..12], noise };
     let problem = LoopProblem::new(&model, &Sines, &observations, residual, 1.0).unwrap();
     assert_eq!(stacked(&problem, &model.start()).unwrap().0.len(), 6 * 12);
 }

@@ -11,7 +11,8 @@ use identify::cost::{
     WhitenedPose, fill_in,
 };
 use identify::kinematics::{Chain, ImpliedBar, Tracer};
-use identify::model::{Axis, BarForce, Model, Observation, Owner, ParameterId, Role, SetUp};
+use identify::logs::LengthRow;
+use identify::model::{Axis, BarForce, Model, Observation, Owner, ParameterId, Role};
 use identify::solver::stacked;
 use nalgebra::DMatrix;
 use num_dual::{Dual64, DualNum};
@@ -90,6 +91,11 @@ fn independent_position_angles(n: &Numbers<Dual64>, o: &Observation) -> Vec<Dual
 /// Noise of each length relative to that of the median length.
 const LENGTH_NOISE: f64 = 0.4;
 
+/// Length that a wire measures at the time of an observation.
+fn length_m(o: &Observation) -> f64 {
+    1.0 + 0.01 * o.t_s
+}
+
 fn independent_measured_length(n: &Numbers<Dual64>, o: &Observation) -> Vec<Dual64> {
     let r = n.robot_end(o.t_s);
     let squares = (0..3).map(|i| {
@@ -98,7 +104,7 @@ fn independent_measured_length(n: &Numbers<Dual64>, o: &Observation) -> Vec<Dual
         along * along
     });
     let distance = squares.fold(Dual64::from(0.0), |a, b| a + b).sqrt();
-    vec![((n.scale + 1.0) * distance + n.offset - o.length_m.unwrap()) / LENGTH_NOISE]
+    vec![((n.scale + 1.0) * distance + n.offset - length_m(o)) / LENGTH_NOISE]
 }
 
 /// Frees all parameters of the model. Their values avoid points at which derivatives vanish by symmetry.
@@ -127,7 +133,6 @@ fn observations() -> Vec<Observation> {
             let t = 0.4 * f64::from(k) - 3.0;
             let mut o =
                 Observation::bar(t, [0, 1, 2, 3, 4].map(|j| 2.0 * (t * (0.5 + 0.1 * f64::from(j))).sin()));
-            o.length_m = Some(1.0 + 0.01 * t);
             o.origin = (k % 2) as usize;
             o.force = BarForce { along_n: (1.3 * t).sin(), side: (0.9 * t + 1.0).cos() };
             o
@@ -286,15 +291,15 @@ fn measured_length_has_the_derivatives_of_the_wire_for_both_robots() {
             model.set_value(ParameterId::Attachment { target: 0, axis }, 0.1).unwrap();
             model.set_value(ParameterId::Anchor { station: 0, axis }, -0.7).unwrap();
         }
-        let set_ups = &[SetUp::default(); OBSERVATIONS];
-        let relative_noise = &[LENGTH_NOISE; OBSERVATIONS];
-        let cost = MeasuredLength { relative_noise, set_ups };
+        let row = |o: &Observation| LengthRow { length_m: length_m(o), ..LengthRow::default() };
+        let rows: Vec<LengthRow> = observations().iter().map(row).collect();
+        let cost = MeasuredLength { rows: &rows, relative_noise: &[LENGTH_NOISE; OBSERVATIONS] };
         agrees(&robot, &all_free(model), cost, independent_measured_length);
     }
 }
 
 #[test]
-fn a_cost_refuses_observations_without_its_encoders_or_its_length() {
+fn a_cost_refuses_observations_without_its_encoders() {
     let cell = Cell::irb2400();
     let model = all_free(coupled(&cell));
     let mut four = Observation::bar(0.0, [0.1; 5]);
@@ -303,8 +308,6 @@ fn a_cost_refuses_observations_without_its_encoders_or_its_length() {
     let error = LoopProblem::new(&model, &Sines, &without, Transform, 1.0).unwrap_err().to_string();
     assert!(error.contains("bar joint 3") && error.contains("transform"), "{error}");
     assert!(LoopProblem::new(&model, &Sines, &without, Length, 1.0).is_ok());
-    let length = MeasuredLength { relative_noise: &[], set_ups: &[] };
-    assert!(LoopProblem::new(&model, &Sines, &without, length, 1.0).is_err());
     let nan = [Observation::bar(0.0, [f64::NAN; 5])];
     assert!(LoopProblem::new(&model, &Sines, &nan, Transform, 1.0).is_err());
     let mut pulled = Observation::bar(0.0, [0.1; 5]);

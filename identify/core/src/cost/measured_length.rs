@@ -5,21 +5,23 @@ use nalgebra::Vector3;
 use super::scene::unit;
 use super::{Movement, Residual, Scene};
 use crate::kinematics::Chain;
+use crate::logs::LengthRow;
 use crate::model::{Geometry, Owner, ParameterId, SetUp, WireGeometry};
 
 /// `(1 + scale) |R attachment - anchor| + offset - measured` \[m\], divided by the sample's noise relative to that of the median
 /// sample. The problem divides it by the standard deviation of the median sample.
 #[derive(Debug, Clone, Copy)]
 pub struct MeasuredLength<'a> {
+    /// Each sample with its length, anchor and attachment; a sample without row is ignored.
+    pub rows: &'a [LengthRow],
     /// Standard deviation of each sample relative to that of the median sample; a sample without entry is ignored.
     pub relative_noise: &'a [f64],
-    /// Anchor and attachment of each sample; a sample without entry is ignored.
-    pub set_ups: &'a [SetUp],
 }
 
 /// The wire at one sample, in the root frame.
 #[derive(Debug, Clone, Copy)]
 pub struct Stretched {
+    length_m: f64,
     set_up: SetUp,
     relative_noise: f64,
     flange_to_attachment_m: Vector3<f64>,
@@ -32,30 +34,28 @@ impl Residual for MeasuredLength<'_> {
 
     const NAME: &'static str = "measured_length";
     const ROWS: usize = 1;
-    const NEEDS_LENGTH: bool = true;
 
     fn depends_on(id: ParameterId, _: &Chain) -> bool {
         id.affects(Owner::Wire)
     }
 
     fn local(&self, scene: &Scene<'_>) -> Option<Stretched> {
-        let set_up = *self.set_ups.get(scene.sample)?;
+        let LengthRow { length_m, set_up, .. } = *self.rows.get(scene.sample)?;
         let relative_noise = *self.relative_noise.get(scene.sample)?;
         let (anchor_m, attachment_m) = scene.geometry.wire.at(set_up)?;
         let flange_to_attachment_m = scene.robot.rotation() * attachment_m;
         let wire_m = scene.robot.position_m() + flange_to_attachment_m - anchor_m;
-        Some(Stretched { set_up, relative_noise, flange_to_attachment_m, wire_m })
+        Some(Stretched { length_m, set_up, relative_noise, flange_to_attachment_m, wire_m })
     }
 
     fn residual(&self, scene: &Scene<'_>, wire: &Stretched, out: &mut [f64]) {
-        let measured_m = scene.observation.length_m.unwrap_or(f64::NAN);
         let Geometry { wire: WireGeometry { offset_m, .. }, scale, .. } = scene.geometry;
-        let residual_m = (1.0 + scale) * wire.wire_m.norm() + offset_m - measured_m;
+        let residual_m = (1.0 + scale) * wire.wire_m.norm() + offset_m - wire.length_m;
         out[0] = residual_m / wire.relative_noise;
     }
 
     fn derivative(&self, scene: &Scene<'_>, wire: &Stretched, id: ParameterId, out: &mut [f64]) {
-        let Stretched { set_up, relative_noise, flange_to_attachment_m, wire_m } = wire;
+        let Stretched { set_up, relative_noise, flange_to_attachment_m, wire_m, .. } = wire;
         // At zero length the direction is undefined; the derivative is taken as zero.
         let direction = if wire_m.norm() > 0.0 { wire_m.normalize() } else { *wire_m };
         let direction = direction * (1.0 + scene.geometry.scale);

@@ -5,8 +5,9 @@ use nalgebra::{Matrix3, Vector3};
 use super::bar::pose::inverse_left_jacobian;
 use super::measured_position::Sighting;
 use super::{Residual, Scene};
-use crate::kinematics::{Chain, Pose, rotation_vector};
-use crate::model::{Owner, ParameterId, SetUp};
+use crate::kinematics::{Chain, rotation_vector};
+use crate::logs::PoseRow;
+use crate::model::{Owner, ParameterId};
 
 /// Noise of a measured pose: standard deviation of each coordinate.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -21,16 +22,13 @@ pub struct PoseNoise {
 /// pose `T` and the measured position divided by `1 + scale`. The residual is the position of `H` minus that of `S` in the
 /// robot's base, and the rotation vector of `S^-1 H`, each divided by its standard deviation.
 ///
-/// The observations only give the time. The measurements are a separate slice, in the same order, one per observation. A sample
-/// without measurement is ignored.
+/// A sample without row or rotation is ignored.
 #[derive(Debug, Clone, Copy)]
 pub struct MeasuredPose<'a> {
-    /// `tracker_from_probe` of each sample.
-    pub measured: &'a [Pose],
+    /// Each sample with its pose and set-up.
+    pub rows: &'a [PoseRow],
     /// Noise of each measurement.
     pub noise: &'a [PoseNoise],
-    /// Station and target of each measurement.
-    pub set_ups: &'a [SetUp],
 }
 
 /// Both poses of the probe, and the rotation between them.
@@ -54,8 +52,8 @@ impl Residual for MeasuredPose<'_> {
     }
 
     fn local(&self, scene: &Scene<'_>) -> Option<TurnedSighting> {
-        let (noise, set_up) = (*self.noise.get(scene.sample)?, *self.set_ups.get(scene.sample)?);
-        let sighting = Sighting::new(scene, self.measured.get(scene.sample)?, noise, set_up)?;
+        let row = self.rows.get(scene.sample).filter(|row| row.rotation.is_some())?;
+        let sighting = Sighting::new(scene, row, *self.noise.get(scene.sample)?)?;
         let seen_from_root = sighting.seen.rotation.matrix().transpose();
         let turn_rad = rotation_vector(&(seen_from_root * sighting.held.rotation.matrix()));
         let by_angular = inverse_left_jacobian(&turn_rad) * seen_from_root;

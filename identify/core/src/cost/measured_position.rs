@@ -5,21 +5,19 @@ use nalgebra::Vector3;
 use super::scene::unit;
 use super::{Movement, PoseNoise, Residual, Scene};
 use crate::kinematics::{Chain, Pose, Twist};
+use crate::logs::PoseRow;
 use crate::model::{Coordinate, Owner, ParameterId, SetUp};
 
 /// `R probe - T measured / (1 + scale)`, entries in the robot's base, divided by the standard deviation of a coordinate: `R` is
 /// the robot's pose, `T` the tracker's pose.
 ///
-/// The observations only give the time. The measurements are a separate slice, in the same order, one per observation. A
-/// sample without measurement is ignored.
+/// A sample without row is ignored.
 #[derive(Debug, Clone, Copy)]
 pub struct MeasuredPosition<'a> {
-    /// Position of the reflector in the tracker's frame \[m\].
-    pub measured_m: &'a [Vector3<f64>],
+    /// Each sample with its position and set-up.
+    pub rows: &'a [PoseRow],
     /// Noise of each measurement.
     pub noise: &'a [PoseNoise],
-    /// Station and target of each measurement.
-    pub set_ups: &'a [SetUp],
 }
 
 /// The pose of the probe predicted by the robot and that observed by the tracker.
@@ -35,19 +33,13 @@ pub struct Sighting {
 }
 
 impl Sighting {
-    /// Both poses at one sample; `None` if the set-up does not exist.
-    pub(super) fn new(
-        scene: &Scene<'_>,
-        tracker_from_probe: &Pose,
-        noise: PoseNoise,
-        set_up: SetUp,
-    ) -> Option<Self> {
-        let (tracker, probe) = scene.geometry.tracker.at(set_up)?;
+    /// Both poses at one sample, without rotation if none was measured; `None` if the set-up does not exist.
+    pub(super) fn new(scene: &Scene<'_>, row: &PoseRow, noise: PoseNoise) -> Option<Self> {
+        let (tracker, probe) = scene.geometry.tracker.at(row.set_up)?;
         let held = scene.robot.end() * probe.pose();
-        let mut tracker_from_probe = *tracker_from_probe;
-        tracker_from_probe.translation.vector /= 1.0 + scene.geometry.scale;
-        let seen = tracker.pose() * tracker_from_probe;
-        Some(Self { held, seen, noise, set_up })
+        let measured_m = row.position_m / (1.0 + scene.geometry.scale);
+        let seen = tracker.pose() * Pose::from_parts(measured_m.into(), row.rotation.unwrap_or_default());
+        Some(Self { held, seen, noise, set_up: row.set_up })
     }
 
     /// Predicted minus observed position, in the robot's base \[m\].
@@ -102,9 +94,7 @@ impl Residual for MeasuredPosition<'_> {
     }
 
     fn local(&self, scene: &Scene<'_>) -> Option<Sighting> {
-        let measured_m = *self.measured_m.get(scene.sample)?;
-        let (noise, set_up) = (*self.noise.get(scene.sample)?, *self.set_ups.get(scene.sample)?);
-        Sighting::new(scene, &Pose::translation(measured_m.x, measured_m.y, measured_m.z), noise, set_up)
+        Sighting::new(scene, self.rows.get(scene.sample)?, *self.noise.get(scene.sample)?)
     }
 
     fn residual(&self, _: &Scene<'_>, sighting: &Sighting, out: &mut [f64]) {

@@ -28,14 +28,6 @@ pub enum CostError {
         /// Index of the sample, from 0.
         sample: usize,
     },
-    /// The cost needs a measured length.
-    #[error("cost `{cost}` needs a measured length, sample {sample} has none; choose another cost")]
-    NoLength {
-        /// Name of the cost.
-        cost: &'static str,
-        /// Index of the sample, from 0.
-        sample: usize,
-    },
     /// A measured value is not finite.
     #[error("sample {sample} has a value that is not finite; remove it from the data")]
     NotFinite {
@@ -128,13 +120,9 @@ fn check_observation<R: Residual>(sample: usize, observation: &Observation) -> R
             return Err(CostError::NoEncoder { cost: R::NAME, joint: joint + 1, sample });
         }
     }
-    if R::NEEDS_LENGTH && observation.length_m.is_none() {
-        return Err(CostError::NoLength { cost: R::NAME, sample });
-    }
     let encoders = R::ENCODERS.iter().filter_map(|&joint| observation.bar_rad.get(joint));
-    let length = observation.length_m.iter().filter(|_| R::NEEDS_LENGTH);
     let force = [&observation.force.along_n, &observation.force.side];
-    if encoders.chain(length).chain([&observation.t_s]).chain(force).all(|value| value.is_finite()) {
+    if encoders.chain([&observation.t_s]).chain(force).all(|value| value.is_finite()) {
         Ok(())
     } else {
         Err(CostError::NotFinite { sample })

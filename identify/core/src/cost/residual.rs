@@ -25,8 +25,6 @@ pub trait Residual: Sync {
     const ROWS: usize;
     /// Joints (from 0) whose encoders are required.
     const ENCODERS: &'static [usize] = &[];
-    /// Whether a measured length is required.
-    const NEEDS_LENGTH: bool = false;
 
     /// Whether the parameter changes the residual of this robot. Other parameters need not be free.
     fn depends_on(id: ParameterId, robot: &Chain) -> bool;

@@ -24,7 +24,7 @@ pub struct Scene<'a> {
     pub geometry: &'a Geometry,
     /// Index of the sample, from 0.
     pub sample: usize,
-    /// Measurement of the bar or wire at this sample.
+    /// Measurement of the bar at this sample; for other instruments only its time.
     pub observation: &'a Observation,
     /// Sines and cosines of the bar's readings.
     pub readings: &'a [Turn; BAR_JOINTS],

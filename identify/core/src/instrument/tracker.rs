@@ -33,12 +33,10 @@ pub struct Tracker {
     rows: Standing<PoseRow>,
     /// Times of the rows and the robot's log; `None` for a robot at rest.
     moving: Option<Moving>,
-    /// Time, position, pose and set-up of each row.
+    /// Time of each row.
     observations: Vec<Observation>,
-    positions_m: Vec<Vector3<f64>>,
-    /// `None` if a row has no rotation.
-    poses: Option<Vec<Pose>>,
-    set_ups: Vec<SetUp>,
+    /// Whether every row has a rotation.
+    has_rotations: bool,
     /// Noise of each measurement, from the spread of the residuals and the stated uncertainties.
     noise: Vec<PoseNoise>,
     /// Standard uncertainty of the scale \[ppm\]; zero means exact.
@@ -68,16 +66,13 @@ impl Tracker {
     }
 
     fn from_parts(rows: Standing<PoseRow>, moving: Option<Moving>) -> Self {
-        let pose = |row: &PoseRow| Some(Pose::from_parts(row.position_m.into(), row.rotation?));
         let observation = |row| {
             let measured_s = moving.as_ref().and_then(|moving| moving.t_s.get(row).copied());
-            Observation::bar(measured_s.unwrap_or(PerObservation::time_s(row)), Default::default())
+            Observation::time_only(measured_s.unwrap_or(PerObservation::time_s(row)))
         };
         Self {
             observations: (0..rows.rows.len()).map(observation).collect(),
-            positions_m: rows.rows.iter().map(|row| row.position_m).collect(),
-            poses: rows.rows.iter().map(pose).collect(),
-            set_ups: rows.rows.iter().map(|row| row.set_up).collect(),
+            has_rotations: rows.rows.iter().all(|row| row.rotation.is_some()),
             noise: vec![PoseNoise { position_m: 1.0, rotation_rad: 1.0 }; rows.rows.len()],
             scale_u_ppm: ScaleFrom::Tracker.usual_u_ppm(),
             moving,
@@ -145,7 +140,7 @@ impl Measures for Tracker {
     }
 
     fn cost(&self) -> &'static str {
-        if self.poses.is_some() { MeasuredPose::NAME } else { MeasuredPosition::NAME }
+        if self.has_rotations { MeasuredPose::NAME } else { MeasuredPosition::NAME }
     }
 
     fn scale(&self) -> ScaleFrom {
@@ -166,7 +161,8 @@ impl Measures for Tracker {
 
     /// Adds the stations and targets of the rows.
     fn fitted_out(&self, robot: Model) -> Model {
-        let model = robot.with_set_ups(Owner::Tracker, SetUp::counts(self.set_ups.iter().copied()));
+        let model =
+            robot.with_set_ups(Owner::Tracker, SetUp::counts(self.rows.rows.iter().map(|row| row.set_up)));
         if self.moving.is_some() { model } else { model.without_clocks() }
     }
 
@@ -192,7 +188,7 @@ impl Measures for Tracker {
                     let role = match coordinate {
                         Coordinate::Position(_) => Role::Prior { value: 0.0, sigma: PROBE_SIGMA_M },
                         // Positions alone do not determine the orientation of the probe.
-                        Coordinate::Rotation(_) if self.poses.is_none() => Role::Fixed,
+                        Coordinate::Rotation(_) if !self.has_rotations => Role::Fixed,
                         Coordinate::Rotation(_) => Role::Free,
                     };
                     (placements.probes.get(&target), coordinate, role)
@@ -212,10 +208,11 @@ impl Measures for Tracker {
     }
 
     fn data_set<'a>(&'a self, model: &'a Model, sigma: f64) -> Result<Box<dyn DataSet + 'a>, CostError> {
-        let Self { noise, set_ups, positions_m: measured_m, .. } = self;
-        match &self.poses {
-            Some(measured) => self.loop_problem(model, MeasuredPose { measured, noise, set_ups }, sigma),
-            None => self.loop_problem(model, MeasuredPosition { measured_m, noise, set_ups }, sigma),
+        let Self { rows: Standing { rows, .. }, noise, .. } = self;
+        if self.has_rotations {
+            self.loop_problem(model, MeasuredPose { rows, noise }, sigma)
+        } else {
+            self.loop_problem(model, MeasuredPosition { rows, noise }, sigma)
         }
     }
 
@@ -227,7 +224,7 @@ impl Measures for Tracker {
     }
 
     fn identifies(&self, id: ParameterId, robot: &Chain) -> bool {
-        let depends = if self.poses.is_some() {
+        let depends = if self.has_rotations {
             MeasuredPose::depends_on(id, robot)
         } else {
             MeasuredPosition::depends_on(id, robot)
@@ -266,7 +263,7 @@ impl Measures for Tracker {
 
     /// Single poses if there are several stations, because a region could contain all rows of one.
     fn hold_out(&self) -> HoldOut {
-        let several = self.moving.is_none() && self.set_ups.iter().any(|set_up| set_up.station > 0);
+        let several = self.moving.is_none() && self.rows.rows.iter().any(|row| row.set_up.station > 0);
         if several { HoldOut::Rows } else { HoldOut::Regions }
     }
 

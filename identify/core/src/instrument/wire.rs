@@ -16,8 +16,7 @@ use crate::cost::{CostError, DataSet, LoopProblem, MeasuredLength, Residual};
 use crate::kinematics::Chain;
 use crate::logs::LengthRow;
 use crate::model::{
-    Axis, Clock, Geometry, Group, JointState, Model, ModelError, Observation, Owner, ParameterId,
-    PerObservation, Role, SetUp,
+    Axis, Clock, Geometry, Group, JointState, Model, ModelError, Owner, ParameterId, Role, SetUp,
 };
 use crate::statistics::median_size;
 
@@ -36,10 +35,6 @@ pub struct Wire {
     noise: RowNoise,
     /// Standard uncertainty of the scale \[ppm\]; zero means exact.
     scale_u_ppm: f64,
-    /// Observations of the rows in use.
-    observations: Vec<Observation>,
-    /// Anchor and attachment of each row in use.
-    set_ups: Vec<SetUp>,
     /// Noise of each row in use, relative to the median row.
     relative_noise: Vec<f64>,
 }
@@ -58,9 +53,8 @@ impl Wire {
     }
 
     fn from_parts(rows: Screened<LengthRow>, noise: RowNoise, scale_u_ppm: f64) -> Self {
-        let (observations, set_ups) = observations(&rows.at);
         let relative_noise = noise.relative(rows.at.rows.iter().map(|row| row.uncertainty_m));
-        Self { rows, noise, scale_u_ppm, observations, set_ups, relative_noise }
+        Self { rows, noise, scale_u_ppm, relative_noise }
     }
 
     /// The same instrument with other rows and the same noise.
@@ -110,14 +104,6 @@ fn ensure_this_robot(contradicting: &[RejectedRow], rows: usize) -> Result<(), R
         _ => None,
     });
     Err(RowError::OtherRobot { rejected, rows, median_mm: median_size(distances_m) * 1e3 })
-}
-
-/// Observation and set-up of each row.
-fn observations(rows: &Standing<LengthRow>) -> (Vec<Observation>, Vec<SetUp>) {
-    let observation = |(index, row): (usize, &LengthRow)| {
-        (Observation::length(PerObservation::time_s(index), row.length_m), row.set_up)
-    };
-    rows.rows.iter().enumerate().map(observation).unzip()
 }
 
 /// Start value of the anchor of a wire that is attached near the flange's origin, at `positions_m`; `None` if these lie in a
@@ -198,8 +184,9 @@ impl Measures for Wire {
     }
 
     fn data_set<'a>(&'a self, model: &'a Model, sigma: f64) -> Result<Box<dyn DataSet + 'a>, CostError> {
-        let residual = MeasuredLength { relative_noise: &self.relative_noise, set_ups: &self.set_ups };
-        Ok(Box::new(LoopProblem::new(model, &self.rows.at, &self.observations, residual, sigma)?))
+        let Self { rows: Screened { at, .. }, relative_noise, .. } = self;
+        let residual = MeasuredLength { rows: &at.rows, relative_noise };
+        Ok(Box::new(LoopProblem::new(model, at, &at.observations, residual, sigma)?))
     }
 
     fn reported(&self, sample: usize, _: &Clock) -> Option<JointState> {

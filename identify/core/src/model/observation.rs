@@ -11,7 +11,7 @@ pub struct BarForce {
     pub side: f64,
 }
 
-/// Measurement of the ball-bar or the wire at one instant.
+/// Measurement of the ball-bar at one instant. For other instruments, whose rows have the measurement, it has only the time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Observation {
     /// Time on the bar's clock, since the reference time \[s\].
@@ -22,8 +22,6 @@ pub struct Observation {
     pub measured: [bool; BAR_JOINTS],
     /// Index of the counter origin: 0 uses the offsets of the bar's links; others add [`super::ParameterId::EncoderOffset`].
     pub origin: usize,
-    /// Length of a wire or telescoping bar \[m\].
-    pub length_m: Option<f64>,
     /// Axial force on the ball-bar.
     pub force: BarForce,
 }
@@ -32,13 +30,12 @@ impl Observation {
     /// Observation of a bar with all five encoders.
     pub fn bar(t_s: f64, bar_rad: [f64; BAR_JOINTS]) -> Self {
         let force = BarForce::default();
-        Self { t_s, bar_rad, measured: [true; BAR_JOINTS], origin: 0, length_m: None, force }
+        Self { t_s, bar_rad, measured: [true; BAR_JOINTS], origin: 0, force }
     }
 
-    /// Observation of a measured length only.
-    pub fn length(t_s: f64, length_m: f64) -> Self {
-        let measured = [false; BAR_JOINTS];
-        Self { measured, length_m: Some(length_m), ..Self::bar(t_s, [0.0; BAR_JOINTS]) }
+    /// An instant at which another instrument measured.
+    pub fn time_only(t_s: f64) -> Self {
+        Self { measured: [false; BAR_JOINTS], ..Self::bar(t_s, [0.0; BAR_JOINTS]) }
     }
 }
 

@@ -9,7 +9,7 @@
 
 use std::f64::consts::PI;
 
-use nalgebra::{DMatrix, DMatrixView, DVector, Point3, Vector3};
+use nalgebra::{DMatrix, DMatrixView, DVector, Point3};
 use rand::seq::index;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -22,9 +22,9 @@ use crate::calibrate::selection::terms::CandidateGroup;
 use crate::cost::{LoopProblem, MeasuredLength, MeasuredPose, MeasuredPosition, PoseNoise, Residual};
 use crate::instrument::{Tracker, Wire, standing};
 use crate::kinematics::{Joints, Pose, Trace, Tracer, flange_chain};
+use crate::logs::{LengthRow, PoseRow};
 use crate::model::{
     Coordinate, DriveTrain, JointState, Model, ModelError, Observation, Owner, ParameterId, Placement, Role,
-    SetUp,
 };
 use crate::solver::{ScaledCholesky, stacked};
 use crate::statistics::{largest_difference, mean, median};
@@ -372,39 +372,37 @@ impl<'a> PriorModel<'a> {
 
     /// Rows of each pose, divided by their standard deviations.
     fn measurement_rows(&self, states: &[JointState]) -> Result<DMatrix<f64>, PosesError> {
-        let (noise, set_ups) =
-            (&vec![self.request.noise; states.len()], &vec![SetUp::default(); states.len()]);
+        let (count, noise) = (states.len(), self.request.noise);
         match self.request.measures {
-            MeasuredQuantity::Poses => self.whitened_rows(
-                states,
-                MeasuredPose { measured: &self.target_poses(states), noise, set_ups },
-                1.0,
-            ),
-            MeasuredQuantity::Positions => self.position_rows(states, self.request.noise),
+            MeasuredQuantity::Poses => {
+                let (rows, noise) = (&self.tracker_rows(states), &vec![noise; count]);
+                self.whitened_rows(states, MeasuredPose { rows, noise }, 1.0)
+            }
+            MeasuredQuantity::Positions => self.position_rows(states, noise),
             MeasuredQuantity::Lengths => {
-                let relative_noise = &vec![1.0; states.len()];
-                self.whitened_rows(
-                    states,
-                    MeasuredLength { relative_noise, set_ups },
-                    self.request.noise.position_m,
-                )
+                // The derivatives do not depend on the measured length.
+                let (rows, relative_noise) = (&vec![LengthRow::default(); count], &vec![1.0; count]);
+                self.whitened_rows(states, MeasuredLength { rows, relative_noise }, noise.position_m)
             }
         }
     }
 
-    /// Poses that a tracker in the robot's base would measure.
-    fn target_poses(&self, states: &[JointState]) -> Vec<Pose> {
+    /// Rows that a tracker in the robot's base would measure.
+    fn tracker_rows(&self, states: &[JointState]) -> Vec<PoseRow> {
         let geometry = self.model.geometry(&[]);
         let probe = geometry.tracker.probes.first().map_or_else(Pose::identity, Placement::pose);
-        states.iter().map(|state| geometry.robot_end(state) * probe).collect()
+        let row = |state: &JointState| {
+            let target = geometry.robot_end(state) * probe;
+            let (position_m, rotation) = (target.translation.vector, Some(target.rotation));
+            PoseRow { position_m, rotation, ..PoseRow::default() }
+        };
+        states.iter().map(row).collect()
     }
 
     /// Rows of the position of the target, divided by this noise.
     fn position_rows(&self, states: &[JointState], noise: PoseNoise) -> Result<DMatrix<f64>, PosesError> {
-        let measured_m: Vec<Vector3<f64>> =
-            self.target_poses(states).iter().map(|target| target.translation.vector).collect();
-        let (noise, set_ups) = (&vec![noise; states.len()], &vec![SetUp::default(); states.len()]);
-        self.whitened_rows(states, MeasuredPosition { measured_m: &measured_m, noise, set_ups }, 1.0)
+        let (rows, noise) = (&self.tracker_rows(states), &vec![noise; states.len()]);
+        self.whitened_rows(states, MeasuredPosition { rows, noise }, 1.0)
     }
 
     /// Derivatives of the residual by all columns, one row for each measured number, divided by `sigma`.
@@ -414,9 +412,8 @@ impl<'a> PriorModel<'a> {
         residual: R,
         sigma: f64,
     ) -> Result<DMatrix<f64>, PosesError> {
-        // The derivatives do not depend on the measured length.
         let observations: Vec<Observation> =
-            (0..states.len()).map(|pose| Observation::length(pose as f64, 1.0)).collect();
+            (0..states.len()).map(|pose| Observation::time_only(pose as f64)).collect();
         let motion = PoseStates(states);
         let problem = LoopProblem::new(&self.model, &motion, &observations, residual, sigma).ok();
         let rows = problem.and_then(|problem| stacked(&problem, &self.model.start()));

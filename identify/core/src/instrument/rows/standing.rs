@@ -53,7 +53,7 @@ pub(super) fn poses(joints_rad: &[Joints]) -> Vec<usize> {
 
 /// Observations that have the time only, see [`Standing::observations`].
 fn observations(rows: usize) -> Vec<Observation> {
-    (0..rows).map(|row| Observation::bar(PerObservation::time_s(row), Default::default())).collect()
+    (0..rows).map(|row| Observation::time_only(PerObservation::time_s(row))).collect()
 }
 
 /// Rows of one file, in the order in which the robot visited them; row `i` has time `i`.

@@ -348,16 +348,16 @@ impl TrackerSearch<'_> {
         let middle_s = mean(rows.iter().map(|row| self.observed_m.t_s[*row]));
         let motion = AlignedLog::new(self.log.clone(), coarse.robot_time_s(middle_s));
         let observed_m: Vec<Vector3<f64>> = rows.iter().map(|row| self.observed_m[*row]).collect();
-        let observation =
-            |row: &usize| Observation::bar(self.observed_m.t_s[*row] - middle_s, Default::default());
+        let observation = |row: &usize| Observation::time_only(self.observed_m.t_s[*row] - middle_s);
         let observations: Vec<Observation> = rows.iter().map(observation).collect();
         let flange = |row: &usize| self.flange(coarse.robot_time_s(self.observed_m.t_s[*row]));
         let flanges = rows.iter().map(flange).collect::<Option<Vec<Pose>>>()?;
         let [tracker, probe] = placements(&flanges, &observed_m, std::iter::empty())?;
         let model = self.prior_model(&tracker, &probe, coarse.skew).ok()?;
         let sigma = PoseNoise { position_m: NOMINAL_SIGMA_M, rotation_rad: 1.0 };
-        let (noise, set_ups) = (&vec![sigma; rows.len()], &vec![SetUp::default(); rows.len()]);
-        let residual = MeasuredPosition { measured_m: &observed_m, noise, set_ups };
+        let pose_row = |position_m: &Vector3<f64>| PoseRow { position_m: *position_m, ..PoseRow::default() };
+        let pose_rows: Vec<PoseRow> = observed_m.iter().map(pose_row).collect();
+        let residual = MeasuredPosition { rows: &pose_rows, noise: &vec![sigma; rows.len()] };
         let problem = LoopProblem::new(&model, &motion, &observations, residual, 1.0).ok()?;
         let start = model.start();
         let (x, _) = minimise_robust(&problem, &start, LossName::Huber, &Options::default()).ok()?;
