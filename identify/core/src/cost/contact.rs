@@ -2,7 +2,6 @@
 
 use nalgebra::Vector3;
 
-use super::scene::unit;
 use super::{Movement, Residual, Scene};
 use crate::kinematics::Chain;
 use crate::logs::TipRow;
@@ -41,9 +40,9 @@ impl Residual for SeatedBall<'_> {
     fn derivative(&self, scene: &Scene<'_>, local: &Self::Local, id: ParameterId, out: &mut [f64]) {
         let (seated_in, flange_to_ball_m) = local;
         let derivative = match (id, scene.movement(id)) {
-            (_, Movement::Robot(twist)) => twist.linear + twist.angular.cross(flange_to_ball_m),
-            (ParameterId::Ball { axis }, _) => scene.robot.rotation() * unit(axis),
-            (ParameterId::Socket { socket, axis }, _) if socket == *seated_in => -unit(axis),
+            (_, Movement::Robot(twist)) => twist.carried(flange_to_ball_m).linear,
+            (ParameterId::Ball { axis }, _) => scene.robot.rotation() * axis.unit(),
+            (ParameterId::Socket { socket, axis }, _) if socket == *seated_in => -axis.unit(),
             _ => return,
         };
         out.copy_from_slice(derivative.as_slice());

@@ -2,7 +2,6 @@
 
 use nalgebra::Vector3;
 
-use super::scene::unit;
 use super::{Movement, Residual, Scene};
 use crate::kinematics::Chain;
 use crate::logs::LengthRow;
@@ -60,11 +59,9 @@ impl Residual for MeasuredLength<'_> {
         let direction = if wire_m.norm() > 0.0 { wire_m.normalize() } else { *wire_m };
         let direction = direction * (1.0 + scene.geometry.scale);
         let derivative = match (id, scene.movement(id)) {
-            (_, Movement::Robot(twist)) => {
-                direction.dot(&(twist.linear + twist.angular.cross(flange_to_attachment_m)))
-            }
+            (_, Movement::Robot(twist)) => direction.dot(&twist.carried(flange_to_attachment_m).linear),
             (ParameterId::Attachment { target, axis }, _) if target == set_up.target => {
-                direction.dot(&(scene.robot.rotation() * unit(axis)))
+                direction.dot(&(scene.robot.rotation() * axis.unit()))
             }
             (ParameterId::Anchor { station, axis }, _) if station == set_up.station => {
                 -direction[axis.index()]

@@ -2,7 +2,6 @@
 
 use nalgebra::Vector3;
 
-use super::scene::unit;
 use super::{Movement, PoseNoise, Residual, Scene};
 use crate::kinematics::{Chain, Pose, Twist};
 use crate::logs::PoseRow;
@@ -55,7 +54,7 @@ impl Sighting {
         Some(match id {
             ParameterId::Tracker { station, .. } if station != self.set_up.station => return None,
             ParameterId::Probe { target, .. } if target != self.set_up.target => return None,
-            ParameterId::Tracker { coordinate: Position(axis), .. } => Twist::translation(-unit(axis)),
+            ParameterId::Tracker { coordinate: Position(axis), .. } => Twist::translation(-axis.unit()),
             ParameterId::Tracker { coordinate: Rotation(axis), .. } => {
                 let seen_m = self.seen.translation.vector;
                 Twist::rotation(tracker.turning(axis), tracker.position_m, seen_m).scaled(-1.0)
@@ -65,7 +64,7 @@ impl Sighting {
                 Twist::translation(tracker_to_seen_m / (1.0 + scene.geometry.scale))
             }
             ParameterId::Probe { coordinate: Position(axis), .. } => {
-                Twist::translation(robot.rotation() * unit(axis))
+                Twist::translation(robot.rotation() * axis.unit())
             }
             ParameterId::Probe { coordinate: Rotation(axis), .. } => {
                 Twist { angular: robot.rotation() * probe.turning(axis), linear: Vector3::zeros() }
@@ -73,8 +72,7 @@ impl Sighting {
             id => match scene.movement(id) {
                 Movement::Robot(twist) => {
                     let flange_to_probe_m = self.held.translation.vector - robot.position_m();
-                    let linear = twist.linear + twist.angular.cross(&flange_to_probe_m);
-                    Twist { angular: twist.angular, linear }
+                    twist.carried(&flange_to_probe_m)
                 }
                 Movement::Bar(_) | Movement::None => return None,
             },

@@ -87,7 +87,7 @@ impl Scene<'_> {
     pub fn bar_twist(&self, bar: &Trace, id: ParameterId) -> Option<Twist> {
         match id {
             ParameterId::Bar { link, parameter } => bar.twist(link, parameter),
-            ParameterId::Base { axis } => Some(Twist::translation(unit(axis))),
+            ParameterId::Base { axis } => Some(Twist::translation(axis.unit())),
             ParameterId::BaseRotation { axis } => Some(self.base_rotation(axis, bar.position_m())),
             ParameterId::BarCompliance | ParameterId::BarPlay | ParameterId::BarWave { .. } => {
                 bar.twist(ROD_LINK, LinkParameter::D).map(|twist| twist.scaled(self.elongation(id)))
@@ -127,9 +127,4 @@ impl Scene<'_> {
         };
         Twist::rotation(axis, self.geometry.base.origin_m, end_m)
     }
-}
-
-/// Unit vector along a coordinate axis.
-pub(super) fn unit(axis: Axis) -> Vector3<f64> {
-    Vector3::ith(axis.index(), 1.0)
 }

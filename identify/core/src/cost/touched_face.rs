@@ -3,7 +3,6 @@
 
 use nalgebra::Vector3;
 
-use super::scene::unit;
 use super::{Movement, Residual, Scene};
 use crate::kinematics::Chain;
 use crate::logs::TipRow;
@@ -62,10 +61,8 @@ impl Residual for TouchedFace<'_> {
     fn derivative(&self, scene: &Scene<'_>, touched: &OverFace, id: ParameterId, out: &mut [f64]) {
         let OverFace { unit_normal, normal_length, flange_to_tip_m, tip_m, height_m, .. } = touched;
         out[0] = match (id, scene.movement(id)) {
-            (_, Movement::Robot(twist)) => {
-                unit_normal.dot(&(twist.linear + twist.angular.cross(flange_to_tip_m)))
-            }
-            (ParameterId::Tip { axis }, _) => unit_normal.dot(&(scene.robot.rotation() * unit(axis))),
+            (_, Movement::Robot(twist)) => unit_normal.dot(&twist.carried(flange_to_tip_m).linear),
+            (ParameterId::Tip { axis }, _) => unit_normal.dot(&(scene.robot.rotation() * axis.unit())),
             (ParameterId::Face { face, number }, _) if face == touched.face => match number {
                 FaceNumber::Normal(axis) => {
                     (tip_m[axis.index()] - height_m * unit_normal[axis.index()]) / normal_length

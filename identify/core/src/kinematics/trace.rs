@@ -41,6 +41,12 @@ impl Twist {
         Vector6::new(linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
     }
 
+    /// Twist of a point that the frame carries, at this vector from the frame's origin.
+    #[inline]
+    pub fn carried(&self, to_point: &Vector3<f64>) -> Self {
+        Self { linear: self.linear + self.angular.cross(to_point), ..*self }
+    }
+
     /// A shift along `axis`.
     #[inline]
     pub fn translation(axis: Vector3<f64>) -> Self {

@@ -9,6 +9,7 @@ use std::fmt;
 use std::str::FromStr;
 use std::sync::LazyLock;
 
+use nalgebra::Vector3;
 use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
@@ -34,6 +35,11 @@ impl Axis {
     /// Index of the axis, 0 to 2.
     pub const fn index(self) -> usize {
         self as usize
+    }
+
+    /// Unit vector along the axis.
+    pub fn unit(self) -> Vector3<f64> {
+        Vector3::ith(self.index(), 1.0)
     }
 
     pub(super) const fn letter(self) -> char {

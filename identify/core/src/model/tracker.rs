@@ -91,7 +91,7 @@ impl Placement {
             let angle = squared.sqrt();
             ((1.0 - angle.cos()) / squared, (angle - angle.sin()) / (squared * angle))
         };
-        let unit = Vector3::ith(axis.index(), 1.0);
+        let unit = axis.unit();
         let across = w.cross(&unit);
         unit + across * first + w.cross(&across) * second
     }
