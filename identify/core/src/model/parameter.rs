@@ -149,24 +149,26 @@ pub enum Unit {
 }
 
 impl Unit {
+    /// Symbol of the SI unit, that of the displayed unit, and the factor from the first to the second.
+    const fn symbols(self) -> (&'static str, &'static str, f64) {
+        match self {
+            Self::Metre => ("m", "mm", 1e3),
+            Self::Radian => ("rad", "mrad", 1e3),
+            Self::Second => ("s", "ms", 1e3),
+            Self::Ratio => ("1", "ppm", 1e6),
+            Self::RadianPerMetre => ("rad/m", "mrad/m", 1e3),
+            Self::MetrePerNewton => ("m/N", "um/N", 1e6),
+        }
+    }
+
     /// Factor from the SI unit to the displayed unit.
     pub const fn display_factor(self) -> f64 {
-        match self {
-            Self::Metre | Self::Radian | Self::Second | Self::RadianPerMetre => 1e3,
-            Self::Ratio | Self::MetrePerNewton => 1e6,
-        }
+        self.symbols().2
     }
 
     /// Symbol of the displayed unit.
     pub const fn display_symbol(self) -> &'static str {
-        match self {
-            Self::Metre => "mm",
-            Self::Radian => "mrad",
-            Self::Second => "ms",
-            Self::Ratio => "ppm",
-            Self::RadianPerMetre => "mrad/m",
-            Self::MetrePerNewton => "um/N",
-        }
+        self.symbols().1
     }
 
     /// A magnitude with its displayed unit, rounded to four significant digits.
@@ -179,14 +181,7 @@ impl Unit {
 
     /// Symbol of the SI unit, `1` for ratios.
     pub const fn si_symbol(self) -> &'static str {
-        match self {
-            Self::Metre => "m",
-            Self::Radian => "rad",
-            Self::Second => "s",
-            Self::Ratio => "1",
-            Self::RadianPerMetre => "rad/m",
-            Self::MetrePerNewton => "m/N",
-        }
+        self.symbols().0
     }
 }
 
