@@ -130,7 +130,7 @@ impl Tracker {
 
 impl RobotMotion for Tracker {
     fn at(&self, tau_s: f64) -> Option<JointState> {
-        self.moving.as_ref().map_or_else(|| self.rows.at(tau_s), |moving| moving.log.at(tau_s))
+        self.moving.as_ref().map_or_else(|| self.rows.states.at(tau_s), |moving| moving.log.at(tau_s))
     }
 }
 

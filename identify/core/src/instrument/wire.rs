@@ -186,7 +186,7 @@ impl Measures for Wire {
     fn data_set<'a>(&'a self, model: &'a Model, sigma: f64) -> Result<Box<dyn DataSet + 'a>, CostError> {
         let Self { rows: Screened { at, .. }, relative_noise, .. } = self;
         let residual = MeasuredLength { rows: &at.rows, relative_noise };
-        Ok(Box::new(LoopProblem::new(model, at, &at.observations, residual, sigma)?))
+        Ok(Box::new(LoopProblem::new(model, &at.states, &at.observations, residual, sigma)?))
     }
 
     fn reported(&self, sample: usize, _: &Clock) -> Option<JointState> {

@@ -86,11 +86,21 @@ impl PerObservation {
     }
 }
 
+/// Index of the observation at this time; `None` before the first one.
+fn index_at(tau_s: f64) -> Option<usize> {
+    // A time below -0.5 rounds to a negative index, which the cast would change to 0.
+    (tau_s > -0.5).then(|| tau_s.round() as usize)
+}
+
 impl RobotMotion for PerObservation {
     fn at(&self, tau_s: f64) -> Option<JointState> {
-        if !(tau_s > -0.5 && tau_s < self.0.len() as f64) {
-            return None;
-        }
-        self.0.get(tau_s.round() as usize).map(|q| JointState::at_rest(*q))
+        self.0.get(index_at(tau_s)?).map(|q| JointState::at_rest(*q))
+    }
+}
+
+/// Joint states given per observation, as [`PerObservation`].
+impl RobotMotion for Vec<JointState> {
+    fn at(&self, tau_s: f64) -> Option<JointState> {
+        self.get(index_at(tau_s)?).copied()
     }
 }

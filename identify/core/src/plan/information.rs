@@ -17,7 +17,7 @@ use crate::calibrate::selection::links::inseparable_offsets;
 use crate::cost::{AngleNoise, LoopProblem, Residual, WhitenedPose};
 use crate::kinematics::{Chain, Joints, Trace, Tracer};
 use crate::model::{
-    DriveTrain, JointState, Model, ModelError, Observation, ParameterId, RobotMotion, Role, TermGroup,
+    DriveTrain, JointState, Model, ModelError, Observation, ParameterId, PerObservation, Role, TermGroup,
 };
 use crate::solver::{Normal, Normals, Options, ScaledCholesky, combined, stacked};
 
@@ -93,16 +93,6 @@ pub struct Visited {
     pub bar_rad: Vec<[f64; 5]>,
     /// Joints of the robot and their speeds.
     pub robot: Vec<JointState>,
-}
-
-/// Joint states of single poses: pose `i` has time `i`.
-pub(super) struct PoseStates<'a>(pub(super) &'a [JointState]);
-
-impl RobotMotion for PoseStates<'_> {
-    fn at(&self, tau_s: f64) -> Option<JointState> {
-        // A time below -0.5 rounds to a negative index, which the cast would change to 0.
-        (tau_s > -0.5).then(|| self.0.get(tau_s.round() as usize).copied()).flatten()
-    }
 }
 
 impl Information {
@@ -220,13 +210,13 @@ impl Information {
     fn with_problem<T>(
         &self,
         poses: &Visited,
-        evaluate: impl FnOnce(&LoopProblem<'_, WhitenedPose, PoseStates<'_>>, &[f64]) -> Option<T>,
+        evaluate: impl FnOnce(&LoopProblem<'_, WhitenedPose, Vec<JointState>>, &[f64]) -> Option<T>,
     ) -> Option<T> {
-        let motion = PoseStates(&poses.robot);
-        let observations: Vec<Observation> =
-            poses.bar_rad.iter().enumerate().map(|(i, bar)| Observation::bar(i as f64, *bar)).collect();
-        let residual = WhitenedPose::new(&self.model.geometry(&[]), &motion, &observations, self.noise);
-        let problem = LoopProblem::new(&self.model, &motion, &observations, residual, 1.0).ok()?;
+        let Visited { bar_rad, robot: motion } = poses;
+        let observation = |(i, bar): (usize, &[f64; 5])| Observation::bar(PerObservation::time_s(i), *bar);
+        let observations: Vec<Observation> = bar_rad.iter().enumerate().map(observation).collect();
+        let residual = WhitenedPose::new(&self.model.geometry(&[]), motion, &observations, self.noise);
+        let problem = LoopProblem::new(&self.model, motion, &observations, residual, 1.0).ok()?;
         evaluate(&problem, &self.model.start())
     }
 

@@ -24,12 +24,12 @@ use crate::instrument::{Tracker, Wire, standing};
 use crate::kinematics::{Joints, Pose, Trace, Tracer, flange_chain};
 use crate::logs::{LengthRow, PoseRow};
 use crate::model::{
-    Coordinate, DriveTrain, JointState, Model, ModelError, Observation, Owner, ParameterId, Placement, Role,
+    Coordinate, DriveTrain, JointState, Model, ModelError, Observation, Owner, ParameterId, PerObservation,
+    Placement, Role,
 };
 use crate::solver::{ScaledCholesky, stacked};
 use crate::statistics::{largest_difference, mean, median};
 
-use super::information::PoseStates;
 use super::optimum::optimum;
 
 /// Prior standard deviation of the poses of instrument and target \[m, rad\]: much larger than after the measurement. A still
@@ -413,8 +413,8 @@ impl<'a> PriorModel<'a> {
         sigma: f64,
     ) -> Result<DMatrix<f64>, PosesError> {
         let observations: Vec<Observation> =
-            (0..states.len()).map(|pose| Observation::time_only(pose as f64)).collect();
-        let motion = PoseStates(states);
+            (0..states.len()).map(|pose| Observation::time_only(PerObservation::time_s(pose))).collect();
+        let motion = states.to_vec();
         let problem = LoopProblem::new(&self.model, &motion, &observations, residual, sigma).ok();
         let rows = problem.and_then(|problem| stacked(&problem, &self.model.start()));
         rows.map(|(_, jacobian)| jacobian).ok_or(PosesError::NotFinite)

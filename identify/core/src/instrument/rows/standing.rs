@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use super::{RowError, split};
 use crate::kinematics::{Chain, Joints};
 use crate::logs::JointMistake;
-use crate::model::{JointState, Observation, ParameterId, PerObservation, RobotMotion, SetUp};
+use crate::model::{JointState, Observation, ParameterId, PerObservation, SetUp};
 use crate::statistics::largest_difference;
 
 /// A joint that moved less than this since the previous pose keeps its direction of motion \[rad, m\].
@@ -167,15 +167,6 @@ impl<R: Copy> Standing<R> {
         class: impl Fn(&R) -> usize,
     ) -> Vec<Vec<usize>> {
         split::folds(&self.groups, count, self.seed, |row| class(&self.rows[row]))
-    }
-}
-
-impl<R: Sync> RobotMotion for Standing<R> {
-    fn at(&self, tau_s: f64) -> Option<JointState> {
-        if !(tau_s > -0.5 && tau_s < self.states.len() as f64) {
-            return None;
-        }
-        self.states.get(tau_s.round() as usize).copied()
     }
 }
 

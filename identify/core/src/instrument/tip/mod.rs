@@ -199,7 +199,7 @@ impl<A: Artefact> Measures for Tip<A> {
     fn data_set<'a>(&'a self, model: &'a Model, sigma: f64) -> Result<Box<dyn DataSet + 'a>, CostError> {
         let Self { rows: Screened { at, .. }, artefact, noise_m } = self;
         let cost = A::cost(&at.rows);
-        let problem = LoopProblem::new(model, at, &at.observations, cost, sigma * noise_m)?;
+        let problem = LoopProblem::new(model, &at.states, &at.observations, cost, sigma * noise_m)?;
         Ok(Box::new(problem.with_knowns(artefact)))
     }
 
