@@ -11,7 +11,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use nalgebra::{DMatrix, DVector};
 
 use super::panel::{RowPanel, fold_triangles, width};
-use super::{LeastSquares, Linearisation, Loss, Normal, Options, Progress, SolveError, Watch};
+use super::{LeastSquares, Linearisation, Normal, Options, Progress, SolveError};
 use crate::threads::{on_threads, threads_there};
 
 /// Least number of samples of a part: about a millisecond of work.
@@ -176,15 +176,12 @@ impl Fold for StackedRows {
     }
 }
 
-/// One pass: point, samples, loss and threads.
+/// One pass: point, samples, and the options for loss, threads and observer.
 pub(super) struct Pass<'a> {
     pub(super) problem: &'a dyn LeastSquares,
     pub(super) x: &'a [f64],
-    pub(super) loss: Loss,
-    pub(super) taking: Taking<'a>,
-    /// Highest number of threads; `None`: as many as are efficient.
-    pub(super) threads: Option<usize>,
-    pub(super) watch: Option<&'a dyn Watch>,
+    options: &'a Options<'a>,
+    taking: Taking<'a>,
     /// For the observer; [`Pass::run`] adds the completed samples.
     pub(super) progress: Progress,
 }
@@ -194,19 +191,12 @@ impl<'a> Pass<'a> {
     pub(super) fn new(
         problem: &'a dyn LeastSquares,
         x: &'a [f64],
-        options: &Options<'a>,
+        options: &'a Options<'a>,
         taking: Taking<'a>,
     ) -> Self {
         let (iterations_max, samples) = (options.iterations_max, problem.samples());
-        Self {
-            problem,
-            x,
-            loss: options.loss,
-            taking,
-            threads: options.threads.map(usize::from),
-            watch: options.watch,
-            progress: Progress { iteration: 0, iterations_max, cost: None, samples_done: 0, samples },
-        }
+        let progress = Progress { iteration: 0, iterations_max, cost: None, samples_done: 0, samples };
+        Self { problem, x, options, taking, progress }
     }
 
     /// Reduces the rows of all samples; also returns each sample's fit.
@@ -215,7 +205,8 @@ impl<'a> Pass<'a> {
         let part_samples = samples.div_ceil(PARTS_MAX).max(PART_SAMPLES_MIN);
         let parts = samples.div_ceil(part_samples);
         let samples_done = AtomicUsize::new(0);
-        let reduced_parts = on_threads(self.thread_count(parts), parts, |part| {
+        let threads = threads_for(self.problem, self.options).clamp(1, parts.max(1));
+        let reduced_parts = on_threads(threads, parts, |part| {
             let range = part * part_samples..samples.min((part + 1) * part_samples);
             let result = self.reduce_part(range.clone(), new())?;
             self.report_progress(&samples_done, range.len())?;
@@ -233,13 +224,9 @@ impl<'a> Pass<'a> {
         Ok((whole.unwrap_or_else(new), fits))
     }
 
-    fn thread_count(&self, parts: usize) -> usize {
-        self.threads.unwrap_or_else(|| threads_that_pay(self.problem)).clamp(1, parts.max(1))
-    }
-
     /// Reports that `samples` more samples are completed.
     fn report_progress(&self, samples_done: &AtomicUsize, samples: usize) -> Result<(), PassError> {
-        let Some(watch) = self.watch else { return Ok(()) };
+        let Some(watch) = self.options.watch else { return Ok(()) };
         let samples_done = samples_done.fetch_add(samples, Ordering::Relaxed) + samples;
         let goes_on = watch.goes_on(&Progress { samples_done, ..self.progress });
         if goes_on { Ok(()) } else { Err(PassError::Cancelled) }
@@ -293,11 +280,8 @@ impl<'a> Pass<'a> {
         if !squared.is_finite() {
             return Err(PassError::NotFinite(sample));
         }
-        let loss = if rows == self.problem.rows() {
-            self.loss
-        } else {
-            self.loss.of_rows(rows, self.problem.rows())
-        };
+        let Options { loss, .. } = *self.options;
+        let loss = if rows == self.problem.rows() { loss } else { loss.of_rows(rows, self.problem.rows()) };
         let weight = loss.weight(squared);
         if weight != 1.0 {
             let factor = weight.sqrt();
@@ -313,26 +297,33 @@ fn require_finite(panel: &RowPanel) -> Result<(), PassError> {
     panel.not_finite().map_or(Ok(()), |sample| Err(PassError::NotFinite(sample)))
 }
 
-/// Efficient number of threads for a pass over all samples of a problem.
-pub(super) fn threads_that_pay(problem: &dyn LeastSquares) -> usize {
-    let threads = problem.samples() * problem.rows() * problem.columns() / ENTRIES_PER_THREAD;
-    if threads > 1 { threads_there().min(threads) } else { 1 }
+/// Highest number of threads for a pass over all samples of a problem: that of the options, or else as many as are efficient.
+pub(super) fn threads_for(problem: &dyn LeastSquares, options: &Options<'_>) -> usize {
+    let efficient = || {
+        let threads = problem.samples() * problem.rows() * problem.columns() / ENTRIES_PER_THREAD;
+        if threads > 1 { threads_there().min(threads) } else { 1 }
+    };
+    options.threads.map_or_else(efficient, usize::from)
 }
 
 /// A pass without loss and observer.
-fn unweighted<'a>(problem: &'a dyn LeastSquares, x: &'a [f64]) -> Pass<'a> {
-    Pass::new(problem, x, &Options::default(), Taking::WhatIsThere)
+fn run_unweighted<F: Fold>(
+    problem: &dyn LeastSquares,
+    x: &[f64],
+    new: impl Fn() -> F + Sync,
+) -> Result<(F, Vec<SampleFit>), PassError> {
+    Pass::new(problem, x, &Options::default(), Taking::WhatIsThere).run(new)
 }
 
 /// Fit of each sample at `x`, without loss. Empty if one is not finite.
 pub(super) fn fits(problem: &dyn LeastSquares, x: &[f64]) -> Vec<SampleFit> {
-    unweighted(problem, x).run(|| ()).map(|((), fits)| fits).unwrap_or_default()
+    run_unweighted(problem, x, || ()).map(|((), fits)| fits).unwrap_or_default()
 }
 
 /// Residuals and Jacobian of all samples that have a value at `x`, stacked, without loss and priors: for inspection and for
 /// other solvers. `None` if one of them is not finite.
 pub fn stacked(problem: &dyn LeastSquares, x: &[f64]) -> Option<(DVector<f64>, DMatrix<f64>)> {
-    let (rows, _) = unweighted(problem, x).run(StackedRows::default).ok()?;
+    let (rows, _) = run_unweighted(problem, x, StackedRows::default).ok()?;
     let count = rows.residual.len();
     Some((
         DVector::from_vec(rows.residual),

@@ -12,7 +12,7 @@ use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 
 use super::covariance::{Spread, UncertaintySource};
-use crate::solver::pass::{Pass, PassError, Products, Taking, threads_that_pay, weighed_rows};
+use crate::solver::pass::{Pass, PassError, Products, Taking, threads_for, weighed_rows};
 use crate::solver::{LeastSquares, Options, Prior, ScaledCholesky, SolveError, Subset};
 use crate::threads::on_threads;
 
@@ -147,8 +147,7 @@ impl Normals {
                 })?;
             Ok(products.normal(weighed_rows(&fits)))
         };
-        let threads = options.threads.map_or_else(|| threads_that_pay(problem), usize::from);
-        let mut folds = on_threads(threads.min(sets.len()), sets.len(), sum)
+        let mut folds = on_threads(threads_for(problem, options).min(sets.len()), sets.len(), sum)
             .map_err(|error: PassError| error.at_start(problem.samples()))?;
         let known = folds.pop().unwrap_or_else(|| Normal::zeros(problem.columns()));
         let mut total = Normal::zeros(problem.columns());
