@@ -66,21 +66,20 @@ pub(super) fn checked(
     sigmas: &[f64],
     options: &PrepareOptions,
 ) -> Result<Vec<Changed>, CalibrateError> {
-    let changed = changes(runs, sigmas)?;
+    let mut changed = Vec::new();
+    for (data_set, (run, sigma)) in runs.iter().zip(sigmas).enumerate() {
+        changed.extend(change_of_run(data_set, run, *sigma)?);
+    }
     refuse(runs, &changed, options)?;
     Ok(changed)
 }
 
-fn changes(runs: &[Run], sigmas: &[f64]) -> Result<Vec<Changed>, CalibrateError> {
-    let mut all = Vec::new();
-    for (data_set, (run, sigma)) in runs.iter().zip(sigmas).enumerate() {
-        all.extend(change_of_run(run, *sigma)?.map(|found| Changed { data_set, ..found }));
-    }
-    Ok(all)
-}
-
-/// The most significant change in one data set; the caller sets `data_set` in the result.
-fn change_of_run(Run { instrument, model }: &Run, sigma: f64) -> Result<Option<Changed>, CalibrateError> {
+/// The most significant change in one data set.
+fn change_of_run(
+    data_set: usize,
+    Run { instrument, model }: &Run,
+    sigma: f64,
+) -> Result<Option<Changed>, CalibrateError> {
     // Parameters fixed at uncertain values are estimated as well, so that their errors are not reported as a change.
     let model =
         &model.with_considered(|parameter, sigma| Some(Role::Prior { value: parameter.value, sigma }));
@@ -114,7 +113,7 @@ fn change_of_run(Run { instrument, model }: &Run, sigma: f64) -> Result<Option<C
             Course::Step(first_after) => time_of_step(instrument, &samples, first_after)?,
             Course::Drift => When::Drift,
         };
-        Some(Changed { data_set: 0, cause: causes.get(alternative)?.clone(), when, by, explained })
+        Some(Changed { data_set, cause: causes.get(alternative)?.clone(), when, by, explained })
     }))
 }
 

@@ -111,7 +111,7 @@ fn calibrate_in_stages(
 
 /// Detects outlier rows and a drift in the residuals of the best links. The runs of the files of rows are the last ones.
 fn screen_rows(runs: &mut [Run], rows: &mut [RowSet], plan: &Plan<'_>) -> Result<(), CalibrateError> {
-    let links_only = Plan { groups: Vec::new(), tolerances: Vec::new(), common: Vec::new(), ..plan.clone() };
+    let links_only = Plan { fix: plan.fix.clone(), watch: plan.watch, ..Plan::new(plan.loss) };
     let links = estimate(runs, &links_only)?;
     let offsets_only = fitted(runs, &links, Deployment::Offsets, plan.loss, plan.watch)?;
     let offsets_runs = offsets_only.map_or_else(Vec::new, |(runs, _)| runs);

@@ -47,7 +47,7 @@ pub(super) fn lay_out<'w>(
         let contradicting = rows::checked(&file.instrument, is_only_file, &flange)
             .map_err(|error| CalibrateError::Rows { data_set, error })?;
         let set = RowSet::new(file.grouped(&flange), contradicting, held_out);
-        let model = file.instrument.at_nominal(&flange);
+        let model = file.instrument.fitted_out(Model::alone(&flange));
         let model = model.with_drives(DriveTrain::of(robot, &flange)).with(config.named());
         let mut run = Run { instrument: set.fitting(), model };
         place_instrument(&mut run, &set, data_set, config, watch, &flange)?;
@@ -98,7 +98,7 @@ fn place_instrument(
         run.model.set_role(ParameterId::Scale, Role::Fixed)?;
     }
     if run.model.columns().len() > 0 {
-        let plan = Plan { watch, ..Plan::new(LossName::Huber, Vec::new()) };
+        let plan = Plan { watch, ..Plan::new(LossName::Huber) };
         let placed = estimate(std::slice::from_mut(run), &plan);
         // Lengths in a wrong unit may allow no solution; check the unit first.
         rows::unless_other_unit(set.whole(), &run.model, flange)?;

@@ -56,9 +56,10 @@ pub struct Plan<'a> {
 }
 
 impl Plan<'_> {
-    /// Plan for rows of one instrument, with default settings.
-    pub fn new(loss: LossName, groups: Vec<CandidateGroup>) -> Self {
-        Plan { loss, groups, fix: Vec::new(), tolerances: Vec::new(), common: Vec::new(), watch: None }
+    /// A solve that tries no terms and no other widths of priors.
+    pub fn new(loss: LossName) -> Self {
+        let (groups, fix, tolerances, common) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        Plan { loss, groups, fix, tolerances, common, watch: None }
     }
 }
 
@@ -185,7 +186,7 @@ pub(super) fn refit(
     watch: Option<&dyn Watch>,
     before: Solved,
 ) -> Result<Solved, CalibrateError> {
-    let plan = Plan { watch, ..Plan::new(loss, Vec::new()) };
+    let plan = Plan { watch, ..Plan::new(loss) };
     let mut solver = Solver::new(runs, &plan);
     let (columns, mut solution) = solver.solve_with_weights()?;
     let covariance_columns = solver.add_covariance(&columns, &mut solution)?;

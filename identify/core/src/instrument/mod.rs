@@ -30,7 +30,7 @@ pub use tip::{
 pub use tracker::Tracker;
 pub use wire::Wire;
 
-use crate::kinematics::{Chain, Joints};
+use crate::kinematics::Joints;
 use crate::model::Model;
 
 /// Copies an instrument of any kind: `dyn Measures` cannot be `Clone`.
@@ -66,11 +66,6 @@ impl Instrument {
     pub fn poses(&self, model: &Model) -> impl Iterator<Item = Joints> {
         let clock = model.geometry(&[]).clock;
         (0..self.samples()).filter_map(move |sample| Some(self.reported(sample, &clock)?.q))
-    }
-
-    /// Model of the nominal robot with the parameters of the instrument.
-    pub fn at_nominal(&self, robot: &Chain) -> Model {
-        self.fitted_out(Model::alone(robot))
     }
 }
 

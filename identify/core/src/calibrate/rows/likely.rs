@@ -43,7 +43,7 @@ pub(super) fn placed(instrument: Instrument, model: Model) -> Result<Option<Mode
     if !run.instrument.place(&mut run.model, &[])? {
         return Ok(None);
     }
-    estimate(std::slice::from_mut(&mut run), &Plan::new(LossName::Huber, Vec::new()))?;
+    estimate(std::slice::from_mut(&mut run), &Plan::new(LossName::Huber))?;
     Ok(Some(run.model))
 }
 
