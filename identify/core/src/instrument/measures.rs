@@ -124,6 +124,11 @@ pub trait Measures: Boxed + fmt::Debug + Send + Sync {
         self.deviations(geometry).into_iter().map(PoseError::from).collect()
     }
 
+    /// [`Measures::deviations`] as numbers: signed differences of lengths, or distances of positions \[m\].
+    fn residuals_m(&self, geometry: &Geometry) -> Vec<f64> {
+        self.deviations(geometry).iter().map(Deviation::signed_m).collect()
+    }
+
     // The weights of its samples.
 
     /// Updates quantities that depend on the geometry, before a solve that starts at the model. Returns the noise of a

@@ -68,11 +68,6 @@ impl Wire {
         all.rows.iter_mut().zip(lengths_m).for_each(|(row, length_m)| row.length_m = length_m);
         self.with_rows(all).into()
     }
-
-    /// Predicted minus measured length of every row, in use or not \[m\].
-    pub fn residuals_m(&self, geometry: &Geometry) -> Vec<f64> {
-        residuals_m(&self.rows.all, geometry)
-    }
 }
 
 /// Predicted minus measured lengths \[m\].
@@ -290,7 +285,7 @@ impl Measures for Wire {
     }
 
     fn deviations(&self, geometry: &Geometry) -> Vec<Deviation> {
-        self.residuals_m(geometry).into_iter().map(Deviation::of_length).collect()
+        residuals_m(&self.rows.all, geometry).into_iter().map(Deviation::of_length).collect()
     }
 
     fn rejected(&self) -> &[RejectedRow] {

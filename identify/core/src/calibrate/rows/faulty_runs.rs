@@ -38,7 +38,7 @@ pub struct FaultyRun {
 pub(super) fn runs(model: &Model, all: &Instrument, rejected: &[RejectedRow]) -> Vec<FaultyRun> {
     let faulty: Vec<usize> =
         rejected.iter().filter(|r| matches!(r.why, Rejection::FaultyRun { .. })).map(|r| r.row).collect();
-    let residuals_m = residuals_m(all, model);
+    let residuals_m = all.residuals_m(&model.geometry(&[]));
     let consecutive = faulty.chunk_by(|a, b| a + 1 == *b);
     let run = |members: &[usize]| {
         let (&first, &last) = (members.first()?, members.last()?);
@@ -66,7 +66,7 @@ fn explain(model: &Model, rows: &Instrument, residuals_m: &[f64], median_m: f64)
 fn sign_reversed(model: &Model, rows: &Instrument, joint: usize) -> Option<(f64, RunCause)> {
     let reversed = Mistake::Joints(JointMistake::Reversed(joint));
     let corrected = rows.undone(reversed, model.robot()).into_iter().next()?;
-    let median_m = median_size(residuals_m(&corrected, model).into_iter());
+    let median_m = median_size(corrected.residuals_m(&model.geometry(&[])).into_iter());
     Some((median_m, RunCause::SignReversed { joint: joint + 1 }))
 }
 
@@ -75,10 +75,4 @@ fn sign_reversed(model: &Model, rows: &Instrument, joint: usize) -> Option<(f64,
 fn zero_moved(residuals_m: &[f64]) -> (f64, RunCause) {
     let median_m = quantile(&mut residuals_m.to_vec(), 0.5);
     (median_size(residuals_m.iter().map(|r| r - median_m)), RunCause::ZeroMoved { by_m: -median_m })
-}
-
-/// Signed residuals, robot minus measurement \[m\].
-pub(super) fn residuals_m(instrument: &Instrument, model: &Model) -> Vec<f64> {
-    let deviations = instrument.deviations(&model.geometry(&[])).into_iter();
-    deviations.map(|deviation| deviation.signed_m()).collect()
 }

@@ -163,7 +163,7 @@ impl RowSet {
         let nominal = self.nominal.as_ref().map_or_else(Vec::new, |nominal| self.errors_with(nominal));
         let is_gross = gross_rows(&nominal, &self.errors.joints, &whole.relative_noise());
         let rows = without(&(0..is_gross.len()).collect::<Vec<_>>(), &self.rejected);
-        let residuals_m = faulty_runs::residuals_m(&self.without_drift(), model);
+        let residuals_m = self.without_drift().residuals_m(&model.geometry(&[]));
         let gross = rows.into_iter().filter(|row| is_gross[*row]).map(|row| {
             let residual_m = residuals_m[row];
             RejectedRow { row, why: Rejection::GrossResidual { residual_m } }
@@ -230,7 +230,7 @@ impl RowSet {
         let rejected_by_fit = run.instrument.rejected().iter().map(in_file).collect::<Vec<_>>();
         let kept = without(fitting, &rejected_by_fit);
         self.whole.weigh_by(&run.model, &kept);
-        let residuals_m = faulty_runs::residuals_m(&self.whole, &run.model);
+        let residuals_m = self.whole.residuals_m(&run.model.geometry(&[]));
         faulty(&residuals_m, &self.whole.relative_noise(), fitting, &kept)
     }
 

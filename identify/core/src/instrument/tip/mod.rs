@@ -125,11 +125,6 @@ impl<A: Artefact> Tip<A> {
         let tip_m = geometry.robot_end(state).transform_point(&A::tip_m(geometry).into()).coords;
         A::deviation(geometry, part, tip_m, row.reading_m)
     }
-
-    /// Residuals of all rows, used or not, each to the part that the row touches \[m\].
-    fn residuals_m(&self, model: &Model) -> Vec<f64> {
-        self.deviations(&model.geometry(&[])).iter().map(Deviation::signed_m).collect()
-    }
 }
 
 impl<A: Artefact> Measures for Tip<A> {
@@ -218,13 +213,13 @@ impl<A: Artefact> Measures for Tip<A> {
 
     /// Standard deviation, from the median of mostly normal residuals.
     fn adapt(&mut self, model: &Model) -> Option<f64> {
-        self.noise_m = sigma_by_median(self.residuals_m(model).into_iter(), A::MEDIAN);
+        self.noise_m = sigma_by_median(self.residuals_m(&model.geometry(&[])).into_iter(), A::MEDIAN);
         Some(self.noise_m)
     }
 
     /// Leaves rows out if most rows agree with each other and each part keeps enough.
     fn screen(&mut self, model: &Model) -> bool {
-        let residuals_m = self.residuals_m(model);
+        let residuals_m = self.residuals_m(&model.geometry(&[]));
         let parts = self.artefact.names().len();
         let cover_all_parts = |rows: &[TipRow]| {
             let rows_of = |part: usize| rows.iter().filter(|row| row.part == part).count();
