@@ -12,11 +12,11 @@ use crate::calibrate::validation::held_out::without_each_segment;
 use crate::calibrate::validation::unseen::{UnseenPart, unseen_parts};
 use crate::calibrate::{CalibrateError, Calibration};
 use crate::cost::{Closure, loop_closures};
-use crate::model::Model;
+use crate::model::{Geometry, Model};
 use crate::prepare::Prepared;
 use crate::solver::Watch;
 use crate::statistics::Sizes;
-use crate::threads::each;
+use crate::threads::{both, each};
 
 /// Results of one run of a calibration.
 #[derive(Debug, Clone)]
@@ -41,14 +41,12 @@ impl RunEvidence {
         let (motion, observations) = (&prepared.motion, &prepared.observations);
         let solved = model.geometry(&model.start());
         let curve = |reach_s| shift_curve(&solved, motion, observations, reach_s, STEPS);
-        std::thread::scope(|scope| {
-            let curves = scope.spawn(|| [WIDE_S, NEAR_S].map(curve));
-            let before = loop_closures(&uncalibrated(model, motion, observations), motion, observations);
-            let after = loop_closures(&solved, motion, observations);
-            let curves = curves.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
-            let [shift_wide, shift_near] = curves;
-            Self { before, after, shift_wide, shift_near }
-        })
+        let closures = |geometry: &Geometry| loop_closures(geometry, motion, observations);
+        let ([shift_wide, shift_near], [before, after]) = both(
+            || [WIDE_S, NEAR_S].map(curve),
+            || [closures(&uncalibrated(model, motion, observations)), closures(&solved)],
+        );
+        Self { before, after, shift_wide, shift_near }
     }
 }
 

@@ -29,6 +29,7 @@ use crate::model::{
 };
 use crate::solver::{ScaledCholesky, stacked};
 use crate::statistics::{largest_difference, mean, median};
+use crate::threads::{each, threads_there};
 
 use super::optimum::optimum;
 
@@ -586,20 +587,15 @@ impl<'k> PoseSelection<'k> {
 
 /// Product with a tall matrix on the left, on all threads.
 pub(super) fn times(left: &DMatrix<f64>, right: &DMatrix<f64>) -> DMatrix<f64> {
-    let threads = std::thread::available_parallelism().map_or(1, usize::from);
-    let rows_per_thread = left.nrows().div_ceil(threads).max(1);
-    let product_of = |first: usize| left.rows(first, rows_per_thread.min(left.nrows() - first)) * right;
-    let mut product = DMatrix::zeros(left.nrows(), right.ncols());
-    std::thread::scope(|scope| {
-        let firsts = (0..left.nrows()).step_by(rows_per_thread);
-        let parts: Vec<_> = firsts.map(|first| (first, scope.spawn(move || product_of(first)))).collect();
-        for (first, part) in parts {
-            match part.join() {
-                Ok(part) => product.rows_mut(first, part.nrows()).copy_from(&part),
-                Err(panic) => std::panic::resume_unwind(panic),
-            }
-        }
+    let rows_per_part = left.nrows().div_ceil(threads_there()).max(1);
+    let parts = each(left.nrows().div_ceil(rows_per_part), |part| {
+        let first = part * rows_per_part;
+        left.rows(first, rows_per_part.min(left.nrows() - first)) * right
     });
+    let mut product = DMatrix::zeros(left.nrows(), right.ncols());
+    for (number, part) in parts.iter().enumerate() {
+        product.rows_mut(number * rows_per_part, part.nrows()).copy_from(part);
+    }
     product
 }
 

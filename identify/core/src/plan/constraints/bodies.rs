@@ -10,7 +10,7 @@ use parry3d_f64::query;
 use parry3d_f64::shape::{Capsule, Cuboid};
 use shared::config::JointKind;
 
-use crate::kinematics::{Chain, DhLink, Joints, Pose, ROD_LINK};
+use crate::kinematics::{Chain, DhLink, Joints, ROD_LINK};
 
 /// Number of links of the wrist, which only rotate in place: the plate and the rod's end represent them.
 const WRIST_LINKS: usize = 2;
@@ -44,8 +44,17 @@ pub struct Skeleton {
 impl Skeleton {
     /// Centre lines for a posture of the robot.
     pub fn of(robot: &Chain, robot_rad: &[f64]) -> Self {
-        let (links, end) = links(robot, robot_rad);
-        Self { links, end: end.translation.vector }
+        let mut frame = robot.root_from_base;
+        let mut links = Vec::with_capacity(robot.links.len());
+        for (link, joint) in robot.links.iter().zip(robot_rad) {
+            let before = frame.translation.vector;
+            let moved_m = if link.joint == JointKind::Prismatic { *joint } else { 0.0 };
+            // Along the joint's axis first, then along the link.
+            let corner = before + frame.rotation * Vector3::z() * (link.d_m + moved_m);
+            frame *= link.transform(*joint);
+            links.push([before, corner, frame.translation.vector]);
+        }
+        Self { links, end: (frame * robot.last_from_end).translation.vector }
     }
 }
 
@@ -99,7 +108,7 @@ impl Bodies {
     }
 
     fn arm_clearance_m(&self, arm: &Chain, robot_rad: &[f64]) -> f64 {
-        let (links, _) = links(arm, robot_rad);
+        let Skeleton { links, .. } = Skeleton::of(arm, robot_rad);
         self.cell_clearance_m(&links, &[], None).min(self.own_clearance_m(&links))
     }
 
@@ -203,21 +212,6 @@ impl Bodies {
     fn rod(&self, ends: [Vector3<f64>; 2]) -> Capsule {
         capsule(ends, self.rod_radius_m)
     }
-}
-
-/// Each link of a posture: its start, its corner (the point along its joint's axis), and its end \[m\]; and the arm's end.
-fn links(arm: &Chain, robot_rad: &[f64]) -> (Vec<[Vector3<f64>; 3]>, Pose) {
-    let mut frame = arm.root_from_base;
-    let mut links = Vec::with_capacity(arm.links.len());
-    for (link, joint) in arm.links.iter().zip(robot_rad) {
-        let before = frame.translation.vector;
-        let moved_m = if link.joint == JointKind::Prismatic { *joint } else { 0.0 };
-        // Along the joint's axis first, then along the link.
-        let corner = before + frame.rotation * Vector3::z() * (link.d_m + moved_m);
-        frame *= link.transform(*joint);
-        links.push([before, corner, frame.translation.vector]);
-    }
-    (links, frame * arm.last_from_end)
 }
 
 fn capsule([a, b]: [Vector3<f64>; 2], radius_m: f64) -> Capsule {
