@@ -28,9 +28,14 @@ pub fn extremes(values: impl IntoIterator<Item = f64>) -> [f64; 2] {
     values.into_iter().fold([f64::INFINITY, f64::NEG_INFINITY], wider)
 }
 
+/// Largest absolute value; zero without values.
+pub(crate) fn largest_size(values: impl IntoIterator<Item: Borrow<f64>>) -> f64 {
+    values.into_iter().map(|value| value.borrow().abs()).fold(0.0, f64::max)
+}
+
 /// Largest difference of two numbers at the same place.
 pub fn largest_difference(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
+    largest_size(a.iter().zip(b).map(|(a, b)| a - b))
 }
 
 /// Quantile `part` (0 to 1) of `values`, which it reorders; linear interpolation, zero without values.

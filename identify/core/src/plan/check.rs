@@ -5,6 +5,7 @@ use crate::kinematics::{BAR_JOINTS, Joints, ball_bar_inverse_refined, singularit
 use crate::logs::{CubicSpline, RobotLog, SplinePoint};
 use crate::model::JointState;
 use crate::solver::Normal;
+use crate::statistics::largest_size;
 
 use super::{Constraints, Information, Obstacle, Visited};
 
@@ -100,7 +101,7 @@ pub fn check(
     information: &Information,
 ) -> Result<Checked, CheckError> {
     let curve = curve(path)?;
-    let (robot, bar, design) = (constraints.robot(), constraints.bar_chain(), constraints.design);
+    let (robot, bar, design) = (constraints.robot, constraints.bar, constraints.design);
     let duration_s = path.q_rad.duration_s();
     let axes = path.axes();
     let mut checked = Checked {
@@ -162,11 +163,10 @@ impl Instant {
     /// The constraints that are violated.
     fn violated(&self, constraints: &Constraints<'_>) -> impl Iterator<Item = Obstacle> {
         let (point, design) = (&self.point, constraints.design);
-        let most = |row: &Joints| row.iter().fold(0.0_f64, |most, value| most.max(value.abs()));
         let is_near_singular = self.bar_margin_rad < design.bar_margin_deg.to_radians();
         let is_wound_up = self.wound_rad.iter().any(|wound| wound.abs() > WINDING_RAD_MAX);
-        let is_too_fast = most(&point.rate) > design.robot_speed_rad_s;
-        let accelerates_too_much = most(&point.acceleration) > constraints.acceleration_rad_s2;
+        let is_too_fast = largest_size(point.rate.iter()) > design.robot_speed_rad_s;
+        let accelerates_too_much = largest_size(point.acceleration.iter()) > constraints.acceleration_rad_s2;
         let obstacles = [
             (self.off_sphere_m > OFF_SPHERE_M_MAX).then_some(Obstacle::OffSphere),
             is_near_singular.then_some(Obstacle::BarSingularity),
@@ -195,7 +195,7 @@ impl Checked {
         self.bar_margin_rad = self.bar_margin_rad.min(*bar_margin_rad);
         self.dexterity = self.dexterity.min(constraints.dexterity(&point.value));
         if let Some(bodies) = &constraints.bodies {
-            let clearance_m = bodies.clearance_m(constraints.robot(), constraints.bar_chain(), &point.value);
+            let clearance_m = bodies.clearance_m(constraints.robot, constraints.bar, &point.value);
             self.clearance_m = Some(self.clearance_m.map_or(clearance_m, |least| least.min(clearance_m)));
         }
         let ranges = self.winding_rad.iter_mut().zip(wound_rad);

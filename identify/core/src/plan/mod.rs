@@ -89,7 +89,7 @@ pub fn robot_path(
     let (mut t_s, mut q_rad) = (Vec::new(), Vec::new());
     for row in 0..=rows {
         let at_s = row as f64 * ROW_S;
-        let target = constraints.bar_chain().forward(&route.path.at(at_s));
+        let target = constraints.bar.forward(&route.path.at(at_s));
         near_rad = constraints.inverse(&target, &near_rad).map_err(|error| (at_s, error))?;
         t_s.push(at_s);
         q_rad.push(near_rad);

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::Design;
+use crate::statistics::largest_size;
 
 /// Number of moves between two standstills.
 const MOVES_PER_STOP: usize = 3;
@@ -44,8 +45,7 @@ impl Move {
 
     /// Highest speed of its fastest joint \[rad/s\].
     pub(super) fn peak_speed_rad_s(&self) -> f64 {
-        let farthest_rad = self.by_rad.iter().fold(0.0_f64, |most, by| most.max(by.abs()));
-        Self::PEAK_SPEED * farthest_rad / self.duration_s
+        Self::PEAK_SPEED * largest_size(self.by_rad) / self.duration_s
     }
 
     fn progress(&self, t_s: f64) -> f64 {
@@ -81,8 +81,7 @@ impl Path {
     pub fn push(&mut self, to_rad: &[f64; 5], speed_rad_s: f64, design: &Design) -> Move {
         let from_rad = self.end_rad();
         let by_rad: [f64; 5] = std::array::from_fn(|i| to_rad[i] - from_rad[i]);
-        let farthest_rad = by_rad.iter().fold(0.0_f64, |most, by| most.max(by.abs()));
-        let duration_s = (Move::PEAK_SPEED * farthest_rad / speed_rad_s).max(Move::DURATION_S_MIN);
+        let duration_s = (Move::PEAK_SPEED * largest_size(by_rad) / speed_rad_s).max(Move::DURATION_S_MIN);
         let start_s = match self.moves.last() {
             None => END_STANDSTILLS * design.standstill_s,
             Some(last) if self.moves.len().is_multiple_of(MOVES_PER_STOP) => {

@@ -357,8 +357,8 @@ fn off_sphere(
     period_s: f64,
     constraints: &Constraints<'_>,
 ) -> f64 {
-    let gimbal = constraints.bar_chain().root_from_base.translation.vector;
-    let radius_m = |q: &Joints| (constraints.robot().forward(q).translation.vector - gimbal).norm();
+    let gimbal = constraints.bar.root_from_base.translation.vector;
+    let radius_m = |q: &Joints| (constraints.robot.forward(q).translation.vector - gimbal).norm();
     let points: Vec<_> = times(curve, period_s).filter_map(|t_s| curve.at(t_s)).collect();
     let start_m = points.first().map_or(0.0, |point| radius_m(&point.value));
     let mut most_m = 0.0_f64;

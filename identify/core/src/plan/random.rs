@@ -10,6 +10,7 @@ use rand::Rng;
 use super::{Constraints, Design, Move, Obstacle, Path, Visited};
 use crate::kinematics::Joints;
 use crate::model::JointState;
+use crate::statistics::largest_size;
 
 /// Highest number of points to try.
 const TRIES: usize = 300;
@@ -153,13 +154,11 @@ pub(super) fn random_poses(
             continue;
         }
         let by_rad: [f64; 5] = std::array::from_fn(|i| goal_rad[i] - bar_rad[i]);
-        let farthest_rad = by_rad.iter().fold(0.0_f64, |most, by| most.max(by.abs()));
-        let part = speed_rad_s(design, random) * STEP_S / farthest_rad.max(1e-9);
+        let part = speed_rad_s(design, random) * STEP_S / largest_size(by_rad).max(1e-9);
         let next_rad: [f64; 5] = std::array::from_fn(|i| bar_rad[i] + part * by_rad[i]);
-        let Ok(next) = constraints.inverse(&constraints.bar_chain().forward(&next_rad), &q) else { continue };
+        let Ok(next) = constraints.inverse(&constraints.bar.forward(&next_rad), &q) else { continue };
         let qd = Joints::from_fn(q.len(), |i| (next[i] - q[i]) / STEP_S);
-        let fastest = qd.iter().fold(0.0_f64, |most, qd| most.max(qd.abs()));
-        let speed_factor = (design.robot_speed_rad_s / fastest.max(1e-9)).min(1.0);
+        let speed_factor = (design.robot_speed_rad_s / largest_size(qd.iter()).max(1e-9)).min(1.0);
         visited.bar_rad.push(bar_rad);
         visited.robot.push(JointState { qd: qd.map(|qd| speed_factor * qd), ..JointState::at_rest(q) });
         near_rad = q;
@@ -176,14 +175,14 @@ pub(super) fn start(
     let mut obstacles = Obstacles::default();
     for _ in 0..TRIES {
         let point = point(design, random);
-        let near_rad = design.posture_rad(constraints.robot(), &constraints.limits, random);
+        let near_rad = design.posture_rad(constraints.robot, &constraints.limits, random);
         match constraints.robot_at(&point, &near_rad) {
             Ok(robot) => return Ok((point, robot)),
             Err(obstacle) => *obstacles.entry(obstacle).or_default() += 1,
         }
     }
     Err(PlanError::NoStart {
-        length_m: constraints.bar_chain().links.iter().map(|link| link.d_m).sum(),
+        length_m: constraints.bar.links.iter().map(|link| link.d_m).sum(),
         base_m: design.base_m,
         obstacle: most_frequent(&obstacles),
     })

@@ -149,7 +149,7 @@ pub(super) fn tightened<'a>(constraints: &Constraints<'a>, design: &'a Design) -
     let Constraints { limits, bodies, acceleration_rad_s2, .. } = constraints;
     let farther =
         |bodies: Bodies| Bodies { clearance_m_min: bodies.clearance_m_min + CLEARANCE_ROOM_M, ..bodies };
-    Constraints::new(constraints.robot(), constraints.bar_chain(), limits, design)
+    Constraints::new(constraints.robot, constraints.bar, limits, design)
         .with(bodies.clone().map(farther), ACCELERATION_PART * acceleration_rad_s2)
 }
 

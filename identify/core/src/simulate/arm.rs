@@ -13,6 +13,7 @@ use super::effects::{GEAR_PERIODS, Wave};
 use super::{RandomStream, random};
 use crate::kinematics::{Chain, DhLink, Joints, Trace, Tracer, flange_chain};
 use crate::model::DriveTrain;
+use crate::statistics::largest_size;
 
 /// Least cosine of the angle between the stem, the line from the flange to the point, and the downward vertical.
 const STEM_COSINE_MIN: f64 = 0.4;
@@ -153,7 +154,7 @@ impl Arm {
                 trace.point_twists(reached_m, joints.len()).map(|twist| twist.linear).collect();
             let jjt: Matrix3<f64> = columns.iter().map(|column| column * column.transpose()).sum();
             let multiplier = (jjt + Matrix3::identity() * 1e-12).try_inverse()? * miss;
-            let longest = columns.iter().map(|column| column.dot(&multiplier).abs()).fold(0.0, f64::max);
+            let longest = largest_size(columns.iter().map(|column| column.dot(&multiplier)));
             let part = (STEP_MAX / longest).min(1.0);
             joints.iter_mut().zip(&columns).for_each(|(q, column)| *q += part * column.dot(&multiplier));
         }

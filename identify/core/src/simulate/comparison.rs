@@ -12,7 +12,7 @@ use crate::instrument::standing;
 use crate::kinematics::{Joints, LinkParameter, nearest_turn};
 use crate::model::{JointState, Model, Owner, ParameterId, Unit};
 use crate::simulate::Truth;
-use crate::statistics::quantile;
+use crate::statistics::{largest_size, quantile};
 
 /// An identified parameter with its true value.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -80,7 +80,7 @@ impl Comparison {
 
     /// Largest error, mm and mrad with equal weight.
     pub fn max_mm_mrad(&self) -> f64 {
-        self.parameters.iter().map(|one| one.error_displayed().abs()).fold(0.0, f64::max)
+        largest_size(self.parameters.iter().map(ComparedParameter::error_displayed))
     }
 
     /// The comparison restricted to some of the parameters.

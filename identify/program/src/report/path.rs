@@ -48,7 +48,7 @@ pub fn summary(
         text,
         "centre of the bar's gimbal in the robot's base frame: {x:.3}, {y:.3}, {z:.3} m (--base)"
     );
-    let arm = constraints.robot();
+    let arm = constraints.robot;
     text.push_str(&ends(checked, arm));
     let rates = [&checked.speed_rad_s, &checked.acceleration_rad_s2, &checked.jerk_rad_s3];
     text.push_str(&joint_rows(&checked.joint_range_rad, rates, arm));

@@ -11,6 +11,7 @@ use super::{Design, Path};
 use crate::kinematics::{
     Chain, InverseError, Joints, Pose, Trace, Tracer, robot_inverse_centred, singularity_margin_rad,
 };
+use crate::statistics::{largest_difference, largest_size};
 
 /// Time between two checked poses of a path during planning \[s\].
 pub const LOOK_S: f64 = 0.05;
@@ -60,9 +61,11 @@ impl std::fmt::Display for Obstacle {
 /// Nominal robot and bar, and the constraints of their motion.
 #[derive(Debug, Clone)]
 pub struct Constraints<'a> {
-    robot: &'a Chain,
+    /// Chain of the nominal robot.
+    pub robot: &'a Chain,
     tracer: Tracer,
-    bar: &'a Chain,
+    /// Chain of the nominal bar.
+    pub bar: &'a Chain,
     /// Joint limits of the robot \[rad, m\].
     pub limits: Vec<[f64; 2]>,
     /// Joint limits reduced by the design's margin.
@@ -94,16 +97,6 @@ impl<'a> Constraints<'a> {
     #[must_use]
     pub fn with(self, bodies: Option<Bodies>, acceleration_rad_s2: f64) -> Self {
         Self { bodies, acceleration_rad_s2, ..self }
-    }
-
-    /// Chain of the nominal robot.
-    pub fn robot(&self) -> &'a Chain {
-        self.robot
-    }
-
-    /// Chain of the nominal bar.
-    pub fn bar_chain(&self) -> &'a Chain {
-        self.bar
     }
 
     /// The robot's joints at a bar posture, the solution nearest to `near_rad`, if both satisfy the constraints.
@@ -194,17 +187,14 @@ impl<'a> Constraints<'a> {
         for step in 1..=steps as usize {
             let before = robot[step - 1];
             let now = self.robot_at(&path.at(from_s + step_s * step as f64), &before)?;
-            let largest = |of_joint: &dyn Fn(usize) -> f64| {
-                (0..now.len()).map(of_joint).fold(0.0_f64, |most, value| most.max(value.abs()))
-            };
-            if largest(&|i| now[i] - before[i]) > self.design.robot_speed_rad_s * step_s {
+            if largest_difference(&now, &before) > self.design.robot_speed_rad_s * step_s {
                 return Err(Obstacle::Speed);
             }
-            if let Some(earlier) = step.checked_sub(2).and_then(|index| robot.get(index))
-                && largest(&|i| now[i] - 2.0 * before[i] + earlier[i])
-                    > self.acceleration_rad_s2 * step_s * step_s
-            {
-                return Err(Obstacle::Acceleration);
+            if let Some(earlier) = step.checked_sub(2).and_then(|index| robot.get(index)) {
+                let second_differences = (0..now.len()).map(|i| now[i] - 2.0 * before[i] + earlier[i]);
+                if largest_size(second_differences) > self.acceleration_rad_s2 * step_s * step_s {
+                    return Err(Obstacle::Acceleration);
+                }
             }
             robot.push(now);
         }

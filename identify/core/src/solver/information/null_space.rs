@@ -7,6 +7,7 @@
 use nalgebra::DMatrix;
 
 use crate::solver::DependentGroup;
+use crate::statistics::largest_size;
 
 /// Entries below this part of their vector's largest count as zero. The gaps of ranks are much larger than this.
 const ENTRY_TOLERANCE: f64 = 1e-4;
@@ -50,7 +51,7 @@ fn merge_overlapping(supports: Vec<Vec<usize>>) -> Vec<DependentGroup> {
 
 /// Columns whose entries of a null vector are not zero.
 fn support(vector: &[f64]) -> Vec<usize> {
-    let largest = vector.iter().fold(0.0f64, |largest, v| largest.max(v.abs()));
+    let largest = largest_size(vector);
     let is_nonzero = |v: &f64| v.abs() > ENTRY_TOLERANCE * largest;
     vector.iter().enumerate().filter(|(_, v)| is_nonzero(v)).map(|(column, _)| column).collect()
 }

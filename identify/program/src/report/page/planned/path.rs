@@ -94,8 +94,8 @@ impl PathPage<'_> {
     fn view(&self) -> Markup {
         let rows = &self.robot_path.q_rad;
         view(&View {
-            arm: self.constraints.robot(),
-            carried: Carried::Bar(self.constraints.bar_chain().root_from_base.translation.vector),
+            arm: self.constraints.robot,
+            carried: Carried::Bar(self.constraints.bar.root_from_base.translation.vector),
             motion: rows
                 .t_s
                 .iter()
@@ -124,9 +124,9 @@ impl PathPage<'_> {
         (0..count).map(series).collect()
     }
 
-    fn angles(&self) -> Markup {
-        let arm = self.constraints.robot();
-        let series = self.by_joint(self.robot_path.axes(), |_, row, joint| {
+    fn angles(&self) -> Result<Markup, PlotError> {
+        let arm = self.constraints.robot;
+        let series = self.by_joint("joint ", self.robot_path.axes(), |_, row, joint| {
             Some(self.robot_path.q_rad.get(row)?[joint] * arm.links.get(joint)?.joint.display_factor())
         });
         over_time("Robot joints", if has_prismatic(arm) { "[deg, mm]" } else { "[deg]" }, series)
@@ -139,7 +139,7 @@ impl PathPage<'_> {
             let change = log.q_rad.get(next)?[joint] - log.q_rad.get(row)?[joint];
             Some(change / (log.q_rad.t_s.get(next)? - log.q_rad.t_s.get(row)?))
         });
-        let y = if has_prismatic(self.constraints.robot()) { "[rad/s, m/s]" } else { "[rad/s]" };
+        let y = if has_prismatic(self.constraints.robot) { "[rad/s, m/s]" } else { "[rad/s]" };
         over_time("Their speeds", y, series)
     }
 
@@ -150,8 +150,8 @@ impl PathPage<'_> {
         over_time("Bar joints from the start", "[deg]", series)
     }
 
-    fn sphere(&self) -> Markup {
-        let bar = self.constraints.bar_chain();
+    fn sphere(&self) -> Result<Markup, PlotError> {
+        let bar = self.constraints.bar;
         let gimbal = bar.root_from_base.translation.vector;
         let place = |t_s: f64| {
             let rod = bar.forward(&self.path.at(t_s)).translation.vector - gimbal;
@@ -163,8 +163,8 @@ impl PathPage<'_> {
         sphere_from_above("Directions of the rod", series)
     }
 
-    fn margin(&self) -> Markup {
-        let bar_links = &self.constraints.bar_chain().links;
+    fn margin(&self) -> Result<Markup, PlotError> {
+        let bar_links = &self.constraints.bar.links;
         let margin =
             |t_s: f64| crate::kinematics::singularity_margin_rad(bar_links, &self.path.at(t_s)).to_degrees();
         let series =
