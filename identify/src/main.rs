@@ -1,4 +1,4 @@
-//! `identify`: parses the command line, runs, maps errors to exit codes.
+//! The program `identify`: parses the command line, runs the command, and maps errors to exit codes.
 
 use std::io::{IsTerminal, Write};
 use std::process::ExitCode;
@@ -22,7 +22,8 @@ fn main() -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             let message = format!("error: {}", explained(error.as_ref()));
-            // Another program gets each sentence whole; a reader that has gone (`2>&1 | head`) wants none.
+            // Lines are wrapped for a terminal only, because another program may search for whole sentences. The result of
+            // the write is ignored: the reader of a pipe (`2>&1 | head`) may have ended.
             let _ = writeln!(std::io::stderr(), "{}", if on_terminal { wrapped(&message) } else { message });
             ExitCode::FAILURE
         }

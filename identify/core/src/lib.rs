@@ -1,9 +1,13 @@
-//! Calibration of a robot from its log and the measurements of a ball-bar, a tracker, a draw-wire, or sockets and faces: the
-//! numerical part, without reports.
+//! The numerical part of the calibration of a robot, without reports. Inputs are the robot's log and the measurements of an
+//! instrument: a ball-bar, a tracker, a draw-wire, or a probe that touches sockets and faces.
 //!
-//! Flow of the data: [`logs`] and the recording -> [`prepare`] -> [`model`] and [`cost`] -> [`solver`] -> [`calibrate`], which
-//! connects them -> [`evaluate`], which assesses the result. [`plan`] searches paths and poses, [`simulate`] generates
-//! experiments with known truth, [`study`] runs thousands of them, and [`robot`] imports a robot from a URDF and checks it.
+//! A calibration uses these modules in order. [`logs`] reads the robot's log. [`prepare`] aligns the log with the recording
+//! and selects samples. [`model`] and [`cost`] define parameters and residuals, and [`solver`] minimises them. [`calibrate`]
+//! runs these steps, and [`evaluate`] assesses the result.
+//!
+//! The other modules support experiments. [`plan`] searches for paths and poses, [`simulate`] generates experiments
+//! with known parameters, and [`study`] runs thousands of simulated experiments. [`robot`] imports a robot from a URDF
+//! and checks its configuration.
 
 pub mod calibrate;
 pub mod cost;

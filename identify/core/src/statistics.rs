@@ -1,4 +1,4 @@
-//! Statistics of plain numbers.
+//! Statistics of sequences of numbers: means, medians, quantiles and extremes.
 
 use std::borrow::Borrow;
 
@@ -16,13 +16,14 @@ pub fn rms(values: impl IntoIterator<Item: Borrow<f64>>) -> f64 {
     mean(values.into_iter().map(|value| value.borrow().powi(2))).sqrt()
 }
 
-/// The upper median of `values`, which it reorders; `None` if there are no values.
+/// The median of `values`; of an even number of values, the upper one of the two in the middle. `None` if there are
+/// no values. Reorders `values`.
 pub fn median(values: &mut [f64]) -> Option<f64> {
     let middle = values.len() / 2;
     (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
-/// Smallest and largest value; without values infinity and minus infinity.
+/// Smallest and largest value. Without values the result is `[INFINITY, NEG_INFINITY]`.
 pub fn extremes(values: impl IntoIterator<Item = f64>) -> [f64; 2] {
     let wider = |[low, high]: [f64; 2], value: f64| [low.min(value), high.max(value)];
     values.into_iter().fold([f64::INFINITY, f64::NEG_INFINITY], wider)
@@ -38,7 +39,7 @@ pub fn largest_difference(a: &[f64], b: &[f64]) -> f64 {
     largest_size(a.iter().zip(b).map(|(a, b)| a - b))
 }
 
-/// Quantile `part` (0 to 1) of `values`, which it reorders; linear interpolation, zero without values.
+/// Quantile of `values` at the fraction `part` (0 to 1), by linear interpolation; zero without values. Reorders `values`.
 pub(crate) fn quantile(values: &mut [f64], part: f64) -> f64 {
     if values.is_empty() {
         return 0.0;
@@ -56,7 +57,7 @@ pub struct Sizes {
     pub mean: f64,
     /// Root of the mean square.
     pub rms: f64,
-    /// 50 % quantile; files do not have it, and figures read from a file have zero.
+    /// 50 % quantile. It is not stored in files, and is therefore zero after reading a file.
     #[serde(skip)]
     pub median: f64,
     /// 95 % quantile.
@@ -80,7 +81,7 @@ pub(crate) fn median_size(values: impl Iterator<Item = f64>) -> f64 {
     quantile(&mut values.map(f64::abs).collect::<Vec<_>>(), 0.5)
 }
 
-/// Mean of the values without this fraction of them at either end; `None` if none remain.
+/// Mean of the values after removing the fraction `part` of them at each end. `None` if no values remain.
 pub(crate) fn trimmed_mean(mut values: Vec<f64>, part: f64) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     let ends = (part * values.len() as f64) as usize;

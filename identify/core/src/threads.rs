@@ -1,23 +1,26 @@
-//! Work on several threads, with a result that does not depend on their number.
+//! Runs numbered work on several threads. Results are in the order of the numbers, so they do not depend on
+//! the number of threads.
 
 use std::convert::Infallible;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
-/// Number of rows in one unit of work: about a millisecond.
+/// Number of rows in one unit of work. One unit takes about a millisecond.
 const ROWS_AT_ONCE: usize = 256;
 
-/// Number of threads that this machine runs in parallel. The call reads files: a tenth of a millisecond.
+/// Number of threads that this machine runs in parallel. The call takes a tenth of a millisecond because it reads files.
 pub(crate) fn threads_there() -> usize {
     std::thread::available_parallelism().map_or(1, usize::from)
 }
 
-/// Results of `work` for 0 to `count`, in order. For long work, one number at a time.
+/// Results of `work` for each number from 0 to `count` (excluded), in order. Each thread takes one number at a time, so this
+/// is for calls that take milliseconds or longer.
 pub(crate) fn each<T: Send>(count: usize, work: impl Fn(usize) -> T + Sync) -> Vec<T> {
     let threads = if count > 1 { threads_there().min(count) } else { 1 };
     on_threads(threads, count, |number| Ok::<_, Infallible>(work(number))).unwrap_or_default()
 }
 
-/// Results of `of` for 0 to `count`, in order. For short work, [`ROWS_AT_ONCE`] numbers at a time.
+/// Results of `of` for each number from 0 to `count` (excluded), in order. Each thread takes [`ROWS_AT_ONCE`] numbers at a
+/// time, so this is for short calls.
 pub(crate) fn rows<T: Send>(count: usize, of: impl Fn(usize) -> T + Sync) -> Vec<T> {
     let part = |part: usize| -> Vec<T> {
         (part * ROWS_AT_ONCE..count.min((part + 1) * ROWS_AT_ONCE)).map(&of).collect()
@@ -25,7 +28,8 @@ pub(crate) fn rows<T: Send>(count: usize, of: impl Fn(usize) -> T + Sync) -> Vec
     each(count.div_ceil(ROWS_AT_ONCE), part).into_iter().flatten().collect()
 }
 
-/// Results of both functions; the first runs on a thread of its own.
+/// Runs both functions at the same time and returns both results. `aside` runs on a new thread, `here`
+/// on the calling thread.
 pub fn both<A: Send, B>(aside: impl FnOnce() -> A + Send, here: impl FnOnce() -> B) -> (A, B) {
     std::thread::scope(|scope| {
         let aside = scope.spawn(aside);
@@ -34,17 +38,20 @@ pub fn both<A: Send, B>(aside: impl FnOnce() -> A + Send, here: impl FnOnce() ->
     })
 }
 
-/// Results of `work` for 0 to `count`, in order, with this number of threads including the calling one. Work starts in order
-/// and is not interrupted: of several errors the first one in order is returned.
+/// Results of `work` for each number from 0 to `count` (excluded), in order. `threads` includes the calling thread.
+///
+/// Numbers are started in order. After an error no further number is started, but calls that are running finish. The
+/// returned error is therefore always that of the lowest number that fails.
 ///
 /// # Errors
-/// The error of `work`.
+/// The error of `work` for the lowest number that fails.
 pub(crate) fn on_threads<T: Send, E: Send>(
     threads: usize,
     count: usize,
     work: impl Fn(usize) -> Result<T, E> + Sync,
 ) -> Result<Vec<T>, E> {
     let (next, stop) = (AtomicUsize::new(0), AtomicBool::new(false));
+    // The loop of each thread: takes the next number until none is left or a call has failed.
     let share = || {
         let mut done = Vec::new();
         while !stop.load(Ordering::Relaxed) {

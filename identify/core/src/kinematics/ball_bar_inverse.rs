@@ -1,5 +1,6 @@
-//! Inverse kinematics of the ball-bar: its joints at a pose, in closed form for the nominal bar and refined for one with errors;
-//! its four configurations, and how near a pose is to a singular one.
+//! Inverse kinematics of the ball-bar. Computes the bar's joint angles at a pose, in closed form for the nominal bar and
+//! refined for a bar with errors. The module also defines the four configurations of the bar, and computes how near a pose
+//! is to a singular pose.
 
 use std::f64::consts::PI;
 
@@ -8,10 +9,10 @@ use super::inverse::{
 };
 use super::{Chain, DhLink, InverseError, Pose};
 
-/// Joints of the bar: three of the gimbal at the base, two of the cardan at the flange.
+/// Number of joints of the bar: three of the gimbal at the base, two of the cardan joint at the flange.
 pub const BAR_JOINTS: usize = 5;
 
-/// Which way a joint is bent: the sign of its sine.
+/// The side to which a joint is bent: the sign of its sine.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Side {
     /// The sine is not negative.
@@ -33,10 +34,10 @@ impl Side {
     }
 }
 
-/// One of the four ways in which the bar takes the same pose.
+/// One of the four sets of joint angles (configurations) with which the bar reaches the same pose.
 ///
-/// Gimbal turned over: `b1 + pi, -b2, b3 + pi`; cardan turned over: `b3 + pi, -b4, b5 + pi`. A bar changes from one to
-/// another only through a singular pose, so a run stays in one.
+/// Turning the gimbal over changes the angles to `b1 + pi, -b2, b3 + pi`. Turning the cardan joint over changes them to
+/// `b3 + pi, -b4, b5 + pi`. A bar changes its configuration only in a singular pose, so a run keeps one configuration.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct Configuration {
     /// Sign of sin b2.
@@ -46,7 +47,7 @@ pub struct Configuration {
 }
 
 impl Configuration {
-    /// All four, the positive ones first.
+    /// All four configurations, positive sides first.
     pub const ALL: [Self; 4] = [
         Self { gimbal: Side::Positive, cardan: Side::Positive },
         Self { gimbal: Side::Positive, cardan: Side::Negative },
@@ -54,19 +55,20 @@ impl Configuration {
         Self { gimbal: Side::Negative, cardan: Side::Negative },
     ];
 
-    /// The configuration of joint variables \[rad\].
+    /// The configuration of a bar at these joint variables \[rad\].
     pub fn of(bar_links: &[DhLink], bar_rad: &[f64; BAR_JOINTS]) -> Self {
         let angles_rad = angles_from_joints(bar_links, bar_rad);
         Self { gimbal: Side::of(angles_rad[1]), cardan: Side::of(angles_rad[3]) }
     }
 
-    /// The joint variables of the same pose in this configuration, each in (-pi, pi].
+    /// Converts joint variables to those of the same pose in this configuration, each in (-pi, pi].
     pub fn carry(self, bar_links: &[DhLink], bar_rad: &[f64; BAR_JOINTS]) -> [f64; BAR_JOINTS] {
         let (from, angles_rad) = (Self::of(bar_links, bar_rad), angles_from_joints(bar_links, bar_rad));
         joints_from_angles(bar_links, &self.carry_from(from, &angles_rad))
     }
 
-    /// The angles of the links of the same pose in this configuration, with whole turns left in them.
+    /// Converts link angles from configuration `from` to those of the same pose in this configuration. Whole
+    /// turns are not removed.
     fn carry_from(self, from: Self, angles_rad: &[f64; BAR_JOINTS]) -> [f64; BAR_JOINTS] {
         let mut b = *angles_rad;
         if from.gimbal != self.gimbal {
@@ -79,10 +81,11 @@ impl Configuration {
     }
 }
 
-/// Distance to the nearest singular pose \[rad\]: rod along the base axis (sin b2 = 0) or along the last axis
-/// (sin b4 = 0). There one joint is undetermined and encoder errors are amplified by the inverse of this number.
+/// Distance from the nearest singular pose \[rad\]: of b2 or b4 from a multiple of pi, whichever is smaller. At sin b2 = 0
+/// the rod is along the base axis, at sin b4 = 0 along the last axis. In a singular pose one joint is undetermined. Near
+/// such a pose, encoder errors are amplified by the inverse of this distance.
 ///
-/// `bar_rad` are joint variables: the links' offsets `theta` are added here.
+/// `bar_rad` are joint variables. This function adds the links' offsets `theta`.
 pub fn singularity_margin_rad(bar_links: &[DhLink], bar_rad: &[f64; BAR_JOINTS]) -> f64 {
     let angles_rad = angles_from_joints(bar_links, bar_rad);
     let to_multiple_of_pi = |angle: f64| (angle - PI * (angle / PI).round()).abs();
@@ -97,11 +100,11 @@ fn twist_signs(chain: &Chain) -> Result<[f64; 4], InverseError> {
     Ok([right_angle(chain, 0)?, right_angle(chain, 1)?, right_angle(chain, 2)?, right_angle(chain, 3)?])
 }
 
-/// Joint angles \[rad\] of the nominal bar for a pose, in each configuration, in the order of [`Configuration::ALL`].
+/// Joint angles \[rad\] of the nominal bar at a pose, for each configuration in the order of [`Configuration::ALL`].
 ///
-/// The bar has five joints, a pose six freedoms: direction of the rod and rotation of the end frame are met, the
-/// distance from the gimbal is ignored. Errors of the chain enter only by its joint offsets; see
-/// [`ball_bar_inverse_refined`].
+/// A pose has six degrees of freedom, but the bar has five joints. The bar's direction and the rotation of its end agree
+/// with `target`; the distance of `target` from the gimbal is ignored. Of the errors of the chain, only the joint offsets
+/// are included; see [`ball_bar_inverse_refined`].
 ///
 /// # Errors
 /// [`InverseError::Structure`] or [`InverseError::Links`] if the chain is not a ball-bar.
@@ -115,7 +118,7 @@ pub fn ball_bar_inverse(
     }))
 }
 
-/// [`ball_bar_inverse`] in the first of [`Configuration::ALL`].
+/// As [`ball_bar_inverse`], only for the first configuration of [`Configuration::ALL`].
 ///
 /// # Errors
 /// As [`ball_bar_inverse`].
@@ -123,22 +126,23 @@ pub fn first_ball_bar_inverse(chain: &Chain, target: &Pose) -> Result<[f64; BAR_
     inverse_in_first(chain, target).map(|(_, angles_rad)| joints_from_angles(&chain.links, &angles_rad))
 }
 
-/// Angles of the links: joint variables with the links' offsets `theta`.
+/// Converts joint variables to link angles by adding the links' offsets `theta`.
 fn angles_from_joints(bar_links: &[DhLink], bar_rad: &[f64; BAR_JOINTS]) -> [f64; BAR_JOINTS] {
     std::array::from_fn(|joint| bar_rad[joint] + theta_rad(bar_links, joint))
 }
 
-/// Joint variables, each in (-pi, pi], from the angles of the links: without the links' offsets `theta`.
+/// Converts link angles to joint variables, each in (-pi, pi], by subtracting the links' offsets `theta`.
 fn joints_from_angles(bar_links: &[DhLink], angles_rad: &[f64; BAR_JOINTS]) -> [f64; BAR_JOINTS] {
     std::array::from_fn(|joint| wrapped(angles_rad[joint] - theta_rad(bar_links, joint)))
 }
 
-/// Offset of a link's angle; zero for a missing link.
+/// Offset `theta` of a joint; zero if the link does not exist.
 fn theta_rad(bar_links: &[DhLink], joint: usize) -> f64 {
     bar_links.get(joint).map_or(0.0, |link| link.theta_rad)
 }
 
-/// The first of [`Configuration::ALL`], and the angles of the links in it (joint variable + theta) \[rad\].
+/// Solves for the first configuration of [`Configuration::ALL`]. Returns this configuration and the link angles (joint
+/// variable + theta) \[rad\].
 fn inverse_in_first(
     chain: &Chain,
     target: &Pose,
@@ -149,7 +153,7 @@ fn inverse_in_first(
     let base_from_end = chain.root_from_base.inverse() * target * after_joint5.inverse();
     let rod = base_from_end.translation.vector;
     let rod = if rod.norm() > 0.0 { rod.normalize() } else { rod };
-    // Joints 1 and 2 point the rod at the end; joints 3 to 5 rotate the end like a wrist.
+    // Joints 1 and 2 point the rod at the target position. Joints 3 to 5 rotate the end like a wrist.
     let (b1, b2) = point_z(&rod, [s1, s2], configuration.gimbal.sign(), 0.0);
     let base_from_rod = turn_and_twist(b1, s1) * turn_and_twist(b2, s2);
     let rod_from_end = base_from_rod.transpose() * base_from_end.rotation.matrix();
@@ -157,10 +161,11 @@ fn inverse_in_first(
     Ok((configuration, [b1, b2, b3, b4, b5]))
 }
 
-/// Joint angles \[rad\] that bring the end of `chain` closest to `target`, in the configuration and the turns nearest to `near`.
-/// The chain may have geometric errors.
+/// Joint angles \[rad\] that bring the end of `chain` closest to `target`. The chain may have geometric errors. The result
+/// is in the configuration, and in the turn of each joint, nearest to `near`.
 ///
-/// Least squares over position \[m\] and rotation vector \[rad\]: `target` is reached exactly only if the bar can reach it.
+/// Minimises the sum of squares of position error \[m\] and rotation vector \[rad\]. The end reaches `target` exactly only
+/// if the bar can reach it.
 ///
 /// # Errors
 /// [`InverseError::NotConverged`] at a singular pose; as [`ball_bar_inverse`] for another structure.

@@ -1,4 +1,4 @@
-//! Nominal chains of robot and bar, from the robot's file and the bar's file.
+//! Builds the nominal chains of robot and bar from their configuration files.
 
 use nalgebra::{Rotation3, Vector3};
 use shared::config::{BallBarConfig, Convention, LinkConfig, RobotConfig, TransformConfig};
@@ -21,8 +21,8 @@ fn pose(config: &TransformConfig) -> Pose {
     Pose::from_parts(Vector3::from(config.xyz_m).into(), Rotation3::from_euler_angles(roll, pitch, yaw))
 }
 
-/// The robot with the bar's tool and offset plate: in its last link (`d` and `a`), or after the flange if the flange does not
-/// continue the last link.
+/// The robot with the bar's tool (length along z) and offset plate (length along x). They are added to `d` and `a` of the
+/// last link if this link ends at the flange without a twist. Otherwise they follow the flange in `last_from_end`.
 pub fn robot_chain(robot: &RobotConfig, bar: &BallBarConfig) -> Chain {
     let mut chain = flange_chain(robot);
     let end = DhLink { a_m: bar.plate_m, d_m: bar.tool_m, ..DhLink::default() };
@@ -36,15 +36,17 @@ pub fn robot_chain(robot: &RobotConfig, bar: &BallBarConfig) -> Chain {
     chain
 }
 
-/// The robot without a bar up to its flange, as standard links.
+/// The robot up to its flange, without the bar, as standard Denavit-Hartenberg links.
 ///
-/// A modified table has the transform to the next axis, `Tx(a) Rx(alpha)`, at the start of the next row; the
-/// first row's belongs to the base.
+/// In a table of modified Denavit-Hartenberg parameters, each row starts with the transform from the previous axis,
+/// `Tx(a) Rx(alpha)`. This function moves the transform to the end of the previous link. The transform of the first row
+/// moves to the base of the chain.
 pub fn flange_chain(robot: &RobotConfig) -> Chain {
     let mut chain = Chain::new(pose(&robot.base), robot.links.iter().map(link).collect());
     chain.last_from_end = pose(&robot.flange);
     if robot.convention == Convention::Modified {
-        // No transform follows the last axis; the first row's precedes the first axis.
+        // `after` is the transform that follows the current axis. None follows the last axis. The transform before the first
+        // axis belongs to the base.
         let mut after = DhLink::default();
         for link in chain.links.iter_mut().rev() {
             let before = DhLink { theta_rad: 0.0, d_m: 0.0, ..*link };
@@ -56,7 +58,8 @@ pub fn flange_chain(robot: &RobotConfig) -> Chain {
     chain
 }
 
-/// The ball-bar with its length in `d` of link 3 and its base at the root's origin: a calibration estimates the base.
+/// The nominal ball-bar, with its length added to `d` of link 3. Its base is at the root's origin, because the position of
+/// the base is estimated by the calibration.
 pub fn ball_bar_chain(bar: &BallBarConfig) -> Chain {
     let mut chain = Chain::new(Pose::identity(), bar.links.iter().map(link).collect());
     if let Some(rod) = chain.links.get_mut(ROD_LINK) {

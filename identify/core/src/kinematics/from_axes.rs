@@ -1,37 +1,42 @@
-//! Denavit-Hartenberg links of an arm that is given by the lines of its axes, as in a URDF; used by the import of URDFs.
+//! Computes Denavit-Hartenberg links of an arm from the lines of its joint axes, as a URDF defines them. The import
+//! of URDFs uses it.
 //!
-//! At joint zero an axis is a point and a direction. The motion of the arm depends only on these lines and on the pose of its
-//! end (product of exponentials, Brockett 1984), so links along the same lines move the end in the same way. Each link connects
-//! one line with the next: by their common normal, or, if the lines are nearly parallel and the normal is further away than
-//! robots are long or not unique, by Hayati's link to the intersection of the next line with the plane across the previous one.
+//! An axis line is a point and a direction, with all joints at zero. The motion of the arm depends only on these lines
+//! and on the pose of its end (product of exponentials, Brockett 1984). So any links along the same lines move the end
+//! in the same way.
+//!
+//! Each link connects one line with the next by their common normal. If two lines are nearly parallel, the common normal is
+//! not unique, or further away than a robot is long. Hayati's link is then used instead. It ends where the next line
+//! intersects the plane across the previous line.
 
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use shared::config::JointKind;
 
 use super::{Chain, DhLink, LENGTH_M_MAX, Pose, rotation_vector};
 
-/// An axis at joint zero, in the root frame.
+/// The line of a joint axis in the root frame, with all joints at zero.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AxisLine {
-    /// Kind of the joint, revolute or prismatic.
+    /// Whether the joint is revolute or prismatic.
     pub joint: JointKind,
-    /// A point on it \[m\]; arbitrary for a prismatic axis.
+    /// A point on the axis \[m\]; arbitrary for a prismatic axis.
     pub point_m: Vector3<f64>,
-    /// Its direction, unit length.
+    /// Direction of the axis, a unit vector.
     pub direction: Vector3<f64>,
 }
 
-/// Directions with a smaller sine of the angle between them are parallel up to errors of calibration and rounding: the position
-/// of their common normal is arbitrary.
+/// Two axes count as parallel if the sine of the angle between them is smaller. The angle is then as small as errors of
+/// calibration and rounding, so the position of the common normal is arbitrary.
 const NEARLY_PARALLEL: f64 = 1e-3;
-/// For directions with a smaller sine, Hayati's link is used if the common normal is further away than the longest link.
-/// The plane across one axis intersects the other one within about the link's own length.
+/// Below this sine of the angle between two axes, Hayati's link is used if the common normal is further away than the
+/// longest link. Hayati's link remains short at such angles: its plane intersects the next axis within about the
+/// length of the link.
 const HAYATI_SINE_MAX: f64 = 0.5;
 /// Lengths \[m\] and angles \[rad\] below this are rounding errors.
 const ROUNDING: f64 = 1e-12;
 
 impl Chain {
-    /// Links along `axes`, base to end, with the pose `end` at joints of zero.
+    /// Computes the links along `axes` (base to end) of an arm whose end has the pose `end` with all joints at zero.
     pub fn from_axes(axes: &[AxisLine], end: &Pose) -> Self {
         let Some(first) = axes.first() else {
             return Self { last_from_end: *end, ..Self::new(Pose::identity(), vec![]) };
@@ -46,7 +51,8 @@ impl Chain {
         };
         let next_axes = axes.iter().skip(1).map(Some).chain([None]);
         for (axis, next) in axes.iter().zip(next_axes) {
-            // For parallel axes any plane is possible, except at the end: there it is that of the end's origin.
+            // If the axes are parallel, any plane across them is possible. The last link uses the plane through the
+            // origin of the end.
             let link = match next {
                 Some(next) => link_to(&frame, next, 0.0),
                 None => {
@@ -58,21 +64,23 @@ impl Chain {
             frame *= link.transform(0.0);
             links.push(link);
         }
-        // The remainder is a rotation about the end's z and a shift along it; the last link cannot include either.
+        // A rotation about z of the end and a shift along it remain, because the last link cannot include them.
         let last_from_end = frame.inverse() * end;
         let last_from_end = if is_identity(&last_from_end) { Pose::identity() } else { last_from_end };
         Self { root_from_base, links, last_from_end }
     }
 }
 
-/// Whether a pose is the identity up to rounding. The trace excludes half a turn, whose rotation vector is zero as well.
+/// Whether a pose is the identity, up to rounding errors. The condition on the trace excludes a rotation by 180 degrees, for
+/// which [`rotation_vector`] returns zero as well.
 fn is_identity(pose: &Pose) -> bool {
     pose.translation.vector.norm() < ROUNDING
         && rotation_vector(pose.rotation.matrix()).norm() < ROUNDING
         && pose.rotation.matrix().trace() > 0.0
 }
 
-/// Frame with z along the first axis, at its point nearest to the root; x as near to the root's as possible.
+/// Base frame of the chain. Its z is along the first axis, its origin is the point of this axis nearest to the root, and its
+/// x is as near to the root's x as possible. If the axis is nearly along the root's x, its x is near the root's y instead.
 fn base_frame(first: &AxisLine) -> Pose {
     let z = first.direction;
     let origin_m = match first.joint {
@@ -87,8 +95,8 @@ fn base_frame(first: &AxisLine) -> Pose {
     if is_identity(&pose) { Pose::identity() } else { pose }
 }
 
-/// The link from a frame, whose z is an axis, to the next axis; for nearly parallel axes to the intersection of the next axis
-/// with the plane `z = plane_m` of the frame.
+/// The link from `frame`, whose z is a joint axis, to the next axis. For nearly parallel axes the link ends where the next
+/// axis intersects the plane `z = plane_m` of `frame`.
 fn link_to(frame: &Pose, next: &AxisLine, plane_m: f64) -> DhLink {
     // Direction u and point p of the next axis in the frame. The position of a prismatic axis is arbitrary.
     let u = frame.rotation.inverse() * next.direction;
@@ -118,8 +126,9 @@ fn link_to(frame: &Pose, next: &AxisLine, plane_m: f64) -> DhLink {
             ..DhLink::default()
         };
     }
-    // The common normal is along x. For two intersecting lines, x with the smaller rotation about z.
-    // In the axes (x, z cross x, z) the direction u is (0, -sin alpha, cos alpha).
+    // The common normal is the direction x of the link. If the two lines intersect, both signs of x are possible:
+    // the sign with the smaller rotation about z is used. In the axes (x, z cross x, z) the direction u is (0,
+    // -sin alpha, cos alpha).
     let normal = Vector3::new(-u.y, u.x, 0.0) / sine;
     let length = normal.dot(&foot);
     let x = match snapped(length) {

@@ -1,10 +1,13 @@
-//! Joints of a bar with arbitrary errors at a given pose (`b^` in the thesis), and their derivatives; for the cost
-//! `position_angles`, joints without encoder, and the alignment of the logs.
+//! Computes the joint variables of a bar with arbitrary errors at a given pose (`b^` in the thesis), and their derivatives.
+//! The cost `position_angles`, joints without an encoder, and the alignment of the logs use them.
 //!
-//! A pose has six degrees of freedom, the bar five. The rotation and both positions across the rod are met; the distance along
-//! the rod remains. These are five smooth equations `f(joints, bar, pose) = 0`, exact for every set of parameters: the rotation
-//! vector from the bar's end to the pose, and the components across the rod of their distance. They are solved by Newton's
-//! method; the implicit function theorem gives `d joints = -(df/d joints)^-1 df`.
+//! A pose has six degrees of freedom, the bar five. The end of the bar has the rotation of the pose and lies on the line
+//! through its position along the rod. Only the distance along the rod may differ. These conditions are five smooth
+//! equations `f(joints, bar, pose) = 0`, which hold exactly for every set of parameters. Three are the rotation vector from
+//! the bar's end to the pose. Two are the components, across the rod, of the vector from the bar's end to the pose.
+//!
+//! The equations are solved by Newton's method. The implicit function theorem gives the derivatives:
+//! `d joints = -(df/d joints)^-1 df`.
 
 use nalgebra::{Matrix5, Vector3, Vector5};
 
@@ -12,28 +15,29 @@ use super::ball_bar_inverse::ball_bar_inverse;
 use super::inverse::{pose_error, wrapped};
 use super::{BAR_JOINTS, Chain, InverseError, LinkParameter, Pose, Trace, Tracer, Twist};
 
-/// Link of the bar, from 0, with the bar's length as `d`: the rod is along z of the previous frame.
+/// Index of the link (from 0) whose `d` is the length of the bar. The rod is along z of the previous frame.
 pub const ROD_LINK: usize = 2;
-/// After a step this short the next one is a rounding error: convergence is quadratic.
+/// Iterations end after a step below this size. Convergence is quadratic, so the next step would be a rounding error.
 const STEP_RAD_LAST: f64 = 1e-9;
 const ITERATIONS_MAX: usize = 20;
-/// Sums of squared differences \[rad^2\] closer than this are equal: of configurations that fit the measured joints equally well
-/// the first one is selected, independent of rounding errors.
+/// Sums of squared differences \[rad^2\] count as equal if they differ by less than this. If several configurations fit the
+/// measured joints equally well, the first one is selected, so rounding errors do not decide.
 const TIE: f64 = 1e-6;
 
-/// Joints of the bar at a pose, and their derivatives.
+/// Joint variables of the bar at a pose, and their derivatives.
 #[derive(Debug, Clone)]
 pub struct ImpliedBar {
     /// Joint variables \[rad\], each within half a turn of zero before refinement.
     pub joints_rad: [f64; BAR_JOINTS],
-    /// The bar at these joints.
+    /// Forward pass of the bar at these joint variables.
     pub trace: Trace,
-    /// Derivative of the joints by the five equations.
+    /// Derivative of the joint variables with respect to the five equations.
     by_equations: Matrix5<f64>,
     rod: Rod,
 }
 
-/// Direction of the rod, two directions across it, and distance of the pose beyond the bar's end \[m\].
+/// Direction of the rod, two directions perpendicular to it, and how far the pose is beyond the bar's end,
+/// along the rod \[m\].
 #[derive(Debug, Clone, Copy)]
 struct Rod {
     along: Vector3<f64>,
@@ -49,8 +53,8 @@ impl Rod {
         Self { along, across: [first, along.cross(&first)], beyond_m }
     }
 
-    /// Change of the five equations if the bar's end moves by `twist`, and, if `rotates_rod`, the rod rotates with it: the
-    /// directions across the rod then change as well.
+    /// Change of the five equations if the bar's end moves by `twist`. If `rotates_rod`, the rod rotates with the end, so
+    /// the directions across the rod change as well.
     fn equations(&self, twist: &Twist, rotates_rod: bool) -> Vector5<f64> {
         let turned =
             if rotates_rod { twist.angular.cross(&self.along) * self.beyond_m } else { Vector3::zeros() };
@@ -61,7 +65,8 @@ impl Rod {
 }
 
 impl ImpliedBar {
-    /// Solves for `target` in the configuration nearest to `near` \[rad\]; joints without a value in `near` are not compared.
+    /// Solves for `target` in the configuration nearest to `near` \[rad\]. Joints without a value in `near` are
+    /// ignored in this comparison.
     ///
     /// `tracer` is `chain` prepared for forward passes.
     ///
@@ -92,7 +97,7 @@ impl ImpliedBar {
             for (joint, step) in joints_rad.iter_mut().zip(step.iter()) {
                 *joint += step;
             }
-            // The trace is that before this step, which is negligible at a nanometre.
+            // The trace was computed before this step. The difference is negligible, because the step is below a nanoradian.
             if step_rad < STEP_RAD_LAST {
                 return Ok(Self { joints_rad, trace, by_equations, rod });
             }
@@ -100,24 +105,24 @@ impl ImpliedBar {
         Err(InverseError::NotConverged { iterations, step_rad })
     }
 
-    /// Derivative of the joints by a motion of the pose.
+    /// Derivative of the joint variables with respect to a motion `twist` of the pose.
     pub fn by_pose(&self, twist: &Twist) -> Vector5<f64> {
         self.by_equations * self.rod.equations(twist, false)
     }
 
-    /// Derivative of the joints by a parameter of link `link` that moves the bar's end by `twist` at fixed joints; `None` is
-    /// the base.
+    /// Derivative of the joint variables with respect to a parameter of the bar. The parameter belongs to link `link`, or to
+    /// the base if `None`, and moves the bar's end by `twist` if the joints are fixed.
     pub fn by_bar(&self, link: Option<usize>, twist: &Twist) -> Vector5<f64> {
         -(self.by_equations * self.rod.equations(twist, rotates_rod(link)))
     }
 }
 
-/// Parameters before the rod rotate it.
+/// Whether a parameter of this link rotates the rod: true for the base and the links before the rod.
 fn rotates_rod(link: Option<usize>) -> bool {
     link.is_none_or(|link| link < ROD_LINK)
 }
 
-/// Derivatives of the five equations by the joints, one column each.
+/// Derivatives of the five equations with respect to the joint variables, one column for each joint.
 fn equations_by_joints(trace: &Trace, rod: &Rod) -> Matrix5<f64> {
     let mut matrix = Matrix5::zeros();
     for (joint, twist) in trace.joint_twists().enumerate().take(BAR_JOINTS) {
@@ -126,7 +131,7 @@ fn equations_by_joints(trace: &Trace, rod: &Rod) -> Matrix5<f64> {
     matrix
 }
 
-/// Closed form of the nominal structure, in the configuration nearest to the measured joints.
+/// Closed form of the nominal structure. Of the four configurations, returns the one nearest to the measured joints.
 fn nearest_closed_form(
     chain: &Chain,
     target: &Pose,

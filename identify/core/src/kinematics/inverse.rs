@@ -1,5 +1,6 @@
-//! Common parts of the inverse kinematics of robot and bar: twists of nominal structures that have a closed form (multiples of
-//! a right angle), and refinement of joints on the true chain, which has errors in every parameter.
+//! Functions that the inverse kinematics of the robot and of the bar share. The first group checks that a chain has a
+//! nominal structure with a closed form, in which all twists are multiples of 90 degrees, and computes the angles of such a
+//! structure. The second group refines joint variables on the true chain, which has errors in every parameter.
 
 use std::f64::consts::{PI, TAU};
 
@@ -31,7 +32,7 @@ pub enum InverseError {
         /// Number of the link, from 1.
         link: usize,
     },
-    /// The chain has another number of links.
+    /// The number of links is not the number of the structure.
     #[error("the chain has {found} links, {expected} are needed; check the links in the configuration")]
     Links {
         /// Number of links of the chain.
@@ -44,22 +45,23 @@ pub enum InverseError {
         "the pose at x {x_m:.3}, y {y_m:.3}, z {z_m:.3} m is out of reach; bring it closer to the robot's base"
     )]
     Unreachable {
-        /// Position of the target.
+        /// x of the target position \[m\].
         x_m: f64,
-        /// Position of the target.
+        /// y of the target position \[m\].
         y_m: f64,
-        /// Position of the target.
+        /// z of the target position \[m\].
         z_m: f64,
     },
-    /// Refinement on the given chain did not converge: a singular pose or a chain far from its nominal structure.
+    /// Refinement on the given chain did not converge: the pose is singular, or the chain differs too much
+    /// from its nominal structure.
     #[error(
         "joint angles did not converge (last step {step_rad:.1e} rad after {iterations} iterations); \
          move the pose away from a singularity or check the chain's parameters"
     )]
     NotConverged {
-        /// Number of iterations made; fewer than allowed if the next step does not exist, as at a singularity.
+        /// Number of iterations. It is below the limit if no further step could be computed, as at a singular pose.
         iterations: usize,
-        /// Largest joint motion of the last step; infinite without any.
+        /// Largest motion of a joint in the last step; infinite if no step was computed.
         step_rad: f64,
     },
 }
@@ -71,9 +73,9 @@ impl InverseError {
     }
 }
 
-/// Tolerance of a twist that counts as a multiple of 90 degrees \[rad\].
+/// Largest deviation of a twist from a multiple of 90 degrees in the nominal structure \[rad\].
 const TWIST_TOLERANCE_RAD: f64 = 0.1;
-/// Tolerance of a length that is zero in the nominal structure \[m\]: ten times the manufacturing errors of
+/// Largest value of a length that is zero in the nominal structure \[m\]. It is ten times the manufacturing errors of
 /// robots, and a tenth of the smallest designed offset of a wrist.
 const LENGTH_TOLERANCE_M: f64 = 5e-3;
 
@@ -83,7 +85,7 @@ pub(super) fn revolute(chain: &Chain) -> Result<(), InverseError> {
     prismatic.map_or(Ok(()), |index| Err(InverseError::Prismatic { link: index + 1 }))
 }
 
-/// The sign of a twist of +-90 degrees; an error for another twist. `index` of the link is from 0.
+/// The sign of the twist of a link (`index` from 0) if the twist is +-90 degrees; otherwise an error.
 pub(super) fn right_angle(chain: &Chain, index: usize) -> Result<f64, InverseError> {
     let alpha_rad = twist_rad(chain, index);
     if alpha_rad.cos().abs() < TWIST_TOLERANCE_RAD {
@@ -92,7 +94,7 @@ pub(super) fn right_angle(chain: &Chain, index: usize) -> Result<f64, InverseErr
     Err(wrong_twist(chain, index, "+-90"))
 }
 
-/// 1 for a twist of 0 degrees, -1 for one of 180 degrees; an error for another twist.
+/// 1 if the twist of a link (`index` from 0) is 0 degrees, -1 if it is 180 degrees; otherwise an error.
 pub(super) fn parallel(chain: &Chain, index: usize) -> Result<f64, InverseError> {
     let alpha_rad = twist_rad(chain, index);
     if alpha_rad.sin().abs() < TWIST_TOLERANCE_RAD {
@@ -101,7 +103,7 @@ pub(super) fn parallel(chain: &Chain, index: usize) -> Result<f64, InverseError>
     Err(wrong_twist(chain, index, "0 or 180"))
 }
 
-/// Checks that a length of a link (from 1) is zero up to errors.
+/// Checks that a length of link number `link` (from 1) is zero, up to manufacturing errors.
 pub(super) fn without_length(link: usize, key: &'static str, value: f64) -> Result<(), InverseError> {
     if value.abs() < LENGTH_TOLERANCE_M {
         return Ok(());
@@ -118,14 +120,14 @@ fn wrong_twist(chain: &Chain, index: usize, expected: &'static str) -> InverseEr
     InverseError::Structure { link: index + 1, key: "alpha_deg", value, expected }
 }
 
-/// Rotation about z, then a twist of `sign * 90` degrees about x: the rotation of a nominal link.
+/// The rotation of a nominal link: by `theta_rad` about z, then a twist of `sign * 90` degrees about x.
 pub(super) fn turn_and_twist(theta_rad: f64, sign: f64) -> Matrix3<f64> {
     let (s, c) = theta_rad.sin_cos();
     Matrix3::new(c, 0.0, sign * s, s, 0.0, -sign * c, 0.0, sign, 0.0)
 }
 
-/// Angles `(first, second)` with `Rz(first) Rx(sign0 90) Rz(second) Rx(sign1 90) z = direction`; `side` is the sign of
-/// sin(second). If the direction is along z, the first angle is free and is `first_if_free`.
+/// Solves `Rz(first) Rx(sign0 90) Rz(second) Rx(sign1 90) z = direction` for the angles `(first, second)`. `side` is the
+/// sign of sin(second). If `direction` is along z, every first angle is a solution, and `first_if_free` is returned.
 pub(super) fn point_z(
     direction: &Vector3<f64>,
     signs: [f64; 2],
@@ -141,8 +143,8 @@ pub(super) fn point_z(
     (first, second)
 }
 
-/// Angles of three perpendicular axes: `Rz(t0) Rx(signs0 90) Rz(t1) Rx(signs1 90) Rz(t2) = rotation`; `side` and
-/// `first_if_free` as in [`point_z`].
+/// Solves `Rz(t0) Rx(signs0 90) Rz(t1) Rx(signs1 90) Rz(t2) = rotation` for the three angles of a spherical wrist. `side`
+/// and `first_if_free` are as in [`point_z`].
 pub(super) fn wrist_angles(
     rotation: &Matrix3<f64>,
     signs: [f64; 2],
@@ -171,7 +173,8 @@ pub(super) fn distance_squared(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum()
 }
 
-/// Target minus end: position \[m\], then the rotation vector from the end's rotation to the target's \[rad\].
+/// Difference between target and end: target position minus end position \[m\], then the rotation vector \[rad\] of the
+/// rotation from end to target.
 pub(super) fn pose_error(target: &Pose, end: &Pose) -> SVector<f64, 6> {
     let position = target.translation.vector - end.translation.vector;
     let rotation: Rotation3<f64> = target.rotation * end.rotation.inverse();
@@ -179,30 +182,33 @@ pub(super) fn pose_error(target: &Pose, end: &Pose) -> SVector<f64, 6> {
     SVector::from_iterator(position.iter().chain(turn.iter()).copied())
 }
 
-/// Rotation vector \[rad\]. Computed by the arc tangent: the arc cosine of the trace loses half of the digits at small angles.
-/// Zero at half a turn, where the axis has no preferred sign.
+/// Rotation vector \[rad\] of a rotation matrix. The angle is computed by the arc tangent, because the arc cosine of the
+/// trace loses half of the digits at small angles. The result is zero for a rotation by 180 degrees, where the sign of
+/// the axis is arbitrary.
 pub fn rotation_vector(rotation: &Matrix3<f64>) -> Vector3<f64> {
     let r = rotation;
     let twice_sine = Vector3::new(r[(2, 1)] - r[(1, 2)], r[(0, 2)] - r[(2, 0)], r[(1, 0)] - r[(0, 1)]);
     let sine = 0.5 * twice_sine.norm();
     let angle = sine.atan2(0.5 * (r.trace() - 1.0));
-    // Below this, angle and sine are equal numbers.
+    // Below this limit, angle and sine are equal in double precision.
     if sine < 1e-9 { 0.5 * twice_sine } else { twice_sine * (0.5 * angle / sine) }
 }
 
-/// Joint variables \[rad, m\] at which the end of `chain` is closest to `target`, by Gauss-Newton from `start`: Newton's method
-/// for six joints; for more joints the step of least norm. Metres and radians have equal weight.
+/// Joint variables \[rad, m\] at which the end of `chain` is closest to `target`, by Gauss-Newton iterations from
+/// `start`. With six joints this is Newton's method. With more joints, each step is the solution of least norm. Metres
+/// and radians have equal weight.
 pub(super) fn refine<const N: usize>(
     chain: &Chain,
     target: &Pose,
     start: [f64; N],
 ) -> Result<[f64; N], InverseError> {
-    /// Below this the next step would be a rounding error.
+    /// Iterations end after a step below this size, because the next step would be a rounding error.
     const STEP_RAD_MIN: f64 = 1e-13;
-    /// Accepted if rounding errors prevent a further decrease of the steps.
+    /// A step below this size is also accepted as the last one if steps no longer become smaller, because rounding
+    /// errors then prevent it.
     const STEP_RAD_ACCEPTED: f64 = 1e-10;
     const ITERATIONS_MAX: usize = 30;
-    /// Largest step: far from the target the linearisation is not valid beyond it.
+    /// Longer steps are shortened to this size, because the linearisation is valid only for short steps.
     const STEP_RAD_MAX: f64 = 0.5;
 
     let tracer = Tracer::new(chain);
@@ -233,31 +239,34 @@ pub(super) fn refine<const N: usize>(
     Err(InverseError::NotConverged { iterations, step_rad })
 }
 
-/// As [`refine`] for more axes than a pose needs: of all solutions around `start` the one nearest to the middle of the
-/// joints' limits, each relative to its range \[rad, m\]. It depends only on the pose, not on the path to it (Liegeois 1977).
+/// As [`refine`], for arms with more axes than a pose needs. Such an arm reaches a pose with many sets of joint variables
+/// \[rad, m\]. Of those connected with `start`, the result is the set nearest to the middle of the joint limits, each joint
+/// relative to its range. It depends only on the pose, not on the path to the pose (Liegeois 1977).
 ///
-/// With the Jacobian `J`, its pseudoinverse `J+`, the pose error `e` and the vector `m` to the middle, all for joints in parts
-/// of their range, a step is `J+ e + (m - J+ J m) / 2`: Newton's method to the pose, and half of a Gauss-Newton step to the middle
-/// by motions that do not change the pose.
+/// The joint variables are divided by their ranges. `J` is the Jacobian, `J+` its pseudoinverse, `e` the pose error, and `m`
+/// the vector from the joints to the middle. A step is `J+ e + (m - J+ J m) / 2`. The first term is Newton's method towards
+/// the pose. The second term is half of a Gauss-Newton step towards the middle, by motions that do not change the pose.
 pub(super) fn refine_centred<const N: usize>(
     chain: &Chain,
     target: &Pose,
     start: [f64; N],
     limits: &[[f64; 2]],
 ) -> Result<[f64; N], InverseError> {
-    /// Below this the joints have converged up to rounding errors \[parts of their range\].
+    /// After a step below this size the joints have converged up to rounding errors \[fraction of a range\].
     const STEP_MIN: f64 = 1e-12;
-    /// Accepted after all iterations: the remaining motion is along the constraint, and below the resolution of a controller.
+    /// After the last iteration, a step below this size is accepted \[fraction of a range\]. The remaining error is a motion
+    /// that does not change the pose, and is below the resolution of a controller.
     const STEP_ACCEPTED: f64 = 1e-9;
     const ITERATIONS_MAX: usize = 200;
-    /// Along the constraint a Gauss-Newton step ignores the constraint's curvature: half of it converges if
-    /// the curvature adds up to three times as much.
+    /// Fraction of the Gauss-Newton step towards the middle. A Gauss-Newton step ignores the curvature of the constraint
+    /// (the set of joints with this pose). Half of the step converges as long as the curvature contributes at most three
+    /// times as much to the second derivative as the Gauss-Newton term.
     const STEP_SHARE: f64 = 0.5;
-    /// Largest step \[parts of a range\].
+    /// Longer steps are shortened to this size \[fraction of a range\].
     const STEP_MAX: f64 = 0.1;
 
     let limit = |axis: usize| limits.get(axis).copied().unwrap_or([-PI, PI]);
-    // The range is a divisor, and finite also without limits.
+    // The range is a divisor, so it is clamped to a positive minimum, and to a finite maximum for joints without limits.
     let range =
         SVector::<f64, N>::from_fn(|axis, _| (limit(axis)[1] - limit(axis)[0]).clamp(1e-3, 2.0 * TAU));
     let middle = SVector::<f64, N>::from_fn(|axis, _| 0.5 * (limit(axis)[0] + limit(axis)[1]));
@@ -292,19 +301,20 @@ pub(super) fn refine_centred<const N: usize>(
     Err(InverseError::NotConverged { iterations, step_rad: largest_step * range.amax() })
 }
 
-/// `x = argmin |J x - e|` by Householder QR of `[J e]`; for more than six joints the shortest `x` with `J x = e`, that is
-/// `J' (J J')^-1 e`; `None` if J is singular.
+/// Solves `x = argmin |J x - e|` by Householder QR of `[J e]`. For more than six joints, the result is the shortest `x` with
+/// `J x = e`, that is, `J' (J J')^-1 e`. `None` if `J` is singular.
 fn least_squares_step<const N: usize>(
     jacobian: SMatrix<f64, 6, N>,
     error: SVector<f64, 6>,
 ) -> Option<SVector<f64, N>> {
-    /// Smallest pivot that gives a usable step.
+    /// With a smaller pivot, `J` counts as singular.
     const PIVOT_MIN: f64 = 1e-9;
     if N > 6 {
         let factor = (jacobian * jacobian.transpose()).cholesky()?;
         let is_regular = factor.l_dirty().diagonal().min() > PIVOT_MIN;
         return is_regular.then(|| jacobian.tr_mul(&factor.solve(&error)));
     }
+    // Householder QR: reflects column by column to a triangle, and the right-hand side with it.
     let mut triangle = jacobian;
     let mut rhs = error;
     for k in 0..N {
@@ -322,6 +332,7 @@ fn least_squares_step<const N: usize>(
         }
         rhs -= reflector * (scale * reflector.dot(&rhs));
     }
+    // Back substitution.
     let mut step = SVector::<f64, N>::zeros();
     for k in (0..N).rev() {
         let solved: f64 = (k + 1..N).map(|j| triangle[(k, j)] * step[j]).sum();

@@ -1,4 +1,4 @@
-//! One number for each axis of an arm.
+//! A list of one number for each axis of an arm, stored without allocation.
 
 use std::ops::{Deref, DerefMut};
 
@@ -8,23 +8,26 @@ use serde::{Deserialize, Deserializer, Serialize};
 
 pub use shared::config::AXES_MAX;
 
-/// One number for each of an arm's axes, base to flange: joint variables (\[rad\], of prismatic axes \[m\]), their rates,
-/// torques. A slice of as many numbers as the robot has axes, kept in place: ten hours of log have millions of them.
+/// One number for each axis of an arm, base to flange: joint variables (\[rad\], of prismatic axes \[m\]),
+/// their rates, or torques.
+///
+/// The length is the number of axes. The numbers are stored in place instead of in a `Vec`, because ten hours of log contain
+/// millions of such lists.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Joints {
-    /// Those beyond `count` are zero.
+    /// The numbers, followed by zeros from index `count` on.
     values: [f64; AXES_MAX],
     count: usize,
 }
 
 impl Joints {
-    /// Zero for each axis.
+    /// Zero for each of `count` axes.
     pub const fn zeros(count: usize) -> Self {
         let count = if count < AXES_MAX { count } else { AXES_MAX };
         Self { values: [0.0; AXES_MAX], count }
     }
 
-    /// From an array, also in constants.
+    /// Joints from an array; usable in constants.
     pub const fn of<const N: usize>(numbers: [f64; N]) -> Self {
         let mut joints = Self::zeros(N);
         let mut axis = 0;
@@ -35,18 +38,18 @@ impl Joints {
         joints
     }
 
-    /// From a function of the axis, from 0.
+    /// Joints from a function of the axis index, from 0.
     #[inline]
     pub fn from_fn(count: usize, value_of: impl FnMut(usize) -> f64) -> Self {
         (0..count).map(value_of).collect()
     }
 
-    /// Random numbers, uniform within limits.
+    /// Random numbers, uniform between the lower and upper limit of each axis.
     pub fn random(limits: &[[f64; 2]], random: &mut impl Rng) -> Self {
         limits.iter().map(|[low, high]| low + (high - low) * random.random::<f64>()).collect()
     }
 
-    /// The same function of each number.
+    /// Applies a function to each number.
     #[must_use]
     pub fn map(mut self, mut function: impl FnMut(f64) -> f64) -> Self {
         self.iter_mut().for_each(|value| *value = function(*value));
@@ -95,7 +98,7 @@ impl DerefMut for Joints {
     }
 }
 
-/// Numbers beyond [`AXES_MAX`] are left out.
+/// Numbers beyond [`AXES_MAX`] are dropped.
 impl FromIterator<f64> for Joints {
     #[inline]
     fn from_iter<I: IntoIterator<Item = f64>>(numbers: I) -> Self {

@@ -1,5 +1,5 @@
-//! The mirror image of an arm: its joints with some signs reversed. The alignment of two logs that fit only as mirror images
-//! reports these joints.
+//! Finds which joints of an arm must be reversed to obtain its mirror image. If two logs agree only after mirroring, the
+//! alignment reports these joints, because their signs may be wrong.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -7,23 +7,24 @@ use super::{Chain, Joints, Pose};
 
 /// Number of poses at which arm and mirror image are compared.
 const POSES: usize = 12;
-/// Largest difference between arm and mirror image, of positions relative to the reach or of unit vectors.
+/// Largest difference between arm and mirror image: of positions relative to the reach, of axis directions as unit vectors.
 const DIFFERENCE_MAX: f64 = 0.02;
 
-/// Joints, from 0, with reversed signs in the mirror image of the arm in the plane of the base's x and z axes; `None`
-/// if the arm is not symmetric. Links out of that plane by less than 2 % of the reach count as in it.
+/// The joints (from 0) whose signs must be reversed to mirror the arm in the plane of the base's x and z axes. `None` if the
+/// arm is not symmetric about this plane. Deviations from symmetry up to 2 % of the reach are tolerated.
 ///
-/// Images in planes rotated about the base's z axis differ in the first joint's offset only.
+/// Mirror images in other planes through the base's z axis need no check, because they differ only in the offset
+/// of the first joint.
 pub fn mirroring_joints(arm: &Chain) -> Option<Vec<usize>> {
     let mirror = Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, 1.0));
     let count = arm.links.len();
-    // Arbitrary, different in all joints.
+    // Arbitrary poses, with different values for all joints.
     let poses: Vec<Joints> = (0..POSES)
         .map(|pose| Joints::from_fn(count, |joint| (1.3 * pose as f64 + 0.7 * joint as f64 + 0.4).sin()))
         .collect();
     let ends: Vec<_> = poses.iter().map(|joints| arm.forward(joints)).collect();
     let reach_m = ends.iter().map(|end| end.translation.vector.norm()).fold(0.0, f64::max);
-    // Bit `joint` of a set is 1 if the sign of this joint is reversed.
+    // A set of joints is a bit mask: bit `joint` is 1 if the sign of this joint is reversed.
     let is_reversed = |reversed: usize, joint: usize| reversed >> joint & 1 == 1;
     let largest_difference = |reversed: usize| {
         let difference = |(joints, end): (&Joints, &Pose)| {
@@ -32,7 +33,8 @@ pub fn mirroring_joints(arm: &Chain) -> Option<Vec<usize>> {
             });
             let image = arm.forward(&image_joints);
             let position = (image.translation.vector - mirror * end.translation.vector).norm() / reach_m;
-            // Each axis of the end's frame keeps or reverses its direction, depending on the frame's convention.
+            // An axis of the end frame may keep or reverse its direction in the mirror image, depending on the
+            // convention of the frame.
             let directions = (0..3).map(|axis| {
                 let [image_axis, arm_axis] =
                     [&image, end].map(|pose| pose.rotation * Vector3::ith(axis, 1.0));

@@ -1,8 +1,10 @@
-//! Geometry of the robot and of the ball-bar: forward kinematics, derivatives by every parameter, and inverses.
+//! Geometry of the robot and of the ball-bar: forward kinematics, derivatives with respect to every
+//! parameter, and inverse kinematics.
 //!
-//! Both are chains of standard Denavit-Hartenberg links that end in the same frame: the robot's last link carries tool
-//! and offset plate, the bar's link 5 ends where the plate ends. A robot has two to eight axes, revolute or prismatic. Each link
-//! may have Hayati's extra rotation about y for nearly parallel axes (Hayati and Mirmirani 1985).
+//! Robot and ball-bar are chains of standard Denavit-Hartenberg links. Both chains end in the same frame, at the end of the
+//! offset plate: the robot's last link includes tool and plate, and link 5 of the bar ends there as well. A robot has two to
+//! eight axes, revolute or prismatic. A link may have Hayati's extra rotation about y, which describes nearly parallel axes
+//! (Hayati and Mirmirani 1985).
 
 mod ball_bar_inverse;
 mod chain;

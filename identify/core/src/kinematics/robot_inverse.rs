@@ -1,7 +1,9 @@
-//! Inverse kinematics of robots with six to eight axes: joints at a pose, also for arms with errors in every parameter.
+//! Inverse kinematics of robots with six to eight axes: computes joint variables at a pose, also for arms with
+//! errors in every parameter.
 //!
-//! A six-axis arm with a spherical wrist has a closed form on its nominal structure; its solutions are the start of Newton's
-//! method on the true chain. For other arms Newton's method starts at joints given by the caller.
+//! A six-axis arm with a spherical wrist has a closed form on its nominal structure. Newton's method on the true
+//! chain starts at the solutions of this closed form. For other arms, Newton's method starts at joint variables
+//! that the caller passes.
 
 use nalgebra::Matrix3;
 
@@ -11,15 +13,17 @@ use super::inverse::{
 };
 use super::{Chain, InverseError, Joints, Pose};
 
-/// Least number of axes for arbitrary poses.
+/// Number of axes that an arm needs to reach arbitrary poses.
 const AXES: usize = 6;
 
-/// Parameters of the closed form: twists rounded to right angles, without offsets that the structure does not have. The angle of
-/// link n, joint variable + theta, is `tn` below.
+/// Parameters of the closed form. Twists are rounded to right angles, and offsets that are zero in the nominal structure are
+/// omitted. `tn` below is the angle of link n: joint variable plus `theta`.
 struct ClosedForm {
-    /// Signs of the twists of links 1, 3, 4, 5, for an axis 3 in the direction of axis 2.
+    /// Signs of the twists of links 1, 3, 4 and 5. The sign for link 3 is that of an equivalent arm whose axis 3 has the
+    /// direction of axis 2.
     signs: [f64; 4],
-    /// Whether axis 3 is along axis 2 (1) or against it (-1, as in arms by FANUC), which reverses joint 3.
+    /// 1 if axis 3 has the direction of axis 2; -1 if it has the opposite direction, as in arms by FANUC,
+    /// which reverses joint 3.
     sense: f64,
     a1_m: f64,
     d1_m: f64,
@@ -28,7 +32,7 @@ struct ClosedForm {
     shoulder_m: f64,
     a3_m: f64,
     d4_m: f64,
-    /// Joint zeros: theta of each link.
+    /// Offset of each joint: `theta` of its link.
     theta_rad: [f64; AXES],
 }
 
@@ -41,7 +45,7 @@ impl ClosedForm {
         let sense = parallel(chain, 1)?;
         let [sign1, sign3, sign4, sign5] =
             [right_angle(chain, 0)?, right_angle(chain, 2)?, right_angle(chain, 3)?, right_angle(chain, 4)?];
-        // Axes 4, 5 and 6 meet in the wrist's centre.
+        // Axes 4, 5 and 6 intersect in one point, the centre of the wrist.
         without_length(4, "a_m", l4.a_m)?;
         without_length(5, "a_m", l5.a_m)?;
         without_length(5, "d_m", l5.d_m)?;
@@ -59,21 +63,23 @@ impl ClosedForm {
         })
     }
 
-    /// Angles `[t1, t2, t3]` that move the wrist's centre to `wrist_m`: up to four solutions.
+    /// Angles `[t1, t2, t3]` \[rad\] that move the centre of the wrist to `wrist_m`, in base coordinates. There are
+    /// up to four solutions.
     fn angles_to_wrist(&self, wrist_m: [f64; 3]) -> Vec<[f64; 3]> {
         let [sign1, sign3, ..] = self.signs;
         let [x, y, z] = wrist_m;
-        // Along axis 2 the wrist is at the shoulder's offset: x sin t1 - y cos t1 = sign1 shoulder.
+        // The coordinate of the wrist along axis 2 is the shoulder's offset: x sin t1 - y cos t1 = sign1 shoulder.
         let Some(from_azimuth) = clamped(sign1 * self.shoulder_m / x.hypot(y)).map(f64::asin) else {
             return Vec::new();
         };
         let azimuth = y.atan2(x);
         let mut solutions = Vec::with_capacity(4);
         for t1 in [azimuth + from_azimuth, azimuth + std::f64::consts::PI - from_azimuth] {
-            // Wrist from axis 2, in the plane across that axis.
+            // Position of the wrist relative to axis 2, in the plane perpendicular to this axis.
             let (s1, c1) = t1.sin_cos();
             let (out, up) = (c1 * x + s1 * y - self.a1_m, sign1 * (z - self.d1_m));
-            // Forearm from elbow to wrist: a3 along x of link 3, d4 across it. Upper arm and forearm form a triangle.
+            // The forearm leads from elbow to wrist: a3 along x of link 3, d4 perpendicular to x. Upper arm, forearm and the
+            // line from axis 2 to the wrist form a triangle.
             let forearm_m = self.a3_m.hypot(self.d4_m);
             let bend = (-sign3 * self.d4_m).atan2(self.a3_m);
             let cos_elbow =
@@ -88,19 +94,19 @@ impl ClosedForm {
         solutions
     }
 
-    /// Rotation of frame 3 in the base.
+    /// Rotation of frame 3 relative to the base.
     fn base_from_link3(&self, [t1, t2, t3]: [f64; 3]) -> Matrix3<f64> {
         turn_and_twist(t1, self.signs[0]) * turn_and_twist(t2 + self.sense * t3, self.signs[1])
     }
 }
 
-/// A sine or cosine, with a tolerance beyond one: errors of the chain can put a reachable pose slightly outside the
-/// nominal workspace. `None` far outside or for NaN.
+/// Clamps a sine or cosine to the range from -1 to 1. Absolute values slightly above 1 are accepted, because errors of the
+/// chain can put a reachable pose slightly outside the nominal workspace. `None` from 1.02 on, and for NaN.
 fn clamped(value: f64) -> Option<f64> {
     (value.abs() < 1.02).then(|| value.clamp(-1.0, 1.0))
 }
 
-/// The closed form on the nominal structure: up to eight solutions, each joint within half a turn of `near`.
+/// Solutions of the closed form on the nominal structure: up to eight, each joint within half a turn of `near`.
 fn closed_form(chain: &Chain, target: &Pose, near: &[f64; AXES]) -> Result<Vec<[f64; AXES]>, InverseError> {
     let arm = ClosedForm::new(chain)?;
     let after_joint6 = chain.links.last().map_or_else(Pose::identity, |link| link.after_joint());
@@ -120,13 +126,15 @@ fn closed_form(chain: &Chain, target: &Pose, near: &[f64; AXES]) -> Result<Vec<[
     if solutions.is_empty() { Err(InverseError::unreachable(target)) } else { Ok(solutions) }
 }
 
-/// Joint variables \[rad, m\] that move the end of `chain` to `target`: of all solutions the one nearest to `near`, which
-/// has one value for each axis.
+/// Joint variables \[rad, m\] that move the end of `chain` to `target`. If there are several solutions, the result is the
+/// solution nearest to `near`, a list of one value for each axis.
 ///
-/// The closed form of the spherical-wrist arm (six revolute axes, twists of links 1, 3, 4, 5 at right angles, axes 2 and 3
-/// parallel in either direction, axes 4 to 6 through one point) is the start of Newton's method on the given chain, which may
-/// have errors of some mm and mrad in every parameter. Other arms start at `near`, so they find a solution only if it is near;
-/// with seven and eight axes it is the one with the least change.
+/// An arm with a spherical wrist has six revolute axes. The twists of links 1, 3, 4 and 5 are right angles, axes 2 and 3 are
+/// parallel with equal or opposite directions, and axes 4 to 6 intersect in one point. For such an arm, Newton's method on
+/// the given chain starts at the closed form. The chain may have errors of some mm and mrad in every parameter.
+///
+/// For other arms, Newton's method starts at `near`, so it finds a solution only if one is near. With seven or eight axes,
+/// each step has the least norm, so the solution is close to `near`.
 ///
 /// # Errors
 /// [`InverseError::Unreachable`] outside the workspace, [`InverseError::NotConverged`] at a singularity or too far from
@@ -143,8 +151,9 @@ pub fn robot_inverse(chain: &Chain, target: &Pose, near: &[f64]) -> Result<Joint
     }
 }
 
-/// As [`robot_inverse`], but for more than six axes the posture nearest to the middle of the joint limits
-/// \[rad, m\], of those that are connected with `near`: it depends on the pose alone, and repeats on a closed path.
+/// As [`robot_inverse`], except for seven and eight axes. Of all postures that are connected with `near`, the result
+/// is then the posture nearest to the middle of the joint limits \[rad, m\]. It depends only on the pose, so it
+/// repeats on a closed path.
 ///
 /// # Errors
 /// Those of [`robot_inverse`].
@@ -193,12 +202,13 @@ fn six_axes(chain: &Chain, target: &Pose, near: &[f64]) -> Result<Joints, Invers
     Err(failure)
 }
 
-/// All solutions of a six-axis arm with a spherical wrist, up to eight, each joint in (-pi, pi]; those that do not converge on
-/// the given chain are omitted.
+/// All solutions of a six-axis arm with a spherical wrist: up to eight, each joint in (-pi, pi]. Solutions of the closed
+/// form that do not converge on the given chain are omitted.
 ///
 /// # Errors
-/// As [`robot_inverse`], if no solution converges; [`InverseError::Structure`], [`InverseError::Prismatic`] and
-/// [`InverseError::Links`] for another kind of arm, which may have more solutions than can be listed.
+/// [`InverseError::Unreachable`] and [`InverseError::NotConverged`] if no solution converges. [`InverseError::Structure`],
+/// [`InverseError::Prismatic`] and [`InverseError::Links`] for arms without this structure, whose solutions cannot be
+/// listed.
 pub fn robot_inverse_all(chain: &Chain, target: &Pose) -> Result<Vec<Joints>, InverseError> {
     let mut failure = InverseError::unreachable(target);
     let mut solutions = Vec::with_capacity(8);

@@ -1,8 +1,9 @@
-//! One forward pass along a [`Chain`] that yields the end pose ([`Trace`]) and its derivative by every parameter of every link,
-//! a [`Twist`]. All residuals and inverse kinematics use it.
+//! A forward pass along a [`Chain`] computes the end pose ([`Trace`]). It also stores the axes from which the derivative of
+//! the end pose with respect to any parameter of any link is computed, a [`Twist`]. All residuals and the inverse
+//! kinematics use this module.
 //!
-//! A parameter of link i moves everything after it as one rigid body, by a twist about an axis that the forward pass
-//! computes: `theta` and `d` about and along z of frame i-1, `alpha` and `a` about and along x of link i, `beta`
+//! A parameter of link i moves everything after link i as one rigid body. The motion is a twist about or along an axis that
+//! the forward pass computes: `theta` about and `d` along z of frame i-1, `alpha` about and `a` along x of link i, `beta`
 //! about y of frame i. Neither finite differences nor symbolic expressions are needed.
 
 use nalgebra::{Matrix3, Vector3, Vector6};
@@ -12,7 +13,8 @@ use super::{Chain, Pose};
 
 /// Velocity of the end frame when one parameter moves at unit speed, in root coordinates.
 ///
-/// With `R`, `p` the end pose and `[w]` the matrix of the cross product: `dR = [angular] R`, `dp = linear`.
+/// With `R` and `p` the rotation and position of the end, and `[w]` the matrix of the cross product with `w`:
+/// `dR = [angular] R`, `dp = linear`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Twist {
     /// Angular velocity of the frame.
@@ -22,7 +24,7 @@ pub struct Twist {
 }
 
 impl Twist {
-    /// Twist of a frame with its origin at `end` by a rotation about `axis` through `point`.
+    /// Twist of a frame whose origin is `end`, for a rotation about `axis` through `point`.
     #[inline]
     pub fn rotation(axis: Vector3<f64>, point: Vector3<f64>, end: Vector3<f64>) -> Self {
         Self { angular: axis, linear: axis.cross(&(end - point)) }
@@ -34,7 +36,7 @@ impl Twist {
         Self { angular: self.angular * speed, linear: self.linear * speed }
     }
 
-    /// Linear, then angular velocity: a column of a Jacobian.
+    /// Linear velocity, then angular velocity: one column of a Jacobian.
     #[inline]
     pub fn column(&self) -> Vector6<f64> {
         let Self { angular, linear } = self;
@@ -54,7 +56,7 @@ impl Twist {
     }
 }
 
-/// Sine and cosine of an angle: a rotation needs nothing else.
+/// A rotation angle, represented by its sine and cosine.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Turn {
     /// Sine of the angle.
@@ -67,7 +69,7 @@ impl Turn {
     /// Sine and cosine of an angle \[rad\].
     #[inline]
     pub fn of(angle_rad: f64) -> Self {
-        /// Below this the truncated series are exact to rounding.
+        /// Below this angle the truncated series are exact up to rounding errors.
         const SMALL_RAD: f64 = 1e-3;
         if angle_rad.abs() > SMALL_RAD {
             let (sin, cos) = angle_rad.sin_cos();
@@ -89,7 +91,8 @@ impl Turn {
         }
     }
 
-    /// Sine and cosine of a multiple of the angle, by a few products: a direct evaluation takes ten times as long.
+    /// Sine and cosine of `count` times the angle, computed by a few products. Evaluating the sine and cosine of the
+    /// multiple takes ten times as long.
     #[inline]
     pub fn times(self, mut count: u8) -> Self {
         let (mut product, mut doubled) = (Self { sin: 0.0, cos: 1.0 }, self);
@@ -104,7 +107,8 @@ impl Turn {
     }
 }
 
-/// The five parameters of a link; its joint has the effect of `theta`, or of `d` if it is prismatic.
+/// The five parameters of a link. The joint variable has the same effect as `theta` if the joint is revolute, and as `d`
+/// if it is prismatic.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum LinkParameter {
     /// `a`: length along x.
@@ -120,12 +124,12 @@ pub enum LinkParameter {
 }
 
 impl LinkParameter {
-    /// All five parameters, those of the standard convention first.
+    /// All five parameters; the four of the standard convention are first.
     pub const ALL: [Self; 5] = [Self::A, Self::D, Self::Alpha, Self::Theta, Self::Beta];
-    /// Parameters of the standard convention, in the order of the thesis' tables.
+    /// The four parameters of the standard convention, in the order of the thesis' tables.
     pub const STANDARD: [Self; 4] = [Self::A, Self::D, Self::Alpha, Self::Theta];
 
-    /// The parameter that the variable of a joint is added to: the joint's offset.
+    /// The parameter to which a joint's variable is added, that is, the offset of the joint.
     pub const fn offset_of(joint: JointKind) -> Self {
         match joint {
             JointKind::Revolute => Self::Theta,
@@ -152,14 +156,14 @@ struct LinkAxes {
     /// Axis of the joint: z of frame i-1.
     z_before: Vector3<f64>,
     origin_before: Vector3<f64>,
-    /// x of link i: that of frame i before `Ry(beta)`.
+    /// x of link i: the x axis of frame i before the rotation `Ry(beta)`.
     x: Vector3<f64>,
     y_after: Vector3<f64>,
     origin_after: Vector3<f64>,
 }
 
 impl LinkAxes {
-    /// Twist of a point after the joint by the joint's motion.
+    /// Twist of a point beyond the joint when the joint moves.
     #[inline]
     fn twist(&self, point: Vector3<f64>) -> Twist {
         match self.joint {
@@ -169,7 +173,8 @@ impl LinkAxes {
     }
 }
 
-/// A forward pass: end pose and the axes that derivatives need. Reused from sample to sample.
+/// Result of a forward pass: the end pose, and the axes from which derivatives are computed. Reused from sample to
+/// sample to avoid allocations.
 #[derive(Debug, Clone)]
 pub struct Trace {
     axes: Vec<LinkAxes>,
@@ -183,7 +188,7 @@ impl Default for Trace {
 }
 
 impl Trace {
-    /// `root_from_end`.
+    /// The end pose `root_from_end`.
     pub fn end(&self) -> &Pose {
         &self.end
     }
@@ -200,7 +205,8 @@ impl Trace {
         self.end.rotation.matrix()
     }
 
-    /// Twist of the end frame by a parameter of link `link` (from 0); `None` after the last link.
+    /// Derivative of the end pose with respect to a parameter of link `link` (from 0); `None` if the chain does
+    /// not have this link.
     #[inline]
     pub fn twist(&self, link: usize, parameter: LinkParameter) -> Option<Twist> {
         let axes = self.axes.get(link)?;
@@ -214,17 +220,17 @@ impl Trace {
         })
     }
 
-    /// A point on each joint's axis \[m\] and the axis' direction, base to end.
+    /// A point on the axis of each joint \[m\] and the direction of the axis, base to end.
     pub fn joint_axes(&self) -> impl Iterator<Item = (Vector3<f64>, Vector3<f64>)> {
         self.axes.iter().map(|axes| (axes.origin_before, axes.z_before))
     }
 
-    /// Twists of a point carried by the first `joints` joints, by each of them.
+    /// Twists of a point that the first `joints` joints move, one for each of these joints.
     pub fn point_twists(&self, point: Vector3<f64>, joints: usize) -> impl Iterator<Item = Twist> {
         self.axes.iter().take(joints).map(move |axes| axes.twist(point))
     }
 
-    /// Velocity of the end at joint rates, base to end.
+    /// Velocity of the end frame if the joints move at these rates, base to end.
     pub fn moved_by(&self, rates: &[f64]) -> Twist {
         let at_rest = Twist { angular: Vector3::zeros(), linear: Vector3::zeros() };
         let moving = self.joint_twists().zip(rates).filter(|(_, rate)| **rate != 0.0);
@@ -234,18 +240,18 @@ impl Trace {
         })
     }
 
-    /// Twists of all joints, base to end.
+    /// Twist of the end frame for each joint at unit rate, base to end.
     pub fn joint_twists(&self) -> impl Iterator<Item = Twist> {
         self.point_twists(self.position_m(), self.axes.len())
     }
 }
 
-/// A chain prepared for many forward passes: quantities that do not depend on the joints are computed once.
+/// A chain prepared for many forward passes. Quantities that do not depend on the joint variables are computed once.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Tracer {
     root_from_base: Pose,
     links: Vec<PreparedLink>,
-    /// From the last link to the end; `None` for the identity.
+    /// Transform from the last link to the end; `None` if it is the identity.
     last_from_end: Option<Pose>,
 }
 
@@ -261,7 +267,8 @@ struct PreparedLink {
 }
 
 impl PreparedLink {
-    /// Axes rotated by `Rx(alpha) Ry(beta)`: each rotation combines two of them.
+    /// The axes `x`, `y` and `z` after the rotation `Rx(alpha) Ry(beta)`. Each of the two rotations combines
+    /// two of the axes.
     #[inline]
     fn after_turn(&self, x: Vector3<f64>, y: Vector3<f64>, z: Vector3<f64>) -> Matrix3<f64> {
         let (y, z) = (y * self.alpha.cos + z * self.alpha.sin, z * self.alpha.cos - y * self.alpha.sin);
@@ -285,7 +292,7 @@ impl Tracer {
         Self { root_from_base: chain.root_from_base, links: links.collect(), last_from_end }
     }
 
-    /// Sets `d` of one link (from 0) \[m\]; no effect for a link that does not exist.
+    /// Sets `d` of one link (from 0) \[m\]. Does nothing if the link does not exist.
     #[inline]
     pub fn set_d(&mut self, link: usize, d_m: f64) {
         if let Some(link) = self.links.get_mut(link) {
@@ -293,7 +300,7 @@ impl Tracer {
         }
     }
 
-    /// Forward pass at joint variables \[rad, m\] (missing ones are zero), into a trace that is overwritten.
+    /// Forward pass at joint variables \[rad, m\]. Missing joint variables are zero. Overwrites `trace`.
     pub fn trace(&self, joints: &[f64], trace: &mut Trace) {
         let joints = joints.iter().copied().chain(std::iter::repeat(0.0));
         self.pass(trace, joints, |link, joint| match link.joint {
@@ -302,12 +309,14 @@ impl Tracer {
         });
     }
 
-    /// The same for revolute joints with known sines and cosines of their angles, one for each link.
+    /// As [`Self::trace`], for a chain of revolute joints. `joints` are the sines and cosines of the joint angles,
+    /// one for each link.
     pub fn trace_turns(&self, joints: impl IntoIterator<Item = Turn>, trace: &mut Trace) {
         self.pass(trace, joints, |link, joint| (link.theta.and(joint), link.d_m));
     }
 
-    /// Forward pass along all links; `about_z` returns a link's rotation about z and offset along z \[m\] at its joint variable.
+    /// Forward pass along all links. `about_z` computes a link's rotation about z and its offset along z \[m\]
+    /// from its joint variable.
     #[inline]
     fn pass<J>(
         &self,
