@@ -1,5 +1,6 @@
-//! Checks a robot's file (`identify robot check`): facts such as the reach, probable mistakes such as radians in place of
-//! degrees, and points for a drawing. Reach and rank of the Jacobian are from random postures within the joint limits.
+//! Checks a robot's configuration (`identify robot check`). The result has facts such as the reach, probable mistakes such
+//! as radians instead of degrees, and points for a drawing. The reach and the rank of the Jacobian are computed at random
+//! postures within the joint limits.
 
 use nalgebra::{Matrix6xX, Vector3, Vector6};
 use rand::Rng;
@@ -12,36 +13,40 @@ use crate::kinematics::{
 };
 use crate::statistics::extremes;
 
-/// Number of random postures for the reach.
+/// Number of random postures at which the reach is computed.
 const POSTURES: usize = 20_000;
-/// Number of postures for the rank of the Jacobian.
+/// Number of these postures at which the rank of the Jacobian is computed.
 const RANK_POSTURES: usize = 50;
-/// Singular values below this part of the largest count as zero: two axes have the same effect.
+/// Singular values below this fraction of the largest one count as zero, because two axes then have the same effect.
 const RANK_TOLERANCE: f64 = 1e-6;
-/// Usual numbers of decimals of a rounded right or straight angle in radians; in degrees it is exact.
+/// Numbers of decimals to which files usually round a multiple of a right angle in radians. In degrees such
+/// an angle is exact.
 const RADIAN_DECIMALS: std::ops::RangeInclusive<i32> = 2..=5;
-/// Decimals of an angle in degrees that a conversion from radians keeps.
+/// Largest number of decimals to compare of an angle in degrees that was converted from radians.
 const CONVERTED_DECIMALS: usize = 9;
-/// An angle in degrees whose number is one or two times pi / 2, within this part of pi / 2, was probably meant as radians.
+/// An angle in degrees was probably meant as radians if its number is pi / 2 or pi. The tolerance is this fraction
+/// of pi / 2.
 const AS_RADIANS: f64 = 1e-3;
-/// Neighbouring axes closer than this \[m\] and parallel within this sine coincide: a calibration cannot separate them.
+/// Two neighbouring axes coincide if their distance is below this limit \[m\] and the sine of the angle between them is
+/// below the next limit, `SAME_DIRECTION`. A calibration cannot separate coinciding axes.
 const SAME_AXIS_M: f64 = 1e-3;
 const SAME_DIRECTION: f64 = 1e-3;
-/// Largest range of a revolute axis in data sheets \[deg\].
+/// Largest plausible range of a revolute axis, from data sheets \[deg\].
 const RANGE_DEG_MAX: f64 = 1440.0;
 
-/// Contents of a configuration.
+/// Result of a check of a configuration.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RobotCheck {
-    /// Facts: name and value.
+    /// Properties of the robot: name and value.
     pub facts: Vec<(&'static str, String)>,
     /// Probable mistakes with their remedies.
     pub suspicious: Vec<String>,
-    /// Points along the arm, base to flange, in two postures: all joints at zero, all in the middle of their range \[m\].
+    /// Names of two postures, each with points along the arm from base to flange \[m\]. All joints are at zero in the first
+    /// posture and in the middle of their ranges in the second.
     pub postures: [(&'static str, Vec<Vector3<f64>>); 2],
-    /// Each axis with all joints at zero: a point \[m\] and its direction.
+    /// Each axis with all joints at zero: type of the joint, a point on the axis \[m\], and its direction.
     pub axes: Vec<(JointKind, Vector3<f64>, Vector3<f64>)>,
-    /// Positions of the flange in random postures within the limits \[m\].
+    /// Positions of the flange at random postures within the limits \[m\].
     pub reached_m: Vec<Vector3<f64>>,
 }
 
@@ -79,7 +84,7 @@ pub fn check(robot: &RobotConfig) -> RobotCheck {
     }
 }
 
-/// Origins of the frames of all links and, between two, the corner where the common normal leaves the axis.
+/// Origins of the frames of all links. Between two origins follows the corner where the common normal meets the first axis.
 fn arm_points(chain: &Chain, joints: &[f64]) -> Vec<Vector3<f64>> {
     let mut frame = chain.root_from_base;
     let mut points = vec![Vector3::zeros(), frame.translation.vector];
@@ -147,8 +152,9 @@ fn facts(
     facts
 }
 
-/// If an angle was probably converted from a rounded multiple of a right angle in radians: that number \[rad\] and the exact
-/// multiple \[deg\]. The angle agrees with it to the last digit, which is improbable for a measured or calibrated one.
+/// Detects an angle that was probably converted from a rounded multiple of a right angle in radians. Returns the rounded
+/// number \[rad\] and the exact multiple \[deg\]. The angle must agree with the converted number to its last digit, which is
+/// improbable for a measured or calibrated angle.
 fn rounded_right_angle(degrees: f64) -> Option<(f64, f64)> {
     let exact_deg = (degrees / 90.0).round() * 90.0;
     if degrees == exact_deg {
@@ -161,7 +167,7 @@ fn rounded_right_angle(degrees: f64) -> Option<(f64, f64)> {
         .flat_map(|radian_decimals| {
             let scale = 10f64.powi(radian_decimals);
             let exact = exact_deg.to_radians() * scale;
-            // Some files round, others truncate.
+            // Some files round angles, others truncate them.
             [exact.round(), exact.trunc()].map(|digits| digits / scale)
         })
         .find(|rounded_rad| as_written(rounded_rad.to_degrees()) == as_written(degrees))
@@ -183,7 +189,7 @@ fn suspicious(
              line, or more than three are parallel; check alpha_deg and a_m"
         ));
     }
-    // The relation of neighbouring axes is the same in all postures.
+    // Distance and angle of neighbouring axes are the same at all postures, so they are checked at zero.
     for ((axis, next_axis), number) in axes.iter().zip(&axes[1..]).zip(1..) {
         let (kind, point, along) = axis;
         let (next_kind, next_point, next_along) = next_axis;

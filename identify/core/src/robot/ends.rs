@@ -1,7 +1,8 @@
-//! Default base and tip of the arm in a URDF.
+//! Selects base and tip of the arm in a URDF, if the user does not.
 //!
-//! A file can contain a world before the arm, frames beside it and a gripper after it. Links that the same joints move are ends
-//! of the same arm; standard names select among them.
+//! A file can contain a world before the arm, additional frames along it, and a gripper after it. The module lists the
+//! moving joints (axes) before each link. Links with the same axes are candidates for the same end of an arm. Among the
+//! candidates, the tip is the link with a standard name or the last link.
 
 use std::cmp::Reverse;
 
@@ -10,15 +11,15 @@ use shared::output::named;
 use super::import::ImportError;
 use super::urdf::{Urdf, UrdfJoint};
 
-/// Names of a mechanical interface (ISO 9787) at any link, by decreasing priority.
+/// Names of a mechanical interface (ISO 9787), by decreasing priority. A link with such a name is the tip wherever it is.
 const FLANGES: [&str; 2] = ["tool0", "flange"];
-/// Names of a mechanical interface if several links follow the last axis.
+/// Further names of a mechanical interface, which only apply to links that are fixed behind the last axis.
 const TOOLS: [&str; 5] = ["link8", "ee_link", "link_ee", "link_eef", "end_effector"];
-/// Names of a robot's own base.
+/// Names of a robot's base link, by decreasing priority.
 const BASES: [&str; 4] = ["base_link", "base", "link0", "link_0"];
-/// Parts of the names of gripper joints.
+/// Words in the names of gripper joints.
 const GRIPPERS: [&str; 5] = ["gripper", "finger", "jaw", "knuckle", "thumb"];
-/// Highest number of links in an error.
+/// Largest number of links that an error message lists.
 const LISTED_MAX: usize = 12;
 
 /// Base and tip of an arm.
@@ -27,12 +28,12 @@ pub(super) struct Ends<'a> {
     pub(super) tip: String,
     /// Joints from base to tip.
     pub(super) joints: Vec<&'a UrdfJoint>,
-    /// Links that are left out by default, and how to include them.
+    /// Descriptions of the links and joints that the defaults exclude, and of the options that include them.
     pub(super) left_out: Vec<String>,
 }
 
 impl<'a> Ends<'a> {
-    /// The given ends, or the defaults.
+    /// The requested base and tip. A missing one is replaced by its default.
     pub(super) fn of(urdf: &'a Urdf, base: Option<&str>, tip: Option<&str>) -> Result<Self, ImportError> {
         for link in [base, tip].into_iter().flatten() {
             if !urdf.links.iter().any(|known| known == link) {
@@ -73,7 +74,7 @@ impl<'a> Ends<'a> {
     }
 }
 
-/// A link with the axes that move it, and the first joint of a gripper if it belongs to one.
+/// A link with the axes between the base and the link. If a gripper's joint is among them, the axes end before it.
 struct End<'a> {
     link: &'a str,
     axes: Vec<&'a UrdfJoint>,
@@ -81,7 +82,7 @@ struct End<'a> {
 }
 
 impl<'a> End<'a> {
-    /// `joints` lead to the link.
+    /// `joints` are the joints from the base to the link.
     fn new(link: &'a str, joints: &[&'a UrdfJoint]) -> Self {
         let moving = joints.iter().copied().filter(|joint| joint.moves());
         let mut gripper = None;
@@ -92,15 +93,16 @@ impl<'a> End<'a> {
         Self { link, axes: axes.collect(), gripper }
     }
 
-    /// Whether the axes of another end are the first ones of this end.
+    /// Whether the axes of `other` are the first axes of this end, so both are on one arm.
     fn continues(&self, other: &Self) -> bool {
         let mut pairs = self.axes.iter().zip(&other.axes);
         self.axes.len() >= other.axes.len() && pairs.all(|(own, other)| own.name == other.name)
     }
 }
 
-/// The link with the name of a flange. Else, if all ends are on one arm: the link with the name of a tool behind its last axis,
-/// or the only link there from which no other link continues.
+/// Finds the default tip. A link with the name of a flange has priority. Otherwise all ends must be on one arm. Of the
+/// links behind its last axis, the tip is the link with the name of a tool, or else the only link that is not followed by
+/// another one of them.
 fn find_tip(urdf: &Urdf, base: Option<&str>, left_out: &mut Vec<String>) -> Result<String, ImportError> {
     let below_base = |link: &str| {
         let joints = urdf.joints_to(link);
@@ -141,7 +143,7 @@ fn find_tip(urdf: &Urdf, base: Option<&str>, left_out: &mut Vec<String>) -> Resu
     };
     let tips: Vec<&End<'_>> =
         candidates.iter().copied().filter(|end| !has_candidate_child(end.link)).collect();
-    // Without the link of the last axis itself.
+    // The links that are fixed to the last axis' link, without this link itself.
     let fixed_links = candidates
         .iter()
         .copied()
@@ -160,7 +162,8 @@ fn find_tip(urdf: &Urdf, base: Option<&str>, left_out: &mut Vec<String>) -> Resu
     Ok(tip.link.to_owned())
 }
 
-/// The link named as a robot's base, or else the fixed link that carries the first axis.
+/// The default base: a link before the first axis with the name of a robot's base, or else the link that
+/// carries the first axis.
 fn find_base(urdf: &Urdf, root: &str, joints: &[&UrdfJoint], left_out: &mut Vec<String>) -> String {
     let fixed_count = joints.iter().position(|joint| joint.moves()).unwrap_or(0);
     let children = joints[..fixed_count].iter().map(|joint| joint.child.as_str());
@@ -175,7 +178,7 @@ fn find_base(urdf: &Urdf, root: &str, joints: &[&UrdfJoint], left_out: &mut Vec<
     base.to_owned()
 }
 
-/// Ends by decreasing number of axes, those of grippers last.
+/// The error that lists possible tips: by decreasing number of axes, tips of grippers last.
 fn several_tips(ends: &[&End<'_>]) -> ImportError {
     let mut ends = ends.to_vec();
     ends.sort_by_key(|end| (end.gripper.is_some(), Reverse(end.axes.len())));
@@ -183,7 +186,7 @@ fn several_tips(ends: &[&End<'_>]) -> ImportError {
     ImportError::SeveralTips { tips: named(&tips, LISTED_MAX) }
 }
 
-/// Whether a link has this name, also with a prefix such as `left_`.
+/// Whether a link has this name, possibly with a prefix such as `left_`. Upper and lower case are equal.
 fn is_called(link: &str, name: &str) -> bool {
     let link = link.to_lowercase();
     link.strip_suffix(name)

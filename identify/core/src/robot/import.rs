@@ -1,4 +1,6 @@
-//! A robot's configuration from a URDF: the joints between two of its links as Denavit-Hartenberg links.
+//! Imports a robot's configuration from a URDF. `urdf` reads the file, and `ends` selects base and tip of the arm. This
+//! module converts the joints between them to axis lines, computes Denavit-Hartenberg links along these lines, and writes
+//! the configuration as a file with comments.
 
 use std::collections::HashSet;
 use std::fmt::Write;
@@ -19,7 +21,7 @@ pub enum ImportError {
     /// The text is not a URDF.
     #[error("this is not a URDF: {0}")]
     NotUrdf(String),
-    /// Macros are not expanded.
+    /// The text contains xacro macros that are not expanded.
     #[error(
         "it has <{0}>, so its macros are not expanded; run `xacro arm.urdf.xacro > arm.urdf` and import the result"
     )]
@@ -34,15 +36,15 @@ pub enum ImportError {
         /// Name of the missing link.
         parent: String,
     },
-    /// The link does not exist.
+    /// The requested link does not exist.
     #[error("it has no link `{link}`; choose one of its links: {known}")]
     UnknownLink {
         /// Name of the requested link.
         link: String,
-        /// Names of its links.
+        /// Names of the file's links.
         known: String,
     },
-    /// The links are not connected by joints.
+    /// The requested base is not on the path from the root to the tip.
     #[error("link `{tip}` is not below link `{base}`; choose --base from the links above it: {above}")]
     NotConnected {
         /// Name of the requested base.
@@ -52,23 +54,23 @@ pub enum ImportError {
         /// Links above the tip.
         above: String,
     },
-    /// The end of the arm is ambiguous.
+    /// Several links can be the tip of the arm.
     #[error(
         "it ends in several links; give the one of the flange with --tip (in brackets the number of axes before it): {tips}"
     )]
     SeveralTips {
-        /// Links without child joints.
+        /// Names of the possible tips, each with its number of axes.
         tips: String,
     },
-    /// Every joint has the name of a gripper's joint.
+    /// Every moving joint has the name of a gripper's joint.
     #[error(
         "all joints that move have names of a gripper; if it is an arm, give the link of its flange with --tip: {tips}"
     )]
     Gripper {
-        /// Links without child joints.
+        /// Names of the links without child joints.
         tips: String,
     },
-    /// A joint that cannot be an axis of a serial arm.
+    /// A joint between base and tip cannot be an axis of a serial arm.
     #[error("joint `{joint}` {problem}; choose --base and --tip so that it is not between them")]
     Joint {
         /// Name of the joint.
@@ -102,18 +104,19 @@ pub struct Imported {
     pub base: String,
     /// Link at the tip of the arm.
     pub tip: String,
-    /// Name of each axis' joint.
+    /// Name of the joint of each axis, base to tip.
     pub joints: Vec<String>,
     /// Assumptions for values that the file does not contain.
     pub assumed: Vec<String>,
-    /// Links before `base` and joints after `tip` that were left out by default.
+    /// Links before `base` and joints after `tip` that the default ends exclude, as sentences.
     pub left_out: Vec<String>,
 }
 
-/// The arm between links `base` and `tip`. Default of `base`: the link with that name, or the one that carries the first axis.
-/// Default of `tip`: the link named `tool0` or `flange`, or the only end of the longest chain of axes, without a gripper.
+/// Imports the arm between links `base` and `tip`. The default of `base` is a link named as a robot's base, such as
+/// `base_link`, or else the link that carries the first axis. The default of `tip` is the link named `tool0` or `flange`, or
+/// else the only end of the longest chain of axes, without a gripper.
 ///
-/// The forward kinematics from `base` to `tip` are those of the file. Only right angles that the file rounds become exact.
+/// The forward kinematics from `base` to `tip` are those of the file, except that rounded right angles become exact.
 ///
 /// # Errors
 /// [`ImportError`].
@@ -124,7 +127,7 @@ pub fn import(text: &str, base: Option<&str>, tip: Option<&str>) -> Result<Impor
     let mut assumed = Vec::new();
     let (mut axes, mut names) = (Vec::new(), Vec::new());
     let (mut limits_deg, mut limits_m) = (Vec::new(), Vec::new());
-    // Frame of a joint, then of the tip, with all joints at zero.
+    // The frame of the current joint, and after the loop the frame of the tip, with all joints at zero.
     let mut base_from_joint = Pose::identity();
     for joint in joints {
         base_from_joint *= origin(joint, &mut assumed)?;
@@ -168,7 +171,7 @@ pub fn import(text: &str, base: Option<&str>, tip: Option<&str>) -> Result<Impor
     if config.counts_joint_3_from_horizontal() {
         assumed.push(couple_joint_3(&mut config, &axes));
     }
-    // A configuration that no other command accepts is not written.
+    // A configuration that other commands would refuse is not returned.
     config.validate().map_err(|Violation { key, problem, remedy }| {
         ImportError::Wrong(format!(
             "its links `{base}` to `{tip}` do not form a robot: {key}: {problem}, {remedy}"
@@ -177,11 +180,11 @@ pub fn import(text: &str, base: Option<&str>, tip: Option<&str>) -> Result<Impor
     Ok(Imported { config, base, tip, joints: names, assumed, left_out })
 }
 
-/// Couples joint 3 to J2 in the conversion of the log, and returns the assumption as text.
+/// Couples joint 3 to J2 in the conversion of the log. Returns a description of this assumption.
 ///
-/// The controller measures J3 from the horizontal, so J3 keeps its value when joint 2 turns. A URDF measures joint 3 from the upper
-/// arm. With axes 2 and 3 in opposite directions, as ROS-Industrial has them for FANUC, joint 3 is J3 + J2. With both in the same
-/// direction, as for ABB, it is J3 - J2.
+/// The controller measures J3 from the horizontal, so J3 does not change when joint 2 turns. A URDF measures joint 3 from
+/// the upper arm. ROS-Industrial models of FANUC have axes 2 and 3 in opposite directions, so joint 3 is J3 + J2. Models of
+/// ABB have both in the same direction, so joint 3 is J3 - J2. If the axes have other directions, no coupling is written.
 fn couple_joint_3(config: &mut RobotConfig, axes: &[AxisLine]) -> String {
     let (a_maker, factor, ros) = match config.maker() {
         Some(Maker::Fanuc) => ("a FANUC", 1.0, "has joint 3 already and"),
@@ -208,12 +211,12 @@ fn couple_joint_3(config: &mut RobotConfig, axes: &[AxisLine]) -> String {
     }
 }
 
-/// Joint 3 of the model as a formula of the controller's joints.
+/// The formula of joint 3 of the model from the controller's joints.
 fn joint_3(factor: f64) -> &'static str {
     if factor < 0.0 { "J3 - J2" } else { "J3 + J2" }
 }
 
-/// Checks that links and joints have different names and that each joint leads to another link.
+/// Checks that link names and joint names are unique and that no two joints have the same child link.
 fn check_unique(urdf: &Urdf) -> Result<(), ImportError> {
     let joints = || urdf.joints.iter();
     for (what, name) in [
@@ -228,7 +231,7 @@ fn check_unique(urdf: &Urdf) -> Result<(), ImportError> {
     Ok(())
 }
 
-/// A name that occurs more than once.
+/// The first name that occurs a second time.
 fn repeated<'a>(mut names: impl Iterator<Item = &'a String>) -> Option<&'a String> {
     let mut seen = HashSet::new();
     names.find(|name| !seen.insert(*name))
@@ -238,7 +241,7 @@ fn problem(joint: &UrdfJoint, problem: impl Into<String>) -> ImportError {
     ImportError::Joint { joint: joint.name.clone(), problem: problem.into() }
 }
 
-/// Kind of a joint's motion; `None` for a fixed joint.
+/// Type of a joint; `None` for a fixed joint.
 fn kind(joint: &UrdfJoint) -> Result<Option<JointKind>, ImportError> {
     if let Some(other) = joint.value("mimic", "joint") {
         return Err(problem(
@@ -254,8 +257,8 @@ fn kind(joint: &UrdfJoint) -> Result<Option<JointKind>, ImportError> {
     }
 }
 
-/// Pose of a joint in its parent link at zero, `T(xyz) Rz(yaw) Ry(pitch) Rx(roll)`. Angles with few decimals that are replaced by
-/// exact ones are added to `assumed`.
+/// Pose of a joint in its parent link with the joint at zero: `T(xyz) Rz(yaw) Ry(pitch) Rx(roll)`. If an angle with few
+/// decimals was replaced by the exact angle, a description is added to `assumed`.
 fn origin(joint: &UrdfJoint, assumed: &mut Vec<String>) -> Result<Pose, ImportError> {
     let [xyz_m, rpy_rad] = joint.origin()?;
     let written = joint.value("origin", "rpy").unwrap_or_default().split_whitespace();
@@ -272,7 +275,8 @@ fn origin(joint: &UrdfJoint, assumed: &mut Vec<String>) -> Result<Pose, ImportEr
     Ok(Pose::from_parts(Vector3::from(xyz_m).into(), rotation))
 }
 
-/// Lower and upper limit in the configuration's unit; `default` to either side if the file has none.
+/// Lower and upper limit in the unit of the configuration. If the file has no valid limits, they are `-default` and
+/// `default`, and a description is added to `assumed`.
 fn limits(
     joint: &UrdfJoint,
     default: f64,
@@ -280,9 +284,9 @@ fn limits(
     read: fn(&str) -> Option<f64>,
     assumed: &mut Vec<String>,
 ) -> [f64; 2] {
-    // A missing value is zero, as in the URDF specification.
+    // A missing limit is zero, as in the URDF specification.
     let limit = |key| joint.value("limit", key).map_or(Some(0.0), read).unwrap_or(f64::NAN);
-    // Removes the rounding errors of the conversion to degrees.
+    // Rounding removes the errors of the conversion to degrees.
     let limits = ["lower", "upper"].map(|key| (limit(key) * 1e9).round() / 1e9);
     let [low, high] = limits;
     let found = match joint.kind.as_str() {
@@ -295,18 +299,17 @@ fn limits(
     [-default, default]
 }
 
-/// A length without the rounding errors of the conversion \[m\].
+/// A length \[m\] without rounding errors of the conversion.
 fn length_m(length_m: f64) -> f64 {
     without_rounding(length_m, 1e-12)
 }
 
-/// An angle in degrees without the rounding errors of the conversion.
+/// Converts an angle to degrees and removes rounding errors of the conversion.
 fn angle_deg(angle_rad: f64) -> f64 {
     without_rounding(angle_rad.to_degrees(), 1e-9)
 }
 
-/// The nearest number with six decimals if it differs by less than `rounding`; otherwise the value rounded to a thousandth of
-/// `rounding`.
+/// Rounds to six decimals if this changes the value by less than `rounding`; otherwise rounds to a thousandth of `rounding`.
 fn without_rounding(value: f64, rounding: f64) -> f64 {
     let round_to = |scale: f64| (value * scale).round() / scale;
     let six_decimals = round_to(1e6);
@@ -422,7 +425,7 @@ fn log_block(log: &LogConversion) -> String {
     text + "]\n"
 }
 
-/// The text without line ends: a comment ends with its line.
+/// Replaces control characters, such as line ends, by spaces, because a comment in TOML ends with its line.
 fn one_line(text: &str) -> String {
     text.replace(|letter: char| letter.is_control(), " ")
 }

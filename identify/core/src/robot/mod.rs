@@ -1,4 +1,4 @@
-//! A robot's configuration before anything is measured: taken from a URDF, checked and drawn.
+//! Prepares a robot's configuration before any measurement: imports it from a URDF, and checks it.
 
 mod check;
 mod ends;

@@ -1,5 +1,6 @@
-//! Links and joints of a URDF. Shapes, materials, masses, transmissions and extensions of simulators are skipped without
-//! checks. Numbers are only read for the joints of the arm.
+//! Reads the links and joints of a URDF. Shapes, materials, masses, transmissions and extensions of simulators are
+//! skipped without checks. Attributes remain text. Numbers are parsed only when they are requested, so only for the
+//! joints of the arm.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -8,7 +9,7 @@ use quick_xml::{Reader, XmlVersion};
 
 use super::import::ImportError;
 
-/// A tree of links; everything is as written in the file.
+/// The links and joints of a URDF, in the order and with the names of the file.
 pub(super) struct Urdf {
     pub(super) name: String,
     pub(super) links: Vec<String>,
@@ -19,17 +20,17 @@ pub(super) struct Urdf {
 #[derive(Default)]
 pub(super) struct UrdfJoint {
     pub(super) name: String,
-    /// `revolute`, `fixed` and so on.
+    /// Type of the joint, such as `revolute` or `fixed`.
     pub(super) kind: String,
     pub(super) parent: String,
     pub(super) child: String,
-    /// Its elements, such as `origin`, with their attributes.
+    /// Child elements of the joint, such as `origin`, each with the names and values of its attributes.
     elements: Vec<(String, Vec<(String, String)>)>,
 }
 
 impl Urdf {
     pub(super) fn read(text: &str) -> Result<Self, ImportError> {
-        // A binary file has control characters, which must not be printed on a terminal.
+        // A binary file contains control characters, which must not be printed on a terminal.
         let not_urdf = |problem: String| ImportError::NotUrdf(problem.escape_debug().to_string());
         let mut is_begun = false;
         let mut urdf = Self { name: String::new(), links: Vec::new(), joints: Vec::new() };
@@ -65,7 +66,8 @@ impl Urdf {
         Ok(urdf)
     }
 
-    /// Takes a link, a joint or an element of a joint from a start tag; `open` are the names of the elements around it.
+    /// Stores a link, a joint, or a child element of a joint from its start tag. `open` has the names of the
+    /// enclosing elements, outermost first.
     fn add_element(&mut self, open: &[String], tag: &BytesStart<'_>) -> Result<(), ImportError> {
         let name = tag.name();
         let name = name.as_ref();
@@ -98,7 +100,7 @@ impl Urdf {
     /// The joints from the root of the tree to a link, root first.
     pub(super) fn joints_to(&self, link: &str) -> Vec<&UrdfJoint> {
         let (mut joints, mut link): (Vec<&UrdfJoint>, _) = (Vec::new(), link);
-        // Links in a circle have no root.
+        // If the links form a circle, the search never reaches a root. It then ends after as many joints as the file has.
         while let Some(joint) =
             self.joints.iter().find(|joint| joint.child == link).filter(|_| joints.len() < self.joints.len())
         {
@@ -111,7 +113,7 @@ impl Urdf {
 }
 
 impl UrdfJoint {
-    /// An attribute of a child element.
+    /// The value of an attribute of a child element; `None` if the joint does not have it.
     pub(super) fn value(&self, element: &str, attribute: &str) -> Option<&str> {
         let (_, attributes) = self.elements.iter().find(|(name, _)| name == element)?;
         attributes.iter().find(|(key, _)| key == attribute).map(|(_, value)| value.as_str())
@@ -121,13 +123,13 @@ impl UrdfJoint {
         self.kind != "fixed"
     }
 
-    /// Direction of its axis, of any length; x if the file has none.
+    /// Direction of the joint's axis, not normalised; along x if the file does not define it.
     pub(super) fn axis(&self) -> Result<[f64; 3], ImportError> {
         let is_given = self.elements.iter().any(|(name, _)| name == "axis");
         self.numbers("axis", "xyz", (!is_given).then_some([1.0, 0.0, 0.0]), |text| text.parse().ok())
     }
 
-    /// Position \[m\], then roll, pitch and yaw \[rad\] as [`angle_rad`] reads them.
+    /// The joint's origin in its parent link: position \[m\], then roll, pitch and yaw \[rad\] as read by [`angle_rad`].
     pub(super) fn origin(&self) -> Result<[[f64; 3]; 2], ImportError> {
         let xyz_m = self.numbers("origin", "xyz", Some([0.0; 3]), |text| text.parse().ok())?;
         Ok([xyz_m, self.numbers("origin", "rpy", Some([0.0; 3]), angle_rad)?])
@@ -154,21 +156,23 @@ impl UrdfJoint {
     }
 }
 
-/// An angle with fewer decimals changes by more than the repeatability of a robot if it is replaced by the exact one.
+/// Number of decimals of a precisely written angle. If an angle with fewer decimals is replaced by the exact angle, the
+/// difference exceeds the repeatability of a robot.
 pub(super) const DECIMALS_FINE: usize = 4;
 
-/// An angle \[rad\]. Files contain right angles with some decimals: an angle that equals a multiple of a right angle to its
-/// last digit, or of 15 degrees if it has [`DECIMALS_FINE`] decimals, is replaced by the exact one.
+/// Parses an angle \[rad\]. Files contain right angles rounded to a number of decimals, so the angle is compared with
+/// multiples of 90 degrees, or of 15 degrees if it has at least [`DECIMALS_FINE`] decimals. If it equals such a multiple to
+/// its last digit, the exact multiple is returned.
 pub(super) fn angle_rad(text: &str) -> Option<f64> {
-    /// More are beyond the resolution of a double.
+    /// More decimals are beyond the resolution of a double.
     const DECIMALS_MAX: usize = 14;
     let written: f64 = text.parse().ok()?;
     let decimals = decimals(text).min(DECIMALS_MAX);
     let step = if decimals >= DECIMALS_FINE { PI / 12.0 } else { FRAC_PI_2 };
     let exact = (written / step).round() * step;
-    // One over the value of the last digit.
+    // The reciprocal of the value of the last digit.
     let scale = 10f64.powi(decimals as i32);
-    // Some files round, others truncate; a widespread one has 1.570796325.
+    // Some files round angles, others truncate them. Many files contain 1.570796325, which is neither.
     let digits = [(exact * scale).round(), (exact * scale).trunc()];
     let is_exact = match decimals {
         0 | 1 => false,
@@ -178,7 +182,7 @@ pub(super) fn angle_rad(text: &str) -> Option<f64> {
     Some(if is_exact { exact } else { written })
 }
 
-/// Digits after the point.
+/// Number of digits after the decimal point; zero for exponential notation.
 pub(super) fn decimals(text: &str) -> usize {
     let digits = text.split_once('.').map_or("", |(_, decimals)| decimals);
     if digits.bytes().all(|digit| digit.is_ascii_digit()) { digits.len() } else { 0 }
