@@ -1,5 +1,5 @@
-//! The conditions of one experiment: errors, noise, number of points and encoders. From the keys of a series in the study's
-//! file and a size `x`: those under `with` are constant, those under `vary` are multiplied by `x`.
+//! The conditions of one experiment: errors, noise, number of points, and encoders. They are computed from a series in the
+//! study's file and a size `x`. Values under `with` are used as they are; values under `vary` are multiplied by `x`.
 
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
@@ -8,7 +8,7 @@ use super::{FigureSeries, StudyFile};
 use crate::model::ParameterId;
 use crate::simulate::{BarLoad, Effects, StaticErrors};
 
-/// Keys of conditions other than effects and parameters, with their meaning.
+/// Keys of the conditions that are neither effects nor parameters, with their meanings.
 pub const CONDITIONS: [(&str, &str); 9] = [
     ("points", "pairs of robot and bar angles"),
     ("encoders", "joints of the bar with an encoder: 5, 4, 2 or 0"),
@@ -60,31 +60,31 @@ impl ConditionError {
 pub struct Conditions {
     /// Number of pairs of robot and bar angles.
     pub points: usize,
-    /// Whether each bar joint has an encoder.
+    /// For each bar joint, whether it has an encoder.
     pub measured: [bool; 5],
-    /// Number of stations of the bar, 1 or 2; the points are shared equally.
+    /// Number of stations (positions of the bar), 1 or 2. Each station has an equal number of points.
     pub stations: usize,
     /// Errors of the links of robot and bar.
     pub errors: StaticErrors,
     /// Additional errors of single parameters \[mm|mrad\].
     pub added_errors: BTreeMap<String, f64>,
-    /// Errors of the angles.
+    /// Effects on the measured angles, such as noise and harmonics.
     pub effects: Effects,
-    /// Effect of a force on the bar's length.
+    /// The force along the bar and its effect on the bar's length.
     pub load: BarLoad,
     /// Number of postures that a draw-wire measures.
     pub wire_rows: usize,
-    /// Standard deviation of the white noise of the lengths \[m\].
+    /// Standard deviation of the white noise of the draw-wire's lengths \[m\].
     pub wire_noise_m: f64,
     /// Time by which the bar is sampled later than the robot \[s\].
     pub time_difference_s: f64,
 }
 
-/// Fewest pairs of an experiment: three rows of each pair determine some forty parameters.
+/// Smallest number of pairs in an experiment. Each pair has three rows, and about forty parameters are estimated.
 const POINTS_MIN: f64 = 20.0;
 
 impl Conditions {
-    /// The conditions of a series at a size.
+    /// Computes the conditions of a series at size `x`.
     ///
     /// # Errors
     /// [`ConditionError`].
@@ -141,7 +141,7 @@ impl Conditions {
             ("wire_rows", _) => self.wire_rows = value.round() as usize,
             ("wire_noise_um", _) => self.wire_noise_m = value * 1e-6,
             ("encoder_bits", _) => self.effects.encoder_step_urad = TAU / value.exp2() * 1e6,
-            // Play makes the bar longer under tension and shorter under compression, whatever the size of the force.
+            // The effect of play depends on the sign of the force, not on its size. So any force above zero can be used.
             ("bar_play_um", _) => self.load = BarLoad { force_n: 1.0, play_um: value, ..self.load },
             _ => return self.set_effect_or_parameter(key, value),
         }

@@ -1,4 +1,5 @@
-//! A study with all its inputs. It is stored with the results, so that they can be merged on any machine.
+//! A study with all its inputs: study file, robot, bar and path. The definition is stored with the results, so results from
+//! several machines can be checked and merged without the original files.
 
 use std::path::{Path, PathBuf};
 
@@ -12,7 +13,7 @@ use crate::logs::{self, LogError};
 /// Name of the built-in study of chapter 3 of the thesis.
 pub const THESIS: &str = "thesis";
 
-/// Why a study cannot begin.
+/// Why a study cannot be loaded.
 #[derive(Debug, thiserror::Error)]
 pub enum LoadError {
     /// A file of the study cannot be loaded.
@@ -21,7 +22,7 @@ pub enum LoadError {
     /// The robot's log cannot be read.
     #[error(transparent)]
     Log(#[from] LogError),
-    /// Bar and wire cannot be simulated with such an arm.
+    /// The robot is not an arm of six revolute axes. Studies cannot simulate other arms.
     #[error(
         "{robot} is not an arm of six revolute axes, which studies simulate; name another file as `robot`"
     )]
@@ -29,7 +30,7 @@ pub enum LoadError {
         /// Name of the robot.
         robot: String,
     },
-    /// The robot's log has no path on a sphere.
+    /// The robot's log contains no path on a sphere, or the bar's inverse kinematics fails on this path.
     #[error(transparent)]
     Reference(#[from] ReferenceError),
 }
@@ -46,7 +47,7 @@ pub struct Definition {
     pub bar: BallBarConfig,
     /// Path of the experiments.
     pub reference: Reference,
-    /// Version of the program: results of different versions are not merged.
+    /// Version of the program. Results of different versions are not merged.
     pub software: String,
 }
 
@@ -89,10 +90,10 @@ impl Definition {
         Self { study, robot, bar, reference, software: shared::version::software("identify") }
     }
 
-    /// Hexadecimal checksum of the definition: results with the same checksum can be merged.
+    /// SHA-256 checksum of the definition, hexadecimal. Results with equal checksums can be merged.
     ///
     /// # Errors
-    /// A number that JSON cannot represent.
+    /// An error if the definition cannot be written as JSON.
     pub fn sha256(&self) -> Result<String, serde_json::Error> {
         let sum = Sha256::digest(serde_json::to_vec(self)?);
         Ok(sum.iter().map(|byte| format!("{byte:02x}")).collect())

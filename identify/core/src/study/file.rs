@@ -1,5 +1,6 @@
-//! The file of a study: figures with their varied conditions, estimators, and questions about the result; and its check. A
-//! figure has series; each size of a series is one point, with as many experiments as the study has seeds.
+//! The file of a study and its validation. A study has figures, estimators, and questions about the result. A figure has
+//! one or more series of varied conditions. Each size of a series is one point of a curve, with as many experiments as
+//! the study has seeds.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -11,25 +12,25 @@ use super::Conditions;
 use crate::calibrate::IdentifyConfig;
 use crate::plan::DURATION_S_MIN;
 
-/// The file of a study.
+/// Contents of a study's file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct StudyFile {
     /// Name of the study.
     pub title: String,
-    /// Subject of the study, for the head of the page.
+    /// Subject of the study, shown at the top of the page.
     #[serde(default)]
     pub about: String,
-    /// The robot's configuration, relative to the study's file.
+    /// Path of the robot's configuration, relative to the study's file.
     pub robot: PathBuf,
-    /// The bar's configuration, relative to the study's file.
+    /// Path of the bar's configuration, relative to the study's file.
     pub bar: PathBuf,
-    /// Path of the experiments; absent: a random one for each seed.
+    /// Source of the path of the experiments. If absent, each seed has its own random path.
     #[serde(default)]
     pub path: PathChoice,
-    /// Number of experiments of each point.
+    /// Number of experiments at each point of a curve.
     pub seeds: u32,
-    /// Number of pairs of robot and bar angles in each experiment, unless a series states another.
+    /// Number of pairs of robot and bar angles in each experiment, unless a series sets `points`.
     pub points: u32,
     /// Length of a random path \[s\].
     pub duration_s: f64,
@@ -37,7 +38,7 @@ pub struct StudyFile {
     pub second_base_m: Option<[f64; 3]>,
     /// Largest acceptable error \[mm|mrad\].
     pub limit_mm_mrad: f64,
-    /// Estimators by which experiments are solved.
+    /// Estimators that solve the experiments.
     pub estimators: Vec<Estimator>,
     /// Figures with their varied conditions.
     pub figures: Vec<Figure>,
@@ -46,15 +47,15 @@ pub struct StudyFile {
     pub statements: Vec<Statement>,
 }
 
-/// Source of the path; at most one of the three.
+/// Source of the path. At most one of the three fields may be set.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct PathChoice {
-    /// A random one, the same for all experiments.
+    /// Seed of a random path that all experiments share.
     pub seed: Option<u64>,
-    /// `path.toml` of `identify plan`.
+    /// Path of a file `path.toml` written by `identify plan`.
     pub planned: Option<PathBuf>,
-    /// A log of the robot's joints while it was on the bar.
+    /// Path of a log of the robot's joints while the robot was connected to the bar.
     pub log: Option<PathBuf>,
 }
 
@@ -69,7 +70,7 @@ pub struct Estimator {
     /// Instrument that it uses.
     #[serde(default)]
     pub instrument: StudyInstrument,
-    /// Configuration as in `config/identify.toml`; a draw-wire uses the defaults.
+    /// Configuration as in `config/identify.toml`. A draw-wire uses the default configuration.
     #[serde(default)]
     pub config: IdentifyConfig,
 }
@@ -78,10 +79,10 @@ pub struct Estimator {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum StudyInstrument {
-    /// The ball-bar.
+    /// The ball-bar, with the path and the conditions of the experiment.
     #[default]
     BallBar,
-    /// A draw-wire, with `wire_rows` random postures.
+    /// A draw-wire that measures `wire_rows` random postures.
     Wire,
 }
 
@@ -89,16 +90,16 @@ pub enum StudyInstrument {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FigureKind {
-    /// Error over size, a curve for each estimator of each series.
+    /// Curves of the error over the size of the varied conditions, one for each estimator of each series.
     #[default]
     Curves,
-    /// Median and largest error of each estimator.
+    /// A table with the median and largest errors of each estimator.
     Levels,
-    /// Parameters with an error above 0.05 mm|mrad.
+    /// A table of the parameters whose median error is above 0.05 mm|mrad.
     Affected,
-    /// The error of each parameter in the first experiment.
+    /// A table with the error of each parameter in the first experiment.
     Errors,
-    /// The five largest errors of each experiment.
+    /// A table with the five largest errors of each experiment.
     Largest,
 }
 
@@ -109,7 +110,7 @@ pub enum Measure {
     /// Euclidean norm of the errors of the thesis' parameters \[mm|mrad\].
     #[default]
     Euclidean,
-    /// Largest of these errors \[mm|mrad\].
+    /// Largest error of the thesis' parameters \[mm|mrad\].
     Largest,
     /// Mean distance between true and estimated position of the robot's end, over all postures \[mm\].
     Position,
@@ -137,13 +138,13 @@ pub struct Figure {
     pub id: String,
     /// Title of the figure.
     pub title: String,
-    /// Result of the thesis, in our words.
+    /// Result of the thesis, paraphrased.
     #[serde(default)]
     pub thesis: String,
     /// Presentation of the figure.
     #[serde(default)]
     pub kind: FigureKind,
-    /// Measure of the curves.
+    /// Error measure of the curves.
     #[serde(default)]
     pub measure: Measure,
     /// Varied quantity, with its unit.
@@ -159,48 +160,51 @@ pub struct Figure {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FigureSeries {
-    /// Name; empty if the figure has only one series.
+    /// Name of the series; empty if the figure has only one series.
     #[serde(default)]
     pub name: String,
-    /// Sizes of the varied conditions.
+    /// Sizes by which the varied conditions are multiplied.
     pub x: Vec<f64>,
-    /// Change of each condition per unit of the size, by key.
+    /// Value of each varied condition at size 1, by key.
     #[serde(default)]
     pub vary: BTreeMap<String, f64>,
-    /// Constant conditions by key.
+    /// Value of each constant condition, by key.
     #[serde(default)]
     pub with: BTreeMap<String, f64>,
-    /// Names of the estimators of this series; absent: those of the figure.
+    /// Names of the estimators of this series; if absent, those of the figure.
     pub estimators: Option<Vec<String>>,
 }
 
-/// One curve of a figure.
+/// Selects a curve of a figure.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CurveChoice {
     /// The figure's number.
     pub figure: String,
-    /// The series' name; absent: all series.
+    /// The series' name; if absent, all series are selected.
     pub series: Option<String>,
     /// The estimator's name.
     pub estimator: String,
-    /// Range of sizes, from and to; absent: all sizes.
+    /// Lowest and highest size; if absent, all sizes are selected.
     pub between: Option<[f64; 2]>,
     /// Measure of the error.
     #[serde(default)]
     pub measure: Measure,
 }
 
-/// A question or claim: the geometric mean of a curve's medians, or its ratio to that of another one at the same
-/// sizes, or the size at which the curve reaches the limit.
+/// A question about a curve, or a claim if the result has bounds. The result is one of three numbers:
+///
+/// - By default, it is the geometric mean of the curve's medians.
+/// - With `against`, it is the ratio of the curve's medians to those of another curve.
+/// - With `reaches_limit`, it is the size at which the curve reaches the study's limit.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Statement {
     /// Text of the question or claim.
     pub text: String,
-    /// Curve of the question.
+    /// Curve from which the result is computed.
     pub of: CurveChoice,
-    /// Curve to compare with.
+    /// Curve by whose medians the result is divided.
     pub against: Option<CurveChoice>,
     /// Whether the result is the size at which the curve reaches the study's limit.
     #[serde(default)]
@@ -228,7 +232,8 @@ impl StudyFile {
         self.estimators.iter().find(|estimator| estimator.name == name)
     }
 
-    /// Removes all other figures and the questions about them; keeps all if none is named.
+    /// Keeps the figures with these numbers, and the statements about kept figures only. If `ids`
+    /// is empty, keeps everything.
     ///
     /// # Errors
     /// [`UnknownFigure`].

@@ -1,9 +1,14 @@
 //! `identify study`: thousands of simulated experiments, and the errors of each estimator.
 //!
-//! A `file` defines the varied errors and the estimators of each figure. It is one flat, numbered list of [`Trial`]s: each adds errors
-//! to a path (`conditions`, `reference`), solves with every estimator of its figure, and is a line of `results`, which are only
-//! appended to. So a study that was killed continues where it stopped, machines share it by numbers, and their results are merged by
-//! number. `summary` has curves, tables and answers; nothing in it depends on the order.
+//! The study's file (`file`) defines figures. Each figure has varied conditions, such as noise, and a list of estimators.
+//! `definition` loads this file with the robot, the bar and the path. The study is then a flat, numbered list of
+//! experiments ([`Trial`]). Each experiment adds errors (`conditions`) to a path (`reference`), and every estimator of the
+//! figure calibrates the robot from the simulated readings.
+//!
+//! The result of an experiment is one line of a file to which lines are only appended (`results`). A study that was killed
+//! therefore continues where it stopped. Several machines can share a study, because each runs some of the numbers, and
+//! their results are merged by number. `summary` computes curves, tables and answers from the results, and `table` exports
+//! them. Neither depends on the order of the lines.
 
 mod conditions;
 mod definition;

@@ -1,5 +1,6 @@
-//! The path of experiments before errors are added: random, planned, or from a log of a robot on the bar: the longest part in
-//! which the end of the nominal robot is on a sphere, with the joints of the bar by inverse kinematics.
+//! The path of the experiments, before errors are added. It is random, planned, or computed from the log of a real robot
+//! that was connected to the bar. From a log, the longest section is used in which the end of the nominal robot is on a
+//! sphere. The joints of the bar along this section follow from inverse kinematics.
 
 use nalgebra::{Translation3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -14,13 +15,13 @@ use crate::plan::PlannedPath;
 use crate::prepare::fit_sphere;
 use crate::simulate::{BarPath, Experiment, SimulateError};
 
-/// Least time between two rows of a log that are used \[s\].
+/// Least time between two rows of a log; rows in between are skipped \[s\].
 const ROW_S: f64 = 0.02;
-/// Positions further than this from the sphere are not on the bar \[m\].
+/// A position is on the sphere if its distance from the sphere is below this \[m\].
 const ON_SPHERE_M: f64 = 0.02;
 /// Least number of consecutive rows on the sphere.
 const ROWS_MIN: usize = 100;
-/// Longest time between two rows of one path \[s\].
+/// Longest time between two rows of one section \[s\].
 const GAP_S: f64 = 0.5;
 
 /// Source of the path.
@@ -29,18 +30,18 @@ const GAP_S: f64 = 0.5;
 pub enum Reference {
     /// A different random path for each seed.
     Random,
-    /// The random path of this seed, for all experiments.
+    /// The random path of this seed, the same for all experiments.
     Same(u64),
-    /// `path.toml` of `identify plan`.
+    /// The path of a file `path.toml` written by `identify plan`.
     Planned(PlannedPath),
-    /// A path driven by a real robot.
+    /// The path of a real robot.
     Driven(Driven),
 }
 
 /// Why a log contains no path.
 #[derive(Debug, thiserror::Error)]
 pub enum ReferenceError {
-    /// The robot was not on the bar.
+    /// The robot was not connected to the bar for long enough.
     #[error(
         "the robot's positions in the log lie on no sphere for long ({rows} rows without a break, {ROWS_MIN} are needed); \
          give the log of a run on the bar"
@@ -54,7 +55,7 @@ pub enum ReferenceError {
     Inverse(#[from] InverseError),
 }
 
-/// Joints of the bar along the path of a real robot, from the nominal robot.
+/// The path of a real robot, as joints of the bar. They are computed with the nominal robot.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Driven {
@@ -64,13 +65,13 @@ pub struct Driven {
     pub start_rad: [f64; 6],
     /// Time since the start \[s\].
     pub t_s: Vec<f64>,
-    /// Joints of the bar, without jumps \[rad\].
+    /// Joints of the bar at these times, without jumps by whole turns \[rad\].
     pub bar_rad: Vec<[f64; BAR_JOINTS]>,
 }
 
 impl Driven {
-    /// Finds the longest part of a log in which the end of the nominal robot is on a sphere, and computes the joints of a bar whose
-    /// base is at the centre of the sphere.
+    /// Finds the longest section of a log in which the end of the nominal robot is on a sphere. Computes the joints of a
+    /// bar whose base is at the centre of this sphere.
     ///
     /// # Errors
     /// [`ReferenceError`].
@@ -110,7 +111,8 @@ impl Driven {
     }
 }
 
-/// Joints of the bar at each pose of its end, in the configuration and turn that are nearest to the joints before \[rad\].
+/// Joints of the bar at each pose of its end \[rad\]. Of the four configurations and their whole turns, the solution
+/// nearest to that of the previous pose is used.
 fn bar_joints(
     bar: &Chain,
     poses: impl Iterator<Item = Pose>,
@@ -133,14 +135,15 @@ fn bar_joints(
     Ok(bar_rad)
 }
 
-/// A path, and the nominal robot's joints at its start \[rad\].
+/// A path of the bar, and the joints of the nominal robot at the start of the path \[rad\].
 pub(super) type Drive = (Box<dyn BarPath>, Joints);
 
 impl Reference {
-    /// Moves the bar of an experiment to the base of the path, and returns the path.
+    /// Moves the bar of an experiment to the base of the path. Returns the path and the robot's joints at the
+    /// start of the path.
     ///
     /// # Errors
-    /// [`SimulateError`] if no random path is found, or a log cannot be interpolated.
+    /// [`SimulateError`] if no random path is found, or if a path from a log has too few rows to interpolate.
     pub(super) fn drive(&self, experiment: &mut Experiment<'_>) -> Result<Drive, SimulateError> {
         let random = |experiment: &Experiment<'_>| -> Result<Drive, SimulateError> {
             let (path, start_rad) = experiment.drive()?;

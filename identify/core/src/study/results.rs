@@ -1,7 +1,8 @@
-//! `trials.jsonl`: a first line with the study's definition, then one line for each experiment ([`TrialRows`]), in any order.
+//! Reads, writes and merges the file `trials.jsonl`. Its first line is the study's definition. Each further line has the
+//! results of one experiment ([`TrialRows`]), in any order.
 //!
-//! Lines are only appended while a study runs, so a process that is killed loses at most the line being written. At the end the
-//! lines are sorted: the file then does not depend on which machine computed them. `summary` and `table` read the results.
+//! Lines are only appended while a study runs, so a process that is killed loses at most the line that it is writing. At
+//! the end the lines are sorted by number. The file is then the same whichever machines computed the experiments.
 
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
@@ -28,7 +29,7 @@ pub enum ResultsError {
         /// Text of the system's error.
         source: io::Error,
     },
-    /// The file has another format.
+    /// A line of the file is not valid.
     #[error("{}, line {line}: {reason}; move the file away, or give another --out", path.display())]
     Malformed {
         /// Path of the file.
@@ -38,7 +39,7 @@ pub enum ResultsError {
         /// Why it cannot be read.
         reason: String,
     },
-    /// The file is of another study.
+    /// The file has the results of another study, or of another version of the program.
     #[error("{} has the results of another study or version of this program; give another --out", path.display())]
     OtherStudy {
         /// Path of the file.
@@ -56,10 +57,10 @@ pub enum ResultsError {
         /// Number of the first missing experiment.
         first: usize,
     },
-    /// No directories to merge.
+    /// No directories were given to merge.
     #[error("no shard was given; name the directories of all")]
     NoShard,
-    /// JSON cannot represent a number.
+    /// A result cannot be written as JSON.
     #[error("a result cannot be written as JSON: {0}")]
     Json(#[from] serde_json::Error),
     /// A table cannot be written as CSV.
@@ -70,42 +71,42 @@ pub enum ResultsError {
     Parquet(#[from] ParquetError),
 }
 
-/// Error of the system for a file.
+/// Converts an error of the operating system for the file `path`.
 pub(super) fn refused(path: &Path) -> impl Fn(io::Error) -> ResultsError + Copy {
     move |source| ResultsError::Io { path: path.to_owned(), source }
 }
 
-/// Errors of one estimator in one experiment.
+/// Errors of one estimator in one experiment. An error is `None` if it was not computed.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ResultRow {
     /// Euclidean norm of the errors of the thesis' parameters \[mm|mrad\].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub euclidean_mm_mrad: Option<f64>,
-    /// Largest of these errors \[mm|mrad\].
+    /// Largest error of the thesis' parameters \[mm|mrad\].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub largest_mm_mrad: Option<f64>,
-    /// Mean error of the robot's position over all postures \[mm\].
+    /// Mean position error of the robot's end over all postures \[mm\].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub position_mm: Option<f64>,
     /// 95 % quantile of the position error over all postures \[mm\].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub position_p95_mm: Option<f64>,
-    /// Error of each parameter, for figures that show them \[mm|mrad\].
+    /// Error of each parameter \[mm|mrad\]; empty if the figure shows only curves.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub errors: BTreeMap<String, f64>,
-    /// Reason for a missing estimate.
+    /// Why the estimate is missing; `None` if the estimator succeeded.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub failed: Option<String>,
 }
 
 impl ResultRow {
-    /// A missing estimate with its reason.
+    /// A row without an estimate, for this reason.
     pub fn failed(reason: String) -> Self {
         Self { failed: Some(reason), ..Self::default() }
     }
 
-    /// The error by a measure.
+    /// The error in terms of `measure`.
     pub const fn error(&self, measure: Measure) -> Option<f64> {
         match measure {
             Measure::Euclidean => self.euclidean_mm_mrad,
@@ -115,17 +116,17 @@ impl ResultRow {
     }
 }
 
-/// Results of all estimators of a figure in one experiment.
+/// Results of all estimators in one experiment.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TrialRows {
     /// The experiment's number.
     pub trial: usize,
-    /// Results in the order of the figure's estimators.
+    /// One row for each estimator, in the order of the figure's or series' list.
     pub rows: Vec<ResultRow>,
 }
 
-/// Part `number` (from 1) of a study in `count` parts: every `count`-th experiment.
+/// One of `count` shards of a study. Shard `number` (from 1) contains every `count`-th experiment.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Shard {
     number: usize,
@@ -158,19 +159,19 @@ impl FromStr for Shard {
     }
 }
 
-/// The file, open for appending.
+/// The file `trials.jsonl`, open for appending.
 #[derive(Debug)]
 pub struct Results {
     path: PathBuf,
     file: File,
     /// First line of the file.
     header: String,
-    /// Results by number of the experiment.
+    /// Results of finished experiments, by number of the experiment.
     done: BTreeMap<usize, TrialRows>,
 }
 
 impl Results {
-    /// Opens or creates the file in a directory. Removes an incomplete last line.
+    /// Opens or creates the file in a directory, and reads its results. Removes an incomplete last line.
     ///
     /// # Errors
     /// [`ResultsError`].
@@ -194,7 +195,7 @@ impl Results {
         Ok(Self { path, file, header, done })
     }
 
-    /// Results so far, by number of the experiment.
+    /// Results of finished experiments, by number of the experiment.
     pub const fn done(&self) -> &BTreeMap<usize, TrialRows> {
         &self.done
     }
@@ -210,7 +211,7 @@ impl Results {
         Ok(())
     }
 
-    /// Sorts the file and replaces it atomically.
+    /// Sorts the lines by number and replaces the file atomically.
     ///
     /// # Errors
     /// [`ResultsError`].
@@ -226,7 +227,7 @@ impl Results {
             .map_err(refused(&self.path))
     }
 
-    /// Checks that the results of all experiments are present.
+    /// Checks that the results of all experiments with numbers below `wanted` are present.
     ///
     /// # Errors
     /// [`ResultsError::Missing`].
@@ -239,7 +240,7 @@ impl Results {
     }
 }
 
-/// A row with its place in the study.
+/// A row with the experiment and the estimator to which it belongs.
 pub(super) struct PlacedRow<'a> {
     pub(super) trial: Trial<'a>,
     pub(super) estimator: &'a str,
@@ -247,7 +248,7 @@ pub(super) struct PlacedRow<'a> {
 }
 
 impl Results {
-    /// All rows in the order of the study's experiments.
+    /// All rows, in the order of the study's experiments and estimators.
     pub(super) fn placed<'a>(&'a self, definition: &'a Definition) -> impl Iterator<Item = PlacedRow<'a>> {
         let done = trials(definition).filter_map(|trial| Some((trial, self.done.get(&trial.number)?)));
         done.flat_map(|(trial, results)| {
@@ -257,11 +258,11 @@ impl Results {
     }
 }
 
-/// Merges the results of the directories `shards` of one study with those in `out`; returns the study and all results, which
-/// [`Results::put_in_order`] writes.
+/// Merges the results in the directories `shards` with those in `out`. All must be of one study. Returns the study's
+/// definition and all results. [`Results::put_in_order`] writes the merged results.
 ///
 /// # Errors
-/// [`ResultsError`] if they are of different studies.
+/// [`ResultsError`], for example if the directories have results of different studies.
 pub fn merge(shards: &[PathBuf], out: &Path) -> Result<(Definition, Results), ResultsError> {
     let mut all: Option<(Definition, BTreeMap<usize, TrialRows>)> = None;
     for shard in shards {
@@ -282,11 +283,11 @@ pub fn merge(shards: &[PathBuf], out: &Path) -> Result<(Definition, Results), Re
     Ok((definition, results))
 }
 
-/// The lines of a file, without an incomplete last one.
+/// Contents of a file, without an incomplete last line.
 struct WholeLines {
-    /// Length of these lines.
+    /// Length of the complete lines \[bytes\].
     bytes: u64,
-    /// The study and its results by number of the experiment; `None` without a line.
+    /// The study and its results by number of the experiment; `None` if the file has no complete line.
     contents: Option<(Definition, BTreeMap<usize, TrialRows>)>,
 }
 

@@ -1,5 +1,6 @@
-//! Summary of a study's results for page and terminal. A point of a curve has the quantiles over the seeds of one size; answers
-//! are means or ratios of the curves' medians, or the size at which a curve reaches the limit; tables are those of the thesis.
+//! Summarises a study's results for the page and the terminal. A point of a curve has the quantiles of the errors over the
+//! seeds of one size. The answer to a statement is a mean or a ratio of medians, or the size at which a curve reaches the
+//! limit. Tables have the format of those in the thesis.
 
 use std::collections::BTreeMap;
 
@@ -9,12 +10,12 @@ use super::results::PlacedRow;
 use super::{CurveChoice, Definition, Figure, FigureKind, Measure, ResultRow, Results, Statement};
 use crate::statistics::quantile;
 
-/// A parameter with a larger median error counts as affected (thesis 3.3) \[mm|mrad\].
+/// A parameter counts as affected if its median error is larger (thesis 3.3) \[mm|mrad\].
 const AFFECTED_MM_MRAD: f64 = 0.05;
 /// Number of parameters in a row of table B.1 of the thesis.
 const LARGEST: usize = 5;
 
-/// Quantiles of the errors of all experiments of one point.
+/// Quantiles of the errors of all experiments at one point.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct ErrorQuantiles {
     /// Median of the errors.
@@ -35,7 +36,7 @@ impl ErrorQuantiles {
     }
 }
 
-/// All experiments of one size.
+/// Summary of the experiments of one size.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct CurvePoint {
     /// Size of the varied conditions.
@@ -44,7 +45,8 @@ pub struct CurvePoint {
     pub experiments: usize,
     /// Number of experiments without an estimate.
     pub failed: usize,
-    /// Quantiles of the other errors by measure; empty if half or more failed.
+    /// Quantiles of the errors of the experiments with an estimate, by measure. Empty if half of the experiments or
+    /// more have no estimate.
     pub errors: BTreeMap<Measure, ErrorQuantiles>,
 }
 
@@ -61,7 +63,7 @@ pub struct ErrorCurve {
     pub label: String,
     /// Points in the order of the series' sizes.
     pub points: Vec<CurvePoint>,
-    /// The size at which the Euclidean error reaches the limit.
+    /// Size at which the Euclidean error reaches the study's limit.
     pub limit_at: Reach,
 }
 
@@ -69,11 +71,12 @@ pub struct ErrorCurve {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Reach {
-    /// Between two sizes: by interpolation of logarithms, or linear if a number is not positive.
+    /// At this size. It is interpolated between two sizes of the curve: in logarithms, or linearly if a
+    /// number is not positive.
     At(f64),
-    /// Above the largest size: all errors are below the limit.
+    /// Above this size, the largest of the curve. All errors are below the limit.
     BetterUpTo(f64),
-    /// Below the smallest size: all errors are above the limit.
+    /// Below this size, the smallest of the curve. All errors are above the limit.
     WorseDownTo(f64),
     /// The curve has no points.
     Unknown,
@@ -86,7 +89,7 @@ pub struct StatementAnswer {
     pub text: String,
     /// Result as a sentence.
     pub answer: String,
-    /// Value of the result.
+    /// Value of the result; `None` if it could not be computed.
     pub value: Option<f64>,
     /// Whether the claim holds; `None` for a question.
     pub holds: Option<bool>,
@@ -99,26 +102,26 @@ pub struct StatementAnswer {
 pub struct FigureTable {
     /// The figure's number.
     pub figure: String,
-    /// Heads of its columns.
+    /// Headings of the columns.
     pub head: Vec<String>,
     /// Cells of each row.
     pub rows: Vec<Vec<String>>,
 }
 
-/// Curves, tables and answers.
+/// Summary of a study: curves, tables and answers.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct StudySummary {
     /// The study's name.
     pub title: String,
-    /// Number of experiments of each point.
+    /// Number of experiments at each point.
     pub seeds: u32,
-    /// Every curve, in the order of the study's file.
+    /// All curves, in the order of the study's file.
     pub curves: Vec<ErrorCurve>,
     /// Tables of figures that are presented as tables.
     pub tables: Vec<FigureTable>,
-    /// Answers, in the order of the study's file.
+    /// Answers to the statements, in the order of the study's file.
     pub findings: Vec<StatementAnswer>,
-    /// Reasons for missing estimates, with their numbers of experiments.
+    /// Number of experiments without an estimate, by estimator and reason.
     pub failures: BTreeMap<String, usize>,
 }
 
@@ -154,7 +157,7 @@ impl StudySummary {
 }
 
 impl ErrorCurve {
-    /// Size and median error of the points within the chosen range of sizes.
+    /// Size and median error of each point within the chosen range of sizes.
     fn medians(&self, choice: &CurveChoice) -> impl Iterator<Item = (f64, f64)> {
         let between = choice.between.unwrap_or([f64::NEG_INFINITY, f64::INFINITY]);
         let points = self.points.iter().filter(move |point| between[0] <= point.x && point.x <= between[1]);
@@ -168,7 +171,7 @@ fn curves_of(definition: &Definition, figure: &Figure, of_figure: &[&PlacedRow<'
     let mut curves = Vec::new();
     for series in &figure.series {
         for estimator in study.estimators_of(figure, series) {
-            // By address: the names of series need not differ.
+            // Series are compared by address, because two series may have the same name.
             let of_curve: Vec<&&PlacedRow<'_>> = of_figure
                 .iter()
                 .filter(|placed| std::ptr::eq(placed.trial.series, series) && placed.estimator == estimator)
@@ -190,7 +193,7 @@ fn curves_of(definition: &Definition, figure: &Figure, of_figure: &[&PlacedRow<'
     curves
 }
 
-/// The results of one size.
+/// Summary of the experiments with size `x`.
 fn point(x: f64, of_curve: &[&&PlacedRow<'_>]) -> CurvePoint {
     let rows: Vec<&ResultRow> =
         of_curve.iter().filter(|placed| placed.trial.x == x).map(|placed| placed.row).collect();
@@ -207,7 +210,7 @@ fn point(x: f64, of_curve: &[&&PlacedRow<'_>]) -> CurvePoint {
     CurvePoint { x, experiments: rows.len(), failed, errors }
 }
 
-/// The smallest size at which the curve passes the limit in either direction.
+/// The smallest size at which the curve crosses the limit, upwards or downwards.
 fn reach(medians: &[(f64, f64)], limit: f64) -> Reach {
     let mut sorted: Vec<(f64, f64)> = medians.to_vec();
     sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -226,7 +229,7 @@ fn reach(medians: &[(f64, f64)], limit: f64) -> Reach {
     }
 }
 
-/// Answers a question, or checks a claim, by the curves; `limit` is that of the study \[mm|mrad\].
+/// Answers a question or checks a claim from the curves. `limit` is the study's limit \[mm|mrad\].
 fn finding(statement: &Statement, curves: &[ErrorCurve], limit: f64) -> StatementAnswer {
     let points = points_of(curves, &statement.of);
     let (value, answer) = match &statement.against {
@@ -253,7 +256,7 @@ fn finding(statement: &Statement, curves: &[ErrorCurve], limit: f64) -> Statemen
     }
 }
 
-/// A point of a curve, for statements.
+/// A point of a curve that a statement selects.
 struct Point<'a> {
     series: &'a str,
     /// Size of the varied conditions.
@@ -275,7 +278,7 @@ fn points_of<'a>(curves: &'a [ErrorCurve], choice: &CurveChoice) -> Vec<Point<'a
     curves.iter().filter(is_chosen).flat_map(points).collect()
 }
 
-/// The size at which the medians reach the limit, as a number if there is one, and as a sentence.
+/// The size at which the medians reach the limit: as a number, if the curve crosses the limit, and as a sentence.
 fn size_at_limit(points: &[Point<'_>], limit: f64) -> (Option<f64>, Option<String>) {
     let medians: Vec<(f64, f64)> = points.iter().map(|point| (point.x, point.median)).collect();
     match reach(&medians, limit) {
@@ -286,8 +289,10 @@ fn size_at_limit(points: &[Point<'_>], limit: f64) -> (Option<f64>, Option<Strin
     }
 }
 
-/// Geometric mean of the ratios at equal sizes; for choices with different ranges of sizes the ratio of the geometric means. Points
-/// are compared within one series if both choices select the same series, else across series.
+/// Ratio of two selections of points. If both have the same range of sizes, this is the geometric mean of the ratios at
+/// equal sizes. If the ranges differ, it is the ratio of the geometric means.
+///
+/// Points of equal size are compared within one series if both choices select the same series, otherwise across series.
 fn ratio(points: &[Point<'_>], against: &[Point<'_>], choices: [&CurveChoice; 2]) -> Option<f64> {
     let [choice, against_choice] = choices;
     if choice.between != against_choice.between {
@@ -313,14 +318,14 @@ const fn unit(measure: Measure) -> &'static str {
     }
 }
 
-/// Geometric mean of the positive finite values; `None` without any.
+/// Geometric mean of the positive finite values; `None` if there are no such values.
 fn geometric_mean(values: impl Iterator<Item = f64>) -> Option<f64> {
     let logarithms = values.filter(|value| *value > 0.0 && value.is_finite()).map(f64::ln);
     let (count, sum) = logarithms.fold((0usize, 0.0), |(count, sum), value| (count + 1, sum + value));
     (count > 0).then(|| (sum / count as f64).exp())
 }
 
-/// Three significant digits; exponential notation below 1e-4 and from 1e6 on.
+/// Formats a number with three significant digits. Numbers below 1e-4 and from 1e6 on have exponential notation.
 pub fn short(value: f64) -> String {
     if value == 0.0 || !value.is_finite() {
         return format!("{value}");
@@ -333,13 +338,13 @@ pub fn short(value: f64) -> String {
     format!("{value:.decimals$}")
 }
 
-/// A table whose `figure` is still empty.
+/// A table with these headings and rows; the caller sets `figure`.
 fn table(head: &[&str], rows: impl IntoIterator<Item = Vec<String>>) -> FigureTable {
     let head = head.iter().map(|&name| name.to_owned()).collect();
     FigureTable { head, rows: rows.into_iter().collect(), ..FigureTable::default() }
 }
 
-/// A row for each point of each curve: median and worst errors.
+/// Table with a row for each point of each curve: median and worst errors.
 fn levels_table(definition: &Definition, figure: &Figure, of_figure: &[&PlacedRow<'_>]) -> FigureTable {
     let rows = curves_of(definition, figure, of_figure).into_iter().flat_map(|curve| {
         let ErrorCurve { series, label, points, .. } = curve;
@@ -370,11 +375,11 @@ fn levels_table(definition: &Definition, figure: &Figure, of_figure: &[&PlacedRo
     table(&head, rows)
 }
 
-/// A row for each series and estimator: the parameters whose median error exceeds [`AFFECTED_MM_MRAD`].
+/// Table with a row for each series and estimator: the parameters whose median error exceeds [`AFFECTED_MM_MRAD`].
 fn affected_table(of_figure: &[&PlacedRow<'_>]) -> FigureTable {
     /// Errors by parameter; one value for each seed.
     type ErrorsByParameter<'a> = BTreeMap<&'a str, Vec<f64>>;
-    // Series and estimators in order of appearance, with their errors.
+    // Pairs of series and estimator in order of appearance, and the errors of each pair at the same index.
     let mut keys: Vec<(&str, &str)> = Vec::new();
     let mut errors_by_key: Vec<ErrorsByParameter<'_>> = Vec::new();
     for placed in of_figure {
@@ -404,7 +409,7 @@ fn affected_table(of_figure: &[&PlacedRow<'_>]) -> FigureTable {
     table(&["error of 1 in", "estimator", "affected", "which, with their error [mm|mrad]"], rows)
 }
 
-/// A row for each parameter, a column for each estimator: errors of the first experiment.
+/// Table with a row for each parameter and a column for each estimator: errors in the first experiment.
 fn errors_table(of_figure: &[&PlacedRow<'_>]) -> FigureTable {
     let experiment: Vec<&&PlacedRow<'_>> = of_figure.iter().filter(|placed| placed.trial.seed == 1).collect();
     let mut names: Vec<&String> = Vec::new();
@@ -424,7 +429,7 @@ fn errors_table(of_figure: &[&PlacedRow<'_>]) -> FigureTable {
     table(&head, names.iter().map(row))
 }
 
-/// A row for each experiment and estimator: the [`LARGEST`] errors with their parameters.
+/// Table with a row for each experiment and estimator: the [`LARGEST`] errors with their parameters.
 fn largest_table(of_figure: &[&PlacedRow<'_>]) -> FigureTable {
     let row = |placed: &&PlacedRow<'_>| {
         let mut errors: Vec<(&String, f64)> =

@@ -1,5 +1,5 @@
-//! Writes the results of a study as tables, `points.csv` and `points.parquet`: a row for each estimator of each experiment.
-//! Both have the same columns, in the order whole numbers, texts, numbers.
+//! Writes the results of a study as tables, `points.csv` and `points.parquet`. A row has the errors of one estimator in one
+//! experiment. Both files have the same columns: first integers, then texts, then floating-point numbers.
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -13,7 +13,7 @@ use parquet::schema::parser::parse_message_type;
 use super::results::{PlacedRow, refused};
 use super::{Definition, ResultRow, Results, ResultsError, Trial};
 
-/// Number of columns with texts, and with numbers.
+/// Number of columns with texts, and with floating-point numbers (`NUMBERS`).
 const TEXTS: usize = 4;
 const NUMBERS: usize = 5;
 
@@ -61,7 +61,7 @@ pub fn write_csv(
     Ok(path)
 }
 
-/// Writes `points.parquet`, the same columns.
+/// Writes `points.parquet`, with the same columns as `points.csv`.
 ///
 /// # Errors
 /// [`ResultsError`].
@@ -92,7 +92,7 @@ pub fn write_parquet(
         } else {
             let number = index - PlacedRow::WHOLE.len() - TEXTS;
             let values: Vec<Option<f64>> = rows.iter().map(|row| row.numbers()[number]).collect();
-            // Parquet's definition level of an optional value: 1 if it is present.
+            // The definition level of an optional value in Parquet is 1 if the value is present, else 0.
             let levels: Vec<i16> = values.iter().map(|value| i16::from(value.is_some())).collect();
             let values: Vec<f64> = values.into_iter().flatten().collect();
             column.typed::<DoubleType>().write_batch(&values, Some(&levels), None)?;

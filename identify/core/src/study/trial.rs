@@ -1,5 +1,5 @@
-//! One experiment of a study: simulates it from the study's definition and its conditions, calibrates with every estimator of
-//! its figure, and compares with the simulated truth. The rows are a line of `results`.
+//! Runs one experiment of a study: simulates it from the study's definition and the conditions, calibrates with every
+//! estimator of the figure, and compares the estimates with the simulated truth. The errors are one line of `results`.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -22,7 +22,7 @@ use crate::simulate::{
 use crate::simulate::{Comparison, position_errors_m};
 use crate::statistics::mean;
 
-/// One experiment: a place in the study's list of figures, series, sizes and seeds.
+/// One experiment of a study: a combination of figure, series, size and seed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Trial<'a> {
     /// Index in the list of all experiments.
@@ -49,7 +49,7 @@ pub fn trials(definition: &Definition) -> impl Iterator<Item = Trial<'_>> {
     unnumbered.enumerate().map(|(number, trial)| Trial { number, ..trial })
 }
 
-/// Simulates one experiment and solves it with its estimators. A failed estimate is a row with its reason.
+/// Simulates one experiment and solves it with all of its estimators. If an estimator fails, its row has the reason.
 pub fn run(definition: &Definition, trial: &Trial<'_>) -> TrialRows {
     let names = definition.study.estimators_of(trial.figure, trial.series);
     let rows = solve_all(definition, trial, names);
@@ -63,7 +63,7 @@ fn solve_all(definition: &Definition, trial: &Trial<'_>, names: &[String]) -> Re
     let conditions = Conditions::of(study, trial.series, trial.x).map_err(|error| error.to_string())?;
     let estimators = || names.iter().map(|name| study.estimator(name));
     let is_of_bar = |estimator: &Estimator| estimator.instrument == StudyInstrument::BallBar;
-    // All estimators with the bar solve the same readings.
+    // All estimators of the ball-bar solve the same simulated readings.
     let is_simulated = estimators().flatten().any(is_of_bar);
     let simulated = is_simulated.then(|| simulate(definition, trial.seed, &conditions)).transpose();
     let simulated = simulated.map_err(|error| error.to_string())?;
@@ -83,7 +83,7 @@ fn solve_all(definition: &Definition, trial: &Trial<'_>, names: &[String]) -> Re
     Ok(estimators().map(solve).collect())
 }
 
-/// Readings of robot and bar for each station of the bar, with the true values, which all stations share.
+/// Readings of robot and bar for each station of the bar, and the true values, which are the same for all stations.
 struct SimulatedStations {
     stations: Vec<Prepared>,
     truth: Truth,
@@ -112,7 +112,7 @@ fn simulate(
     for station in 0..conditions.stations {
         let mut experiment = experiment(definition, seed, conditions);
         if station > 0 {
-            // The same robot and bar at another station, on another path, with independent noise.
+            // A further station has the same robot and bar, but another path and independent noise.
             experiment.robot_seed = Some(experiment.seed);
             experiment.seed += (station as u64) << 32;
             experiment.design.base_m = definition.study.second_base_m.unwrap_or(experiment.design.base_m);
@@ -126,8 +126,9 @@ fn simulate(
     Ok(SimulatedStations { stations, truth: truth.ok_or(SimulateError::Empty)? })
 }
 
-/// Pairs of angles as samples that need no preparation: robot and bar on one clock, encoder angles from the reference marks,
-/// links near the nominal ones, and the bar at `base_m`. `measured`: bar joints with an encoder.
+/// Converts pairs of angles to samples that need no preparation: robot and bar have one clock, encoder angles
+/// are referenced, the links are near the nominal ones, and the bar is at `base_m`. `measured` lists which bar
+/// joints have an encoder.
 ///
 /// # Errors
 /// [`SimulateError::Empty`] if there are too few pairs to interpolate.
@@ -141,13 +142,14 @@ pub fn prepared(pairs: &Pairs, measured: [bool; 5], base_m: [f64; 3]) -> Result<
         measured,
         ..Observation::bar(t_s - middle_s, *bar_rad)
     };
-    // `t_s` has the robot's rows, of which the first `LEAD_ROWS` have no pair.
+    // `t_s` has the times of the robot's rows. The first `LEAD_ROWS` rows have no pair.
     let observations = pairs.t_s.iter().skip(LEAD_ROWS).zip(&pairs.bar_rad).map(observation).collect();
     let motion = AlignedLog::new(motion, middle_s - first_s);
     Ok(Prepared::aligned(UtcNs(0), observations, motion, measured, base_m.into()))
 }
 
-/// The errors of a calibration with the bar, on simulated readings.
+/// Calibrates with the bar from simulated readings, and returns the errors. The row has the errors of
+/// single parameters if `with_errors`.
 fn solve_bar(
     definition: &Definition,
     simulated: &SimulatedStations,
@@ -170,7 +172,7 @@ fn solve_bar(
     })
 }
 
-/// The position errors of a calibration with a draw-wire, on rows simulated here.
+/// Simulates rows of a draw-wire, calibrates with them, and returns the position errors.
 fn solve_wire(definition: &Definition, seed: u32, conditions: &Conditions) -> Result<ResultRow, String> {
     let experiment = experiment(definition, seed, conditions);
     let (rows, truth) = wire_rows(&experiment, conditions.wire_rows, conditions.wire_noise_m)
@@ -183,7 +185,8 @@ fn solve_wire(definition: &Definition, seed: u32, conditions: &Conditions) -> Re
     Ok(position_errors(model, &truth, definition, [estimated_m, ATTACHMENT_M.into()]))
 }
 
-/// A row with the errors of the position of a point on the flange; `points_m` is the point of the estimate and the true one.
+/// A row with the position errors of a point on the flange. `points_m` are the estimated and the true position of this
+/// point in the flange frame.
 fn position_errors(
     found: &Model,
     truth: &Truth,
