@@ -1,5 +1,5 @@
-//! A robot with random errors that moves a point of its flange to a given position, from above and within its limits. Contacts
-//! and touches are simulated with it.
+//! A robot with random errors that moves a point of its flange to a given position, from above and within its joint limits.
+//! The simulations of contacts and touches use it.
 
 use std::f64::consts::TAU;
 
@@ -15,9 +15,10 @@ use crate::kinematics::{Chain, DhLink, Joints, Trace, Tracer, flange_chain};
 use crate::model::DriveTrain;
 use crate::statistics::largest_size;
 
-/// Least cosine of the angle between the stem, the line from the flange to the point, and the downward vertical.
+/// Smallest cosine of the angle between the stem and the downward vertical. The stem is the line from the
+/// flange to the point.
 const STEM_COSINE_MIN: f64 = 0.4;
-/// Part of the joints' travel to use.
+/// Fraction of the joints' travel from which postures are drawn.
 const TRAVEL: f64 = 0.9;
 
 /// Errors of a simulated robot.
@@ -27,9 +28,9 @@ pub struct ArmErrors {
     pub errors_mm_mrad: f64,
     /// Standard deviation of the white noise of each joint \[urad|um\].
     pub robot_noise_urad: f64,
-    /// Amplitude of the error of order two per turn of each drive's output \[urad\]: an eccentric gear.
+    /// Amplitude of the error with two periods per turn of each drive's output, as of an eccentric gear \[urad\].
     pub gear_sine_urad: f64,
-    /// Seed of the robot's errors; the same in another set-up of the same robot.
+    /// Seed of the robot's errors. Set-ups with the same value have the same robot.
     pub robot_seed: u64,
 }
 
@@ -40,7 +41,7 @@ impl Default for ArmErrors {
 }
 
 impl ArmErrors {
-    /// All sizes, with the names of their options.
+    /// All sizes of errors, with the names of their options.
     pub(super) fn sizes(&self) -> [(&'static str, f64); 3] {
         [
             ("errors_mm_mrad", self.errors_mm_mrad),
@@ -50,7 +51,7 @@ impl ArmErrors {
     }
 }
 
-/// The robot with its errors and its motion.
+/// A robot with errors of links and gears, and a point on its flange.
 pub(super) struct Arm {
     /// Chain with the true links.
     pub(super) chain: Chain,
@@ -59,7 +60,7 @@ pub(super) struct Arm {
     gears: Vec<Wave>,
     tracer: Tracer,
     limits: Vec<[f64; 2]>,
-    /// Position of the point in the flange frame.
+    /// Position of the point in the flange frame \[m\].
     point_m: Vector3<f64>,
 }
 
@@ -92,8 +93,8 @@ impl Arm {
         }
     }
 
-    /// Joints that the controller reports at these true joints; `noise(s)` returns a random number of the standard deviation `s`
-    /// \[urad|um\], in rad or m.
+    /// Joints that the controller reports at these true joints. `noise(s)` returns a random number with standard deviation
+    /// `s` \[urad|um\], in rad or m.
     pub(super) fn reported(&self, true_joints: &Joints, mut noise: impl FnMut(f64) -> f64) -> Joints {
         let mut joints = Joints::from_fn(true_joints.len(), |joint| {
             true_joints[joint] + noise(self.errors.robot_noise_urad)
@@ -106,12 +107,12 @@ impl Arm {
         joints
     }
 
-    /// Gears of the revolute drives, each with the index of its drive.
+    /// Gear errors of the revolute drives, each with the index of its drive.
     fn turning(&self) -> impl Iterator<Item = (usize, &Wave)> {
         self.gears.iter().enumerate().filter(|(drive, _)| self.drives.turns(*drive))
     }
 
-    /// Terms of a calibration that correct the errors of the gears, by name \[rad\].
+    /// Parameters of a calibration that correct the errors of the gears, by name \[rad\].
     pub(super) fn gear_terms(&self) -> Vec<(String, f64)> {
         if self.errors.gear_sine_urad == 0.0 {
             return Vec::new();
@@ -119,7 +120,7 @@ impl Arm {
         self.turning().flat_map(|(drive, gear)| gear.terms(&gear.periods.to_string(), drive)).collect()
     }
 
-    /// Joints evenly distributed over the middle [`TRAVEL`] of their limits.
+    /// Random joints, uniform over the middle [`TRAVEL`] of their limits.
     fn random(&self, random: &mut ChaCha8Rng) -> Joints {
         let joint = |[low, high]: &[f64; 2]| {
             let (middle, half) = (0.5 * (low + high), 0.5 * TRAVEL * (high - low));
@@ -128,15 +129,15 @@ impl Arm {
         self.limits.iter().map(joint).collect()
     }
 
-    /// Position of the point at these joints, and whether its stem points from above.
+    /// Position of the point at these joints, and whether the stem approaches it from above.
     fn point(&self, joints: &Joints, trace: &mut Trace) -> (Vector3<f64>, bool) {
         self.tracer.trace(joints, trace);
         let stem = trace.rotation() * self.point_m;
         (trace.position_m() + stem, -stem.z > STEM_COSINE_MIN * stem.norm())
     }
 
-    /// Joints near `start` for this position, by Newton steps of least norm, `J^T (J J^T)^-1 miss`; `None` if they are outside
-    /// the limits or not from above.
+    /// Finds joints near `start` that move the point to `there_m`, by Newton steps of least norm, `J^T (J J^T)^-1 miss`.
+    /// `None` if the steps do not converge, or if the result is outside the limits or not from above.
     fn joints_near(&self, start: Joints, there_m: Vector3<f64>) -> Option<Joints> {
         const STEPS: usize = 60;
         /// Largest change of a joint in one step \[rad, m\].
@@ -161,12 +162,13 @@ impl Arm {
         None
     }
 
-    /// Positions of the point in random postures, those with many neighbours first, and the largest reach.
+    /// Positions of the point in random postures from above, by decreasing number of neighbours. Also
+    /// returns the largest reach.
     pub(super) fn places(&self, random: &mut ChaCha8Rng) -> (Vec<Vector3<f64>>, f64) {
         const POSTURES: usize = 600;
-        /// Positions within this distance are neighbours \[parts of the reach\].
+        /// Positions within this distance are neighbours \[fraction of the reach\].
         const NEAR: f64 = 0.2;
-        /// Positions closer to the first axis are excluded, because the robot occupies them \[parts of the reach\].
+        /// Positions closer to the first axis are excluded, because the robot itself is there \[fraction of the reach\].
         const BESIDE: f64 = 0.45;
         let mut trace = Trace::default();
         let points: Vec<(Vector3<f64>, bool)> =
@@ -183,7 +185,8 @@ impl Arm {
         (places, reach_m)
     }
 
-    /// Joints that bring the point to the position, from the first of `tries` random start postures that leads there.
+    /// Finds joints that move the point to the position `there_m`. Up to `tries` random start postures are tried, and the
+    /// first that succeeds is used.
     pub(super) fn joints_at(
         &self,
         there_m: Vector3<f64>,

@@ -1,5 +1,5 @@
-//! Comparison of identified and true parameters of simulated experiments, for tests and studies: errors of single parameters,
-//! and of positions over the workspace.
+//! Compares the identified with the true parameters of a simulated experiment, for tests and studies. It computes errors of
+//! single parameters, and position errors over the workspace.
 
 use std::collections::BTreeMap;
 
@@ -17,9 +17,9 @@ use crate::statistics::{largest_size, quantile};
 /// An identified parameter with its true value.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ComparedParameter {
-    /// The parameter that is compared.
+    /// Identifier of the compared parameter.
     pub id: ParameterId,
-    /// True value, SI; angles within half a turn of the identified one.
+    /// True value, SI. Whole turns are added to an angle to bring it within half a turn of the identified value.
     pub truth: f64,
     /// Identified value, SI.
     pub identified: f64,
@@ -35,11 +35,11 @@ impl ComparedParameter {
 /// Identified and true parameters of an experiment.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Comparison {
-    /// Identified geometry: robot, bar and base.
+    /// Identified parameters of robot, bar and base.
     pub parameters: Vec<ComparedParameter>,
-    /// Robot clock minus bar clock, identified minus true \[s\].
+    /// Error of the identified clock difference (robot clock minus bar clock) \[s\].
     pub clock_shift_error_s: f64,
-    /// Rate of the robot's clock, identified minus true.
+    /// Error of the identified rate of the robot's clock.
     pub clock_skew_error: f64,
 }
 
@@ -73,44 +73,47 @@ impl Comparison {
         }
     }
 
-    /// Euclidean norm of the errors, mm and mrad with equal weight: the measure of the thesis.
+    /// Euclidean norm of the errors. Millimetres and milliradians have equal weight, as in the thesis.
     pub fn euclidean_mm_mrad(&self) -> f64 {
         self.parameters.iter().map(|one| one.error_displayed().powi(2)).sum::<f64>().sqrt()
     }
 
-    /// Largest error, mm and mrad with equal weight.
+    /// Largest error. Millimetres and milliradians have equal weight.
     pub fn max_mm_mrad(&self) -> f64 {
         largest_size(self.parameters.iter().map(ComparedParameter::error_displayed))
     }
 
-    /// The comparison restricted to some of the parameters.
+    /// The comparison restricted to the parameters for which `wanted` returns true.
     pub fn only(&self, wanted: impl Fn(ParameterId) -> bool) -> Self {
         let parameters = self.parameters.iter().filter(|one| wanted(one.id)).copied().collect();
         Self { parameters, ..self.clone() }
     }
 }
 
-/// The model with the true links and joint errors of the robot, `truth` by name \[m|rad\].
+/// The model `found`, with the true links and joint errors of the robot. `truth` has the true values by name \[m|rad\];
+/// parameters that it does not have are nominal.
 pub fn true_model(found: &Model, truth: &BTreeMap<String, f64>) -> Model {
     let mut model = found.clone().with(truth.keys().filter_map(|name| name.parse().ok()));
     for id in model.ids().into_iter().filter(|id| id.owner() == Owner::Robot) {
         let nominal = model.parameter(id).map_or(0.0, |parameter| parameter.nominal);
-        // Cannot fail: the parameters are those of the model.
+        // This cannot fail, because the parameters are those of the model.
         let _ = model.set_value(id, truth.get(&id.to_string()).copied().unwrap_or(nominal));
     }
     model
 }
 
-/// Distance between a point of the identified and of the true robot over postures within the limits, each with its joint
-/// errors: mean and 95 % quantile \[m\]. `points_m` is the position of the point in the last frame, first for the identified
-/// robot, then for the true one.
+/// Position errors of the identified robot: mean and 95 % quantile \[m\]. An error is the distance between a point of the
+/// identified robot and the same point of the true robot at equal reported joints. Each robot has its own joint errors. The
+/// postures are distributed over the joint limits.
+///
+/// `points_m` is the position of the point in the last frame, first of the identified robot, then of the true robot.
 pub fn position_errors_m(
     found: &Model,
     truth: &Truth,
     robot: &RobotConfig,
     points_m: [Vector3<f64>; 2],
 ) -> (f64, f64) {
-    /// Number of steps along each joint; coprime, so that the combinations do not repeat.
+    /// Number of steps of each joint. The numbers are coprime, so that the combinations do not repeat.
     const STEPS: [usize; 8] = [7, 11, 13, 17, 19, 23, 29, 31];
     const POSTURES: usize = 2000;
     let [identified, truth] =
@@ -132,8 +135,10 @@ pub fn position_errors_m(
     (distances_m.iter().sum::<f64>() / POSTURES as f64, quantile(&mut distances_m, 0.95))
 }
 
-/// Errors (true minus kept value) of the fixed offsets along the parallel axes before that of a link, in its direction \[m\]: data
-/// determine only the sum of these offsets, so the last one takes up the errors of the others.
+/// Correction of the true value of an offset along parallel axes \[m\]; zero for other parameters. Data determine only
+/// the sum of the offsets along parallel axes. The last offset therefore absorbs the errors (true minus fixed value)
+/// of the offsets before it that the calibration fixed. This function returns the sum of these errors, in the
+/// direction of the last axis.
 fn carried_offset_m(found: &Model, truth: &Truth, id: ParameterId) -> f64 {
     let robot = found.geometry(&[]).robot;
     let Some(group) = inseparable_offsets(&robot).into_iter().find(|group| group.last() == Some(&id)) else {
@@ -150,13 +155,14 @@ fn carried_offset_m(found: &Model, truth: &Truth, id: ParameterId) -> f64 {
         if is_fixed(&offset) {
             sum_m += truth.parameters.get(&offset.to_string()).map_or(0.0, |truth| truth - value);
         }
-        // Offsets of antiparallel axes have opposite signs.
+        // The next axis may be antiparallel, so that its offset has the opposite sign.
         sum_m *= robot.links.get(link).map_or(1.0, |at| at.alpha_rad.cos().signum());
     }
     sum_m
 }
 
-/// The identified `btheta` includes the encoder's unknown offset; whole turns of an angle have no meaning.
+/// The true value of a parameter, comparable with the identified value. For `btheta` it includes the encoder's unknown
+/// offset, as the identified value does. Whole turns are added to angles to bring them next to the identified value.
 fn true_value(truth: &Truth, id: ParameterId, identified: f64) -> f64 {
     let named = truth.parameters.get(&id.to_string()).copied().unwrap_or(0.0);
     let offset = match id {

@@ -1,5 +1,5 @@
-//! A robot with known errors that seats the ball on its flange in the sockets of a plate: input and truth of a calibration by
-//! contact, for `identify simulate contact`.
+//! Simulates a robot with known errors that seats the ball on its flange in the sockets of a plate. The result is the input
+//! of a calibration by contact, and the true parameters (`identify simulate contact`).
 
 use std::path::{Path, PathBuf};
 
@@ -15,7 +15,7 @@ use crate::kinematics::Pose;
 use crate::logs::{ContactMapping, CsvLayout, TipRow, joint_columns};
 use crate::model::{Model, Owner};
 
-/// Side of the plate, as a part of the robot's reach.
+/// Side of the plate, as a fraction of the robot's reach.
 const SIDE: f64 = 0.2;
 
 /// All inputs of a simulated experiment with a ball in sockets. Equal experiments give equal results.
@@ -23,17 +23,19 @@ const SIDE: f64 = 0.2;
 pub struct ContactExperiment<'a> {
     /// Configuration of the nominal robot.
     pub robot: &'a RobotConfig,
-    /// Positions of the sockets; `None`: six on two levels, scaled to the robot. The true ones differ by their uncertainty.
+    /// Nominal positions of the sockets; `None` for six sockets on several levels, scaled to the robot. The true positions
+    /// differ from them by random errors of the table's uncertainty.
     pub sockets: Option<SocketTable>,
-    /// Position of the plate's frame in the robot's base \[m\]; `None`: where the robot reaches it in most postures.
+    /// Position of the plate's frame in the robot's base frame \[m\]. If `None`, the plate is near the positions that the
+    /// robot reaches in most postures.
     pub place_m: Option<[f64; 3]>,
-    /// Whether the calibration gets the sockets' distances instead of their positions.
+    /// Whether the resulting table has the distances between the sockets instead of their positions.
     pub distances: bool,
     /// Number of simulated rows.
     pub rows: usize,
     /// Errors of the robot.
     pub errors: ArmErrors,
-    /// Standard deviation of the seated ball along each axis \[um\].
+    /// Standard deviation of the position of the seated ball along each axis \[um\].
     pub seating_um: f64,
     /// Seed of poses, noise and the sockets' errors.
     pub seed: u64,
@@ -58,7 +60,7 @@ impl<'a> ContactExperiment<'a> {
 /// Result of a simulated experiment.
 pub type SimulatedContacts = SimulatedRows<SocketTable>;
 
-/// Six sockets on two levels.
+/// Six sockets: the corners of a square, and two above it at different heights.
 fn usual_sockets(size_mm: f64) -> SocketTable {
     let places = [
         ("A", [0.0, 0.0, 0.0]),
@@ -77,7 +79,7 @@ fn usual_sockets(size_mm: f64) -> SocketTable {
     SocketTable { u_um: 5.0, sockets: places.map(socket).to_vec(), distances: Vec::new() }
 }
 
-/// All distances of the sockets of a table with positions.
+/// The distances between all pairs of sockets, computed from their positions.
 fn distances(table: &SocketTable) -> Vec<KnownDistance> {
     let pairs =
         table.sockets.iter().enumerate().flat_map(|(i, a)| table.sockets[..i].iter().map(move |b| (b, a)));
@@ -135,7 +137,7 @@ fn unreachable(socket: &str) -> RowSimulationError {
     RowSimulationError::Unreachable { place: format!("socket `{socket}`"), size: "plate" }
 }
 
-/// Pose of the plate in the robot's base, where the robot reaches all its sockets.
+/// Pose of the plate in the robot's base frame, at which the robot reaches all sockets.
 fn place(
     table: &SocketTable,
     place_m: Option<[f64; 3]>,
@@ -148,8 +150,8 @@ fn place(
     probing.place(place_m, centre_mm, &sockets_m).map_err(unreachable)
 }
 
-/// Writes `contacts.csv`, its mapping `contact.toml`, `sockets.toml` and `truth.toml` into `directory`, which is created if it
-/// is missing; returns their paths.
+/// Writes `contacts.csv`, its mapping `contact.toml`, `sockets.toml` and `truth.toml` to `directory`. Creates the directory
+/// if it does not exist. Returns the paths of the files.
 ///
 /// # Errors
 /// [`SimulationWriteError`].

@@ -1,5 +1,6 @@
-//! Errors of real measurements beyond the geometry, from true angles to the readings of robot log and encoders: harmonics of
-//! gears and gratings, backlash, resolution and noise. Each effect is one key.
+//! Converts true angles to the readings of the robot's log and the bar's encoders. Adds errors of real measurements
+//! that are not errors of the geometry: harmonics of gears and gratings, backlash, resolution and noise. Each
+//! effect has one key.
 
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
@@ -40,15 +41,16 @@ pub struct Effects {
     pub base_tilt_urad: f64,
 }
 
-/// Order of the gear error per turn of the gear's output.
+/// Periods of the gear error per turn of the gear's output.
 pub(super) const GEAR_PERIODS: f64 = 2.0;
-/// Index of a cycloid's first harmonic among the errors of a gear; a calibration names it by the lobes.
+/// Index of the first harmonic of a cycloid gear among the harmonics of a gear. A calibration names this term `c` instead
+/// of by its number of periods.
 const CYCLOID: usize = 1;
-/// Second harmonic of a cycloid's ripple, relative to the first.
+/// Amplitude of the second harmonic of a cycloid gear, relative to the first.
 const CYCLOID_SECOND: f64 = 0.25;
 
 impl Effects {
-    /// All effects are disabled: sizes of zero.
+    /// All effects disabled.
     pub const NONE: Self = Self {
         robot_noise_urad: 0.0,
         encoder_noise_urad: 0.0,
@@ -61,8 +63,8 @@ impl Effects {
         base_tilt_urad: 0.0,
     };
 
-    /// A laboratory with a robot in good condition: gears of the thesis (2.3), encoders of 18 arc-sec behind couplings,
-    /// a base aligned by eye.
+    /// A laboratory with a robot in good condition. It has gears as in the thesis (2.3), encoders of 18 arc-sec behind
+    /// couplings, and a base aligned by eye.
     pub const LABORATORY: Self = Self {
         robot_noise_urad: 15.0,
         encoder_noise_urad: 5.0,
@@ -87,7 +89,7 @@ impl Effects {
         "base_tilt_urad",
     ];
 
-    /// Size of an effect by its key.
+    /// Mutable access to the size of an effect by its key; `None` for an unknown key.
     pub fn size_mut(&mut self, key: &str) -> Option<&mut f64> {
         Some(match key {
             "robot_noise_urad" => &mut self.robot_noise_urad,
@@ -114,13 +116,13 @@ impl Effects {
         Ok(())
     }
 
-    /// Rotation of the base about x and y \[rad\].
+    /// Tilt of the bar's base about x and y \[rad\].
     pub(super) fn base_tilt_rad(&self) -> [f64; 2] {
         [self.base_tilt_urad * 1e-6, -0.6 * self.base_tilt_urad * 1e-6]
     }
 }
 
-/// `amplitude sin(periods angle + phase)`.
+/// A harmonic of an angle: `amplitude sin(periods angle + phase)`.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Wave {
     pub amplitude_rad: f64,
@@ -133,8 +135,9 @@ impl Wave {
         self.amplitude_rad * (self.periods * angle_rad + self.phase_rad).sin()
     }
 
-    /// Terms of a calibration that cancel this error of a drive's reading: `-amplitude sin(periods q + phase)` as coefficients of
-    /// `sin(periods q)` and `cos(periods q)` \[rad\], named after `order` and the drive, which counts from 0.
+    /// Parameters of a calibration that cancel this error in the reading of a drive: the coefficients of `sin(periods q)`
+    /// and `cos(periods q)` in `-amplitude sin(periods q + phase)` \[rad\]. Their names contain `order` and the number of
+    /// the drive; `drive` counts from 0.
     pub fn terms(&self, order: &str, drive: usize) -> [(String, f64); 2] {
         let (sin, cos) = self.phase_rad.sin_cos();
         [("sin", cos), ("cos", sin)]
@@ -142,7 +145,8 @@ impl Wave {
     }
 }
 
-/// One harmonic for each angle, given its `periods` per turn, with independent phases; its amplitude is zero without periods.
+/// One harmonic for each angle, with the angle's number of `periods` per turn and a random phase. The amplitude is zero if
+/// the number of periods is zero.
 fn harmonics(amplitude_urad: f64, periods: &[f64], random: &mut ChaCha8Rng) -> Vec<Wave> {
     let wave = |&periods: &f64| Wave {
         amplitude_rad: if periods > 0.0 { amplitude_urad * 1e-6 } else { 0.0 },
@@ -152,16 +156,16 @@ fn harmonics(amplitude_urad: f64, periods: &[f64], random: &mut ChaCha8Rng) -> V
     periods.iter().map(wave).collect()
 }
 
-/// Errors of the readings of some angles: harmonics and white noise.
+/// Errors of the readings of several angles: harmonics and white noise.
 struct ReadingErrors {
-    /// Orders, each with one harmonic for every angle.
+    /// Lists of harmonics, each list with one harmonic for every angle.
     harmonics: Vec<Vec<Wave>>,
     noise_rad: f64,
     random: ChaCha8Rng,
 }
 
 impl ReadingErrors {
-    /// Error and noise of each angle.
+    /// Sum of the harmonics, and noise, for each angle \[rad\].
     fn errors_and_noise_rad(&mut self, angles_rad: &[f64]) -> Vec<(f64, f64)> {
         let error =
             |(i, rad): (usize, &f64)| self.harmonics.iter().map(|order| order[i].at(*rad)).sum::<f64>();
@@ -181,7 +185,7 @@ pub(super) struct BarEncoders {
 }
 
 impl BarEncoders {
-    /// `random` draws the properties of the encoders and, unless another generator is given, their noise.
+    /// `random` generates the phases of the encoders' harmonics. It also generates the noise, unless `noise` is given.
     pub fn new(effects: &Effects, mut random: ChaCha8Rng, noise: Option<ChaCha8Rng>) -> Self {
         let harmonics = vec![
             harmonics(effects.encoder_eccentricity_urad, &[1.0; 5], &mut random),
@@ -192,7 +196,7 @@ impl BarEncoders {
         Self { angle_errors, step_rad: effects.encoder_step_urad * 1e-6 }
     }
 
-    /// Readings at the true joints `true_rad`.
+    /// Readings of the encoders at the true joints `true_rad` \[rad\].
     pub fn of(&mut self, true_rad: &[f64; 5]) -> [f64; 5] {
         let errors = self.angle_errors.errors_and_noise_rad(true_rad);
         let quantised = |rad: f64| {
@@ -205,20 +209,21 @@ impl BarEncoders {
     }
 }
 
-/// Readings of the robot's log. Gear errors depend on the angle of their output; rods and bevel gears pass them on to joints.
+/// Readings of the robot's log. Errors of a gear depend on the angle of the gear's output. In coupled arms, rods and bevel
+/// gears transmit the error of one gear to several joints.
 pub(super) struct RobotReading {
     angle_errors: ReadingErrors,
-    /// Angles are row vectors: `joints = gears * joints_from_gears`.
+    /// Conversion from gear angles to joint angles; angles are row vectors: `joints = gears * joints_from_gears`.
     joints_from_gears: DMatrix<f64>,
     gears_from_joints: DMatrix<f64>,
-    /// Half of the backlash.
+    /// Half of the backlash \[rad\].
     play_rad: f64,
-    /// Angle of each motor at its gear's output; `None` before the first reading.
+    /// Angle of each motor, converted to its gear's output \[rad\]; `None` before the first reading.
     motors_rad: Option<Vec<f64>>,
 }
 
 impl RobotReading {
-    /// `random` draws the properties of the gears and, unless another generator is given, the noise.
+    /// `random` generates the phases of the gears' harmonics. It also generates the noise, unless `noise` is given.
     pub fn new(
         robot: &RobotConfig,
         effects: &Effects,
@@ -226,7 +231,8 @@ impl RobotReading {
         noise: Option<ChaCha8Rng>,
     ) -> Self {
         let (table, axes) = (&robot.log.raw_to_joint, robot.axes());
-        // A gear's output turns with its own entry of the table; the other entries of the row are coupled joints.
+        // The table converts motor angles to joints. Divided by the diagonal entry of its row, it converts gear angles to
+        // joints: a gear's own joint turns by the gear's angle, and the other entries of the row are coupled joints.
         let joints_from_gears = DMatrix::from_fn(axes, axes, |i, j| table[i][j] / table[i][i]);
         let inverse = joints_from_gears.clone().try_inverse();
         let usable = inverse.filter(|inverse| inverse.iter().all(|x| x.is_finite()));
@@ -248,7 +254,7 @@ impl RobotReading {
         Self { angle_errors, joints_from_gears, gears_from_joints, play_rad, motors_rad: None }
     }
 
-    /// Errors of the gears as terms of a calibration, by name \[rad\].
+    /// Parameters of a calibration that cancel the errors of the gears, by name \[rad\].
     pub fn terms(&self) -> BTreeMap<String, f64> {
         let mut terms = BTreeMap::new();
         for (kind, harmonics) in self.angle_errors.harmonics.iter().enumerate() {
@@ -260,7 +266,8 @@ impl RobotReading {
         terms
     }
 
-    /// Readings at the true joints `true_rad`, after those of the previous call.
+    /// Readings of the joints at the true joints `true_rad` \[rad\]. Because of backlash, they also depend
+    /// on the previous call.
     pub fn of(&mut self, true_rad: &Joints) -> Joints {
         let gears = RowDVector::from_row_slice(true_rad) * &self.gears_from_joints;
         let gears = gears.as_slice();

@@ -1,9 +1,11 @@
-//! Simulated experiments with known true parameters: readings of the bar's encoders and the robot's log.
+//! Simulates experiments with known true parameters. Results are the readings of the bar's encoders and the robot's log.
 //!
-//! A path is defined by the bar's joints ([`crate::plan`]), so the robot moves on the bar's sphere by construction; the robot's
-//! joints follow from the inverse kinematics of its *true* chain. Encoder counts and robot log are then sampled from that
-//! motion, each on its own clock, with [`Effects`] that no estimator models. Simulation and estimator share only kinematics and
-//! names: otherwise a simulation would only prove that a model inverts itself.
+//! A path is defined by the bar's joints ([`crate::plan`]), so the robot's end is always on the bar's sphere. The robot's
+//! joints follow from the inverse kinematics of its *true* chain. Encoder counts and robot log are then sampled from this
+//! motion, each on its own clock. [`Effects`] adds errors that no estimator models.
+//!
+//! Simulation and estimator share only the kinematics and the names of parameters. If they shared more, a simulation would
+//! only prove that a model inverts itself.
 
 mod arm;
 mod comparison;
@@ -44,20 +46,20 @@ use crate::logs::RobotLog;
 pub use crate::plan::Design;
 use crate::plan::{Constraints, Path, PlanError, PlannedPath, Route, random_route};
 
-/// Relation of the robot's clock to the bar's.
+/// The clocks of robot and bar, and how they are related.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Clocks {
-    /// First bar sample \[UTC ns\].
+    /// Time of the first bar sample \[UTC ns\].
     pub bar_start: UtcNs,
-    /// Reading of the robot's clock at that instant \[ns\], with an arbitrary origin.
+    /// Reading of the robot's clock at the first bar sample \[ns\], with an arbitrary origin.
     pub robot_at_bar_start_ns: i64,
-    /// Robot seconds per bar second, minus one.
+    /// Rate of the robot's clock relative to the bar's clock, minus one.
     pub skew: f64,
 }
 
 impl Default for Clocks {
-    /// A bar run in 2026, with a controller that was started 1.03 hours earlier and whose clock is 25 ppm fast.
+    /// A run in 2026. The controller was started 1.03 hours earlier, and its clock is 25 ppm fast.
     fn default() -> Self {
         Self {
             bar_start: UtcNs(1_780_000_000_000_000_000),
@@ -74,7 +76,7 @@ pub struct Experiment<'a> {
     pub robot: &'a RobotConfig,
     /// Nominal ball-bar with its encoders.
     pub bar: &'a BallBarConfig,
-    /// Position of the bar and motion of the robot.
+    /// Position of the bar and limits of the motion.
     pub design: Design,
     /// Errors of the true parameters relative to the nominal ones.
     pub errors: StaticErrors,
@@ -82,20 +84,21 @@ pub struct Experiment<'a> {
     pub added_errors: BTreeMap<String, f64>,
     /// Effects that no estimator models.
     pub effects: Effects,
-    /// Force along the bar, which deflects; the robot's log contains the force.
+    /// Force along the bar and its effect on the bar's length. The robot's log contains the force.
     pub load: BarLoad,
     /// Clocks of bar and robot.
     pub clocks: Clocks,
-    /// Path of the experiment; `None`: a random one.
+    /// Path of the experiment; `None` for a random path.
     pub path: Option<PlannedPath>,
     /// Seed of path, encoder offsets and noise.
     pub seed: u64,
-    /// Seed of the phases of gears and encoders, if it differs: for another run of the same robot and bar.
+    /// Seed of the phases of gear and encoder harmonics, if it differs from `seed`. With the same `robot_seed` and another
+    /// `seed`, the experiment is another run of the same robot and bar.
     pub robot_seed: Option<u64>,
 }
 
 impl<'a> Experiment<'a> {
-    /// The default experiment with this robot and bar: only the static errors of the thesis.
+    /// The default experiment with this robot and bar. It has only the static errors of the thesis.
     pub fn new(robot: &'a RobotConfig, bar: &'a BallBarConfig) -> Self {
         Self {
             robot,
@@ -116,7 +119,7 @@ impl<'a> Experiment<'a> {
 /// Result of a simulated experiment.
 #[derive(Debug, Clone)]
 pub struct Simulated {
-    /// The bar's recording: one valid record per 10 ms.
+    /// The bar's recording: one valid record every 10 ms.
     pub cycles: Vec<CycleRecord>,
     /// Encoders in bus order.
     pub encoders: Vec<EncoderInfo>,
@@ -131,7 +134,7 @@ pub struct Simulated {
 /// Why an experiment cannot be simulated.
 #[derive(Debug, thiserror::Error)]
 pub enum SimulateError {
-    /// The robot cannot follow the bar.
+    /// The robot has fewer than six axes, so it cannot follow the bar.
     #[error(
         "{robot} has {axes} axes, a run on the ball-bar needs six or more; for any arm use `identify simulate contact`"
     )]
@@ -141,7 +144,7 @@ pub enum SimulateError {
         /// Number of its axes.
         axes: usize,
     },
-    /// The thesis' errors are those of another arm.
+    /// The errors of the thesis are those of an arm with six axes.
     #[error("{robot} has {axes} axes, the errors of the thesis are for six; give --errors drawn, or none")]
     ThesisAxes {
         /// Name of the robot.
@@ -149,7 +152,7 @@ pub enum SimulateError {
         /// Number of its axes.
         axes: usize,
     },
-    /// No path was found.
+    /// No random path was found.
     #[error(transparent)]
     Plan(#[from] PlanError),
     /// The true robot cannot follow the path.
@@ -170,7 +173,7 @@ pub enum SimulateError {
         /// Value of the size.
         value_urad: f64,
     },
-    /// Too few points or rows.
+    /// The path has too few points or rows to interpolate.
     #[error(
         "the path has too few points to interpolate; increase `points` of the study, or give a longer path"
     )]
@@ -190,7 +193,7 @@ fn is_size(value: f64) -> bool {
     value.is_finite() && value >= 0.0
 }
 
-/// Independent random streams: an additional draw in one does not change the others.
+/// Independent streams of random numbers. An additional number drawn from one stream does not change the others.
 #[derive(Debug, Clone, Copy)]
 enum RandomStream {
     Path = 1,
@@ -209,10 +212,10 @@ fn random(seed: u64, stream: RandomStream) -> ChaCha8Rng {
     random
 }
 
-/// Runs an experiment.
+/// Simulates an experiment: computes the path, the true motion, the robot's log and the bar's recording.
 ///
 /// # Errors
-/// [`SimulateError`] where base, length and robot do not allow a path, or an effect is not a number.
+/// [`SimulateError`] if base, bar length and robot do not allow a path, or the size of an effect is invalid.
 pub fn run(experiment: &Experiment<'_>) -> Result<Simulated, SimulateError> {
     let (path, start_rad) = experiment.drive()?;
     let (truth, motion, load_random) = experiment.motion(path, start_rad)?;
@@ -226,7 +229,7 @@ impl Experiment<'_> {
     /// The path of the experiment, and the nominal robot's joints at its start \[rad\].
     ///
     /// # Errors
-    /// [`SimulateError::Plan`] where robot and bar do not allow a random one.
+    /// [`SimulateError::Plan`] if robot and bar do not allow a random path.
     pub fn drive(&self) -> Result<(Path, Joints), SimulateError> {
         self.check()?;
         if let Some(planned) = &self.path {
@@ -247,7 +250,8 @@ impl Experiment<'_> {
         [robot_chain(self.robot, self.bar), bar]
     }
 
-    /// The true parameters, the motion of the true bar and robot along a path, and the generator for the noise of the force.
+    /// The true parameters, the motion of the true bar and robot along a path, and the random generator for the
+    /// noise of the force.
     fn motion<P: BarPath>(
         &self,
         path: P,
@@ -279,7 +283,8 @@ impl Experiment<'_> {
         BarEncoders::new(&self.effects, phases, noise)
     }
 
-    /// Generator for the phases of robot or encoders, and another for the noise if that has its own seed.
+    /// Random generators for the readings of robot or encoders. The first generates the phases of harmonics. The second
+    /// generates the noise; it is `None` if the first generates the noise too, because `robot_seed` and `seed` are equal.
     fn phases_and_noise(&self, stream: RandomStream) -> (ChaCha8Rng, Option<ChaCha8Rng>) {
         let robot_seed = self.robot_seed.unwrap_or(self.seed);
         (random(robot_seed, stream), (robot_seed != self.seed).then(|| random(self.seed, stream)))

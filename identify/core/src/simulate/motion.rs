@@ -1,4 +1,5 @@
-//! Motion of the true bar and of the robot that follows; the force of the robot on the bar deflects it (TFRT-6017 section 5.3).
+//! Motion of the true bar and of the true robot, which follows the bar. The force of the robot on the bar changes the bar's
+//! length (TFRT-6017 section 5.3).
 
 use std::f64::consts::TAU;
 
@@ -10,9 +11,9 @@ use crate::kinematics::{BAR_JOINTS, Chain, InverseError, Joints, Pose, ROD_LINK,
 use crate::logs::CubicSpline;
 use crate::plan::Path;
 
-/// Path of the bar's joints, independent of its links.
+/// A path of the bar's joints over time. It does not depend on the bar's links.
 pub trait BarPath {
-    /// Joints at `t_s`, 0 to [`Self::duration_s`]; at rest before and after \[rad\].
+    /// Joints of the bar at `t_s` \[rad\]. The bar is at rest before 0 and after [`Self::duration_s`].
     fn bar_rad(&self, t_s: f64) -> [f64; BAR_JOINTS];
 
     /// Duration of the path \[s\].
@@ -57,18 +58,18 @@ pub struct Motion<P = Path> {
     pub path: P,
     /// Chain of the true robot.
     pub robot: Chain,
-    /// The true bar on its true base.
+    /// Chain of the true bar on its true base.
     pub bar: Chain,
     /// Joints of the nominal robot at the start of the path \[rad\].
     pub start_rad: Joints,
     /// Limits of the robot's joints \[rad, m\].
     pub limits: Vec<[f64; 2]>,
-    /// Force that changes the bar's length; `None` for a rigid bar.
+    /// Force along the bar, which changes its length; `None` for a rigid bar.
     pub pull: Option<PathLoad>,
 }
 
 impl<P: BarPath> Motion<P> {
-    /// Pose of the common end frame at `t_s`.
+    /// Pose of the end frame that robot and bar share, at `t_s`.
     pub fn pose(&self, t_s: f64) -> Pose {
         let joints_rad = self.path.bar_rad(t_s);
         let Some(pull) = &self.pull else { return self.bar.forward(&joints_rad) };
@@ -84,8 +85,8 @@ impl<P: BarPath> Motion<P> {
         self.pull.as_ref().map_or(0.0, |pull| pull.force_n(t_s, &self.path.bar_rad(t_s)))
     }
 
-    /// Joints of the true robot at `t_s` \[rad\]: the solution nearest to `near_rad`. With more axes than a pose needs, the
-    /// solution in the middle of the limits, as in planning.
+    /// Joints of the true robot at `t_s` \[rad, m\]: the solution nearest to `near_rad`. If the arm has more axes than a
+    /// pose needs, the solution nearest to the middle of the limits, as in planning.
     ///
     /// # Errors
     /// Those of the inverse kinematics.
@@ -94,22 +95,23 @@ impl<P: BarPath> Motion<P> {
     }
 }
 
-/// Force of the robot on the bar, and its effect.
+/// Size of the force of the robot on the bar, and its effect on the bar's length.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct BarLoad {
-    /// Largest force along the bar \[N\]; about 150 in the thesis. Zero: no force, and none in the log.
+    /// Largest force along the bar \[N\]; about 150 in the thesis. If zero, the bar is rigid, and the log does
+    /// not contain a force.
     pub force_n: f64,
-    /// Elongation of the bar per newton of tension \[um/N\]; the thesis computes 0.055 and measures 0.17.
+    /// Elongation of the bar per newton of tension \[um/N\]. The thesis computes 0.055 and measures 0.17.
     pub compliance_um_per_n: f64,
-    /// Half of the play of the bar's joints: elongation under tension, shortening under compression, whatever the force \[um\].
+    /// Half of the play of the bar's joints \[um\]. Tension of any size makes the bar longer by this, compression shorter.
     pub play_um: f64,
     /// Standard deviation of the white noise of the force in the log \[N\].
     pub noise_n: f64,
 }
 
 impl BarLoad {
-    /// All sizes with their keys.
+    /// All four values with their keys.
     pub(super) fn sizes(&self) -> [(&'static str, f64); 4] {
         [
             ("force_n", self.force_n),
@@ -120,13 +122,13 @@ impl BarLoad {
     }
 }
 
-/// Part of the force that depends on the posture, like that of errors of the robot's geometry; the rest depends on
-/// time, like that of following errors of the drives.
+/// Fraction of the force that depends on the posture, like the force due to errors of the robot's geometry. The remaining
+/// fraction depends on time, like the force due to following errors of the drives.
 const BY_POSTURE: f64 = 0.6;
-/// Period of the part that depends on time \[s\].
+/// Period of the fraction that depends on time \[s\].
 const PERIOD_S: f64 = 7.3;
 
-/// The force on the bar over a path.
+/// The force on the bar as a function of posture and time, with random phases.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PathLoad {
     load: BarLoad,
@@ -139,7 +141,7 @@ impl PathLoad {
         (load.force_n > 0.0).then_some(Self { load, phases })
     }
 
-    /// Force along the bar at these joints of it, tension positive \[N\].
+    /// Force along the bar at time `t_s` and the bar's joints `joints_rad`, tension positive \[N\].
     pub fn force_n(&self, t_s: f64, joints_rad: &[f64; 5]) -> f64 {
         let [a, b, c] = self.phases;
         let posture = 0.5 * ((2.0 * joints_rad[0] + a).sin() + (3.0 * joints_rad[1] + b).sin());
@@ -147,7 +149,7 @@ impl PathLoad {
         self.load.force_n * (BY_POSTURE * posture + (1.0 - BY_POSTURE) * following)
     }
 
-    /// Elongation of the bar \[m\].
+    /// Elongation of the bar due to the force \[m\].
     pub fn extension_m(&self, t_s: f64, joints_rad: &[f64; 5]) -> f64 {
         let force_n = self.force_n(t_s, joints_rad);
         1e-6 * (self.load.compliance_um_per_n * force_n + self.load.play_um * force_n.signum())

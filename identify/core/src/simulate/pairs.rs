@@ -1,17 +1,19 @@
-//! Simultaneous angles of robot and bar: an experiment without clocks and counters, as simulated in the thesis.
+//! Simulates simultaneous angles of robot and bar, without clocks and counters. The simulations of the thesis
+//! are of this form.
 
 use super::{BarPath, Experiment, SimulateError, Truth};
 use crate::kinematics::{BAR_JOINTS, Joints};
 
-/// Additional rows of the robot before the first and after the last pair, so that its motion can be interpolated at both ends.
+/// Number of additional rows of the robot before the first pair and after the last one. With these rows, the robot's motion
+/// can be interpolated at both ends.
 pub const LEAD_ROWS: usize = 4;
 
 /// Simultaneous readings of robot and bar.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Pairs {
-    /// Time of each row of the robot \[s\], evenly spaced; the path starts at 0.
+    /// Time of each row of the robot \[s\], evenly spaced. The path starts at 0.
     pub t_s: Vec<f64>,
-    /// The robot's joints, with [`LEAD_ROWS`] more rows than pairs at each end \[rad\].
+    /// The robot's joints \[rad\]. There are [`LEAD_ROWS`] more rows than pairs at each end.
     pub robot_rad: Vec<Joints>,
     /// The bar's joints, one row for each pair \[rad\].
     pub bar_rad: Vec<[f64; BAR_JOINTS]>,
@@ -19,8 +21,8 @@ pub struct Pairs {
     pub truth: Truth,
 }
 
-/// `count` pairs, evenly spaced in time along a path. The bar is sampled later than the robot by
-/// `time_difference_s`.
+/// Simulates `count` pairs, evenly spaced in time along a path. `start_rad` are the robot's joints near the start of the
+/// path. The bar is sampled later than the robot by `time_difference_s`.
 ///
 /// # Errors
 /// [`SimulateError`].

@@ -1,5 +1,6 @@
-//! What the experiments with a ball in sockets (`contact`) and with a touch probe (`touch`) share: a robot with known errors whose
-//! ball reaches the points of an object, the place of that object, and the random numbers of poses and noise.
+//! Code shared by the simulations of a ball in sockets (`contact`) and of a touch probe (`touch`). A robot with known
+//! errors moves its ball to points of an object. This module places the object within the robot's reach, computes joints at
+//! its points, and generates the random numbers of poses and noise.
 
 use nalgebra::{Rotation3, Vector3};
 use rand::Rng;
@@ -13,9 +14,9 @@ use crate::kinematics::{Joints, Pose};
 
 /// Centre of the ball in the flange frame \[m\].
 pub(super) const BALL_M: [f64; 3] = [0.02, -0.03, 0.12];
-/// Number of start postures to try for a point.
+/// Number of start postures to try for a point that must be reached.
 pub(super) const TRIES: usize = 3000;
-/// The same for a point in place of which another can be used.
+/// Number of start postures to try for a point that another point can replace.
 pub(super) const TRIES_FEW: usize = TRIES / 10;
 /// Number of positions to try for the object.
 const PLACES: usize = 20;
@@ -25,11 +26,11 @@ pub(super) struct Probing {
     pub(super) arm: Arm,
     /// Largest reach of the robot \[m\].
     pub(super) reach_m: f64,
-    /// Rotation of the object in the robot's base.
+    /// Orientation of the object in the robot's base frame.
     pub(super) turn: Rotation3<f64>,
-    /// Random numbers of the poses.
+    /// Generator for the poses.
     pub(super) random: ChaCha8Rng,
-    /// Positions that the robot reaches, those with many neighbours first \[m\].
+    /// Positions that the robot reaches, by decreasing number of neighbours \[m\].
     places_m: Vec<Vector3<f64>>,
     noise: ChaCha8Rng,
 }
@@ -44,11 +45,12 @@ impl Probing {
         Self { arm, reach_m, turn, random: pose_random, places_m, noise }
     }
 
-    /// Pose of an object where the robot reaches all its points, which have names and are given in the object's frame \[m\]: at
-    /// `place_m`, or at the first position of its centre \[mm\] that allows it.
+    /// Finds a pose of the object in the robot's base frame at which the robot reaches all `points_m`. These have names and
+    /// are in the object's frame \[m\]. The object's origin is at `place_m`, if it is given. Otherwise the object's centre
+    /// (`centre_mm` in its frame) is tried at the positions that the robot reaches, in order.
     ///
     /// # Errors
-    /// Name of the point that is out of reach at the last position.
+    /// Name of the point that the robot did not reach at the last position tried.
     pub(super) fn place<'n>(
         &mut self,
         place_m: Option<[f64; 3]>,
@@ -74,7 +76,7 @@ impl Probing {
         Err(out_of_reach)
     }
 
-    /// True joints that bring the ball to a position.
+    /// True joints that move the ball to position `there_m` in the robot's base frame.
     pub(super) fn joints_at(&mut self, there_m: Vector3<f64>, tries: usize) -> Option<Joints> {
         self.arm.joints_at(there_m, tries, &mut self.random)
     }
@@ -85,7 +87,7 @@ impl Probing {
         arm.reported(true_joints, |sigma| normal(noise, sigma))
     }
 
-    /// A random error of this standard deviation \[um|urad\], in m or rad.
+    /// A random error with standard deviation `sigma` \[um|urad\]. The result is in m or rad.
     pub(super) fn noise(&mut self, sigma: f64) -> f64 {
         normal(&mut self.noise, sigma)
     }

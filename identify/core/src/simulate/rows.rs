@@ -1,4 +1,4 @@
-//! Simulated rows of balls in sockets and of touch probes: result, truth, errors and files.
+//! Results, true values, errors and files of simulated contacts (a ball in sockets) and touches (a touch probe).
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -12,7 +12,7 @@ use crate::kinematics::Chain;
 use crate::logs::{JointColumn, LogError, SIMULATED, TipRow};
 use crate::model::{Geometry, Model, ParameterId};
 
-/// Result of a simulated experiment: `T` is the table of sockets or faces.
+/// Result of a simulated experiment. `T` is the type of the table of sockets or faces.
 #[derive(Debug, Clone)]
 pub struct SimulatedRows<T> {
     /// Rows in the order of the robot's motion.
@@ -26,8 +26,8 @@ pub struct SimulatedRows<T> {
 }
 
 impl<T: Serialize> SimulatedRows<T> {
-    /// Writes the text of the rows, their mapping and the table to files of these names, and `truth.toml`, into `directory`, which is
-    /// created if it is missing; returns their paths.
+    /// Writes four files to `directory`: `rows`, their mapping, the table, and `truth.toml`. Creates the directory if it
+    /// does not exist. Returns the paths of the files.
     pub(super) fn write(
         &self,
         directory: &Path,
@@ -69,7 +69,7 @@ pub struct RowTruth {
 }
 
 impl RowTruth {
-    /// All parameters of a geometry, with the errors of the arm's gears.
+    /// Reads the true values of all parameters of the model from `geometry`, and adds the terms of the arm's gear errors.
     pub(super) fn new(
         robot: &RobotConfig,
         seed: u64,
@@ -87,7 +87,7 @@ impl RowTruth {
 /// Why rows cannot be simulated.
 #[derive(Debug, thiserror::Error)]
 pub enum RowSimulationError {
-    /// The table contains no positions.
+    /// The table contains fewer than two positions of sockets.
     #[error(
         "the table of sockets has distances but no positions; give a table with a [[socket]] block for each socket, at least two"
     )]
@@ -105,14 +105,14 @@ pub enum RowSimulationError {
         "the robot does not reach {place} from above within its limits; give another --place or a smaller {size}"
     )]
     Unreachable {
-        /// Such as "socket `A`".
+        /// Name of the point, such as "socket `A`".
         place: String,
-        /// Object to make smaller.
+        /// Object or option whose size should be reduced.
         size: &'static str,
     },
 }
 
-/// Checks the sizes of an experiment, which have the names of their options.
+/// Checks that the sizes of an experiment are finite and not negative. Errors report them by the names of their options.
 pub(super) fn check_sizes(
     errors: &ArmErrors,
     others: &[(&'static str, f64)],
@@ -121,8 +121,8 @@ pub(super) fn check_sizes(
     wrong.map_or(Ok(()), |(name, value)| Err(RowSimulationError::Size { name, value }))
 }
 
-/// Text of a file of simulated rows. `command` is named as its origin, `columns` follow the joints, `cells` returns
-/// the other cells.
+/// Text of a file of simulated rows. The first line names `command` as the origin. Each row has the joints in the units of
+/// the columns `joints`, then the text that `cells` returns for the further `columns`.
 pub(super) fn rows_csv(
     command: &str,
     (joints, columns): (&[JointColumn], &str),

@@ -1,5 +1,5 @@
-//! Samples a motion: rows of the robot's log and cycles of the bar's encoders, each on its own clock, with the effects of the
-//! experiment.
+//! Samples a motion: computes the rows of the robot's log and the cycles of the bar's recording, each on its own clock,
+//! with the effects of the experiment.
 
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
@@ -12,24 +12,24 @@ use super::truth::EncoderTruth;
 use super::{Experiment, Motion, RandomStream, SimulateError, random};
 use crate::logs::{self, ForceClock, ForceKind, ForceLog, RobotLog, ValueOrigin};
 
-/// Time between two bus cycles \[ns\]: 100 Hz.
+/// Time between two bus cycles, 100 Hz \[ns\].
 pub(super) const CYCLE_NS: i64 = 10_000_000;
-/// Time between two stamps of the robot's log, on its own clock \[ns\]: 250 Hz.
+/// Time between two stamps of the robot's log on the robot's clock, 250 Hz \[ns\].
 const ROBOT_PERIOD_NS: i64 = 4_000_000;
 /// Time by which the robot's log begins before the bar's recording and ends after it \[s\].
 const LOG_LEAD_S: f64 = 1.5;
-/// 2000-01-01 in UTC, the origin of distributed clocks \[ns\] (ETG.1000.4).
+/// Origin of distributed clocks (ETG.1000.4), 2000-01-01 in UTC \[ns\].
 const DC_EPOCH_NS: i64 = 946_684_800_000_000_000;
 /// Uptime of the measurement PC at the first cycle \[ns\].
 const MONOTONIC_START_NS: i64 = 86_400_000_000_000;
 /// Round-trip time of a frame \[ns\].
 const ROUND_TRIP_NS: i64 = 60_000;
-/// Standard deviation of the UTC estimate \[ns\].
+/// Uncertainty of the UTC estimate, one standard deviation \[ns\].
 const UTC_UNCERTAINTY_NS: u32 = 1_000;
-/// Contribution of one EL5021 to the working counter (one logical read and write).
+/// Contribution of one EL5021 to the working counter, for one logical read and write.
 const WORKING_COUNTER_PER_ENCODER: u16 = 3;
 
-/// The robot's log of the motion; `force_random` generates the noise of the force.
+/// The robot's log of the motion. `force_random` generates the noise of the force.
 pub(super) fn robot_log(
     experiment: &Experiment<'_>,
     motion: &Motion,
@@ -68,7 +68,7 @@ pub(super) fn robot_log(
     })
 }
 
-/// The bar's recording of the motion, its encoders, and their true offsets.
+/// The bar's recording of the motion, the encoders, and their true offsets.
 pub(super) fn recording(
     experiment: &Experiment<'_>,
     motion: &Motion,
@@ -99,12 +99,12 @@ pub(super) fn recording(
     (records, encoders, truth)
 }
 
-/// Offset of an encoder whose counter reads `first_count` at the first sample: any of its 2^32 counts, as a
+/// True offset of an encoder whose counter reads `first_count` at the first sample. It can be any of the 2^32 counts, as a
 /// signed number like in [`EncoderScale::unwrapper`].
 fn encoder_truth(encoder: &EncoderInfo, first_rad: f64, first_count: i32) -> EncoderTruth {
     let zero_counts = i64::from(first_count) - encoder.scale.rad_to_counts(first_rad);
     let EncoderScale { direction, .. } = encoder.scale;
-    // Whole turns are removed in integers, so that the angle is exact.
+    // Whole turns are removed in integers, so that no rounding errors are added to the angle.
     let turns = (direction.sign() * zero_counts).rem_euclid(encoder.scale.counts_per_revolution());
     let offset_rad = -(turns as f64) * encoder.scale.rad_per_count();
     let offset_rad =

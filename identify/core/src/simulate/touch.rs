@@ -1,5 +1,5 @@
-//! A robot with known errors that touches the faces of a block with a tip on its flange: input and truth of a calibration by
-//! touch, for `identify simulate touch`.
+//! Simulates a robot with known errors that touches the faces of a block with a tip on its flange. The result is the input
+//! of a calibration by touch, and the true parameters (`identify simulate touch`).
 
 use std::path::{Path, PathBuf};
 
@@ -17,13 +17,13 @@ use crate::kinematics::Pose;
 use crate::logs::{CsvLayout, LengthUnit, ReadingColumn, TipRow, TouchMapping, joint_columns};
 use crate::model::{Face, Model, Owner};
 
-/// Diameter of the tip's ball, whose centre is at [`BALL_M`] \[mm\].
+/// Diameter of the ball at the tip \[mm\]. Its centre is at [`BALL_M`].
 const TIP_DIAMETER_MM: f64 = 4.0;
-/// Edges of the block to try, as parts of the robot's reach.
+/// Edges of the block that are tried in this order, as fractions of the robot's reach.
 const EDGES: [f64; 3] = [0.15, 0.1, 0.07];
-/// Number of positions on a face to try for a row.
+/// Number of positions on a face that are tried for one row.
 const PLACES: usize = 20;
-/// Faces of the block with their outward normals; the sixth is at the bottom.
+/// Faces of the block with their outward normals. The sixth face is the bottom, which is not touched.
 const FACES: [(&str, [f64; 3]); 5] = [
     ("right", [1.0, 0.0, 0.0]),
     ("left", [-1.0, 0.0, 0.0]),
@@ -37,19 +37,20 @@ const FACES: [(&str, [f64; 3]); 5] = [
 pub struct TouchExperiment<'a> {
     /// Configuration of the nominal robot.
     pub robot: &'a RobotConfig,
-    /// Edge of the block \[mm\]; `None`: scaled to the robot.
+    /// Edge of the block \[mm\]; `None` for an edge scaled to the robot.
     pub block_mm: Option<f64>,
-    /// Centre of the block in the robot's base \[m\]; `None`: where the robot reaches it in most postures.
+    /// Centre of the block in the robot's base frame \[m\]. If `None`, the block is at a position that the robot
+    /// reaches in most postures.
     pub place_m: Option<[f64; 3]>,
-    /// Whether the calibration gets distances and angles of the block.
+    /// Whether the resulting table has known distances and angles of the block.
     pub known: bool,
     /// Number of touches to simulate.
     pub rows: usize,
     /// Errors of the robot.
     pub errors: ArmErrors,
-    /// Standard deviation of a touch \[um\].
+    /// Standard deviation of the error of a touch \[um\].
     pub touch_um: f64,
-    /// Travel of a dial gauge \[mm\]; 0: a touch probe instead.
+    /// Travel of the dial gauge \[mm\]; 0 for a touch probe.
     pub gauge_mm: f64,
     /// Seed of poses, noise and the block's errors.
     pub seed: u64,
@@ -75,7 +76,7 @@ impl<'a> TouchExperiment<'a> {
 /// Result of a simulated experiment.
 pub type SimulatedTouches = SimulatedRows<FaceTable>;
 
-/// Table of a block with these edges.
+/// Table of the faces of a cube with edge `block_mm`.
 fn block_table(block_mm: f64) -> FaceTable {
     let pair = |one: &str, other: &str| [one.to_owned(), other.to_owned()];
     let distance = |(one, other)| Spacing {
@@ -117,7 +118,7 @@ pub fn run(experiment: &TouchExperiment<'_>) -> Result<SimulatedTouches, RowSimu
     let block = TouchBlock::new(pose, block_mm, &table, &mut probing);
     let row = |row: usize| -> Result<TipRow, RowSimulationError> {
         let part = row % FACES.len();
-        // A probe triggers too late or too early, a gauge reads too much or too little.
+        // The error of a touch: a probe triggers too late or too early, and a gauge reads too much or too little.
         let error_m = probing.noise(touch_um);
         let [out_m, reading_m] = if gauge_mm > 0.0 {
             let pushed_m = 1e-3 * probing.random.random_range(0.0..gauge_mm);
@@ -125,7 +126,7 @@ pub fn run(experiment: &TouchExperiment<'_>) -> Result<SimulatedTouches, RowSimu
         } else {
             [error_m, 0.0]
         };
-        // The robot may not reach every corner of a face that it reaches.
+        // The robot may not reach every position on a face whose centre it reaches, so several positions are tried.
         let joints = (0..PLACES).find_map(|_| {
             let tip_m = block.random_tip_m(part, out_m, &mut probing.random);
             probing.joints_at(tip_m, TRIES_FEW)
@@ -139,7 +140,7 @@ pub fn run(experiment: &TouchExperiment<'_>) -> Result<SimulatedTouches, RowSimu
     let mut geometry = model.geometry(&[]);
     geometry.touch.tip_m = BALL_M.into();
     for (to, face) in geometry.touch.faces.iter_mut().zip(&block.faces) {
-        // Scaled as in a calibration: the largest component of a normal is one.
+        // Normals are scaled as in a calibration: their largest component is one.
         let scale = face.normal.amax();
         *to = Face { normal: face.normal / scale, distance_m: face.distance_m / scale };
     }
@@ -155,7 +156,8 @@ fn unreachable(face: &str) -> RowSimulationError {
     RowSimulationError::Unreachable { place: format!("face `{face}`"), size: "--block-mm" }
 }
 
-/// Edge of the block \[mm\] and its pose in the robot's base, where the robot reaches the centres of all faces.
+/// Edge of the block \[mm\] and pose of the block in the robot's base frame, at which the robot reaches the
+/// centres of all faces.
 fn place(experiment: &TouchExperiment<'_>, probing: &mut Probing) -> Result<(f64, Pose), RowSimulationError> {
     let scaled_mm = |edge: f64| (edge * probing.reach_m * 1e3).round();
     let edges_mm =
@@ -171,12 +173,12 @@ fn place(experiment: &TouchExperiment<'_>, probing: &mut Probing) -> Result<(f64
     Err(unreachable(out_of_reach))
 }
 
-/// The block with the errors of its faces, in the robot's base.
+/// The block with the errors of its faces, in the robot's base frame.
 struct TouchBlock {
     pose: Pose,
-    /// Half of its nominal edge \[m\].
+    /// Half of the nominal edge \[m\].
     half_m: f64,
-    /// Planes of the tip's centre when it touches.
+    /// For each face, the plane of the tip's centre when the tip touches the face.
     faces: Vec<Face>,
 }
 
@@ -184,7 +186,7 @@ impl TouchBlock {
     fn new(pose: Pose, block_mm: f64, table: &FaceTable, probing: &mut Probing) -> Self {
         let half_m = 0.5e-3 * block_mm;
         let radius_m = 0.5e-3 * TIP_DIAMETER_MM;
-        // Each of the two faces of a distance or angle has half of the variance that the table states.
+        // The table states the uncertainty of a distance or angle between two faces. Each face has half of its variance.
         let sigma_part = 0.5_f64.sqrt();
         let face = |(_, normal): (&str, [f64; 3])| {
             let tilt = Vector3::from_fn(|_, _| probing.noise(sigma_part * table.u_urad));
@@ -196,7 +198,8 @@ impl TouchBlock {
         Self { pose, half_m, faces }
     }
 
-    /// A position of the tip's centre over nine tenths of a face, `out_m` outside of where it touches \[m\].
+    /// A random position of the tip's centre in front of a face \[m\]. It is within nine tenths of the face, and `out_m`
+    /// outside the position at which the tip touches the face.
     fn random_tip_m(&self, face: usize, out_m: f64, random: &mut ChaCha8Rng) -> Vector3<f64> {
         let ((_, outward), face) = (FACES[face], self.faces[face]);
         let place = Vector3::from_fn(|axis, _| {
@@ -209,8 +212,8 @@ impl TouchBlock {
     }
 }
 
-/// Writes `touches.csv`, its mapping `touch.toml`, `faces.toml` and `truth.toml` into `directory`, which is created if it is
-/// missing; returns their paths.
+/// Writes `touches.csv`, its mapping `touch.toml`, `faces.toml` and `truth.toml` to `directory`. Creates the directory if
+/// it does not exist. Returns the paths of the files.
 ///
 /// # Errors
 /// [`SimulationWriteError`].

@@ -1,5 +1,5 @@
-//! True parameters of simulated experiments: the nominal ones with static errors. They are written to `truth.toml`, with which
-//! `comparison` compares a calibration.
+//! The true parameters of simulated experiments: the nominal parameters plus static errors. They are written to
+//! `truth.toml`. `comparison` compares the result of a calibration with them.
 
 use std::collections::BTreeMap;
 
@@ -12,8 +12,8 @@ use super::{BarLoad, Design, Effects, Experiment, RandomStream, random};
 use crate::kinematics::{Chain, LinkParameter, Pose};
 use crate::model::thesis_fixed;
 
-/// Static errors of the simulations in the thesis (TFRT-6017 table 3.1) \[mm|mrad\]. Its first row is illegible; the
-/// values of `ra1`, `ralpha1`, `btheta1` and `ox` are ours.
+/// Static errors of the simulations in the thesis (TFRT-6017 table 3.1) \[mm|mrad\]. The first row of this table is
+/// illegible, so the values of `ra1`, `ralpha1`, `btheta1` and `ox` are chosen here.
 pub const THESIS_ERRORS: [(&str, f64); 28] = [
     ("ra1", 0.47),
     ("ralpha1", -0.64),
@@ -54,15 +54,16 @@ pub enum StaticErrors {
     /// Table 3.1 of the thesis.
     #[default]
     Thesis,
-    /// Normal errors with a standard deviation of 1 mm or 1 mrad on each parameter that the thesis estimates: 38 for six axes.
+    /// Normally distributed errors with a standard deviation of 1 mm or 1 mrad, on each parameter that the thesis
+    /// estimates. With six axes there are 38 of them.
     Drawn {
-        /// Seed of the draw.
+        /// Seed of the random numbers.
         seed: u64,
     },
 }
 
 impl StaticErrors {
-    /// Errors of the parameters by name \[m|rad\]; parameters that are not listed have none.
+    /// Errors of the parameters by name \[m|rad\]. Parameters that are not listed have no error.
     fn by_name(self, axes: usize) -> BTreeMap<String, f64> {
         match self {
             Self::None => BTreeMap::new(),
@@ -72,7 +73,7 @@ impl StaticErrors {
             Self::Drawn { seed } => {
                 let mut random = random(seed, RandomStream::StaticErrors);
                 let fixed = thesis_fixed(axes).map(|id| id.to_string());
-                // `orx` and `ory`, the tilt of the base, are one of the `Effects`.
+                // The tilt of the base (`orx` and `ory`) is excluded, because `Effects` has it.
                 parameter_names(axes)
                     .into_iter()
                     .filter(|name| !fixed.contains(name) && !name.starts_with("or"))
@@ -83,7 +84,8 @@ impl StaticErrors {
     }
 }
 
-/// Names of all geometric parameters: links of a robot of `axes` axes and of the bar, base position and tilt.
+/// Names of all geometric parameters: links of a robot with `axes` axes, links of the bar, and position and tilt
+/// of the bar's base.
 pub fn parameter_names(axes: usize) -> Vec<String> {
     let links = |chain: char, count: usize| {
         LinkParameter::STANDARD
@@ -98,19 +100,19 @@ pub fn parameter_names(axes: usize) -> Vec<String> {
 /// True parameters of the two clocks.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct ClockTruth {
-    /// First bar sample \[UTC ns\].
+    /// Time of the first bar sample \[UTC ns\].
     pub bar_start: UtcNs,
-    /// The robot's clock at that instant \[ns\].
+    /// Reading of the robot's clock at the first bar sample \[ns\].
     pub robot_at_bar_start_ns: i64,
-    /// Robot clock minus bar clock at that instant \[s\], rounded to the precision of an `f64`.
+    /// Robot clock minus bar clock at the first bar sample \[s\], rounded to the precision of an `f64`.
     pub shift_s: f64,
-    /// Robot seconds per bar second, minus one.
+    /// Rate of the robot's clock relative to the bar's clock, minus one.
     pub skew: f64,
 }
 
 impl ClockTruth {
-    /// Reading of the robot's clock when the bar's reads `bar` \[ns\]. Computed in integers: near today's UTC in nanoseconds, the
-    /// values of an `f64` are 256 ns apart.
+    /// Reading of the robot's clock \[ns\] at the time `bar`. It is computed in integers, because an `f64` of about today's
+    /// UTC in nanoseconds has a resolution of only 256 ns.
     pub fn robot_ns(&self, bar: UtcNs) -> i64 {
         let passed_ns = bar.ns_since(self.bar_start);
         let gained_ns = (passed_ns as f64 * self.skew).round() as i64;
@@ -118,14 +120,16 @@ impl ClockTruth {
     }
 }
 
-/// One encoder: `joint = sign * rad_per_count * counts + offset_rad`, counts unwrapped from the first one.
+/// The true offset of an encoder: `joint = sign * rad_per_count * counts + offset_rad`. Counts are unwrapped, starting
+/// with the first count.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct EncoderTruth {
     /// Bar joint, 1 to 5.
     pub joint: u8,
     /// Count at joint angle zero.
     pub zero_counts: i64,
-    /// Joint angle at count zero, in (-pi, pi] \[rad\]. Only its sum with `btheta` of the joint can be identified.
+    /// Joint angle at count zero, in (-pi, pi] \[rad\]. Only the sum of this offset and `btheta` of the
+    /// joint can be identified.
     pub offset_rad: f64,
 }
 
@@ -140,16 +144,16 @@ pub struct Truth {
     pub seed: u64,
     /// Clocks of bar and robot.
     pub clock: ClockTruth,
-    /// Source of the static errors.
+    /// Choice of the static errors.
     pub errors: StaticErrors,
-    /// Errors beyond the geometry.
+    /// Effects other than errors of the geometry.
     pub effects: Effects,
     /// Force on the bar.
     #[serde(default)]
     pub load: BarLoad,
-    /// Layout of the cell and motion.
+    /// Position of the bar and limits of the motion.
     pub design: Design,
-    /// Nominal parameters by name \[m|rad\]; `ox`, `oy`, `oz` are those of the design.
+    /// Nominal parameters by name \[m|rad\]. `ox`, `oy` and `oz` are the design's position of the bar.
     pub nominal: BTreeMap<String, f64>,
     /// True parameters by name \[m|rad\].
     pub parameters: BTreeMap<String, f64>,
@@ -158,7 +162,7 @@ pub struct Truth {
 }
 
 impl Truth {
-    /// `robot` and `bar` are the nominal chains.
+    /// Computes the true parameters of an experiment. `robot` and `bar` are the nominal chains.
     pub(super) fn new(experiment: &Experiment<'_>, robot: &Chain, bar: &Chain) -> Self {
         let mut errors = experiment.errors.by_name(robot.links.len());
         let mut nominal = nominal(robot, bar);
@@ -205,18 +209,18 @@ impl Truth {
         }
     }
 
-    /// True minus nominal value \[m|rad\]; 0 for a name that has none, since only listed parameters have errors.
+    /// True minus nominal value \[m|rad\]; zero for an unknown name.
     pub fn error(&self, name: &str) -> f64 {
         let value = |map: &BTreeMap<String, f64>| map.get(name).copied().unwrap_or(0.0);
         value(&self.parameters) - value(&self.nominal)
     }
 
-    /// The true robot, computed from the nominal one.
+    /// The chain of the true robot, computed from the nominal chain.
     pub fn robot_chain(&self, nominal: &Chain) -> Chain {
         self.with_errors(nominal, 'r')
     }
 
-    /// The true bar on its true base, computed from the nominal one (whose base is ignored).
+    /// The chain of the true bar on its true base, computed from the nominal chain. The base of `nominal` is ignored.
     pub fn bar_chain(&self, nominal: &Chain) -> Chain {
         let value = |name: &str| self.parameters.get(name).copied().unwrap_or(0.0);
         let position = nalgebra::Translation3::new(value("ox"), value("oy"), value("oz"));
@@ -226,7 +230,8 @@ impl Truth {
         Chain { root_from_base, ..self.with_errors(nominal, 'b') }
     }
 
-    /// The nominal chain with the errors of its parameters, whose names begin with `chain`: `r` for the robot, `b` for the bar.
+    /// The nominal chain plus the errors of its parameters. Their names begin with `chain`: `r` for the robot,
+    /// `b` for the bar.
     fn with_errors(&self, nominal: &Chain, chain: char) -> Chain {
         let mut moved = nominal.clone();
         for (index, link) in moved.links.iter_mut().enumerate() {
@@ -239,7 +244,7 @@ impl Truth {
     }
 }
 
-/// Nominal parameters by name, as in [`parameter_names`] \[m|rad\].
+/// Nominal parameters \[m|rad\] by the names of [`parameter_names`].
 fn nominal(robot: &Chain, bar: &Chain) -> BTreeMap<String, f64> {
     let links = [('r', robot), ('b', bar)].into_iter().flat_map(|(letter, chain)| {
         chain.links.iter().enumerate().flat_map(move |(index, link)| {

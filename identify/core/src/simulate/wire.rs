@@ -1,4 +1,4 @@
-//! Lengths that a draw-wire measures at random postures of a robot with known errors.
+//! Simulates lengths that a draw-wire measures at random postures of a robot with known errors.
 
 use nalgebra::{Point3, Vector3};
 use rand::Rng;
@@ -10,14 +10,14 @@ use crate::logs::LengthRow;
 
 /// Attachment of the wire in the flange frame \[m\].
 pub const ATTACHMENT_M: [f64; 3] = [0.12, 0.03, 0.05];
-/// Anchor of the wire: its exit from the instrument, in the robot's base \[m\].
+/// Anchor of the wire, where it leaves the instrument, in the robot's base frame \[m\].
 const ANCHOR_M: [f64; 3] = [0.6, -1.1, 0.1];
 /// Reading of the instrument minus the length of the wire \[m\].
 const OFFSET_M: f64 = 0.15;
 
-/// `count` random postures within the joint limits, and the true parameters up to the flange. A row has the joints that the robot
-/// reports and the measured length: distance of attachment and anchor, plus offset and white noise of standard deviation
-/// `noise_m`.
+/// Simulates `count` random postures within the joint limits. Each row has the joints that the robot reports and the
+/// measured length: the distance between attachment and anchor, plus an offset and white noise with standard deviation
+/// `noise_m`. Also returns the true parameters up to the flange.
 ///
 /// # Errors
 /// [`SimulateError`] if the experiment is invalid.

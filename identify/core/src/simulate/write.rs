@@ -1,4 +1,5 @@
-//! Writes a simulated experiment to the files of a real one, and the truth to a file next to them.
+//! Writes a simulated experiment to files in the formats of a real one, and the true parameters to another file
+//! in the same directory.
 
 use std::path::{Path, PathBuf};
 
@@ -36,10 +37,10 @@ pub enum SimulationWriteError {
     Truth(#[from] toml::ser::Error),
 }
 
-/// Writes `recording.mcap`, `robot_log.csv` and `truth.toml` into `directory`, which is created if it is missing.
+/// Writes `recording.mcap`, `robot_log.csv` and `truth.toml` to `directory`. Creates the directory if it does not exist.
 ///
 /// # Errors
-/// [`SimulationWriteError`]; an existing recording is never overwritten.
+/// [`SimulationWriteError`], also if the recording exists: it is never overwritten.
 pub fn write(
     directory: &Path,
     simulated: &Simulated,
