@@ -1,5 +1,6 @@
-//! Checks a path given by the robot's joints: constraints at 1 kHz, the first violation of each, and the parameters that the
-//! path determines. `identify plan` checks its own paths and those of other programs with it.
+//! Checks a path that is given by the robot's joints, from `identify plan` or from other programs. At steps of 1 ms it
+//! computes the bar's joints and checks all constraints. The result has the first violation and total duration of each
+//! violated constraint, extremes of the motion, and the information of the path.
 
 use crate::kinematics::{BAR_JOINTS, Joints, ball_bar_inverse_refined, singularity_margin_rad};
 use crate::logs::{CubicSpline, RobotLog, SplinePoint};
@@ -11,19 +12,20 @@ use super::{Constraints, Information, Obstacle, Visited};
 
 /// Time between two checked poses \[s\].
 const CHECK_S: f64 = 1e-3;
-/// Largest rotation of a cable from the start of the path \[rad\].
+/// Largest rotation of an encoder cable since the start of the path \[rad\].
 const WINDING_RAD_MAX: f64 = std::f64::consts::TAU;
-/// Largest gap between the ends of the nominal robot and the bar \[m\]: smaller than the errors of robots before calibration.
+/// Largest gap between the ends of the nominal robot and of the bar \[m\]. It is smaller than the errors of
+/// robots before a calibration.
 const OFF_SPHERE_M_MAX: f64 = 0.5e-3;
-/// One in this number of checked poses is used for the information of the path.
+/// The information of the path uses one pose of this number of checked poses.
 const CHECKS_PER_POSE: usize = 100;
-/// Largest time between two rows of a path, so that the motion between them is known \[s\].
+/// Largest time between two rows of a path \[s\]. With a longer gap, the motion between the rows would be unknown.
 const GAP_S_MAX: f64 = 1.0;
 
-/// A path that cannot be checked.
+/// Why a path cannot be checked.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum CheckError {
-    /// Rows are too far apart.
+    /// The time between two rows is too long.
     #[error(
         "the path has rows more than {GAP_S_MAX} s apart, at {t_s:.3} s; give its joints at least every {GAP_S_MAX} s"
     )]
@@ -42,20 +44,20 @@ pub enum CheckError {
 /// A constraint that a path violates.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PathViolation {
-    /// Kind of the constraint.
+    /// The violated constraint.
     pub obstacle: Obstacle,
     /// Start of the first violation \[s\].
     pub first_s: f64,
-    /// Total duration of its violations \[s\].
+    /// Total duration of all violations of this constraint \[s\].
     pub duration_s: f64,
 }
 
-/// Extremes and information of a path.
+/// Result of the check of a path: violations, extremes, and information.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Checked {
-    /// Duration from its first row to its last \[s\].
+    /// Duration from the first row to the last \[s\].
     pub duration_s: f64,
-    /// Violated constraints, in the order of time.
+    /// Violated constraints, in the order of their first violation.
     pub violations: Vec<PathViolation>,
     /// Highest speed of each robot joint \[rad/s, m/s\].
     pub speed_rad_s: Joints,
@@ -75,13 +77,13 @@ pub struct Checked {
     pub clearance_m: Option<f64>,
     /// Largest gap between the ends of robot and bar \[m\].
     pub off_sphere_m: f64,
-    /// Poses along it, a tenth of a second apart.
+    /// Poses along the path, a tenth of a second apart.
     pub visited: Visited,
-    /// Expected accuracy of a calibration on the path.
+    /// Normal equations of a calibration on the path.
     pub normal: Normal,
 }
 
-/// Interpolation of the rows of a path.
+/// Interpolates the rows of a path.
 ///
 /// # Errors
 /// [`CheckError::Gap`].
@@ -160,7 +162,7 @@ struct Instant {
 }
 
 impl Instant {
-    /// The constraints that are violated.
+    /// The constraints that are violated at this instant.
     fn violated(&self, constraints: &Constraints<'_>) -> impl Iterator<Item = Obstacle> {
         let (point, design) = (&self.point, constraints.design);
         let is_near_singular = self.bar_margin_rad < design.bar_margin_deg.to_radians();
@@ -180,7 +182,7 @@ impl Instant {
 }
 
 impl Checked {
-    /// Adds one checked pose that violates a constraint.
+    /// Counts one checked pose at `t_s` that violates the constraint `obstacle`.
     fn count(&mut self, obstacle: Obstacle, t_s: f64) {
         match self.violations.iter_mut().find(|known| known.obstacle == obstacle) {
             Some(known) => known.duration_s += CHECK_S,
@@ -188,7 +190,7 @@ impl Checked {
         }
     }
 
-    /// Widens the extremes by those of an instant.
+    /// Extends the extremes by the values at an instant.
     fn include(&mut self, instant: &Instant, constraints: &Constraints<'_>) {
         let Instant { point, jerk_rad_s3, wound_rad, bar_margin_rad, off_sphere_m } = instant;
         self.off_sphere_m = self.off_sphere_m.max(*off_sphere_m);
@@ -208,7 +210,7 @@ impl Checked {
     }
 }
 
-/// Raises each maximum to the size of a value.
+/// Raises each maximum to the absolute value of the same element of `values`, if that is larger.
 fn raise(maxima: &mut Joints, values: &Joints) {
     for (most, value) in maxima.iter_mut().zip(values.iter()) {
         *most = most.max(value.abs());

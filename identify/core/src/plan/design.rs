@@ -1,4 +1,4 @@
-//! Place of the bar in the cell, and limits of the motion.
+//! Position of the bar in the robot cell, and limits of the motion.
 
 use rand::Rng;
 use serde::{Deserialize, Serialize};
@@ -6,16 +6,16 @@ use shared::config::{JointKind, RobotConfig};
 
 use crate::kinematics::{Chain, DhLink, Joints};
 
-/// Layout and motion of an experiment.
+/// Position of the bar, and ranges, speeds and margins of the motion.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Design {
     /// Centre of the gimbal in the robot's base frame \[m\].
     pub base_m: [f64; 3],
-    /// A posture of the robot near which the motion begins \[deg, mm\]; it selects elbow and wrist. It is ignored if its number
-    /// of axes differs.
+    /// A posture of the robot near which the motion begins \[deg, mm\]. It selects the configuration of elbow and wrist. It
+    /// is ignored if its number of axes differs from the robot's.
     pub posture_deg: Joints,
-    /// Range of each bar joint on the path \[deg\]. The signs of joints 2 and 4 select the bar's configuration.
+    /// Range of each bar joint on the path \[deg\]. The signs of joints 2 and 4 select the configuration of the bar.
     pub bar_range_deg: [[f64; 2]; 5],
     /// Time from the first to the last bar sample \[s\].
     pub duration_s: f64,
@@ -23,21 +23,23 @@ pub struct Design {
     pub bar_speed_rad_s: f64,
     /// Highest speed of a robot joint \[rad/s, m/s\].
     pub robot_speed_rad_s: f64,
-    /// Standstill at the beginning, at the end and at every third point of the path \[s\].
+    /// Duration of the standstills at every third point of the path \[s\]. Those at the beginning and at the end
+    /// are twice as long.
     pub standstill_s: f64,
-    /// Distance of the bar from its singular poses \[deg\].
+    /// Least distance of the bar from its singular poses \[deg\].
     pub bar_margin_deg: f64,
-    /// Distance of robot joint 5 from the straight wrist \[deg\].
+    /// Least distance of robot joint 5 from the straight wrist \[deg\].
     pub wrist_margin_deg: f64,
-    /// Distance of the robot's joints from their limits \[deg\]; of prismatic axes as many millimetres.
+    /// Least distance of the robot's joints from their limits \[deg\]. For prismatic axes the same
+    /// number is in millimetres.
     pub limit_margin_deg: f64,
-    /// Smallest singular value of the robot's Jacobian (m and rad alike): excludes the stretched elbow and all other postures
-    /// in which small errors of the geometry cause large joint motions.
+    /// Smallest permitted singular value of the robot's Jacobian, with metres and radians alike. It excludes the stretched
+    /// elbow and all other postures in which small errors of the geometry cause large joint motions.
     pub dexterity_min: f64,
 }
 
 impl Design {
-    /// ABB IRB 2400/16 with a bar of 0.5 to 0.7 m.
+    /// Design for an ABB IRB 2400/16 with a bar of 0.5 to 0.7 m.
     pub const IRB_2400: Self = Self {
         base_m: [1.0, 0.05, 0.35],
         posture_deg: Joints::of([0.0, 20.0, 10.0, 0.0, 60.0, 0.0]),
@@ -52,11 +54,11 @@ impl Design {
         dexterity_min: 0.06,
     };
 
-    /// Comau NJ 220-2.7 with a bar of 0.5 to 1.0 m.
+    /// Design for a Comau NJ 220-2.7 with a bar of 0.5 to 1.0 m.
     pub const NJ_220: Self = Self { base_m: [1.7, 0.05, 0.6], ..Self::IRB_2400 };
 
-    /// A posture near which the motion of an arm with these limits begins \[rad, m\]: that of the design, or a random one if
-    /// the number of axes differs.
+    /// The robot's posture near which the motion begins \[rad, m\]: the design's posture, or a random one within `limits`
+    /// if the number of axes differs.
     pub fn posture_rad(&self, robot: &Chain, limits: &[[f64; 2]], random: &mut impl Rng) -> Joints {
         if self.posture_deg.len() == limits.len() {
             let numbers = self.posture_deg.iter().zip(&robot.links);
@@ -65,7 +67,7 @@ impl Design {
         Joints::random(limits, random)
     }
 
-    /// Limits of an arm's joints \[rad, m\] reduced by the margin.
+    /// Limits of an arm's joints, reduced by the design's margin \[rad, m\].
     pub fn limits_with_margin(&self, robot: &Chain, limits: &[[f64; 2]]) -> Vec<[f64; 2]> {
         let reduced = |([low, high], link): (&[f64; 2], &DhLink)| {
             let margin = si(self.limit_margin_deg, link);
@@ -74,20 +76,20 @@ impl Design {
         limits.iter().zip(&robot.links).map(reduced).collect()
     }
 
-    /// For six axes the posture keeps its distance from the straight wrist.
+    /// Whether joint 5 of an arm with six axes is far enough from the straight wrist; true for other arms.
     pub fn wrist_is_bent(&self, joints_rad: &[f64]) -> bool {
         let margin = self.wrist_margin_deg.to_radians().sin();
         !matches!(joints_rad, [_, _, _, _, wrist, _] if wrist.sin().abs() < margin)
     }
 
-    /// The layout for a robot, selected by its reach: the upper arm of large robots is longer than a metre.
+    /// The default design for a robot, selected by the length of its upper arm, which exceeds a metre in large robots.
     pub fn for_robot(robot: &RobotConfig) -> Self {
         let upper_arm_m = robot.links.get(1).map_or(0.0, |link| link.a_m);
         if upper_arm_m > 1.0 { Self::NJ_220 } else { Self::IRB_2400 }
     }
 }
 
-/// A number of a joint in degrees or millimetres \[rad, m\].
+/// Converts a joint value from degrees or millimetres to radians or metres.
 fn si(number: f64, link: &DhLink) -> f64 {
     match link.joint {
         JointKind::Revolute => number.to_radians(),

@@ -1,11 +1,12 @@
-//! Information of a path: the normal equations of the parameters that a calibration would estimate, and a scalar criterion, for
-//! every search of this module. With covariance `P`, and `W` the mean of `J^T J` of positions, the position error is
-//! `sqrt(tr(W P))`.
+//! Computes the information of a path: the normal equations of the parameters that a calibration would estimate. From them
+//! it computes the expected position error, and the scalar criterion of every search in this folder. Let `P` be the
+//! covariance of the parameters, and `W` the mean of `J^T J`, where `J` are the derivatives of positions over the
+//! workspace. The position error is then `sqrt(tr(W P))`.
 //!
-//! Each pose contributes the whitened residual of the `pose` cost at the nominal geometry, for white noise and as many samples
-//! as a calibration keeps. Encoder harmonics and all terms of the robot's axes are included with their priors. A calibration
-//! includes only terms that held-out data support, so its accuracy is slightly better than expected here. Errors without a
-//! parameter are not included.
+//! Each pose contributes the residual of the `pose` cost at the nominal geometry, divided by its standard deviation. Noise
+//! is white, and the number of samples is that of a calibration. Encoder harmonics and all terms of the robot's axes are
+//! included with their priors. A calibration includes a term only if held-out data support it, so its accuracy is slightly
+//! better than expected here. Errors without a parameter are not included.
 
 use nalgebra::DMatrix;
 use rand_chacha::ChaCha8Rng;
@@ -23,23 +24,24 @@ use crate::solver::{Normal, Normals, Options, ScaledCholesky, combined, stacked}
 
 use super::optimum::{Optimum, optimum};
 
-/// Number of postures for the mean of position errors.
+/// Number of random postures over which position errors are averaged.
 const POSTURES: usize = 300;
-/// Rate of the recording \[1/s\].
+/// Sampling rate of the recording \[1/s\].
 const SAMPLES_PER_S: f64 = 100.0;
 
-/// Standard deviation of parameters that count as known, SI.
+/// Standard deviation of parameters that are treated as known, SI.
 const KNOWN_SIGMA: f64 = 1e-9;
 
-/// Expected RMS position errors over the robot's workspace after a calibration \[m\]; infinite if the position of the bar or
-/// the clocks are undetermined.
+/// Expected RMS position errors over the robot's workspace after a calibration \[m\]. They are infinite if a parameter is
+/// undetermined, for example the position of the bar or a clock.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ExpectedPosition {
-    /// For axes without errors.
+    /// If the robot's axes have no errors, and the plate is known.
     pub axes_exact_m: f64,
-    /// With all terms of the axes, with the width of their priors.
+    /// If all terms of the axes are estimated with their priors, and the plate is known.
     pub with_terms_m: f64,
-    /// Also with the uncertainty of the plate's length, to which all lengths are proportional.
+    /// As `with_terms_m`, with the uncertainty of the plate's length in addition. All estimated lengths
+    /// are proportional to it.
     pub with_plate_m: f64,
 }
 
@@ -55,7 +57,7 @@ pub enum Criterion {
     Worst,
 }
 
-/// Error from one group of terms alone.
+/// Expected position error if one group of terms alone is estimated.
 #[derive(Debug, Clone, PartialEq)]
 pub struct WithTerms {
     /// Group of the terms.
@@ -64,29 +66,31 @@ pub struct WithTerms {
     pub position_m: f64,
 }
 
-/// The parameters of a calibration, and their effect on positions.
+/// The parameters of a calibration, their priors, and their effect on positions.
 #[derive(Debug, Clone)]
 pub struct Information {
     model: Model,
     noise: AngleNoise,
     /// Number of samples per second that a calibration keeps \[1/s\].
     samples_per_s: f64,
-    /// Prior information about the columns, for every path.
+    /// Normal equations of the priors, which are added to those of every path.
     prior: Normal,
     /// Prior standard deviation of each column, SI; infinite without a prior.
     prior_sigmas: Vec<f64>,
     /// Columns of the robot's links.
     link_columns: Vec<usize>,
-    /// Mean of `J^T J` of positions over the workspace, for the columns of the links \[m²\].
+    /// Mean of `J^T J` over the workspace, where `J` are the derivatives of positions with respect to the columns
+    /// of the links \[m²\].
     weight: DMatrix<f64>,
     criterion: Criterion,
-    /// Columns of errors of the robot's axes and of the bar's length.
+    /// Columns of the candidate terms (errors of the robot's axes and of the bar's length), with their groups.
     term_columns: Vec<(TermGroup, usize)>,
-    /// Column of the plate's length, which no path determines: the relative uncertainty of all lengths is that of the plate.
+    /// Column of the plate's length. No path determines it, so the relative uncertainty of all lengths is
+    /// that of the plate.
     plate_column: Option<usize>,
 }
 
-/// Poses of the bar and the robot.
+/// Poses of a path or a sample: joints of bar and robot.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Visited {
     /// Joints of the bar \[rad\].
@@ -96,7 +100,8 @@ pub struct Visited {
 }
 
 impl Information {
-    /// For a run of this length, with the parameters and number of samples of a calibration with default settings.
+    /// Prepares the information of runs of the length `duration_s`. Parameters and number of samples are those of a
+    /// calibration with default settings.
     ///
     /// # Errors
     /// [`ModelError`] if the model lacks a parameter.
@@ -115,7 +120,7 @@ impl Information {
             terms.extend(group.ids.iter().map(|id| (group.group, *id)));
             model.set_roles(group.ids, Role::Prior { value: 0.0, sigma: group.sigma })?;
         }
-        // Every whole run determines the skew well.
+        // Every complete run determines the clock skew well, so it is not estimated here.
         model.set_role(ParameterId::ClockSkew, Role::Fixed)?;
         let plate = ParameterId::plate(model.axes());
         if bar.plate_u_um > 0.0 {
@@ -154,10 +159,11 @@ impl Information {
         })
     }
 
-    /// The information after a calibration with this covariance: `between` returns that of two parameters, `None` if one was
-    /// not identified. In a new run the position of the bar, the encoder offsets and the clocks are estimated again.
+    /// The information for a new run after a calibration. `between` returns the covariance of two parameters in that
+    /// calibration; `None` if one was not identified. Position of the bar, encoder offsets and clocks are estimated again
+    /// in the new run.
     ///
-    /// `None` if the calibration has none of the parameters, or the covariance is not positive definite.
+    /// `None` if the calibration identified none of the parameters, or its covariance is not positive definite.
     #[must_use]
     pub fn after(mut self, between: impl Fn(ParameterId, ParameterId) -> Option<f64>) -> Option<Self> {
         let encoder_harmonics = Some(TermGroup::EncoderHarmonics);
@@ -178,15 +184,15 @@ impl Information {
         let information = ScaledCholesky::new(covariance)?.inverse();
         for (i, (row, _)) in columns.iter().enumerate() {
             for (j, (column, _)) in columns.iter().enumerate() {
-                // The calibration already includes the priors.
+                // This replaces the priors, because the calibration already includes them.
                 self.prior.matrix[(*row, *column)] = information[(i, j)];
             }
         }
         Some(self)
     }
 
-    /// The information for another run, with the bar at another position, after a run with these normal equations. `None` if that
-    /// leaves a parameter undetermined.
+    /// The information for another run with the bar at another position, after a run with these normal equations. `None` if
+    /// the first run leaves a parameter undetermined.
     #[must_use]
     pub fn after_run(&self, normal: &Normal) -> Option<Self> {
         let covariance = self.covariance_of(normal)?;
@@ -194,7 +200,7 @@ impl Information {
         self.clone().after(between)
     }
 
-    /// Normal equations of poses that are `period_s` apart; each represents all samples of its period.
+    /// Normal equations of poses that are `period_s` apart. Each pose represents all samples of its period.
     pub fn of(&self, poses: &Visited, period_s: f64) -> Normal {
         let folds = [(0..poses.bar_rad.len()).collect()];
         let normal = self.with_problem(poses, |problem, start| {
@@ -220,8 +226,9 @@ impl Information {
         evaluate(&problem, &self.model.start())
     }
 
-    /// Optimal parts of time of these poses in a run of this length, without motion between them, for the mean squared position
-    /// error over the workspace with all terms of the axes \[m²\]. `None` if they leave a parameter undetermined.
+    /// Optimal fractions of the time of a run at these poses, without motion between them. Minimises the
+    /// mean squared position error over the workspace with all terms of the axes \[m²\]. `None` if the poses
+    /// leave a parameter undetermined.
     pub fn optimum(&self, poses: &Visited, duration_s: f64) -> Option<Optimum> {
         let (_, rows) = self.with_problem(poses, |problem, start| stacked(problem, start))?;
         let mut prior = self.prior.matrix.clone();
@@ -242,8 +249,8 @@ impl Information {
         self.model.columns().len()
     }
 
-    /// Expected covariance of all columns with the priors, with some columns fixed; `None` if the poses leave a column
-    /// undetermined.
+    /// Expected covariance of all columns, with the priors and with the columns `fixed` treated as known. `None` if the
+    /// poses leave a column undetermined.
     fn covariance<'c>(
         &self,
         normal: &Normal,
@@ -258,13 +265,13 @@ impl Information {
         factor.is_complete().then(|| factor.inverse())
     }
 
-    /// Expected covariance of all columns, SI; `None` if a parameter is undetermined.
+    /// Expected covariance of all columns, SI; `None` if the poses leave a parameter undetermined.
     pub fn covariance_of(&self, normal: &Normal) -> Option<DMatrix<f64>> {
         self.covariance(normal, [])
     }
 
-    /// Criterion of normal equations, smaller is better; infinite if a parameter is undetermined. The plate counts as known,
-    /// because its contribution is the same for all paths.
+    /// Value of the criterion for normal equations; smaller is better. Infinite if a parameter is undetermined. The plate
+    /// is treated as known, because its contribution is the same for all paths.
     pub fn score(&self, normal: &Normal) -> f64 {
         self.criterion_value(normal, self.criterion, &self.plate_column)
     }
@@ -280,7 +287,7 @@ impl Information {
         match criterion {
             Criterion::Position => (&self.weight * of_links).trace().max(0.0).sqrt(),
             Criterion::Determinant => {
-                // Half of the logarithm of the determinant: the geometric mean of the ellipsoid's axes.
+                // The sum is half of the determinant's logarithm. The result is the geometric mean of the ellipsoid's axes.
                 let Some(factor) = of_links.cholesky() else { return f64::INFINITY };
                 let half_log: f64 = factor.l().diagonal().iter().map(|entry| entry.ln()).sum();
                 (half_log / self.link_columns.len().max(1) as f64).exp()
@@ -301,7 +308,8 @@ impl Information {
         }
     }
 
-    /// Expected RMS position error over the workspace after a calibration that estimates terms of these groups \[m\].
+    /// Expected RMS position error over the workspace after a calibration that estimates the terms of
+    /// these groups only \[m\].
     pub fn position_with(&self, normal: &Normal, groups: &[TermGroup]) -> f64 {
         let others = self.term_columns.iter().filter(|(group, _)| !groups.contains(group));
         let fixed = others.map(|(_, column)| column).chain(&self.plate_column);
@@ -316,8 +324,9 @@ impl Information {
         groups.into_iter().map(alone).collect()
     }
 
-    /// Groups of link parameters of which the data determine only a combination: offsets along parallel axes, and parameters
-    /// with a combination that their priors determine better. A group of one is a parameter that the data do not determine.
+    /// Groups of link parameters that the data do not separate, because they determine only a combination of the group.
+    /// These are offsets along parallel axes, and parameters with a combination that the priors determine better than the
+    /// data. A group of one is a parameter that the data do not determine.
     pub fn not_separated(&self, normal: &Normal) -> Vec<Vec<ParameterId>> {
         let Some(covariance) = self.covariance_of(normal) else { return Vec::new() };
         let links = self.link_columns.len();
@@ -326,7 +335,7 @@ impl Information {
             covariance[(row, column)] / (self.prior_sigmas[row] * self.prior_sigmas[column])
         });
         let eigen = relative_covariance.symmetric_eigen();
-        // Projector on the directions that the priors determine: more than half of their prior variance remains.
+        // Projector onto the directions that the priors determine: those that keep more than half of their prior variance.
         let mut by_prior = DMatrix::<f64>::zeros(links, links);
         for (direction, remaining) in eigen.eigenvectors.column_iter().zip(eigen.eigenvalues.iter()) {
             if *remaining > 0.5 {
@@ -336,7 +345,7 @@ impl Information {
         let ids: Vec<ParameterId> = self.model.columns().map(|parameter| parameter.id).collect();
         let named = |group: Vec<usize>| -> Vec<ParameterId> {
             let columns = group.into_iter().map(|row| self.link_columns[row]);
-            // The plate has its measured uncertainty for every path.
+            // The plate is omitted, because its measured uncertainty is the same for every path.
             columns.filter(|column| Some(*column) != self.plate_column).map(|column| ids[column]).collect()
         };
         let of_data = combined(&by_prior).into_iter().map(named).filter(|group| !group.is_empty());
@@ -351,7 +360,8 @@ impl Information {
     }
 }
 
-/// Mean of `J^T J` of the end's position over postures within the joint limits \[m²\].
+/// Mean of `J^T J` over random postures within the joint limits, where `J` are the derivatives of the end's position with
+/// respect to `columns` \[m²\].
 fn position_weight(arm: &Chain, columns: &[(usize, ParameterId)], joint_limits: &[[f64; 2]]) -> DMatrix<f64> {
     let mut random = ChaCha8Rng::seed_from_u64(1);
     let tracer = Tracer::new(arm);

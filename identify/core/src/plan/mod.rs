@@ -1,9 +1,11 @@
-//! Paths over the bar's sphere: random ones for simulated experiments, and optimised ones.
+//! Plans paths on the sphere of the ball-bar, and poses for instruments that measure a robot at rest.
 //!
-//! `random` generates a path within the `constraints` (which use `bodies`), `search` improves it by the `information` of a
-//! calibration on it, `check` checks any path from the robot's joints, `programs` writes it for robot controllers, `optimum`
-//! computes a bound for every path. `place` proposes positions of the bar, `poses` selects poses for instruments that measure a
-//! robot at rest, and `way` plans collision-free moves between them.
+//! Paths: `random` generates a path within the `constraints`, which use the `design` and compute collisions with `bodies`.
+//! `search` improves a path by its `information`, that is, the expected accuracy of a calibration on the path. `optimum`
+//! computes a bound for the accuracy on any path. `check` checks any path that is given by the robot's joints. `programs`
+//! writes a path as a program for robot controllers. `place` proposes positions of the bar.
+//!
+//! Poses: `poses` selects poses, and `way` plans collision-free moves between them.
 
 mod check;
 mod constraints;
@@ -41,11 +43,11 @@ use crate::logs::{RobotLog, Stream, ValueOrigin};
 /// Time between two rows of a planned path \[s\].
 const ROW_S: f64 = 0.004;
 
-/// `path.toml`: a path of the bar for `identify simulate --path`.
+/// Contents of `path.toml`: a path of the bar for `identify simulate --path`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PlannedPath {
-    /// The robot that it was planned for.
+    /// Name of the robot for which the path was planned.
     pub robot: String,
     /// Centre of the gimbal in the robot's base frame \[m\].
     pub base_m: [f64; 3],
@@ -57,7 +59,7 @@ pub struct PlannedPath {
 
 impl shared::config::Validate for PlannedPath {
     fn validate(&self) -> Result<(), shared::config::Violation> {
-        /// A day: longer than any recording.
+        /// One day, longer than any recording \[s\].
         const DURATION_S_MAX: f64 = 86_400.0;
         let numbers = self.base_m.iter().chain(&self.robot_start_rad).chain(&self.path.start_rad);
         let moves = self.path.moves.iter();
@@ -75,10 +77,10 @@ impl shared::config::Validate for PlannedPath {
     }
 }
 
-/// The nominal robot's joints along a path, as a log on the path's own clock.
+/// The nominal robot's joints along a path, as a log whose clock starts with the path.
 ///
 /// # Errors
-/// Errors of the inverse kinematics, with the time \[s\].
+/// An error of the inverse kinematics, with the time at which it occurred \[s\].
 pub fn robot_path(
     robot: &str,
     constraints: &Constraints<'_>,

@@ -1,11 +1,15 @@
-//! Lower bound of the variance for freely chosen poses, with any repetition and without motion between them. Its ratio to the
-//! variance of a path or a selection of poses is their efficiency. A search moves its path towards the poses of the optimum.
+//! Computes the optimal weights of freely chosen poses, with any number of repetitions and without motion between them.
+//! The variance at this optimum is a lower bound for every path and every selection of poses. The ratio of this bound to
+//! the variance of a path or selection is the efficiency of that path or selection. A search moves its path towards the
+//! poses of the optimum.
 //!
-//! Pose `i` with whitened rows `J_i` has the part `w_i` of `n` measurements: `P = (prior + n sum w_i J_i^T J_i)^-1`. The
-//! variance `v = tr(W P)` is convex in the parts (Chaloner 1984 with priors); `d_i = n tr(J_i P W P J_i^T)` is its decrease with
-//! `w_i`. The multiplicative algorithm (Silvey, Titterington and Torsney 1978) repeats `w_i <- w_i sqrt(d_i)`, normalised. With
-//! `m = sum w_i d_i` no parts have a variance below `v^2 / (v + max d_i - m)`, by duality: `tr(W P') >= 2 s tr(W P) - s^2
-//! tr(P W P P'^-1)` for every covariance `P'` and number `s`.
+//! Of `n` measurements, the fraction `w_i` is at pose `i`, whose Jacobian in units of standard deviations is `J_i`. The
+//! covariance is `P = (prior + n sum w_i J_i^T J_i)^-1`. The variance `v = tr(W P)` is convex in the fractions (Chaloner
+//! 1984 with priors). Its decrease with `w_i` is `d_i = n tr(J_i P W P J_i^T)`. The multiplicative algorithm (Silvey,
+//! Titterington and Torsney 1978) repeats `w_i <- w_i sqrt(d_i)`, followed by normalisation.
+//!
+//! Let `m = sum w_i d_i`. No fractions have a variance below `v^2 / (v + max d_i - m)`. This follows from duality:
+//! `tr(W P') >= 2 s tr(W P) - s^2 tr(P W P P'^-1)` for every covariance `P'` and number `s`.
 
 use nalgebra::{DMatrix, DVector};
 use rand::Rng;
@@ -21,29 +25,30 @@ use crate::solver::ScaledCholesky;
 const STEPS_MAX: usize = 300;
 /// The bound has converged if `(max d_i - m) / v` is at most this.
 const GAP: f64 = 0.05;
-/// The bound is used if it exceeds this part of the variance of the best weights found.
+/// The bound is used only if it exceeds this fraction of the variance of the best weights found.
 const TIGHT: f64 = 0.9;
-/// Number of random poses for comparison with a path.
+/// Number of random poses that are combined with the poses of a path.
 const RANDOM_POSES: usize = 1000;
-/// Highest number of poses of the path in addition: those of four minutes. Longer paths are thinned without loss of
-/// information.
+/// Largest number of poses of the path that are used, which is four minutes of a path. Longer paths are thinned
+/// without loss of information.
 const PATH_POSES_MAX: usize = 2400;
-/// Number of poses with the largest weights that attract a path: about twice the number that has most of the weight.
+/// Number of poses to which a search moves its path: those with the largest weights. Most of the weight is on
+/// about half of them.
 const GOALS: usize = 60;
 
 /// Nearly optimal weights of poses.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Optimum {
-    /// Lower bound of the variance for any weights \[SI\].
+    /// Lower bound of the variance, for all weights \[SI\].
     pub variance_min: f64,
-    /// Variance for these weights \[SI\].
+    /// Variance for the weights `parts` \[SI\].
     pub variance: f64,
     /// Weight of each pose; their sum is one.
     pub parts: Vec<f64>,
 }
 
-/// The most informative poses of the bar, those with the largest optimal weights among random ones \[rad\]; empty if these
-/// leave a parameter undetermined.
+/// The most informative poses of the bar \[rad\]: of a set of random poses, those with the largest optimal weights. Empty
+/// if the random poses leave a parameter undetermined.
 pub(super) fn goals(
     constraints: &Constraints<'_>,
     information: &Information,
@@ -57,15 +62,17 @@ pub(super) fn goals(
     by_part.into_iter().take(GOALS).map(|pose| poses.bar_rad[pose]).collect()
 }
 
-/// Lower bound of the RMS position error with all terms of the axes \[m\] for every run of a path's length in the same
-/// configuration of shoulder, elbow and wrist, from its poses and random ones. `None` if they leave a parameter undetermined, if
-/// the bound did not converge, and for arms without exactly six axes.
+/// Lower bound of the RMS position error with all terms of the axes \[m\]. It holds for every run of the path's length in
+/// the same configuration of shoulder, elbow and wrist. It is computed from the poses of the path and random poses.
+///
+/// `None` if the poses leave a parameter undetermined, if the bound did not converge, and for arms that do
+/// not have six axes.
 pub fn position_m_min(
     checked: &Checked,
     constraints: &Constraints<'_>,
     information: &Information,
 ) -> Option<f64> {
-    // The configuration is only known for six axes: with a free one the bound is far below any path.
+    // The configuration is known for six axes only. With a free configuration, the bound would be far below any path.
     if constraints.limits.len() != 6 {
         return None;
     }
@@ -79,9 +86,9 @@ pub fn position_m_min(
     (best.variance_min > TIGHT * best.variance).then(|| best.variance_min.sqrt())
 }
 
-/// Optimal parts of poses, with any repetition, of `measurements` of them for the least `tr(weight covariance)`. `prior` is the
-/// information without measurements, `rows` has `rows_per_pose` rows of each pose in standard deviations. `None` if the poses
-/// leave a parameter undetermined.
+/// Computes the weights of poses with the least `tr(weight covariance)`, for `measurements` measurements with any
+/// repetition. `prior` is the information without measurements. `rows` is the Jacobian in units of standard deviations,
+/// with `rows_per_pose` rows for each pose. `None` if the poses leave a parameter undetermined.
 pub(super) fn optimum(
     prior: &DMatrix<f64>,
     (rows, rows_per_pose): (&DMatrix<f64>, usize),
@@ -101,7 +108,7 @@ pub(super) fn optimum(
         weighted_rows.column_iter_mut().for_each(|mut column| column.component_mul_assign(&root));
         let covariance = ScaledCholesky::new(prior + squared(&weighted_rows))?.inverse();
         let variance = weight.dot(&covariance);
-        // J P W P
+        // The product J P W P.
         let jpwp = times(rows, &(&covariance * weight * &covariance));
         let decrease = |pose: usize| {
             let [jpwp_of_pose, rows_of_pose] =

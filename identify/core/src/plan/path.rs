@@ -1,19 +1,19 @@
-//! Motion of the bar's joints, smooth to the second derivative.
+//! A path of the bar's joints over time. It consists of moves from point to point, and is smooth to the second derivative.
 
 use serde::{Deserialize, Serialize};
 
 use super::Design;
 use crate::statistics::largest_size;
 
-/// Number of moves between two standstills.
+/// Number of moves between two standstills of the bar.
 const MOVES_PER_STOP: usize = 3;
-/// A move begins this part of its own or the former's duration before the former ends, whichever is shorter.
+/// Two moves without a standstill between them overlap. The overlap is this fraction of the shorter one of their durations.
 const OVERLAP: f64 = 0.3;
-/// Standstill before the first and after the last move, in units of the design's.
+/// Duration of the standstill before the first and after the last move, in multiples of the design's standstill.
 const END_STANDSTILLS: f64 = 2.0;
 
-/// One move from point to point along the minimum-jerk profile `10 u^3 - 15 u^4 + 6 u^5`: speed and acceleration are
-/// zero at both ends (Flash and Hogan 1985).
+/// One move from point to point, with the minimum-jerk profile `10 u^3 - 15 u^4 + 6 u^5`, where `u` runs from 0 to 1. Speed
+/// and acceleration are zero at both ends (Flash and Hogan 1985).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Move {
@@ -21,14 +21,14 @@ pub struct Move {
     pub start_s: f64,
     /// Duration \[s\].
     pub duration_s: f64,
-    /// Motion of each joint \[rad\].
+    /// Change of each joint during the move \[rad\].
     pub by_rad: [f64; 5],
-    /// Bar joints at the end of all previous moves \[rad\].
+    /// Bar joints when all previous moves are complete \[rad\].
     pub from_rad: [f64; 5],
 }
 
 impl Move {
-    /// Peak of the profile's speed over its mean.
+    /// Peak speed of the profile divided by its mean speed.
     const PEAK_SPEED: f64 = 1.875;
     /// Least duration of a move, to avoid large jerks \[s\].
     const DURATION_S_MIN: f64 = 0.5;
@@ -38,12 +38,12 @@ impl Move {
         self.start_s + self.duration_s
     }
 
-    /// Bar joints at the end of this move and all previous ones \[rad\].
+    /// Bar joints when this move and all previous moves are complete \[rad\].
     pub(super) fn end_rad(&self) -> [f64; 5] {
         std::array::from_fn(|joint| self.from_rad[joint] + self.by_rad[joint])
     }
 
-    /// Highest speed of its fastest joint \[rad/s\].
+    /// Highest speed of the fastest joint in this move \[rad/s\].
     pub(super) fn peak_speed_rad_s(&self) -> f64 {
         Self::PEAK_SPEED * largest_size(self.by_rad) / self.duration_s
     }
@@ -54,30 +54,32 @@ impl Move {
     }
 }
 
-/// A start and a sum of moves: if two overlap in time, the corner between them is rounded.
+/// A path of the bar: start joints plus the sum of its moves. Where two moves overlap in time, the path rounds
+/// the corner between them.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Path {
     /// Bar joints before the first move \[rad\].
     pub start_rad: [f64; 5],
-    /// Moves in the order of their start; at most neighbours overlap.
+    /// Moves in the order of their start. A move overlaps with its neighbours at most.
     pub moves: Vec<Move>,
-    /// Duration of the recording \[s\]; the path is at rest before 0 and after its last move.
+    /// Duration of the recording \[s\]. The path is at rest before 0 and after its last move.
     pub duration_s: f64,
 }
 
 impl Path {
-    /// A path at rest for the duration of the design's run.
+    /// A path without moves, with the duration of the design's run.
     pub fn at_rest(start_rad: [f64; 5], design: &Design) -> Self {
         Self { start_rad, moves: Vec::new(), duration_s: design.duration_s }
     }
 
-    /// Bar joints at its end \[rad\].
+    /// Bar joints at the end of the path \[rad\].
     pub fn end_rad(&self) -> [f64; 5] {
         self.moves.last().map_or(self.start_rad, Move::end_rad)
     }
 
-    /// Adds a move to `to_rad`, whose fastest joint reaches `speed_rad_s`, with a start time that continues the path.
+    /// Adds a move to `to_rad`, in which the fastest joint reaches the peak speed `speed_rad_s`. The move starts after a
+    /// standstill if one is due, otherwise shortly before the end of the previous move.
     pub fn push(&mut self, to_rad: &[f64; 5], speed_rad_s: f64, design: &Design) -> Move {
         let from_rad = self.end_rad();
         let by_rad: [f64; 5] = std::array::from_fn(|i| to_rad[i] - from_rad[i]);
@@ -94,7 +96,7 @@ impl Path {
         step
     }
 
-    /// Whether its last move ends early enough for the standstill at the end.
+    /// Whether the last move ends early enough for the standstill at the end of the path.
     pub fn is_in_time(&self, design: &Design) -> bool {
         self.moves.last().map_or(0.0, Move::end_s) <= self.duration_s - END_STANDSTILLS * design.standstill_s
     }
@@ -102,7 +104,8 @@ impl Path {
     /// Bar joints at `t_s` \[rad\].
     pub fn at(&self, t_s: f64) -> [f64; 5] {
         let moves_begun = self.moves.partition_point(|step| step.start_s <= t_s);
-        // All except the last two are complete: a path of ten hours is evaluated as fast as one of two minutes.
+        // Of the moves that have begun, all except the last two are complete. Only these two are evaluated, so the time
+        // does not depend on the length of the path.
         let last_two = self.moves.get(moves_begun.saturating_sub(2)..moves_begun).unwrap_or_default();
         let mut joints = last_two.first().map_or(self.start_rad, |step| step.from_rad);
         for step in last_two {

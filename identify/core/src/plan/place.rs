@@ -1,5 +1,6 @@
-//! Position of the bar and length of its rod, for `identify plan place`: random positions that the robot reaches, ranked by the
-//! expected accuracy of a calibration on the best of some random paths there.
+//! Proposes positions of the bar and lengths of its rod (`identify plan place`). It draws random positions that the robot
+//! reaches. At each position it generates some random paths. Positions are ranked by the expected accuracy of a calibration
+//! on the best of these paths.
 
 use std::f64::consts::PI;
 use std::time::{Duration, Instant};
@@ -17,12 +18,12 @@ use crate::kinematics::{Chain, Joints, ball_bar_chain, ball_bar_inverse, robot_c
 use crate::model::ModelError;
 use crate::solver::Normal;
 
-/// Number of random paths at each position; the best one counts.
+/// Number of random paths at each position, of which the best one counts.
 const PATHS: usize = 2;
-/// Space of the robot's foot and the bar's stand around the robot's vertical axis, as a part of its reach: robots of 0.7 m
-/// reach stand on 0.2 m, of 2 m on 0.6 m.
+/// Least distance of the bar from the robot's vertical axis, as a fraction of the robot's reach. It leaves space for the
+/// robot's foot and the bar's stand. Robots of 0.7 m reach have a foot of 0.2 m, robots of 2 m reach a foot of 0.6 m.
 const PEDESTAL: f64 = 0.25;
-/// Positions are multiples of this \[m\]: a bar is not mounted more accurately, and its position is estimated.
+/// Positions are multiples of this \[m\]. A bar is not mounted more accurately, and a calibration estimates its position.
 const STEP_M: f64 = 0.05;
 
 /// A position of the bar, and the expected accuracy of a calibration there.
@@ -34,26 +35,26 @@ pub struct RatedPlace {
     pub length_m: f64,
     /// A posture of the robot on the sphere \[deg, mm\].
     pub posture_deg: Joints,
-    /// Value of the criterion, smaller is better.
+    /// Value of the criterion; smaller is better.
     pub score: f64,
     /// Expected position errors after a calibration.
     pub expected: ExpectedPosition,
-    /// Information of the path there.
+    /// Normal equations of the path at this position.
     pub normal: Normal,
 }
 
-/// Effect of a second run in addition to one at the best position.
+/// Effect of a second run in addition to a run at the best position.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SecondRun {
-    /// Best second position of the same bar.
+    /// Best second position, with the same bar.
     pub place: RatedPlace,
     /// Expected position errors after a calibration of both runs, each with its own base, offsets and clocks.
     pub expected: ExpectedPosition,
-    /// The same for a run of twice the length at the best position instead.
+    /// Expected position errors of the alternative: one run of twice the length at the best position.
     pub twice_as_long: ExpectedPosition,
 }
 
-/// Requirements on the places.
+/// Requirements on the positions of the bar.
 #[derive(Debug, Clone)]
 pub struct PlaceRequest<'a> {
     /// Configuration of the robot.
@@ -62,11 +63,11 @@ pub struct PlaceRequest<'a> {
     pub bar: &'a BallBarConfig,
     /// Margins, speeds and duration of the paths.
     pub design: &'a Design,
-    /// Bodies that must not touch.
+    /// Bodies for the computation of collisions.
     pub bodies: &'a Bodies,
     /// Highest acceleration of a robot joint \[rad/s², m/s²\].
     pub acceleration_rad_s2: f64,
-    /// Lengths of the rod \[m\].
+    /// Lengths of the rod to try \[m\].
     pub lengths_m: &'a [f64],
     /// Lowest and highest position of the gimbal above the robot's base frame \[m\].
     pub height_m: [f64; 2],
@@ -74,18 +75,19 @@ pub struct PlaceRequest<'a> {
     pub criterion: Criterion,
 }
 
-/// Positions with and without a path.
+/// Result of the search for positions.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Places {
     /// Positions with a path, best first.
     pub found: Vec<RatedPlace>,
-    /// Number of places without one.
+    /// Number of positions at which no path was found.
     pub without_path: usize,
-    /// Second position; `None` if only one position with the best rod length has a path.
+    /// Position for a second run; `None` if no other position with the same rod length has a path.
     pub second: Option<SecondRun>,
 }
 
-/// Tries positions until `budget` has elapsed or `is_over` returns true, which receives the number of positions tried.
+/// Tries positions until `budget` has elapsed or `is_over` returns true. The argument of `is_over` is the
+/// number of positions tried.
 ///
 /// # Errors
 /// [`ModelError`] if the model lacks a parameter.
@@ -102,7 +104,7 @@ pub fn places(
     while begun.elapsed() < budget && !is_over(tried) {
         let length_m = request.lengths_m.get(tried % request.lengths_m.len().max(1)).copied();
         let bar = request.bar_with_length(length_m.unwrap_or(request.bar.length_m));
-        // A position in progress does not count as tried.
+        // The number of tried positions does not include the current one.
         let before = tried;
         let mut is_over = || begun.elapsed() >= budget || is_over(before);
         tried += 1;
@@ -112,7 +114,7 @@ pub fn places(
         };
         match request.best_at(&bar, base_m, posture_deg, &mut random, &mut is_over)? {
             Some(place) => places.found.push(place),
-            // An incomplete position is not counted.
+            // If the time elapsed at this position, it does not count.
             None if is_over() => {}
             None => places.without_path += 1,
         }
@@ -123,12 +125,13 @@ pub fn places(
 }
 
 impl PlaceRequest<'_> {
-    /// A posture of the robot, and a base from which the bar reaches its end within the design's ranges.
+    /// Draws a random position: a base of the bar and a posture of the robot \[deg, mm\], so that the bar reaches the
+    /// robot's end within the design's ranges. `None` after many failed trials.
     fn random_position(&self, bar: &BallBarConfig, random: &mut ChaCha8Rng) -> Option<([f64; 3], Joints)> {
         const TRIES: usize = 2000;
         let (arm, mut chain) = (robot_chain(self.robot, bar), ball_bar_chain(bar));
         let limits = self.robot.joint_limits();
-        // A joint needs no angles beyond half a turn: they give the same poses.
+        // Angles beyond half a turn are not needed, because they give the same poses.
         let ranges: Vec<[f64; 2]> = limits.iter().map(|[low, high]| [low.max(-PI), high.min(PI)]).collect();
         for _ in 0..TRIES {
             let q = Joints::random(&ranges, random);
@@ -154,7 +157,7 @@ impl PlaceRequest<'_> {
                 continue;
             };
             let constraints = self.constraints(&arm, &chain, &limits, self.design);
-            // The base was rounded, so the robot's joints change.
+            // The base was rounded, so the robot's joints are computed again.
             if let Ok(q) = constraints.robot_at(bar_rad, &q) {
                 let shown = q.iter().zip(&arm.links).map(|(q, link)| q * link.joint.display_factor());
                 return Some((base_m, shown.map(f64::round).collect()));
@@ -181,7 +184,7 @@ impl PlaceRequest<'_> {
         Information::new((self.robot, bar), chains, self.criterion, self.design.duration_s)
     }
 
-    /// The position of a second run that improves the result of the first most, with the same rod.
+    /// The position at which a second run with the same rod improves the result of the first run most.
     fn second_position(&self, found: &[RatedPlace]) -> Result<Option<SecondRun>, ModelError> {
         let Some((first, others)) = found.split_first() else { return Ok(None) };
         let bar = self.bar_with_length(first.length_m);
@@ -201,7 +204,7 @@ impl PlaceRequest<'_> {
         }))
     }
 
-    /// The position with the best of [`PATHS`] random paths; `None` if none is found.
+    /// Rates a position by the best of [`PATHS`] random paths; `None` if no path is found.
     fn best_at(
         &self,
         bar: &BallBarConfig,
@@ -220,7 +223,7 @@ impl PlaceRequest<'_> {
         let tight = tightened(&constraints, &tight_design);
         let mut best: Option<RatedPlace> = None;
         for _ in 0..PATHS {
-            // A position at which the first path fails has too little space.
+            // If no path is found in the first trial, the position has too little space.
             let Ok(route) = random_route_until(&tight, random, is_over) else { break };
             let Ok(pieces) = Pieces::of(&tight, &information, &route, is_over) else { continue };
             let normal = pieces.total(&information);

@@ -1,11 +1,14 @@
-//! Selection of poses for a tracker or a wire, for `identify plan poses`: of many reachable poses, those with the least expected
-//! position error, and their order with the moves between them.
+//! Selects poses for a calibration with a tracker or a draw-wire (`identify plan poses`). Of many reachable poses
+//! (candidates), those with the least expected position error are selected. They are then put into a short order, with a
+//! collision-free path to each pose.
 //!
-//! The criterion is Bayesian I-optimality (Chaloner and Verdinelli 1995): the mean variance of positions over all candidates,
-//! with errors of links, loads and gears as large as in the priors of a calibration. Harmonics of gears have hundreds of
-//! amplitudes, more than a few poses determine: without their priors the best poses would be at the ends of the joints' ranges
-//! and would not determine the middle. Poses are selected one by one, the best first (greedy); then each is exchanged for a
-//! better one (Fedorov 1972).
+//! The criterion is Bayesian I-optimality (Chaloner and Verdinelli 1995): the mean variance of positions over all
+//! candidates. The parameters are errors of links, loads and gears, with the priors of a calibration. The priors are
+//! necessary because harmonics of gears have hundreds of amplitudes, more than a few poses determine. Without priors, the
+//! best poses would be at the ends of the joints' ranges and would not determine the middle.
+//!
+//! Poses are selected one by one, the best first (greedy). Then each pose is exchanged for a better one, if there
+//! is one (Fedorov 1972).
 
 use std::f64::consts::PI;
 
@@ -33,14 +36,16 @@ use crate::threads::{each, threads_there};
 
 use super::optimum::optimum;
 
-/// Prior standard deviation of the poses of instrument and target \[m, rad\]: much larger than after the measurement. A still
-/// larger value would cause rounding errors in the information about gears.
+/// Prior standard deviation of the poses of instrument and target \[m, rad\]. It is much larger than after the measurement.
+/// A still larger value would cause rounding errors in the information about gears.
 const PLACE_SIGMA: f64 = 0.02;
-/// Number of exchanges to try; at least one of each pose. The first round gains most.
+/// Number of exchanges to try. At least one is tried for each pose. The first round over the poses
+/// improves the selection most.
 const EXCHANGES: usize = 100;
 /// Number of random selections of the same size for comparison.
 const RANDOM_CHOICES: usize = 5;
-/// Parameters that keep more than this part of their expected standard deviation are named.
+/// A parameter is undetermined if its standard deviation after the measurements exceeds this fraction of
+/// its prior standard deviation.
 const UNDETERMINED: f64 = 0.9;
 
 /// What is measured at each pose.
@@ -55,7 +60,7 @@ pub enum MeasuredQuantity {
 }
 
 impl MeasuredQuantity {
-    /// Numbers that are measured at a pose.
+    /// Number of values that are measured at a pose.
     fn rows(self) -> usize {
         match self {
             Self::Poses => MeasuredPose::ROWS,
@@ -64,7 +69,7 @@ impl MeasuredQuantity {
         }
     }
 
-    /// Fewest poses from which a robot can be calibrated without other data.
+    /// Smallest number of poses from which a robot can be calibrated without other data.
     pub fn poses_min(self) -> usize {
         rows_min(&match self {
             Self::Poses | Self::Positions => Tracker::new(&[]).into(),
@@ -76,7 +81,7 @@ impl MeasuredQuantity {
 /// Why poses cannot be selected.
 #[derive(Debug, thiserror::Error)]
 pub enum PosesError {
-    /// Fewer candidates than requested poses.
+    /// There are fewer candidates than requested poses.
     #[error("{wanted} of {found} poses cannot be chosen; give a smaller --count, or more candidates")]
     TooFew {
         /// Number of requested poses.
@@ -112,26 +117,26 @@ pub struct PoseRequest<'a> {
     pub robot: &'a RobotConfig,
     /// Quantity measured at each pose.
     pub measures: MeasuredQuantity,
-    /// Reflector, probe or the wire's end in the flange's frame \[m\].
+    /// Position of the reflector, the probe or the wire's end in the flange frame \[m\].
     pub target_m: [f64; 3],
-    /// Outlet of the wire in the robot's base frame \[m\]; unused for a tracker.
+    /// Point where the wire leaves the instrument, in the robot's base frame \[m\]; unused for a tracker.
     pub anchor_m: [f64; 3],
     /// Standard deviation of a measurement, including the robot's repeatability and unmodelled errors.
     pub noise: PoseNoise,
 }
 
-/// Expected accuracy of parameters of one kind.
+/// Expected accuracy of a group of parameters of one type.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Determined {
     /// Name for display in reports.
     pub name: String,
-    /// Parameters of this kind.
+    /// Parameters of this group.
     pub ids: Vec<ParameterId>,
-    /// Ratio of the standard deviation after to that before the measurements, for each.
+    /// Standard deviation of each parameter after the measurements, divided by that before.
     pub left: Vec<f64>,
-    /// Standard deviation before, SI.
+    /// Root mean square of the standard deviations before the measurements, SI.
     pub prior: f64,
-    /// Root mean square of the standard deviations after, SI.
+    /// Root mean square of the standard deviations after the measurements, SI.
     pub sigma: f64,
 }
 
@@ -145,23 +150,25 @@ impl Determined {
 /// The selected poses and their expected accuracy.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PlannedPoses {
-    /// Indices of the candidates, in the order of the motion.
+    /// Indices of the selected candidates, in the order of the motion.
     pub chosen: Vec<usize>,
-    /// The poses \[rad, m\]; a joint may differ from the candidate by a whole turn, if no other path leads there.
+    /// Joints at the poses \[rad, m\]. A joint may differ from the candidate by a whole turn, if the arm reaches the pose
+    /// only in this way.
     pub joints: Vec<Joints>,
     /// Expected RMS position error over the candidates without a calibration \[m\].
     pub before_m: f64,
-    /// The same after a calibration with these poses \[m\].
+    /// Expected RMS position error after a calibration with these poses \[m\].
     pub position_m: f64,
-    /// The same after a calibration with as many random poses, median \[m\].
+    /// Expected RMS position error after a calibration with an equal number of random poses, median
+    /// over several selections \[m\].
     pub random_m: f64,
     /// Expected accuracy of links, loads and gears.
     pub determined: Vec<Determined>,
-    /// Motion of the arm to each pose from the previous one.
+    /// Path of the arm to each pose from the previous pose. The first one is [`Way::Straight`].
     pub ways: Vec<Way>,
 }
 
-/// How an arm moves to a pose.
+/// Path of an arm to a pose.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Way {
     /// A straight line in joint space, free of collisions with known bodies.
@@ -173,13 +180,13 @@ pub enum Way {
 }
 
 impl PlannedPoses {
-    /// Numbers of the poses without a path to them, from 1.
+    /// Numbers (from 1) of the poses to which no path is known.
     pub fn blocked(&self) -> Vec<usize> {
         let numbered = self.ways.iter().zip(1..);
         numbered.filter(|(way, _)| **way == Way::Blocked).map(|(_, number)| number).collect()
     }
 
-    /// Postures of each move: previous pose, intermediate postures, pose.
+    /// Postures of each move between poses: previous pose, intermediate postures, pose.
     pub fn moves(&self) -> impl Iterator<Item = Vec<Joints>> + '_ {
         self.joints.windows(2).zip(self.ways.iter().skip(1)).map(|(pair, way)| {
             let between: &[Joints] = if let Way::Through(postures) = way { postures } else { &[] };
@@ -188,7 +195,8 @@ impl PlannedPoses {
     }
 }
 
-/// Whether a target (in the flange's frame \[m\]) is on the axis of the last joint: then it does not move when that joint turns.
+/// Whether a target (position in the flange frame \[m\]) is on the axis of the last joint. Such a target does not move when
+/// the last joint turns.
 pub fn is_on_last_axis(robot: &RobotConfig, target_m: &[f64; 3]) -> bool {
     const NEAR_M: f64 = 1e-3;
     let (mut trace, axes) = (Trace::default(), robot.axes());
@@ -199,7 +207,8 @@ pub fn is_on_last_axis(robot: &RobotConfig, target_m: &[f64; 3]) -> bool {
     turned.is_some_and(|twist| twist.linear.norm() < NEAR_M)
 }
 
-/// Random postures free of collisions, within half a turn of each revolute joint and inside the limits by the design's margin.
+/// Random postures that are free of collisions. Joints are within the limits reduced by the design's margin, and revolute
+/// joints also within half a turn of zero.
 ///
 /// # Errors
 /// [`PosesError::NoRoom`].
@@ -234,8 +243,8 @@ pub fn random_postures(
     Ok(found)
 }
 
-/// Selects `count` of the candidates. Between two of them the robot moves along a straight line in joint space, clear of
-/// `bodies` if these are known.
+/// Selects `count` of the candidates, and plans the moves between them. The robot moves along a straight line in joint
+/// space if it is clear of `bodies`, otherwise through intermediate postures. Without `bodies`, all lines are straight.
 ///
 /// # Errors
 /// [`PosesError`].
@@ -255,6 +264,7 @@ pub fn poses(
     let weight = known.weight(&standing(candidates.iter().copied()))?;
     let chosen = PoseSelection::new(&known, &jacobian, &weight).best(count);
 
+    // The order of the poses, and a path to each of them.
     let arm = flange_chain(request.robot);
     let is_clear =
         |from: &Joints, to: &Joints| bodies.is_none_or(|bodies| bodies.is_way_clear(&arm, from, to));
@@ -272,6 +282,7 @@ pub fn poses(
         ways.push(way);
     }
     let position_m = |covariance: &DMatrix<f64>| weight.dot(covariance).max(0.0).sqrt();
+    // Random selections for comparison.
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let mut random_m = Vec::new();
     for _ in 0..RANDOM_CHOICES {
@@ -279,7 +290,8 @@ pub fn poses(
         let covariance = known.covariance_in_order(sample.iter().map(|&pose| candidates[pose]))?;
         random_m.extend(covariance.as_ref().map(position_m));
     }
-    // Of the candidates, not of `joints`: a whole turn only changes the effect of an error of a gear's ratio.
+    // The covariance is that of the candidates instead of `joints`. A whole turn changes only the effect of an error
+    // of a gear's ratio.
     let in_order = order.iter().map(|&pose| candidates[pose]);
     let covariance = known.covariance_in_order(in_order)?.ok_or(PosesError::NotFinite)?;
     Ok(PlannedPoses {
@@ -293,8 +305,8 @@ pub fn poses(
     })
 }
 
-/// Lower bound of the RMS position error over the candidates for any `count` of them \[m\], even with repeated poses: the
-/// largest distance of a selection from the optimum.
+/// Lower bound of the RMS position error over the candidates for every selection of `count` poses \[m\], even with repeated
+/// poses. The difference from the error of a selection is the most that a better selection could gain.
 ///
 /// # Errors
 /// [`PosesError`].
@@ -312,7 +324,7 @@ pub fn poses_position_m_min(
     best.map(|best| best.variance_min.sqrt()).ok_or(PosesError::NotFinite)
 }
 
-/// Parameters of a calibration with their priors.
+/// The parameters of a calibration with their priors.
 struct PriorModel<'a> {
     request: &'a PoseRequest<'a>,
     model: Model,
@@ -323,11 +335,13 @@ struct PriorModel<'a> {
 }
 
 impl<'a> PriorModel<'a> {
-    /// Parameters of a calibration; all joint terms have the middle one of the candidate standard deviations.
+    /// Sets up the parameters of a calibration. The prior of each group of joint terms has the middle one of the standard
+    /// deviations that a calibration tries.
     fn new(request: &'a PoseRequest<'a>) -> Result<Self, ModelError> {
         let flange = flange_chain(request.robot);
         let (model, owner) = match request.measures {
-            // The position of the wire's end is equivalent to the measurement of a tracker in the robot's base.
+            // The position error of a wire's end is computed from the position that a tracker in the
+            // robot's base would measure.
             MeasuredQuantity::Lengths => (
                 Model::alone(&flange).with_set_ups(Owner::Wire, [1, 1]).with_set_ups(Owner::Tracker, [1, 1]),
                 Owner::Wire,
@@ -341,7 +355,8 @@ impl<'a> PriorModel<'a> {
         let is_of_instrument = |id: &ParameterId| {
             id.owner() == owner && (request.measures == MeasuredQuantity::Poses || !turns_probe(id))
         };
-        // The scale counts as known, as the plate in plans of paths: its contribution is the same for all poses.
+        // The scale is treated as known, like the plate in plans of paths, because its contribution is the
+        // same for all poses.
         let instrument: Vec<ParameterId> = model.ids().into_iter().filter(is_of_instrument).collect();
         let waves = ParameterId::joint_waves(WAVES_PER_TURN_MAX);
         let mut model = model.with_drives(DriveTrain::of(request.robot, &flange)).with(waves);
@@ -371,7 +386,7 @@ impl<'a> PriorModel<'a> {
         Ok(Self { request, model, groups, ids, prior })
     }
 
-    /// Rows of each pose, divided by their standard deviations.
+    /// Rows of the Jacobian at each pose, divided by the standard deviations of the measured values.
     fn measurement_rows(&self, states: &[JointState]) -> Result<DMatrix<f64>, PosesError> {
         let (count, noise) = (states.len(), self.request.noise);
         match self.request.measures {
@@ -400,13 +415,13 @@ impl<'a> PriorModel<'a> {
         states.iter().map(row).collect()
     }
 
-    /// Rows of the position of the target, divided by this noise.
+    /// Rows of the Jacobian of the target's position, divided by this noise.
     fn position_rows(&self, states: &[JointState], noise: PoseNoise) -> Result<DMatrix<f64>, PosesError> {
         let (rows, noise) = (&self.tracker_rows(states), &vec![noise; states.len()]);
         self.whitened_rows(states, MeasuredPosition { rows, noise }, 1.0)
     }
 
-    /// Derivatives of the residual by all columns, one row for each measured number, divided by `sigma`.
+    /// Derivatives of the residual with respect to all columns, one row for each measured value, divided by `sigma`.
     fn whitened_rows<R: Residual>(
         &self,
         states: &[JointState],
@@ -421,14 +436,14 @@ impl<'a> PriorModel<'a> {
         rows.map(|(_, jacobian)| jacobian).ok_or(PosesError::NotFinite)
     }
 
-    /// Mean of `J^T J` of positions over these poses \[m²\].
+    /// Mean of `J^T J` over these poses, where `J` are the derivatives of the target's position \[m²\].
     fn weight(&self, states: &[JointState]) -> Result<DMatrix<f64>, PosesError> {
         let unit = PoseNoise { position_m: 1.0, rotation_rad: 1.0 };
         let rows = self.position_rows(states, unit)?;
         Ok(squared(&rows) / states.len().max(1) as f64)
     }
 
-    /// Covariance after these rows; `None` if they leave a parameter undetermined.
+    /// Covariance after measurements with these rows of the Jacobian; `None` if they leave a parameter undetermined.
     fn covariance(&self, rows: &DMatrix<f64>) -> Option<DMatrix<f64>> {
         let mut normal = squared(rows);
         self.prior
@@ -438,7 +453,8 @@ impl<'a> PriorModel<'a> {
         Some(ScaledCholesky::new(normal)?.inverse())
     }
 
-    /// Covariance after these poses. For backlash, the direction of motion before each follows from the order, with straight moves.
+    /// Covariance after measurements at these poses in this order. The order determines the direction of motion before each
+    /// pose, which backlash depends on. Moves are straight.
     fn covariance_in_order(
         &self,
         poses: impl Iterator<Item = Joints>,
@@ -479,10 +495,11 @@ impl<'a> PriorModel<'a> {
     }
 }
 
-/// The selected poses, and the gain of each candidate in addition to them.
+/// The selected poses, and the gain of selecting each further candidate.
 ///
-/// With covariance `P`, weight `W` and the whitened rows `J` of a pose, its selection reduces `tr(W P)` by
-/// `tr((I + J P J^T)^-1 J P W P J^T)`: both small matrices are stored for all candidates, and updated after each selection.
+/// Let `P` be the covariance, `W` the weight and `J` the rows of a pose in standard deviations. Selecting the pose reduces
+/// `tr(W P)` by `tr((I + J P J^T)^-1 J P W P J^T)`. The matrices `J P J^T` and `J P W P J^T` are small. They are stored for
+/// all candidates and updated after each selection.
 struct PoseSelection<'k> {
     jacobian: &'k DMatrix<f64>,
     weight: &'k DMatrix<f64>,
@@ -493,7 +510,7 @@ struct PoseSelection<'k> {
     jpj: DMatrix<f64>,
     /// `J P W P J^T` of each candidate, stacked.
     jpwpj: DMatrix<f64>,
-    /// Whether each candidate is selected.
+    /// For each candidate, whether it is selected.
     taken: Vec<bool>,
 }
 
@@ -515,7 +532,8 @@ impl<'k> PoseSelection<'k> {
         Self { jacobian, weight, covariance, rows, jpj, jpwpj, taken }
     }
 
-    /// Selects the best candidates one by one, then exchanges them.
+    /// Selects `count` candidates one by one, the best first. Then exchanges single poses until no exchange improves the
+    /// selection, or the number of exchanges is reached.
     fn best(mut self, count: usize) -> Vec<usize> {
         let mut chosen: Vec<usize> = (0..count).filter_map(|_| self.take_best()).collect();
         for _ in 0..(EXCHANGES / count).max(1) {
@@ -535,7 +553,8 @@ impl<'k> PoseSelection<'k> {
         chosen
     }
 
-    /// Selects the candidate with the largest gain; `None` if there is none, or rounding errors prevent it.
+    /// Selects the candidate with the largest gain. `None` if all are selected, or if rounding
+    /// errors prevent the selection.
     fn take_best(&mut self) -> Option<usize> {
         let unselected = (0..self.taken.len()).filter(|&pose| !self.taken[pose]);
         let best = unselected.map(|pose| (pose, self.gain(pose))).max_by(|a, b| a.1.total_cmp(&b.1))?.0;
@@ -552,10 +571,10 @@ impl<'k> PoseSelection<'k> {
         sum.cholesky().map_or(0.0, |factor| factor.solve(&jpwpj).trace())
     }
 
-    /// Adds a pose (`sign` 1) or removes it (-1); false if rounding errors prevent it.
+    /// Adds a pose to the selection (`sign` 1) or removes it (-1). Returns false if rounding errors prevent this.
     ///
-    /// With `C C^T = I + sign J P J^T` and `L = P J^T C^-T` for this pose, the new covariance is `P - sign L L^T`; from it follow
-    /// the changes of `J P J^T` and `J P W P J^T` of every candidate with its own `J`.
+    /// Let `C C^T = I + sign J P J^T` and `L = P J^T C^-T` for this pose. The new covariance is `P - sign L L^T`. From it
+    /// follow the changes of `J P J^T` and `J P W P J^T` of every candidate with its own `J`.
     fn change(&mut self, pose: usize, sign: f64) -> bool {
         let identity = DMatrix::<f64>::identity(self.rows, self.rows);
         let Some(factor) = (identity + self.rows_of(&self.jpj, pose) * sign).cholesky() else { return false };
@@ -565,7 +584,7 @@ impl<'k> PoseSelection<'k> {
         let wl = self.weight * &l;
         let lwl = l.tr_mul(&wl);
         let rows = self.rows;
-        // L and P W L side by side, for one product with all rows.
+        // L and P W L are combined in one matrix, so that one product with all rows is sufficient.
         let mut both = DMatrix::zeros(l.nrows(), 2 * rows);
         both.columns_mut(0, rows).copy_from(&l);
         both.columns_mut(rows, rows).copy_from(&(&self.covariance * wl));
@@ -585,7 +604,7 @@ impl<'k> PoseSelection<'k> {
     }
 }
 
-/// Product with a tall matrix on the left, on all threads.
+/// Product of matrices, computed on all threads by dividing the rows of `left`, which has many rows.
 pub(super) fn times(left: &DMatrix<f64>, right: &DMatrix<f64>) -> DMatrix<f64> {
     let rows_per_part = left.nrows().div_ceil(threads_there()).max(1);
     let parts = each(left.nrows().div_ceil(rows_per_part), |part| {
@@ -599,13 +618,14 @@ pub(super) fn times(left: &DMatrix<f64>, right: &DMatrix<f64>) -> DMatrix<f64> {
     product
 }
 
-/// `J^T J`
+/// The product `J^T J`, where `J` is `rows`.
 pub(super) fn squared(rows: &DMatrix<f64>) -> DMatrix<f64> {
     times(&rows.transpose(), rows)
 }
 
-/// A short tour through poses from the one nearest to the joints' zeros: always to the nearest remaining pose, then shortened
-/// by reversing parts of it (2-opt, Croes 1958). The duration of a move is that of its largest joint motion.
+/// A short tour through the chosen poses. It starts at the pose nearest to joints of zero and continues to the nearest
+/// remaining pose, if possible along a clear line. It is then shortened by reversing sections of it (2-opt, Croes 1958).
+/// The distance of two poses is their largest joint difference, which determines the duration of the move.
 fn short_tour(
     chosen: &[usize],
     candidates: &[Joints],
@@ -613,7 +633,7 @@ fn short_tour(
 ) -> Vec<usize> {
     let zeros = candidates.first().map_or_else(Joints::default, |q| Joints::zeros(q.len()));
     let distance = |a: usize, b: usize| largest_difference(&candidates[a], &candidates[b]);
-    // The nearest is the last, which can be removed at once.
+    // Sorted by decreasing distance, so that the nearest pose can be removed from the end.
     let mut remaining = chosen.to_vec();
     remaining.sort_by(|a, b| {
         largest_difference(&zeros, &candidates[*b]).total_cmp(&largest_difference(&zeros, &candidates[*a]))

@@ -1,11 +1,14 @@
-//! A path, or poses to stop at, as programs of robot controllers.
+//! Writes a path, or poses at which the robot stops, as programs of robot controllers. The joints are converted to the
+//! controller's values, then to a list of instructions, then to text in the controller's language.
 //!
-//! Points of a path are so close that the robot leaves the sphere by no more than [`OFF_SPHERE_M_MAX`] between them, as each
-//! controller interpolates: joints along lines (RAPID, FANUC), or along curves (KRL's splines, URScript's servo loop). Sources:
-//! ABB, Technical reference manual RAPID (3HAC050917), `MoveAbsJ`; KUKA System Software 8.3, Operating and Programming
-//! Instructions for System Integrators, `PTP_SPLINE` with `TIME_BLOCK`; Universal Robots, Script Manual, `servoj`,
-//! `get_steptime`; FANUC, R-30iA Operator's Manual, motion instructions (joint motion by time, `CNT`), and programs that
-//! controllers have written as text.
+//! The points of a path are so close that the robot leaves the sphere between them by no more than
+//! [`OFF_SPHERE_M_MAX`]. Controllers interpolate differently: joints along lines (RAPID, FANUC), or along curves (KRL's
+//! splines, URScript's servo loop).
+//!
+//! Sources: ABB, Technical reference manual RAPID (3HAC050917), `MoveAbsJ`; KUKA System Software 8.3, Operating and
+//! Programming Instructions for System Integrators, `PTP_SPLINE` with `TIME_BLOCK`; Universal Robots, Script Manual,
+//! `servoj`, `get_steptime`; FANUC, R-30iA Operator's Manual, motion instructions (joint motion by time, `CNT`), and
+//! programs that controllers have written as text.
 
 use std::fmt::Write;
 
@@ -17,16 +20,16 @@ use super::{CheckError, Constraints, PlannedPoses, Way};
 use crate::kinematics::{Joints, Trace, Tracer, flange_chain};
 use crate::logs::{CubicSpline, JointConversion, LogError, RobotLog};
 
-/// Times between two points that are tried, longest first \[s\].
+/// Times between two points of a path that are tried, longest first \[s\].
 const PERIODS_S: [f64; 6] = [0.2, 0.1, 0.05, 0.04, 0.02, 0.01];
-/// How far the robot may leave the sphere between two points \[m\].
+/// Largest distance of the robot from the sphere between two points \[m\].
 const OFF_SPHERE_M_MAX: f64 = 0.1e-3;
-/// Standstill at the start of a path, before the arm follows it \[s\].
+/// Standstill at the start of a path, before the motion begins \[s\].
 const SETTLE_S: f64 = 1.0;
-/// Points of a spline block that a KUKA controller takes.
+/// Largest number of points that a KUKA controller accepts in a spline block.
 const BLOCK_POINTS_MAX: usize = 1000;
 
-/// A controller's language.
+/// Programming language of a robot controller.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub enum Language {
     /// ABB RAPID
@@ -42,10 +45,10 @@ pub enum Language {
 /// Why a program cannot be written.
 #[derive(Debug, thiserror::Error)]
 pub enum ProgramError {
-    /// The path has gaps.
+    /// The path cannot be interpolated, because it has gaps.
     #[error(transparent)]
     Path(#[from] CheckError),
-    /// Joints cannot be converted to the controller's values.
+    /// The joints cannot be converted to the controller's values.
     #[error(transparent)]
     Log(#[from] LogError),
     /// The log has motor angles, which a controller does not accept.
@@ -57,7 +60,8 @@ pub enum ProgramError {
         /// Name of the robot.
         robot: String,
     },
-    /// The targets of the languages have six axes; further axes are in another part of them.
+    /// The robot does not have six axes. Targets in these languages have six axes; additional axes would be in another
+    /// field of the target.
     #[error("{robot} has {axes} axes, programs are written for six; take the joints from the table")]
     Axes {
         /// Name of the robot.
@@ -65,7 +69,7 @@ pub enum ProgramError {
         /// Number of its axes.
         axes: usize,
     },
-    /// Joint 3 of the model is counted from another line than that of the controller.
+    /// The controller measures joint 3 from the horizontal, but the configuration has no coupling of joints 2 and 3.
     #[error(
         "the controller measures joint 3 from the horizontal, but `raw_to_joint` of {robot} does not, so joint 3 of the program would \
          be wrong;\nwrite {row:?} as its second row: the robot's log needs it too"
@@ -73,7 +77,7 @@ pub enum ProgramError {
     Coupling {
         /// The robot's name.
         robot: String,
-        /// What joint 2 of the controller contributes to each joint of the model.
+        /// The row that `raw_to_joint` needs: contribution of joint 2 of the controller to each joint of the model.
         row: Vec<f64>,
     },
     /// Even the closest points leave the sphere.
@@ -89,47 +93,47 @@ pub enum ProgramError {
     },
 }
 
-/// One instruction of a program; the controller's angles in radians.
+/// One instruction of a program. Joints are the controller's values, with angles in radians.
 enum Instruction {
-    /// Goes there slowly and stops.
+    /// Moves slowly to these joints and stops.
     Go(Joints),
-    /// Stands still \[s\].
+    /// Waits at a pose \[s\].
     Wait(f64),
-    /// Stops until a person continues.
+    /// Stops until the operator continues the program.
     Halt {
-        /// Instruction for the controller's display: the shortest of them takes 24 characters.
+        /// Message for the operator on the controller's display. The shortest display has 24 characters.
         message: String,
-        /// Why, for a comment.
+        /// Reason for the stop, written as a comment.
         reason: String,
-        /// Pose to which the arm is jogged by hand, counted from 1.
+        /// Number of the pose to which the operator jogs the arm, from 1; `None` if the arm is not jogged.
         jogged_to: Option<usize>,
     },
-    /// Stands still on a path \[s\].
+    /// Waits between two moves of a path \[s\].
     Stand(f64),
-    /// Drives through points that are `period_s` apart, to a stop at the last.
+    /// Moves through points that are `period_s` apart, and stops at the last one.
     Drive {
         /// Time between two points \[s\].
         period_s: f64,
-        /// The controller's numbers, angles in radians.
+        /// The points in the controller's values, with angles in radians.
         raw_rad: Vec<Joints>,
     },
-    /// Drives along a path with the speeds of its points.
+    /// Moves along a path with the speeds at its points.
     Servo(Points),
 }
 
-/// Points of a path, the first where the robot stands before.
+/// Points of a path. The robot is at the first point before the motion begins.
 struct Points {
     /// Time between two points \[s\].
     period_s: f64,
-    /// The controller's numbers, angles in radians.
+    /// The points in the controller's values, with angles in radians.
     raw_rad: Vec<Joints>,
-    /// Their rates \[rad/s\].
+    /// Rates of these values at each point \[rad/s\].
     rate_rad_s: Vec<Joints>,
 }
 
 impl Points {
-    /// Alternating moves and standstills. Points with equal digits in the program count as a standstill: controllers refuse
-    /// segments of zero length, or stop at them.
+    /// Divides the points into alternating moves and standstills. Points that are equal in all digits of the program count
+    /// as a standstill, because controllers refuse segments of zero length, or stop at them.
     fn segments(&self, digits: i32) -> Vec<Instruction> {
         let written = |q: &Joints| q.map(|angle| (angle.to_degrees() * 10f64.powi(digits)).round());
         let moves = |pair: &&[Joints]| written(&pair[0]) != written(&pair[1]);
@@ -155,7 +159,7 @@ pub enum ProgramPurpose {
 }
 
 impl Language {
-    /// The language of the maker in a robot's name, if it is one of these.
+    /// The language of the robot's maker, if the robot's name contains one of these makers.
     pub fn of(robot: &RobotConfig) -> Option<Self> {
         Some(match robot.maker()? {
             Maker::Abb => Self::Rapid,
@@ -191,13 +195,13 @@ impl Language {
         if matches!(self, Self::Fanuc) { 3 } else { 6 }
     }
 
-    /// Whether the controller interpolates with the speeds at the points.
+    /// Whether the controller interpolates along a curve with the speeds at the points, instead of along lines.
     const fn is_smooth(self) -> bool {
         !matches!(self, Self::Rapid | Self::Fanuc)
     }
 }
 
-/// Checks that the controller of this robot supports this language.
+/// Checks that a program for this robot can be written in this language.
 ///
 /// # Errors
 /// [`ProgramError`].
@@ -205,7 +209,7 @@ pub fn can_be_programmed(language: Language, robot: &RobotConfig) -> Result<(), 
     conversion(language, robot).map(drop)
 }
 
-/// Writes the program of a path.
+/// Writes the program that moves the robot along a path.
 ///
 /// # Errors
 /// [`ProgramError`].
@@ -237,8 +241,8 @@ pub fn program(
     Ok(text(language, ProgramPurpose::Path, &about, &steps))
 }
 
-/// Writes the program that stops at poses for `wait_s` \[s\] each. Before a pose without a known free path it waits for the
-/// operator.
+/// Writes the program that stops at each pose for `wait_s` \[s\]. If no collision-free path to a pose is known, the program
+/// waits for the operator before this pose.
 ///
 /// # Errors
 /// [`ProgramError`].
@@ -281,12 +285,13 @@ fn text(language: Language, purpose: ProgramPurpose, about: &str, steps: &[Instr
     }
 }
 
-/// Converts joints to the controller's values, angles in radians.
+/// The conversion of joints to the controller's values, with angles in radians.
 fn conversion(language: Language, robot: &RobotConfig) -> Result<JointConversion, ProgramError> {
     if robot.axes() != 6 {
         return Err(ProgramError::Axes { robot: robot.name.clone(), axes: robot.axes() });
     }
-    // A controller accepts the angles of its own log if these are joint angles, with any signs and coupling.
+    // The log's values are joint angles if the conversion has only signs and couplings, no gear ratios. Only then does a
+    // controller accept them as targets.
     let is_joint = |entry: &f64| [-1.0, 0.0, 1.0].contains(entry);
     if !robot.log.raw_to_joint.iter().flatten().all(is_joint) {
         return Err(ProgramError::Motors { robot: robot.name.clone() });
@@ -297,8 +302,9 @@ fn conversion(language: Language, robot: &RobotConfig) -> Result<JointConversion
     Ok(JointConversion::new(&LogConversion { unit: AngleUnit::Rad, ..robot.log.clone() })?)
 }
 
-/// Checks that joint 3 of the log is measured from the horizontal: the forearm keeps its direction if joint 2 of the log alone
-/// turns. Joint 3 of the model is measured from the upper arm and then turns back: entry (2, 3) of `raw_to_joint`.
+/// Checks that joint 3 of the log is measured from the horizontal. The forearm then keeps its direction if only joint 2 of
+/// the log turns. Joint 3 of the model is measured from the upper arm, so it turns back by the same angle. This is the
+/// entry `(2, 3)` of `raw_to_joint`.
 fn check_joint_3_coupling(robot: &RobotConfig) -> Result<(), ProgramError> {
     let mut trace = Trace::default();
     Tracer::new(&flange_chain(robot)).trace(&Joints::zeros(robot.axes()), &mut trace);
@@ -315,8 +321,8 @@ fn check_joint_3_coupling(robot: &RobotConfig) -> Result<(), ProgramError> {
     Err(ProgramError::Coupling { robot: robot.name.clone(), row })
 }
 
-/// Points of a path at the longest of [`PERIODS_S`] that keeps the robot within [`OFF_SPHERE_M_MAX`] of the sphere between
-/// points, and its largest distance from the sphere there \[m\].
+/// Points of a path, and the largest distance of the robot from the sphere between them \[m\]. The time between points is
+/// the longest of [`PERIODS_S`] for which this distance is at most [`OFF_SPHERE_M_MAX`].
 fn points(
     language: Language,
     path: &RobotLog,
@@ -331,7 +337,7 @@ fn points(
         if off_sphere_m <= OFF_SPHERE_M_MAX {
             let on_path: Vec<_> = times(&curve, period_s).filter_map(|t_s| curve.at(t_s)).collect();
             let raw_rad: Vec<Joints> = on_path.iter().map(|point| conversion.to_raw(&point.value)).collect();
-            // The conversion adds offsets, which rates do not have.
+            // The conversion of joints adds offsets. Rates do not have offsets, so they are subtracted.
             let offset_rad = conversion.to_raw(&Joints::zeros(robot.axes()));
             let raw_rate = |rate: &Joints| {
                 let with_offset = conversion.to_raw(rate);
@@ -350,7 +356,8 @@ fn times(curve: &CubicSpline<Joints>, period_s: f64) -> impl Iterator<Item = f64
     (0..=count).map(move |point| point as f64 * period_s)
 }
 
-/// Largest distance from the sphere at quarters of the interval between points, as the controller interpolates \[m\].
+/// Largest distance from the sphere at one, two and three quarters of each interval between points \[m\]. Joints are
+/// interpolated as the controller does.
 fn off_sphere(
     language: Language,
     curve: &CubicSpline<Joints>,
@@ -378,7 +385,7 @@ fn off_sphere(
     most_m
 }
 
-/// Cubic Hermite polynomial from `a` to `b` with these slopes, at the part `u` of the interval.
+/// Cubic Hermite polynomial from `a` to `b` with these slopes, at the fraction `u` of the interval.
 fn hermite(u: f64, [a, b]: [f64; 2], [slope_a, slope_b]: [f64; 2]) -> f64 {
     let (u2, u3) = (u * u, u * u * u);
     (2.0 * u3 - 3.0 * u2 + 1.0) * a
@@ -444,7 +451,8 @@ fn krl(name: &str, about: &str, steps: &[Instruction]) -> String {
         Instruction::Servo(_) => String::new(),
     };
     let instructions: String = steps.iter().map(instruction).collect();
-    // Targets are joint angles, independent of tool and base; but a controller without valid ones does not move.
+    // Targets are joint angles, so they do not depend on tool and base. But a controller without a valid tool and
+    // base does not move.
     format!(
         "&ACCESS RVP\nDEF {name}()\n; {about}\nBAS(#INITMOV,0)\nBAS(#VEL_PTP,10)\n$TOOL=$NULLFRAME\n$BASE=$NULLFRAME\n\
          {instructions}END\n"
@@ -480,8 +488,9 @@ fn ur_script_path(points: &Points) -> String {
     let moves: String = moves
         .map(|(raw_rad, rate_rad_s)| format!("  go([{}], [{}])\n", list(raw_rad, 1.0), list(rate_rad_s, 1.0)))
         .collect();
-    // A cubic between two points with the path's speeds at both, evaluated at each step of the controller. The remaining time
-    // of a point is added to the next: 50 ms is not a multiple of 8 ms.
+    // The robot follows a cubic between two points that has the path's speeds at both. It is evaluated at each time step of
+    // the controller. If the time between points is not a multiple of this step (50 ms and 8 ms), the remaining time is
+    // added to the next interval.
     format!(
         "  global q0 = [{q0}]\n  global v0 = [{v0}]\n  global t = 0\n  \
          def go(q1, v1):\n    local dt = get_steptime()\n    while t + dt < {period} + 0.000001:\n      t = t + dt\n      \
@@ -496,7 +505,8 @@ fn ur_script_path(points: &Points) -> String {
     )
 }
 
-/// Joint 3 is measured from the horizontal, by the coupling in `raw_to_joint` ([`check_joint_3_coupling`]).
+/// A FANUC controller measures joint 3 from the horizontal. The conversion of the
+/// joints includes this ([`check_joint_3_coupling`]).
 fn fanuc(name: &str, about: &str, steps: &[Instruction]) -> String {
     /// Highest number of characters of a remark.
     const REMARK: usize = 32;

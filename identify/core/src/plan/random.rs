@@ -1,7 +1,8 @@
-//! Generates a path over the bar's sphere within all constraints: random points, each move checked before it is added.
+//! Generates a random path on the bar's sphere within all constraints. It draws random points and checks each move
+//! before it is added.
 //!
-//! The path is the start of a search, and the path of simulated experiments. Random points in all five bar joints excite every
-//! direction of the pose, which manual paths seldom do.
+//! The path is the start of a search, or the path of a simulated experiment. Because the points are random in all five bar
+//! joints, the path excites every direction of the pose, which manual paths seldom do.
 
 use std::collections::BTreeMap;
 
@@ -12,22 +13,23 @@ use crate::kinematics::Joints;
 use crate::model::JointState;
 use crate::statistics::largest_size;
 
-/// Highest number of points to try.
+/// Largest number of points to try for the start or for one move.
 const TRIES: usize = 300;
-/// Highest number of backtracks without progress of the path.
+/// Largest number of backtracks without progress of the path.
 const RETREATS: usize = 60;
 /// Number of moves removed in a backtrack.
 const MOVES_GIVEN_UP: usize = 4;
-/// Part of the way to a random point that a move covers.
+/// Fraction of the way to a random point that a move covers.
 const PART_OF_WAY: std::ops::Range<f64> = 0.3..1.0;
 /// Fewest moves of a path that excites all joints.
 const MOVES_MIN: usize = 4;
-/// Least duration for these moves and the standstills between them; of runs of 13 s one in three succeeds \[s\].
+/// Least duration of a path, for the fewest moves and the standstills between them \[s\]. Of paths of 13 s,
+/// one in three succeeds.
 pub const DURATION_S_MIN: f64 = 15.0;
-/// Range of a move's peak speed, relative to the design's.
+/// Range of a move's peak speed, relative to the design's highest speed.
 const SPEED_RANGE: std::ops::Range<f64> = 0.5..1.0;
 
-/// Why no path was found.
+/// Why no random path was found.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum PlanError {
     /// The robot cannot hold the bar at any point of the sphere.
@@ -36,9 +38,9 @@ pub enum PlanError {
          give another --base, --posture or bar length: `identify plan place` proposes them"
     )]
     NoStart {
-        /// Length of the bar.
+        /// Length of the bar \[m\].
         length_m: f64,
-        /// Base of the bar.
+        /// Base of the bar in the robot's base frame \[m\].
         base_m: [f64; 3],
         /// Constraint that was violated most often.
         obstacle: Obstacle,
@@ -52,7 +54,7 @@ pub enum PlanError {
         /// Requested duration \[s\].
         duration_s: f64,
     },
-    /// The search for the first path was cancelled, or its time has elapsed.
+    /// The search was cancelled, or its time elapsed, before a path was complete.
     #[error(
         "the search ended before the first path of {duration_s} s was complete; give a longer --budget, or a shorter --duration and let \
          the robot drive the path twice"
@@ -86,25 +88,27 @@ fn most_frequent(obstacles: &Obstacles) -> Obstacle {
     most.map_or(Obstacle::Reach, |(obstacle, _)| *obstacle)
 }
 
-/// A path within the constraints.
+/// A path of the bar within the constraints, with the robot's joints.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Route {
     /// Path of the bar.
     pub path: Path,
-    /// The robot's joints at its start, and at the end of each move of a random path or at the start of the next move of a searched
-    /// one \[rad\].
+    /// The robot's joints \[rad, m\]. The first are at the start of the path. For a random path, the following are
+    /// at the end of each move. For a searched path, they are at the start of each further move, and the last at the
+    /// end of the path.
     pub robot_rad: Vec<Joints>,
 }
 
-/// A path through random points, with the duration of the design's run.
+/// Generates a path through random points, with the duration of the design.
 ///
 /// # Errors
-/// [`PlanError`] if base, length, ranges and robot are incompatible.
+/// [`PlanError`] if base and length of the bar, ranges and robot do not allow a path.
 pub fn random_route(constraints: &Constraints<'_>, random: &mut impl Rng) -> Result<Route, PlanError> {
     random_route_until(constraints, random, &mut || false)
 }
 
-/// [`random_route`] with cancellation: `is_over` is called before each trial of a move.
+/// As [`random_route`], with cancellation: the search ends if `is_over` returns true. It is called before each
+/// trial of a move.
 pub(super) fn random_route_until(
     constraints: &Constraints<'_>,
     random: &mut impl Rng,
@@ -125,13 +129,14 @@ pub(super) fn point(design: &Design, random: &mut impl Rng) -> [f64; 5] {
     design.bar_range_deg.map(|[low, high]| (low + (high - low) * random.random::<f64>()).to_radians())
 }
 
-/// A random peak speed of the bar's fastest joint \[rad/s\].
+/// A random peak speed of the bar's fastest joint in a move \[rad/s\].
 pub(super) fn speed_rad_s(design: &Design, random: &mut impl Rng) -> f64 {
     design.bar_speed_rad_s * random.random_range(SPEED_RANGE)
 }
 
-/// Random poses on the sphere in no order, each with a speed that the robot can reach: a sample of what any path visits in the
-/// configuration of shoulder, elbow and wrist that `near_rad` has. Fewer than `count` if hardly any are found.
+/// Random poses on the sphere in no particular order, each with a speed that the robot can reach. All have the robot's
+/// configuration of shoulder, elbow and wrist at `near_rad`. They represent the poses that a path in this configuration can
+/// visit. Returns fewer than `count` poses if too few trials succeed.
 pub(super) fn random_poses(
     constraints: &Constraints<'_>,
     mut near_rad: Joints,
@@ -166,7 +171,7 @@ pub(super) fn random_poses(
     visited
 }
 
-/// A random bar posture near the design's posture of the robot, and the robot's joints there \[rad\].
+/// A random bar posture, and the robot's joints there nearest to the design's posture \[rad, m\].
 pub(super) fn start(
     constraints: &Constraints<'_>,
     random: &mut impl Rng,
@@ -192,7 +197,7 @@ pub(super) fn start(
 enum Extension {
     /// A move was added.
     Added,
-    /// The next move would end after the run: the path is full.
+    /// The next move would end after the run, so the path is complete.
     PathFull,
     /// None of the tried moves is feasible.
     NoneFeasible,
@@ -200,8 +205,8 @@ enum Extension {
     SearchEnded,
 }
 
-/// Adds moves until the duration is reached. If no next move is found, the last few are removed: a joint near its limit may
-/// prevent a continuation.
+/// Adds moves until the duration is reached. If no next move is found, the last few moves are removed, because a joint near
+/// its limit may prevent a continuation.
 fn fill(
     constraints: &Constraints<'_>,
     route: &mut Route,
@@ -239,7 +244,7 @@ fn fill(
     })
 }
 
-/// Tries moves from the last point until one is feasible.
+/// Adds one move: tries random moves from the last point until one is feasible.
 fn extend(
     constraints: &Constraints<'_>,
     route: &mut Route,
@@ -253,7 +258,8 @@ fn extend(
         if is_over() {
             return Extension::SearchEnded;
         }
-        // Part of the way to a random point: a line stays within the ranges, and a short one is feasible more often.
+        // The move covers a fraction of the way to a random point. A point on this line is within the ranges, and a short
+        // move is feasible more often.
         let (goal, part) = (point(design, random), random.random_range(PART_OF_WAY));
         let to_rad = std::array::from_fn(|i| from_rad[i] + part * (goal[i] - from_rad[i]));
         let step = route.path.push(&to_rad, speed_rad_s(design, random), design);
@@ -261,8 +267,9 @@ fn extend(
             route.path.moves.pop();
             return Extension::PathFull;
         }
-        // The robot's joints are known at the previous move's end. The nearest solution at this move's start is in the same
-        // configuration, because the path between the two was checked with the previous move.
+        // `near_rad` are the joints at the end of the previous move, but this move may start slightly earlier. The
+        // nearest solution at its start is in the same configuration, because the path between the two was checked
+        // with the previous move.
         let Some(near_rad) = route.robot_rad.last() else { return Extension::NoneFeasible };
         match constraints.follow(&route.path, step.start_s, step.end_s(), near_rad) {
             Ok(robot) => {

@@ -1,8 +1,8 @@
-//! Improves a path, one point at a time, until the time has elapsed.
+//! Improves a path by changing one point at a time, until the time has elapsed (random local search).
 //!
-//! A point of the path is moved, sometimes towards the most informative poses, or the speed of its moves is changed. The
-//! information of two moves and their neighbours is computed again. A change is kept if it improves the criterion and the path
-//! still satisfies all constraints (random local search).
+//! The search starts with the best of several random paths. In each step it moves a point of the path, sometimes towards
+//! the most informative poses, or changes the speed of a move. The information of the changed moves and their neighbours is
+//! then computed again. The change is kept if it improves the criterion and the path still satisfies all constraints.
 
 use std::time::{Duration, Instant};
 
@@ -23,14 +23,16 @@ use crate::solver::Normal;
 const STARTS: u64 = 8;
 /// Standard deviation of the change of a point, for each joint of the bar \[rad\].
 const NUDGE_RAD: f64 = 0.3;
-/// Number of checked poses per pose that is used in the criterion.
+/// The constraints are checked at every pose. The criterion uses one pose of this number of checked poses.
 const LOOKS_PER_POSE: usize = 2;
-/// Largest difference of the robot's joints from the old ones after a changed part \[rad, m\], so that both are the same
-/// solution of the inverse kinematics.
+/// Largest difference between old and new joints of the robot at the end of the changed moves \[rad, m\]. If it is smaller,
+/// both are the same solution of the inverse kinematics, so that the later moves remain valid.
 const SAME_MAX: f64 = 1e-3;
 
-/// Between two evaluated poses, [`LOOK_S`] apart, an extreme exceeds both by at most the acceleration times `LOOK_S^2 / 8`:
-/// 2 mrad at 5 rad/s², 3 mm at the end of an arm. The search keeps this additional distance, and part of the other limits.
+/// Additional margins of the search, because constraints are evaluated only at poses that are [`LOOK_S`] apart. Between
+/// two poses, an extreme exceeds both values by at most the acceleration times `LOOK_S^2 / 8`. At 5 rad/s² this is 2
+/// mrad, or 3 mm at the end of an arm. Angles and clearance have this additional distance; the other limits are
+/// multiplied by a factor.
 ///
 /// [`LOOK_S`]: super::constraints::LOOK_S
 const ANGLE_ROOM_DEG: f64 = 0.2;
@@ -59,21 +61,21 @@ pub struct BestPath {
     pub normal: Normal,
     /// The criterion of each random path, in the order of their seeds.
     pub random_scores: Vec<f64>,
-    /// Number of changes, and the value of the criterion.
+    /// Number of changes tried and kept, and the final value of the criterion.
     pub progress: SearchProgress,
 }
 
-/// A path divided into pieces, from the start of each move to that of the next.
+/// A path divided into pieces. A piece lasts from the start of a move to the start of the next move.
 pub(super) struct Pieces {
     path: Path,
-    /// Robot at the start of each piece and at the end of the path.
+    /// The robot's joints at the start of each piece, and at the end of the path.
     robot_rad: Vec<Joints>,
     /// Information of each piece.
     normals: Vec<Normal>,
 }
 
-/// Searches until `budget` has elapsed or `is_over` returns true. Before the first path is found, `is_over` receives no
-/// progress.
+/// Searches until `budget` has elapsed or `is_over` returns true. The argument of `is_over` is `None` until the
+/// first path is found.
 ///
 /// # Errors
 /// [`PlanError`] if no path is found.
@@ -92,7 +94,8 @@ pub fn search(
     let (mut best, mut random_scores) = (None, Vec::new());
     let mut last_error = None;
     for _ in 0..STARTS {
-        // The first path may use all of the time, the others only a part of it.
+        // The search for the first path may use all of the time. Further random paths are generated only
+        // during the first quarter.
         let until = if best.is_none() { budget } else { budget / 4 };
         let mut is_over = || begun.elapsed() > until || is_over(None);
         let route = random_route_until(constraints, &mut random, &mut is_over);
@@ -144,7 +147,7 @@ pub(super) fn tight_design(design: &Design) -> Design {
     }
 }
 
-/// The constraints with that design, and the same margin for all other quantities.
+/// The constraints with the design of [`tight_design`], and with additional margins for clearance and acceleration.
 pub(super) fn tightened<'a>(constraints: &Constraints<'a>, design: &'a Design) -> Constraints<'a> {
     let Constraints { limits, bodies, acceleration_rad_s2, .. } = constraints;
     let farther =
@@ -154,7 +157,7 @@ pub(super) fn tightened<'a>(constraints: &Constraints<'a>, design: &'a Design) -
 }
 
 impl Pieces {
-    /// The pieces of a path with their information.
+    /// Divides a path into pieces and computes their information.
     pub(super) fn of(
         constraints: &Constraints<'_>,
         information: &Information,
@@ -183,7 +186,8 @@ impl Pieces {
         (start_s(index).unwrap_or(0.0), end_s)
     }
 
-    /// Computes some pieces again, each from the end of the previous one.
+    /// Computes the robot's joints and the information of some pieces again. Each piece starts at the joints at which
+    /// the previous piece ends.
     fn redo(
         &mut self,
         constraints: &Constraints<'_>,
@@ -208,14 +212,14 @@ impl Pieces {
         Ok(())
     }
 
-    /// Information of the path.
+    /// Information of the whole path, the sum over all pieces.
     pub(super) fn total(&self, information: &Information) -> Normal {
         let mut total = Normal::zeros(information.columns());
         self.normals.iter().for_each(|normal| total += normal);
         total
     }
 
-    /// The path with one point moved or one move's speed changed; `None` if a constraint is violated.
+    /// The path with one point moved, one move's speed changed, or one move added; `None` if a constraint is violated.
     fn changed(
         &self,
         constraints: &Constraints<'_>,
@@ -248,7 +252,7 @@ impl Pieces {
                 (old_rad[i] + NUDGE_RAD * by).clamp(low, high)
             }),
         };
-        // Most points are unreachable, which is detected before anything else.
+        // Most changes fail because the robot does not reach the new point, so this is checked first.
         constraints.robot_at(&to_rad, self.robot_rad.get(index + 1).or(self.robot_rad.last())?).ok()?;
         let mut path = Path::at_rest(self.path.start_rad, design);
         for (position, step) in self.path.moves.iter().enumerate() {
@@ -266,7 +270,7 @@ impl Pieces {
             return None;
         }
         let mut changed = Self { path, robot_rad: self.robot_rad.clone(), normals: self.normals.clone() };
-        // The change has an effect from the start of the previous move to two moves later.
+        // The change affects the path from the start of the previous move to the end of the second next move.
         let first = index.saturating_sub(1);
         let last = (index + 3).min(changed.path.moves.len());
         changed.redo(constraints, information, first..last).ok()?;
@@ -277,7 +281,8 @@ impl Pieces {
     }
 }
 
-/// Information of a piece, with the robot's speeds from neighbouring poses.
+/// Information of a piece. `robot` are the joints at equal time steps from `from_s` to `until_s`. The robot's speeds are
+/// computed from differences of neighbouring poses.
 fn piece_information(
     path: &Path,
     information: &Information,

@@ -1,6 +1,6 @@
-//! Collision-free path of an arm between two postures, for the moves between planned poses: two trees of postures, one from each
-//! end, grow towards random postures and towards each other until they meet (RRT-Connect, Kuffner and LaValle 2000). Unnecessary
-//! intermediate postures are then removed.
+//! Finds a collision-free path of an arm between two postures, for the moves between planned poses. A posture is a set of
+//! joint variables. Two trees of postures, one from each end, grow towards random postures and towards each other until
+//! they meet (RRT-Connect, Kuffner and LaValle 2000). Intermediate postures that are not needed are then removed.
 
 use std::f64::consts::{PI, TAU};
 
@@ -10,17 +10,18 @@ use super::poses::Way;
 use crate::kinematics::Joints;
 use crate::statistics::largest_difference;
 
-/// Highest number of random postures: without a path the search ends after some seconds.
+/// Largest number of random postures to which the trees grow. If there is no path, the search then ends after some seconds.
 const TRIES: usize = 1500;
-/// The same for each posture that differs by whole turns: if a path exists, the first trials find it.
+/// Largest number of random postures, if the target differs from the requested posture by whole turns. If such a path
+/// exists, the first trials find it.
 const TRIES_TURNED: usize = 100;
 /// Largest change of a joint in one step of a tree \[rad, m\].
 const STEP: f64 = 0.4;
-/// Most paths around an obstacle stay within this distance of both postures \[rad, m\]: every second random posture is drawn
-/// there.
+/// Distance from the range between both postures \[rad, m\]. Every second random posture is drawn within this distance,
+/// because most paths around an obstacle stay there.
 const ROUND: f64 = 1.0;
 
-/// Tree of postures reached from the first one, each with its predecessor.
+/// A tree of postures that were reached from the first one. `before` has the index of each posture's predecessor.
 struct Tree {
     postures: Vec<Joints>,
     before: Vec<usize>,
@@ -31,7 +32,8 @@ impl Tree {
         Self { postures: vec![root], before: vec![0] }
     }
 
-    /// One step from the nearest posture towards another one: the end of the step, if the motion is free of collisions.
+    /// Makes one step from the nearest posture of the tree to the posture `towards`. Returns the end of the step, or `None`
+    /// if the motion is not free of collisions.
     fn grow(&mut self, towards: &Joints, is_clear: impl Fn(&Joints, &Joints) -> bool) -> Option<Joints> {
         let distance = |node: usize| largest_difference(&self.postures[node], towards);
         let nearest = (0..self.postures.len()).min_by(|a, b| distance(*a).total_cmp(&distance(*b)))?;
@@ -49,7 +51,7 @@ impl Tree {
         Some(to)
     }
 
-    /// Postures from the last one reached back to the first.
+    /// Postures from the last one added back to the root.
     fn branch(&self) -> Vec<Joints> {
         let mut node = self.postures.len() - 1;
         let mut branch = vec![self.postures[node]];
@@ -61,8 +63,9 @@ impl Tree {
     }
 }
 
-/// Path to a posture, or to the same one with joints that differ by whole turns if no path exists: a joint that must not pass
-/// an angle then moves in the other direction. Joints stay within `range`; `turns` is true for revolute ones.
+/// Finds a path from one posture to another. If there is none, it tries target postures that differ by whole turns of
+/// joints: a joint that cannot pass an angle then moves in the other direction. Returns the reached posture and the path to
+/// it. Joints stay within `range`; `turns` is true for revolute joints.
 pub(super) fn to_posture(
     from: Joints,
     to: Joints,
@@ -81,7 +84,8 @@ pub(super) fn to_posture(
     with_whole_turns(&from, &to, range, turns).iter().find_map(found).unwrap_or((to, Way::Blocked))
 }
 
-/// Postures with one or two joints a whole turn further, nearest first.
+/// Postures that differ from `to` by one whole turn of one joint or two joints and are within `range`,
+/// nearest to `from` first.
 fn with_whole_turns(from: &Joints, to: &Joints, range: &[[f64; 2]], turns: &[bool]) -> Vec<Joints> {
     let one_turn_away = |posture: &Joints| {
         let axes = (0..posture.len()).filter(|axis| turns[*axis]);
@@ -98,7 +102,7 @@ fn with_whole_turns(from: &Joints, to: &Joints, range: &[[f64; 2]], turns: &[boo
     let once = one_turn_away(to);
     let mut others: Vec<Joints> = Vec::new();
     for other in once.iter().copied().chain(once.iter().flat_map(one_turn_away)) {
-        // A turn and back, and turns in another order, differ by rounding.
+        // The same posture can be reached in several orders of turns, and with different rounding errors.
         let is_same = |known: &Joints| largest_difference(known, &other) < PI;
         if !is_same(to) && !others.iter().any(is_same) {
             others.push(other);
@@ -108,8 +112,8 @@ fn with_whole_turns(from: &Joints, to: &Joints, range: &[[f64; 2]], turns: &[boo
     others
 }
 
-/// Postures between two others, connected by free straight lines in joint space; joints stay within `range`. `None` if none
-/// were found.
+/// Intermediate postures between `from` and `to`. They are connected by straight lines in joint space that are free of
+/// collisions. Joints stay within `range`. `None` if no path was found.
 fn path_around(
     [from, to]: [Joints; 2],
     range: &[[f64; 2]],
@@ -119,7 +123,8 @@ fn path_around(
 ) -> Option<Vec<Joints>> {
     let [mut growing, mut opposite] = [from, to].map(Tree::new);
     for attempt in 0..tries {
-        // The trees grow in turn. Of four attempts two draw near the ends, one for each tree.
+        // The trees grow alternately. Of each four attempts, the first two (one for each tree) draw a
+        // posture near the ends.
         let goal = Joints::from_fn(from.len(), |axis| {
             let [low, high] = range[axis];
             let (near_low, near_high) = (from[axis].min(to[axis]) - ROUND, from[axis].max(to[axis]) + ROUND);
@@ -133,7 +138,7 @@ fn path_around(
             while let Some(grown) = opposite.grow(&reached, &is_clear) {
                 if grown == reached {
                     let [mut first, mut second] = [growing.branch(), opposite.branch()];
-                    // In odd attempts the growing tree starts at `to`.
+                    // In odd attempts, the growing tree is the one that starts at `to`.
                     if attempt % 2 == 1 {
                         std::mem::swap(&mut first, &mut second);
                     }
@@ -148,7 +153,8 @@ fn path_around(
     None
 }
 
-/// The necessary intermediate postures of a path: from each to the farthest one that a free straight line reaches.
+/// The intermediate postures that are needed: from each posture, the path continues at the farthest posture that a
+/// free straight line reaches.
 fn shortened(way: &[Joints], is_clear: impl Fn(&Joints, &Joints) -> bool) -> Vec<Joints> {
     let (mut at, last) = (0, way.len() - 1);
     let mut needed = Vec::new();

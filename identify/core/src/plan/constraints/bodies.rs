@@ -1,8 +1,9 @@
-//! Bodies that must not touch: the robot's links, the rod and the plate as capsules, boxes of the cell, the floor.
+//! Computes the distances between bodies, to avoid collisions. Bodies are the robot's links, the rod and the plate as
+//! capsules (cylinders with round ends), boxes in the robot cell, and the floor.
 //!
-//! Constraints of paths and of moves between poses need their smallest distance, which `parry3d` computes. Links are capsules
-//! between the frames of the Denavit-Hartenberg table, all with one radius, because data sheets have no more numbers. Adjacent
-//! links always touch and are not compared.
+//! The constraints of paths and of moves between poses use the smallest distance, which `parry3d` computes. Links are
+//! capsules between the frames of the Denavit-Hartenberg table. All have one radius, because data sheets do not specify the
+//! radius of each link. Adjacent links always touch and are not compared.
 
 use nalgebra::Vector3;
 use parry3d_f64::math::{Pose as Placement, Vector};
@@ -12,12 +13,13 @@ use shared::config::JointKind;
 
 use crate::kinematics::{Chain, DhLink, Joints, ROD_LINK};
 
-/// Number of links of the wrist, which only rotate in place: the plate and the rod's end represent them.
+/// Number of links of the wrist. These links only rotate in place, so the plate and the end of the rod represent them.
 const WRIST_LINKS: usize = 2;
-/// Shortest step between two checked postures of a move \[m\]: between them the clearance is smaller by at most half of it.
+/// Shortest step between two checked postures of a move \[m\]. Between them the clearance is smaller by at most
+/// half of this step.
 const ADVANCE_M_MIN: f64 = 5e-3;
 
-/// Sizes of the bodies.
+/// Sizes of the bodies, and their least clearance.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Bodies {
     /// Radius of the robot's links \[m\].
@@ -26,23 +28,23 @@ pub struct Bodies {
     pub rod_radius_m: f64,
     /// Boxes with edges along the robot's base frame: two opposite corners \[m\].
     pub boxes_m: Vec<[[f64; 3]; 2]>,
-    /// Height of the floor in the robot's base frame \[m\]; `None` for no floor.
+    /// Height of the floor in the robot's base frame \[m\]; `None` if the floor is not checked.
     pub floor_m: Option<f64>,
     /// Least distance between two bodies \[m\].
     pub clearance_m_min: f64,
 }
 
-/// Centre lines of an arm's links in one pose \[m\].
+/// Centre lines of an arm's links in one posture \[m\].
 #[derive(Debug, Clone, PartialEq)]
 pub struct Skeleton {
-    /// Each link: its start, its corner (the point along its joint's axis), and its end.
+    /// Start, corner and end of each link. The line from start to corner is along the link's joint axis.
     pub links: Vec<[Vector3<f64>; 3]>,
     /// End of the plate.
     pub end: Vector3<f64>,
 }
 
 impl Skeleton {
-    /// Centre lines for a posture of the robot.
+    /// Computes the centre lines for a posture of the robot.
     pub fn of(robot: &Chain, robot_rad: &[f64]) -> Self {
         let mut frame = robot.root_from_base;
         let mut links = Vec::with_capacity(robot.links.len());
@@ -59,8 +61,9 @@ impl Skeleton {
 }
 
 impl Bodies {
-    /// Default sizes for a robot of this reach: link diameters of a tenth of it, as for the arms in `config/robots`; rod and
-    /// plate of 20 mm radius, and a clearance of 20 mm.
+    /// Default sizes for a robot of this reach. The diameter of its links is a tenth of the reach, as for the arms
+    /// in `config/robots`. Rod and plate have a radius of 20 mm, and the least clearance is 20 mm. There are no
+    /// boxes and no floor.
     pub fn for_reach(reach_m: f64) -> Self {
         Self {
             link_radius_m: 0.05 * reach_m,
@@ -71,14 +74,19 @@ impl Bodies {
         }
     }
 
-    /// Smallest distance of the rod from the links before the wrist, of the plate from these except the forearm, and of the cell
-    /// from rod, plate and all links except the first \[m\]; the floor is not compared with the rod. Zero for an overlap.
+    /// Smallest distance between bodies at a posture of the robot that holds the bar \[m\]; zero if two
+    /// bodies overlap. It compares:
+    ///
+    /// - the rod with the links before the wrist,
+    /// - the plate with these links except the last, the forearm,
+    /// - boxes with rod, plate and all links except the first,
+    /// - the floor with the plate and all links except the first.
     pub fn clearance_m(&self, robot: &Chain, bar: &Chain, robot_rad: &[f64]) -> f64 {
         let Skeleton { links, end } = Skeleton::of(robot, robot_rad);
         let gimbal = bar.root_from_base.translation.vector;
         let plate = self.rod([links.last().map_or(end, |[_, corner, _]| *corner), end]);
         let rod = self.rod([gimbal, end]);
-        // The last part of the rod is at the plate in every pose.
+        // The end of the rod is always near the plate, so a short length there is not compared.
         let length_m = bar.links.get(ROD_LINK).map_or(0.0, |rod| rod.d_m);
         let near_end = end + (gimbal - end) * (4.0 * self.rod_radius_m / length_m.max(1e-3)).min(0.5);
         let free_rod = self.rod([gimbal, near_end]);
@@ -93,7 +101,7 @@ impl Bodies {
                 if index < before_wrist {
                     compare(&free_rod, &piece);
                 }
-                // The forearm ends at the start of the wrist.
+                // The forearm is always near the plate, because it ends at the wrist.
                 if index + 1 < before_wrist {
                     compare(&plate, &piece);
                 }
@@ -102,7 +110,7 @@ impl Bodies {
         clearance_m.min(self.cell_clearance_m(&links, &[&plate, &rod], Some(&plate))).max(0.0)
     }
 
-    /// Whether an arm without load keeps its clearance from itself and the cell.
+    /// Whether an arm without the bar keeps the least clearance between its own links and from the cell.
     pub fn is_clear(&self, arm: &Chain, robot_rad: &[f64]) -> bool {
         self.arm_clearance_m(arm, robot_rad) >= self.clearance_m_min
     }
@@ -112,10 +120,11 @@ impl Bodies {
         self.cell_clearance_m(&links, &[], None).min(self.own_clearance_m(&links))
     }
 
-    /// Whether [`Self::is_clear`] holds on the straight line in joint space between two postures, to half of [`ADVANCE_M_MIN`].
+    /// Whether [`Self::is_clear`] is true on the straight line in joint space between two postures. It may miss up
+    /// to half of [`ADVANCE_M_MIN`].
     ///
-    /// No point of the arm moves further than `way_m`, so a posture whose clearance exceeds the smallest permitted one remains
-    /// clear until the arm has moved by the difference (conservative advancement, Mirtich 1996).
+    /// No point of the arm moves further than `way_m` on this line. If the clearance of a posture exceeds the least
+    /// clearance, the arm can move by the difference without a check (conservative advancement, Mirtich 1996).
     pub fn is_way_clear(&self, arm: &Chain, from: &Joints, to: &Joints) -> bool {
         let extended_m = |((link, from), to): ((&DhLink, &f64), &f64)| match link.joint {
             JointKind::Revolute => 0.0,
@@ -142,14 +151,15 @@ impl Bodies {
         }
     }
 
-    /// Smallest distance between two links, if the chain between them is long enough for them to be apart \[m\].
+    /// Smallest distance between two links \[m\]. Two links are compared only if the chain between them is long enough
+    /// for the least clearance.
     fn own_clearance_m(&self, links: &[[Vector3<f64>; 3]]) -> f64 {
         let length_m =
             |[before, corner, after]: &[Vector3<f64>; 3]| (corner - before).norm() + (after - corner).norm();
         let apart_m = 2.0 * self.link_radius_m + self.clearance_m_min;
         let mut clearance_m = f64::INFINITY;
         for (index, link) in links.iter().enumerate() {
-            // Length of the chain from the end of `link` to the start of `later`: adjacent links are skipped.
+            // Length of the chain from the end of `link` to the start of `later`. The adjacent link is skipped.
             let mut between_links_m = 0.0;
             for (before_later, later) in links.iter().zip(links.iter().skip(1)).skip(index + 1) {
                 between_links_m += length_m(before_later);
@@ -165,8 +175,8 @@ impl Bodies {
         clearance_m
     }
 
-    /// Smallest distance of all links except the first, and of the bodies that they carry, from boxes, and of these links and
-    /// `plate` from the floor \[m\].
+    /// Smallest distance from the cell \[m\]. All links except the first, and the bodies `carried`, are compared with
+    /// boxes. These links and `plate` are compared with the floor.
     fn cell_clearance_m(
         &self,
         links: &[[Vector3<f64>; 3]],
@@ -199,7 +209,7 @@ impl Bodies {
         clearance_m
     }
 
-    /// Capsules of a link: along its joint's axis, and along the link.
+    /// The capsules of a link: one along its joint axis, one along its common normal. Capsules without length are omitted.
     fn pieces(&self, [before, corner, after]: &[Vector3<f64>; 3]) -> impl Iterator<Item = Capsule> {
         let radius_m = self.link_radius_m;
         [[*before, *corner], [*corner, *after]]
@@ -208,7 +218,7 @@ impl Bodies {
             .map(move |ends| capsule(ends, radius_m))
     }
 
-    /// Capsule with the radius of rod and plate.
+    /// A capsule with the radius of rod and plate.
     fn rod(&self, ends: [Vector3<f64>; 2]) -> Capsule {
         capsule(ends, self.rod_radius_m)
     }
@@ -218,7 +228,7 @@ fn capsule([a, b]: [Vector3<f64>; 2], radius_m: f64) -> Capsule {
     Capsule::new(Vector::new(a.x, a.y, a.z), Vector::new(b.x, b.y, b.z), radius_m)
 }
 
-/// Distance of two capsules, zero for an overlap \[m\].
+/// Distance between two capsules \[m\]; zero if they overlap.
 fn between_m(one: &Capsule, other: &Capsule) -> f64 {
     let here = Placement::IDENTITY;
     query::distance(&here, one, &here, other).map_or(f64::INFINITY, |found| found.distance)

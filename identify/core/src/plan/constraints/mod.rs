@@ -1,5 +1,5 @@
-//! Constraints of a path: singular postures, joint limits, speed, acceleration, and collisions. Every planner and the check of
-//! a path use them, with the robot's joints at each bar posture from the inverse kinematics.
+//! Constraints of a path: singular postures, joint limits, speed, acceleration, and collisions. All planners and the check
+//! of a path use them. The robot's joints at each posture of the bar follow from inverse kinematics.
 
 mod bodies;
 
@@ -21,9 +21,9 @@ pub const LOOK_S: f64 = 0.05;
 pub enum Obstacle {
     /// The bar is near a singular pose.
     BarSingularity,
-    /// The robot does not reach the pose.
+    /// The robot's inverse kinematics has no solution.
     Reach,
-    /// A joint limit of the robot.
+    /// A robot joint is outside its limits, or too close to them.
     JointLimit,
     /// The robot's wrist is nearly straight.
     Wrist,
@@ -35,7 +35,7 @@ pub enum Obstacle {
     Acceleration,
     /// The clearance between rod or plate and the robot or the cell is too small.
     Collision,
-    /// A cable is rotated too far.
+    /// An encoder cable is wound up too far.
     Cable,
     /// The gap between the ends of robot and bar is too large.
     OffSphere,
@@ -68,18 +68,19 @@ pub struct Constraints<'a> {
     pub bar: &'a Chain,
     /// Joint limits of the robot \[rad, m\].
     pub limits: Vec<[f64; 2]>,
-    /// Joint limits reduced by the design's margin.
+    /// Joint limits of the robot, reduced by the design's margin \[rad, m\].
     limits_with_margin: Vec<[f64; 2]>,
-    /// Margins and highest speeds.
+    /// Ranges, margins and highest speeds of the motion.
     pub design: &'a Design,
-    /// Highest acceleration of a robot joint \[rad/s², m/s²\]; infinite without a limit.
+    /// Highest acceleration of a robot joint \[rad/s², m/s²\]; infinite if there is no limit.
     pub acceleration_rad_s2: f64,
-    /// Bodies that must not touch, if they are known.
+    /// Bodies for the computation of collisions; `None` if collisions are not checked.
     pub bodies: Option<Bodies>,
 }
 
 impl<'a> Constraints<'a> {
-    /// Constraints by the margins and speeds of a design, for a bar at the design's position.
+    /// Constraints from the margins and speeds of a design, without bodies and without a limit of acceleration. The base of
+    /// `bar` is at the design's position.
     pub fn new(robot: &'a Chain, bar: &'a Chain, limits: &[[f64; 2]], design: &'a Design) -> Self {
         Self {
             robot,
@@ -93,7 +94,7 @@ impl<'a> Constraints<'a> {
         }
     }
 
-    /// Adds bodies that must not touch, and the highest acceleration of a robot joint \[rad/s², m/s²\].
+    /// Sets the bodies for the computation of collisions, and the highest acceleration of a robot joint \[rad/s², m/s²\].
     #[must_use]
     pub fn with(self, bodies: Option<Bodies>, acceleration_rad_s2: f64) -> Self {
         Self { bodies, acceleration_rad_s2, ..self }
@@ -111,8 +112,8 @@ impl<'a> Constraints<'a> {
         self.robot_is_comfortable(&robot).map(|()| robot)
     }
 
-    /// The robot's joints at a pose of its end: the solution nearest to `near_rad`, or, for an arm with more axes than a pose
-    /// needs, the one in the middle of its limits.
+    /// The robot's joints at a pose of its end: the solution nearest to `near_rad`. If the arm has more axes than a pose
+    /// needs, the solution nearest to the middle of its limits.
     ///
     /// # Errors
     /// Errors of the inverse kinematics.
@@ -120,7 +121,7 @@ impl<'a> Constraints<'a> {
         robot_inverse_centred(self.robot, target, near_rad, &self.limits)
     }
 
-    /// Checks joint limits, singular postures and bodies.
+    /// Checks the robot's joint limits, singular postures and collisions.
     ///
     /// # Errors
     /// The violated constraint.
@@ -143,9 +144,13 @@ impl<'a> Constraints<'a> {
         }
     }
 
-    /// Configuration of wrist, elbow and shoulder of an arm with six axes: the sign of joint 5, the side of the upper arm on
-    /// which the wrist is, and the sign of the Jacobian's determinant, which changes with each of the three. It
-    /// stays the same along any path that avoids singular postures.
+    /// Configuration of wrist, elbow and shoulder of an arm with six axes, as three signs: the sign of joint 5, the side of
+    /// the upper arm on which the wrist is, and the sign of the Jacobian's determinant. The determinant changes its sign
+    /// with each of the three configurations. No sign changes along a path that avoids singular postures. For other arms
+    /// the result is always the same.
+    /// 5. The second is the side of the upper arm on which the wrist is. The third is the sign of the Jacobian's
+    /// determinant, which changes with each of the three. The configuration does not change along a path that avoids
+    /// singular postures. Always the same value for other arms.
     pub(super) fn bent(&self, robot_rad: &[f64]) -> [bool; 3] {
         let &[_, _, _, _, wrist, _] = robot_rad else { return [true; 3] };
         let mut trace = Trace::default();
@@ -153,24 +158,24 @@ impl<'a> Constraints<'a> {
         let columns: Vec<Vector6<f64>> = trace.joint_twists().map(|twist| twist.column()).collect();
         let jacobian = Matrix6::from_columns(&columns);
         let axes: Vec<(Vector3<f64>, Vector3<f64>)> = trace.joint_axes().collect();
-        // Each axis is a point on it and its direction.
+        // For each axis, a point on the axis and its direction.
         let [(shoulder_m, shoulder_axis), (elbow_m, _), (wrist_m, _)] = [axes[1], axes[2], axes[4]];
         let side = shoulder_axis.dot(&(elbow_m - shoulder_m).cross(&(wrist_m - elbow_m)));
         [wrist.sin() > 0.0, side > 0.0, jacobian.determinant() > 0.0]
     }
 
-    /// Smallest singular value of the robot's Jacobian, position in m and rotation in rad.
+    /// Smallest singular value of the robot's Jacobian, with positions in metres and rotations in radians.
     pub fn dexterity(&self, robot_rad: &[f64]) -> f64 {
         let mut trace = Trace::default();
         self.tracer.trace(robot_rad, &mut trace);
         let columns = trace.joint_twists().map(|twist| twist.column());
-        // The singular values of J are the roots of the eigenvalues of J J^T.
+        // The singular values of J are the square roots of the eigenvalues of J J^T.
         let squares: Matrix6<f64> = columns.map(|column| column * column.transpose()).sum();
         squares.symmetric_eigenvalues().min().max(0.0).sqrt()
     }
 
-    /// The robot's joints on a part of a path, from `from_s` to `until_s` at equal steps of about [`LOOK_S`], the first
-    /// nearest to `near_rad`.
+    /// The robot's joints along a path from `from_s` to `until_s`, at equal time steps of about [`LOOK_S`]. The first
+    /// joints are those nearest to `near_rad`. Checks all constraints, including speed and acceleration.
     ///
     /// # Errors
     /// The constraint that is violated first.
