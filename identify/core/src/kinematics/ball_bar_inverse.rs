@@ -168,7 +168,7 @@ fn inverse_in_first(
 /// if the bar can reach it.
 ///
 /// # Errors
-/// [`InverseError::NotConverged`] at a singular pose; as [`ball_bar_inverse`] for another structure.
+/// [`InverseError::NotConverged`] at a singular pose. If the chain is not a ball-bar, the errors of [`ball_bar_inverse`].
 pub fn ball_bar_inverse_refined(
     chain: &Chain,
     target: &Pose,

@@ -93,8 +93,8 @@ impl Chain {
         Self { root_from_base, links, last_from_end: Pose::identity() }
     }
 
-    /// Whether a parameter of a link (from 0) is a rotation after the last joint. Such a parameter has the same effect on
-    /// positions of the end as `a`, `d` and `theta` of the last link, so positions alone cannot identify it.
+    /// Whether a parameter of a link (from 0) is a rotation after the last joint. Positions of the end do not separate such
+    /// a parameter from `a`, `d` and `theta` of the last link.
     pub fn is_last_rotation(&self, link: usize, parameter: LinkParameter) -> bool {
         link + 1 == self.links.len() && matches!(parameter, LinkParameter::Alpha | LinkParameter::Beta)
     }
@@ -130,7 +130,7 @@ impl Chain {
             * self.last_from_end
     }
 
-    /// Each link with its joint variable.
+    /// Each link, with its joint variable. Missing joint variables are zero.
     pub(crate) fn joined<'a>(&'a self, joints: &'a [f64]) -> impl Iterator<Item = (&'a DhLink, f64)> {
         self.links.iter().zip(joints.iter().copied().chain(std::iter::repeat(0.0)))
     }

@@ -21,7 +21,7 @@ pub enum InverseError {
         key: &'static str,
         /// Value of the parameter \[deg, m\].
         value: f64,
-        /// Value in the structure \[deg, m\].
+        /// Value that the structure needs \[deg, m\].
         expected: &'static str,
     },
     /// An axis is prismatic, which the closed form does not support.

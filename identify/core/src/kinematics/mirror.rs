@@ -26,6 +26,7 @@ pub fn mirroring_joints(arm: &Chain) -> Option<Vec<usize>> {
     let reach_m = ends.iter().map(|end| end.translation.vector.norm()).fold(0.0, f64::max);
     // A set of joints is a bit mask: bit `joint` is 1 if the sign of this joint is reversed.
     let is_reversed = |reversed: usize, joint: usize| reversed >> joint & 1 == 1;
+    // Largest difference between arm and mirror image over all poses, if the joints `reversed` are reversed.
     let largest_difference = |reversed: usize| {
         let difference = |(joints, end): (&Joints, &Pose)| {
             let image_joints = Joints::from_fn(count, |joint| {

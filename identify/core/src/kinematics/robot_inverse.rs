@@ -137,8 +137,9 @@ fn closed_form(chain: &Chain, target: &Pose, near: &[f64; AXES]) -> Result<Vec<[
 /// each step has the least norm, so the solution is close to `near`.
 ///
 /// # Errors
-/// [`InverseError::Unreachable`] outside the workspace, [`InverseError::NotConverged`] at a singularity or too far from
-/// `near`, [`InverseError::Links`] for fewer than six axes or another number of values in `near`.
+/// [`InverseError::Unreachable`] if the pose is outside the workspace. [`InverseError::NotConverged`] at a singularity, or
+/// if the solution is too far from `near`. [`InverseError::Links`] if the arm does not have six to eight axes, or `near`
+/// does not have one value for each axis.
 pub fn robot_inverse(chain: &Chain, target: &Pose, near: &[f64]) -> Result<Joints, InverseError> {
     if near.len() != chain.links.len() {
         return Err(InverseError::Links { found: chain.links.len(), expected: near.len() });
@@ -156,7 +157,7 @@ pub fn robot_inverse(chain: &Chain, target: &Pose, near: &[f64]) -> Result<Joint
 /// repeats on a closed path.
 ///
 /// # Errors
-/// Those of [`robot_inverse`].
+/// The errors of [`robot_inverse`].
 pub fn robot_inverse_centred(
     chain: &Chain,
     target: &Pose,

@@ -30,7 +30,7 @@ impl Twist {
         Self { angular: axis, linear: axis.cross(&(end - point)) }
     }
 
-    /// The same motion at another speed.
+    /// The same motion, `speed` times as fast.
     #[inline]
     pub fn scaled(&self, speed: f64) -> Self {
         Self { angular: self.angular * speed, linear: self.linear * speed }

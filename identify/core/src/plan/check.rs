@@ -73,7 +73,7 @@ pub struct Checked {
     pub bar_margin_rad: f64,
     /// Smallest singular value of the robot's Jacobian (m and rad alike).
     pub dexterity: f64,
-    /// Smallest distance of robot, bar and cell \[m\]; `None` if no bodies are known.
+    /// Smallest distance between robot, bar and cell \[m\]; `None` if no bodies are known.
     pub clearance_m: Option<f64>,
     /// Largest gap between the ends of robot and bar \[m\].
     pub off_sphere_m: f64,
@@ -125,6 +125,7 @@ pub fn check(
         design.bar_range_deg.map(|[low, high]| (0.5 * (low + high)).to_radians());
     let mut start_rad = None;
     let mut last_acceleration: Option<Joints> = None;
+    // At each time step: joints of the bar by inverse kinematics, violated constraints, and extremes.
     for step in 0..=(duration_s / CHECK_S).floor() as usize {
         let t_s = step as f64 * CHECK_S;
         let Some(point) = curve.at(t_s) else { return Err(CheckError::Gap { t_s }) };

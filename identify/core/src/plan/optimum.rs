@@ -104,6 +104,7 @@ pub(super) fn optimum(
     loop {
         let root =
             DVector::from_fn(rows.nrows(), |row, _| (measurements * parts[row / rows_per_pose]).sqrt());
+        // Covariance and variance for the present weights.
         let mut weighted_rows = rows.clone();
         weighted_rows.column_iter_mut().for_each(|mut column| column.component_mul_assign(&root));
         let covariance = ScaledCholesky::new(prior + squared(&weighted_rows))?.inverse();
@@ -116,6 +117,7 @@ pub(super) fn optimum(
             (measurements * jpwp_of_pose.dot(&rows_of_pose)).max(0.0)
         };
         let decreases: Vec<f64> = (0..poses).map(decrease).collect();
+        // The bound from the gap of the decreases.
         let mean: f64 = parts.iter().zip(&decreases).map(|(part, decrease)| part * decrease).sum();
         let gap = decreases.iter().fold(0.0_f64, |largest, decrease| largest.max(*decrease)) - mean;
         bound = bound.max(variance.powi(2) / (variance + gap));
@@ -123,6 +125,7 @@ pub(super) fn optimum(
         if gap <= GAP * variance || step == STEPS_MAX {
             return Some(Optimum { variance_min: bound, variance, parts });
         }
+        // The multiplicative step of the weights.
         parts.iter_mut().zip(&decreases).for_each(|(part, decrease)| *part *= decrease.sqrt());
         let sum: f64 = parts.iter().sum();
         parts.iter_mut().for_each(|part| *part /= sum);

@@ -221,6 +221,7 @@ impl PlaceRequest<'_> {
         let constraints = self.constraints(&arm, &chain, &limits, &design);
         let tight_design = tight_design(&design);
         let tight = tightened(&constraints, &tight_design);
+        // The paths keep the same additional margins as those of a search.
         let mut best: Option<RatedPlace> = None;
         for _ in 0..PATHS {
             // If no path is found in the first trial, the position has too little space.

@@ -93,6 +93,7 @@ pub fn search(
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let (mut best, mut random_scores) = (None, Vec::new());
     let mut last_error = None;
+    // Generates random paths and keeps the best one.
     for _ in 0..STARTS {
         // The search for the first path may use all of the time. Further random paths are generated only
         // during the first quarter.
@@ -117,6 +118,7 @@ pub fn search(
         let ended = PlanError::Ended { duration_s: constraints.design.duration_s };
         return Err(last_error.unwrap_or(ended));
     };
+    // Improves this path by random changes.
     let mut progress = SearchProgress { tried: 0, taken: 0, score };
     let mut total = pieces.total(information);
     let mut found_goals = None;
@@ -235,12 +237,12 @@ impl Pieces {
         let to_rad = match random.random_range(0..4) {
             // Only the speed changes.
             0 if index < count => old_rad,
-            // A part of the way to a random point.
+            // A fraction of the way to a random point.
             1 => {
                 let (goal, part) = (point(design, random), random.random_range(0.2..1.0));
                 std::array::from_fn(|i| old_rad[i] + part * (goal[i] - old_rad[i]))
             }
-            // All or a part of the way to an informative pose.
+            // All or a fraction of the way to an informative pose.
             2 if let Some(goal) = goals.choose(random) => {
                 let part = if random.random() { 1.0 } else { random.random_range(0.2..1.0) };
                 std::array::from_fn(|i| old_rad[i] + part * (goal[i] - old_rad[i]))

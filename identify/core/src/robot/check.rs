@@ -55,6 +55,7 @@ pub fn check(robot: &RobotConfig) -> RobotCheck {
     let (chain, limits) = (flange_chain(robot), robot.joint_limits());
     let zero = Joints::zeros(limits.len());
     let middle: Joints = limits.iter().map(|[low, high]| 0.5 * (low + high)).collect();
+    // The reach, and the rank of the Jacobian, at random postures.
     let mut trace = Trace::default();
     let tracer = Tracer::new(&chain);
     let mut random = ChaCha8Rng::seed_from_u64(1);
@@ -69,6 +70,7 @@ pub fn check(robot: &RobotConfig) -> RobotCheck {
             trace.position_m()
         })
         .collect();
+    // The axes with all joints at zero.
     tracer.trace(&zero, &mut trace);
     let kinds_and_axes = robot.joint_kinds().zip(trace.joint_axes());
     let axes: Vec<_> = kinds_and_axes.map(|(kind, (point, along))| (kind, point, along)).collect();

@@ -43,6 +43,7 @@ impl<'a> Ends<'a> {
                 });
             }
         }
+        // The tip, the joints from the root of the tree to the tip, and the base.
         let mut left_out = Vec::new();
         let tip = match tip {
             Some(tip) => tip.to_owned(),
@@ -60,6 +61,7 @@ impl<'a> Ends<'a> {
             Some(base) => base.to_owned(),
             None => find_base(urdf, root, &joints, &mut left_out),
         };
+        // The joints before the base are removed.
         let begin = joints.iter().position(|joint| joint.parent == base);
         let Some(begin) = begin.or_else(|| (base == tip).then_some(joints.len())) else {
             let above: Vec<&String> = joints.iter().rev().map(|joint| &joint.parent).collect();
@@ -104,6 +106,7 @@ impl<'a> End<'a> {
 /// links behind its last axis, the tip is the link with the name of a tool, or else the only link that is not followed by
 /// another one of them.
 fn find_tip(urdf: &Urdf, base: Option<&str>, left_out: &mut Vec<String>) -> Result<String, ImportError> {
+    // All links that have axes between the base and the link.
     let below_base = |link: &str| {
         let joints = urdf.joints_to(link);
         let begin = base.map_or(Some(0), |base| joints.iter().position(|joint| joint.parent == base))?;
@@ -112,6 +115,7 @@ fn find_tip(urdf: &Urdf, base: Option<&str>, left_out: &mut Vec<String>) -> Resu
     let end = |link| Some(End::new(link, &below_base(link)?));
     let ends = urdf.links.iter().filter_map(|link| end(link.as_str()));
     let ends: Vec<End<'_>> = ends.filter(|end| !end.axes.is_empty()).collect();
+    // A link with the name of a flange.
     for name in FLANGES {
         let called: Vec<&End<'_>> = ends.iter().filter(|end| is_called(end.link, name)).collect();
         match called[..] {
@@ -121,6 +125,7 @@ fn find_tip(urdf: &Urdf, base: Option<&str>, left_out: &mut Vec<String>) -> Resu
         }
     }
     let is_parent = |link: &str| urdf.joints.iter().any(|joint| joint.parent == link);
+    // The end with the largest number of axes. All other ends must be on the same arm.
     let Some(arm) = ends.iter().max_by_key(|end| end.axes.len()) else {
         if !urdf.joints.iter().any(UrdfJoint::moves) {
             return Err(ImportError::Wrong("no joint moves in it".into()));
@@ -134,6 +139,8 @@ fn find_tip(urdf: &Urdf, base: Option<&str>, left_out: &mut Vec<String>) -> Resu
     if !ends.iter().all(|end| arm.continues(end)) {
         return Err(several_tips(&ends.iter().filter(|end| !is_parent(end.link)).collect::<Vec<_>>()));
     }
+    // Links behind the last axis: `grippers`, and all others (`candidates`). `tips` are the candidates that
+    // no other candidate follows.
     let after_last_axis = ends.iter().filter(|end| end.axes.len() == arm.axes.len());
     let (grippers, candidates): (Vec<&End<'_>>, Vec<_>) =
         after_last_axis.partition(|end| end.gripper.is_some());

@@ -153,6 +153,7 @@ pub fn import(text: &str, base: Option<&str>, tip: Option<&str>) -> Result<Impor
             }
         }
     }
+    // The loop has converted the moving joints to axis lines and limits. The chain and the configuration follow from them.
     if !(AXES_MIN..=AXES_MAX).contains(&axes.len()) {
         return Err(ImportError::Axes { axes: axes.len(), base, tip });
     }

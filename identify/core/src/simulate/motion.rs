@@ -89,7 +89,7 @@ impl<P: BarPath> Motion<P> {
     /// pose needs, the solution nearest to the middle of the limits, as in planning.
     ///
     /// # Errors
-    /// Those of the inverse kinematics.
+    /// The errors of the inverse kinematics.
     pub fn robot_joints(&self, t_s: f64, near_rad: &[f64]) -> Result<Joints, InverseError> {
         robot_inverse_centred(&self.robot, &self.pose(t_s), near_rad, &self.limits)
     }

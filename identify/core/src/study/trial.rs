@@ -133,6 +133,7 @@ fn simulate(
 /// # Errors
 /// [`SimulateError::Empty`] if there are too few pairs to interpolate.
 pub fn prepared(pairs: &Pairs, measured: [bool; 5], base_m: [f64; 3]) -> Result<Prepared, SimulateError> {
+    // The robot's motion starts at time 0. The observations have times relative to the middle of the run.
     let first_s = pairs.t_s.first().copied().unwrap_or_default();
     let t_s = pairs.t_s.iter().map(|t_s| t_s - first_s).collect();
     let q_rad = Stream::new(0, t_s, pairs.robot_rad.clone()).with_gap_limit(f64::INFINITY);

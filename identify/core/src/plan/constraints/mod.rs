@@ -148,9 +148,6 @@ impl<'a> Constraints<'a> {
     /// the upper arm on which the wrist is, and the sign of the Jacobian's determinant. The determinant changes its sign
     /// with each of the three configurations. No sign changes along a path that avoids singular postures. For other arms
     /// the result is always the same.
-    /// 5. The second is the side of the upper arm on which the wrist is. The third is the sign of the Jacobian's
-    /// determinant, which changes with each of the three. The configuration does not change along a path that avoids
-    /// singular postures. Always the same value for other arms.
     pub(super) fn bent(&self, robot_rad: &[f64]) -> [bool; 3] {
         let &[_, _, _, _, wrist, _] = robot_rad else { return [true; 3] };
         let mut trace = Trace::default();
