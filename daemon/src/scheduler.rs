@@ -7,7 +7,7 @@ use std::future::Future;
 use std::io;
 use std::pin::Pin;
 use std::sync::Arc;
-use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
+use std::sync::mpsc::{Receiver, TryRecvError, sync_channel};
 use std::thread;
 use std::time::Duration;
 
@@ -30,7 +30,14 @@ pub trait Stepper {
     }
 }
 
-/// Creates a stepper. It is called in the thread in which the stepper works.
+/// A function that does one step.
+impl<F: FnMut(MonoNs) -> Option<Duration>> Stepper for F {
+    fn poll(&mut self, now: MonoNs) -> Option<Duration> {
+        self(now)
+    }
+}
+
+/// Creates a stepper in the thread in which it works.
 pub type Begin = Box<dyn FnOnce() -> Box<dyn Stepper> + Send>;
 /// A future that returns no result.
 pub type Task = Pin<Box<dyn Future<Output = ()> + Send>>;
@@ -127,10 +134,15 @@ impl<T: Send + 'static> Pending<T> {
     pub fn until(
         scheduler: &dyn Scheduler,
         name: &str,
-        step: impl FnMut() -> Option<T> + Send + 'static,
+        mut step: impl FnMut() -> Option<T> + Send + 'static,
     ) -> Self {
         let (sender, result) = sync_channel(1);
-        let work = PendingWork { step, result: sender };
+        let work = move |_: MonoNs| {
+            let Some(result) = step() else { return Some(WORK_PERIOD) };
+            // The receiver of the result may have ended.
+            let _ = sender.send(result);
+            None
+        };
         let begin = Box::new(move || Box::new(work) as Box<dyn Stepper>);
         if let Err(error) = scheduler.start(name, begin) {
             tracing::error!("cannot start the thread {name}: {error}");
@@ -151,18 +163,3 @@ impl<T: Send + 'static> Pending<T> {
 
 /// Pause between the steps of work that is [`Pending`].
 const WORK_PERIOD: Duration = Duration::from_millis(5);
-
-/// The stepper that does the work of a [`Pending`].
-struct PendingWork<W, T> {
-    step: W,
-    result: SyncSender<T>,
-}
-
-impl<W: FnMut() -> Option<T>, T> Stepper for PendingWork<W, T> {
-    fn poll(&mut self, _: MonoNs) -> Option<Duration> {
-        let Some(result) = (self.step)() else { return Some(WORK_PERIOD) };
-        // The thread that waits for the result may have ended.
-        let _ = self.result.send(result);
-        None
-    }
-}

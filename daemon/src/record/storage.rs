@@ -16,7 +16,7 @@ use super::progress::RunProgress;
 use super::stop::Stop;
 use crate::clock::Clock;
 use crate::problem::{Fact, Problem};
-use crate::scheduler::{Scheduler, Stepper};
+use crate::scheduler::Scheduler;
 
 const BYTES_PER_MB: u64 = 1_000_000;
 /// Time after which a check that has not finished is reported \[ns\]. A silent disk must be reported within a second; the
@@ -100,9 +100,13 @@ impl Storage {
         &self,
         name: &str,
         scheduler: &dyn Scheduler,
-        work: impl FnMut(&StorageState) + Send + 'static,
+        mut work: impl FnMut(&StorageState) + Send + 'static,
     ) -> std::io::Result<()> {
-        let repeated = Repeated { shared: Arc::downgrade(&self.0), work };
+        let shared = Arc::downgrade(&self.0);
+        let repeated = move |_: MonoNs| {
+            work(&*shared.upgrade()?);
+            Some(Self::CHECK_PERIOD)
+        };
         scheduler.start(name, Box::new(|| Box::new(repeated)))
     }
 
@@ -229,19 +233,6 @@ impl StorageState {
             tracing::warn!(code = problem.code(), "{problem}");
         }
         problems.iter().map(Problem::code).collect()
-    }
-}
-
-/// Work that is repeated in each period as long as the storage exists.
-struct Repeated<W> {
-    shared: Weak<StorageState>,
-    work: W,
-}
-
-impl<W: FnMut(&StorageState)> Stepper for Repeated<W> {
-    fn poll(&mut self, _: MonoNs) -> Option<Duration> {
-        (self.work)(&*self.shared.upgrade()?);
-        Some(Storage::CHECK_PERIOD)
     }
 }
 
