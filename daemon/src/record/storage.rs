@@ -35,17 +35,12 @@ struct StorageState {
     spare: PathBuf,
     floor_bytes: u64,
     last_check: Mutex<LastCheck>,
-    run: Mutex<Option<WatchedRun>>,
-}
-
-#[derive(Debug, Clone)]
-struct WatchedRun {
-    progress: Weak<RunProgress>,
-    stop: Stop,
+    /// Progress and stop of the run whose file is watched.
+    run: Mutex<Option<(Weak<RunProgress>, Stop)>>,
 }
 
 /// Result of the last completed check, and progress of the check that is running.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 struct LastCheck {
     begun: MonoNs,
     /// The directory that is checked: that of the current run, or that of the next run.
@@ -73,13 +68,8 @@ impl Storage {
         scheduler: &dyn Scheduler,
     ) -> std::io::Result<Self> {
         let clock = scheduler.clock().clone();
-        let last_check = LastCheck {
-            begun: clock.now(),
-            directory: daemon.directory.clone(),
-            is_over: false,
-            usable_bytes: None,
-            problem: None,
-        };
+        let last_check =
+            LastCheck { begun: clock.now(), directory: daemon.directory.clone(), ..LastCheck::default() };
         let storage = Self(Arc::new(StorageState {
             disk,
             clock,
@@ -127,8 +117,7 @@ impl Storage {
 
     /// From now on, checks the file of this run until the run is over, and ends the run if the disk becomes full.
     pub fn watch(&self, progress: &Arc<RunProgress>, stop: &Stop) {
-        let run = WatchedRun { progress: Arc::downgrade(progress), stop: stop.clone() };
-        *lock(&self.0.run) = Some(run);
+        *lock(&self.0.run) = Some((Arc::downgrade(progress), stop.clone()));
     }
 
     /// Free space that recordings may still use \[bytes\]: the free space above the required minimum. 0 if there is none,
@@ -145,7 +134,7 @@ impl Storage {
 
     /// Why no run can be recorded now, and what to do. `None` if recording is possible.
     pub fn problem(&self) -> Option<Problem> {
-        self.0.silent_problem().or_else(|| lock(&self.0.last_check).problem.clone())
+        self.0.problem()
     }
 
     /// Why the free space in `directory` is not enough for a run, and what to do. `None` if it is enough. Calls the disk.
@@ -205,7 +194,7 @@ impl StorageState {
     }
 
     fn watched_run(&self) -> Option<(Arc<RunProgress>, Stop)> {
-        lock(&self.run).as_ref().and_then(|run| Some((run.progress.upgrade()?, run.stop.clone())))
+        lock(&self.run).as_ref().and_then(|(progress, stop)| Some((progress.upgrade()?, stop.clone())))
     }
 
     /// The problem that the current check has taken too long; `None` if it has not.
@@ -218,12 +207,15 @@ impl StorageState {
         is_silent.then(|| Fact::DiskSilent { directory, silent_s }.into())
     }
 
+    fn problem(&self) -> Option<Problem> {
+        self.silent_problem().or_else(|| lock(&self.last_check).problem.clone())
+    }
+
     /// Problems of the disk and of the current run. Does not call the disk.
     fn problems(&self) -> Vec<Problem> {
-        let problem = self.silent_problem().or_else(|| lock(&self.last_check).problem.clone());
         let run_problems =
             self.watched_run().map(|(progress, _)| progress.get().problems).unwrap_or_default();
-        problem.into_iter().chain(run_problems).collect()
+        self.problem().into_iter().chain(run_problems).collect()
     }
 
     /// Logs the problems whose codes are not in `before`. Returns the codes of all problems.

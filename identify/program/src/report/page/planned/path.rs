@@ -124,9 +124,9 @@ impl PathPage<'_> {
         (0..count).map(series).collect()
     }
 
-    fn angles(&self) -> Result<Markup, PlotError> {
+    fn angles(&self) -> Markup {
         let arm = self.constraints.robot;
-        let series = self.by_joint("joint ", self.robot_path.axes(), |_, row, joint| {
+        let series = self.by_joint(self.robot_path.axes(), |_, row, joint| {
             Some(self.robot_path.q_rad.get(row)?[joint] * arm.links.get(joint)?.joint.display_factor())
         });
         over_time("Robot joints", if has_prismatic(arm) { "[deg, mm]" } else { "[deg]" }, series)
@@ -150,7 +150,7 @@ impl PathPage<'_> {
         over_time("Bar joints from the start", "[deg]", series)
     }
 
-    fn sphere(&self) -> Result<Markup, PlotError> {
+    fn sphere(&self) -> Markup {
         let bar = self.constraints.bar;
         let gimbal = bar.root_from_base.translation.vector;
         let place = |t_s: f64| {
@@ -163,7 +163,7 @@ impl PathPage<'_> {
         sphere_from_above("Directions of the rod", series)
     }
 
-    fn margin(&self) -> Result<Markup, PlotError> {
+    fn margin(&self) -> Markup {
         let bar_links = &self.constraints.bar.links;
         let margin =
             |t_s: f64| crate::kinematics::singularity_margin_rad(bar_links, &self.path.at(t_s)).to_degrees();
