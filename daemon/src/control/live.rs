@@ -23,9 +23,8 @@ use super::recordings::verdict::{GradeInput, Verdict};
 use super::settings::Settings;
 use super::status::{EncoderStatus, Headline, RunStatus, Status};
 use crate::devices::el5021;
-use crate::homing::MarksFile;
 use crate::problem::{Fact, Level, Problem};
-use crate::scheduler::{Pending, Scheduler, Stepper};
+use crate::scheduler::{Pending, Scheduler};
 
 /// Update period of pages.
 const PERIOD: Duration = Duration::from_millis(100);
@@ -181,7 +180,7 @@ impl Watched {
     }
 }
 
-/// Starts the stepper; it ends when the sender of the status is dropped.
+/// Starts to derive and publish one moment after the other, until the sender of the status is dropped.
 pub(super) fn watch(
     settings: Arc<Settings>,
     disk: Arc<dyn Disk>,
@@ -191,65 +190,38 @@ pub(super) fn watch(
     let (moments, latest) = watch::channel(Arc::default());
     let minute = Arc::<Mutex<Minute>>::default();
     let watched = Watched { latest, minute: Arc::clone(&minute) };
-    let marks = start_reading_marks(&**scheduler, &disk, &settings.marks_file);
-    let observer = Observer::new(&settings);
-    let publisher = MomentPublisher {
-        settings,
-        disk,
-        scheduler: Arc::clone(scheduler),
-        status,
-        observer,
-        marks,
-        was_homing: false,
-        due: scheduler.clock().now(),
-        minute,
-        moments,
+    let mut observer = Observer::new(&settings);
+    // In a task, because the disk may hang. The check reports a file that cannot be read.
+    let task_scheduler = Arc::clone(scheduler);
+    let read_marks = move || {
+        let (disk, marks_file) = (Arc::clone(&disk), settings.marks_file.clone());
+        Pending::start(&*task_scheduler, "marks", move || marks_file.read(&*disk).ok().flatten())
     };
-    scheduler.start("live", Box::new(|| Box::new(publisher)))?;
-    Ok(watched)
-}
-
-/// Derives and publishes one moment after the other.
-struct MomentPublisher {
-    settings: Arc<Settings>,
-    disk: Arc<dyn Disk>,
-    scheduler: Arc<dyn Scheduler>,
-    status: watch::Receiver<Status>,
-    observer: Observer,
-    /// Reference marks that are being read.
-    marks: Pending<Option<HomingConfig>>,
-    /// A homing was active at the previous moment.
-    was_homing: bool,
-    /// When the next moment is due.
-    due: MonoNs,
-    minute: Arc<Mutex<Minute>>,
-    moments: watch::Sender<Arc<Moment>>,
-}
-
-impl Stepper for MomentPublisher {
-    fn poll(&mut self, now: MonoNs) -> Option<Duration> {
-        if self.status.has_changed().is_err() {
+    let (mut marks, mut was_homing, mut due) = (read_marks(), false, scheduler.clock().now());
+    let publish = move |now: MonoNs| {
+        if status.has_changed().is_err() {
             return None;
         }
-        let status = self.status.borrow().clone();
+        let status = status.borrow().clone();
         // Marks change only when a homing ends.
         let is_homing = status.homing.as_ref().is_some_and(|homing| !homing.is_over);
-        if self.was_homing && !is_homing {
-            self.marks = start_reading_marks(&*self.scheduler, &self.disk, &self.settings.marks_file);
+        if std::mem::replace(&mut was_homing, is_homing) && !is_homing {
+            marks = read_marks();
         }
-        self.was_homing = is_homing;
-        if let Some(Ok(marks)) = self.marks.poll() {
-            self.observer.homing = marks;
+        if let Some(Ok(marks)) = marks.poll() {
+            observer.homing = marks;
         }
-        let live = self.observer.next(&status, now);
-        self.minute.lock().unwrap_or_else(PoisonError::into_inner).add(&live);
+        let live = observer.next(&status, now);
+        minute.lock().unwrap_or_else(PoisonError::into_inner).add(&live);
         // A number that JSON cannot express would be an error of ours; an old moment is better than none.
         if let Ok(json) = serde_json::to_string(&live) {
-            self.moments.send_replace(Arc::new(Moment { live, json }));
+            moments.send_replace(Arc::new(Moment { live, json }));
         }
-        self.due = self.due.plus_ns(PERIOD.as_nanos() as i64).max(now);
-        Some(Duration::from_nanos(self.due.ns_since(now).unsigned_abs()))
-    }
+        due = due.plus_ns(PERIOD.as_nanos() as i64).max(now);
+        Some(Duration::from_nanos(due.ns_since(now).unsigned_abs()))
+    };
+    scheduler.start("live", Box::new(|| Box::new(publish)))?;
+    Ok(watched)
 }
 
 /// Follows the counters from one status to the next.
@@ -413,16 +385,6 @@ impl Observer {
         facts.extend(low.map(|left_h| Fact::DiskSpaceLow { left_h }));
         facts.into_iter().map(Problem::from).chain(live.status.bad_cables.iter().cloned()).collect()
     }
-}
-
-/// Reads `homing.toml` in a task, because its disk may hang. The check reports a file that cannot be read.
-fn start_reading_marks(
-    scheduler: &dyn Scheduler,
-    disk: &Arc<dyn Disk>,
-    marks: &MarksFile,
-) -> Pending<Option<HomingConfig>> {
-    let (disk, marks) = (Arc::clone(disk), marks.clone());
-    Pending::start(scheduler, "marks", move || marks.read(&*disk).ok().flatten())
 }
 
 /// Histograms are long, and a page does not need them ten times a second.
@@ -653,6 +615,7 @@ mod tests {
 
     use super::super::status::ServiceState;
     use super::*;
+    use crate::homing::MarksFile;
     use crate::run::BusChoice;
 
     const COUNTS_PER_DEG: f64 = 14_745_600.0 / 360.0;
