@@ -13,7 +13,7 @@ use crate::control::api::{self, Remote, RemoteSettings};
 use crate::control::service::tests::settings;
 use crate::control::service::{Service, Settings};
 use crate::homing::MarksFile;
-use crate::run::{self, Storage};
+use crate::run::{self, Setup, Storage};
 use crate::scheduler::Threads;
 use crate::segment::InProcessWire;
 use crate::segment::faults::{FaultHandle, FaultSwitch, FaultySegment};

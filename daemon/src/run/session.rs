@@ -27,7 +27,6 @@ use crate::cycle::RealtimeReport;
 use crate::problem::{Fact, Problem};
 use crate::record::{
     self, CycleSink, CycleSource, FullRing, Limits, Marker, Recorder, RunLink, RunProgress, RunSummary, Stop,
-    Storage,
 };
 use crate::scheduler::{Died, Scheduler, Stepper, received, until};
 use crate::segment::faults::FaultHandle;
