@@ -778,7 +778,9 @@ fn ctrl_c_ends_a_calibration_from_rows_with_the_shells_code() {
     // The solve of this number of rows would take several minutes.
     let path = inputs.path().join("lengths.csv");
     std::fs::write(&path, lengths::table(&robot, 50_000, 12.0)).unwrap();
-    let mut command = Command::new(env!("CARGO_BIN_EXE_identify"));
+    // A shell's background job inherits SIGINT as ignored, and the program does not handle an ignored signal.
+    let mut command = Command::new("env");
+    command.args(["--default-signal=INT", env!("CARGO_BIN_EXE_identify")]);
     command.args(["calibrate", "wire"]).arg(&path).arg("--mapping").arg(config("measured_length.toml"));
     command.arg("--robot").arg(config("robots").join(IRB)).arg("--out").arg(out.path());
     let mut child = command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
