@@ -10,14 +10,12 @@ mod rows;
 
 use std::path::PathBuf;
 
-use anyhow::Context;
 use clap::{Args, Subcommand};
 use shared::config;
 
 use crate::calibrate::IdentifyConfig;
 use crate::calibrate::rows::WAVES_PER_TURN_MAX;
 use crate::model::ParameterId;
-use crate::report::result::file::InputFile;
 use crate::solver::LossName;
 use experiment::ExperimentFile;
 use rows::{ContactArguments, RowFile, TouchArguments, TrackerArguments};
@@ -178,12 +176,4 @@ impl RowArguments {
         add(&mut experiment);
         driver::calibrate(experiment, &self.common.result, None)
     }
-}
-
-/// The files of a calibration with their checksums.
-fn inputs(files: &[(&str, PathBuf)]) -> anyhow::Result<Vec<InputFile>> {
-    let input = |(role, path): &(&str, PathBuf)| {
-        InputFile::of(role, path).with_context(|| format!("cannot read {}", path.display()))
-    };
-    files.iter().map(input).collect()
 }

@@ -7,12 +7,12 @@ use anyhow::Context;
 use shared::config::{self, RobotConfig, Source};
 use shared::output::show;
 
+use super::ResultArguments;
 use super::bar::{self, RunFiles};
 use super::experiment::ExperimentFile;
 use super::refused::refused;
 use super::result::{conclude, limited, write_files};
 use super::rows::{self, Aligned, Beside, ValidationFile, WithLogs};
-use super::{ResultArguments, inputs};
 use crate::calibrate::validation::unseen::UnseenPart;
 use crate::calibrate::{self, CalibrateError, Calibration, DataSets, RunInput};
 use crate::commands::on_terminal::OnTerminal;
@@ -59,7 +59,7 @@ pub(super) fn calibrate(
         .zip(experiment.rows())
         .map(|(number, (kind, file))| ValidationFile::read_all(kind, file, number, robot))
         .collect::<anyhow::Result<Vec<_>>>()?;
-    let (inputs, bars) = both(|| inputs(&experiment.files()), || bar::runs(experiment, robot, &logs));
+    let (inputs, bars) = both(|| experiment.inputs(), || bar::runs(experiment, robot, &logs));
     let (mut bars, inputs) = (bars?, inputs?);
     experiment.ensure_distinct(&inputs)?;
     let validated = solved_and_validated(experiment, robot, &rows, &mut bars, &on_terminal);

@@ -178,12 +178,16 @@ impl ExperimentFile {
         }
     }
 
-    /// Every file of the calibration with its role, those of rows first.
-    pub(super) fn files(&self) -> Vec<(&'static str, PathBuf)> {
-        self.clone().files_mut().into_iter().map(|(role, path)| (role, path.clone())).collect()
+    /// Every file of the calibration with its checksum, those of rows first.
+    pub(super) fn inputs(&self) -> anyhow::Result<Vec<InputFile>> {
+        let input = |(role, path): (&str, &mut PathBuf)| {
+            InputFile::of(role, path).with_context(|| format!("cannot read {}", path.display()))
+        };
+        self.clone().files_mut().into_iter().map(input).collect()
     }
 
-    /// The same files, to change their paths. There is one list, so that no file lacks its checksum or its path beside a result.
+    /// The same files with their roles, to change their paths. There is one list, so that no file lacks its checksum or its path
+    /// beside a result.
     fn files_mut(&mut self) -> Vec<(&'static str, &mut PathBuf)> {
         let Self { robot, recording_mapping, log_mapping, force_mapping, bars, .. } = self;
         let Self { trackers, wires, contacts, touches, .. } = self;
@@ -352,11 +356,14 @@ mod tests {
             validate_mapping: Some("other.toml".into()),
             ..RowFile::default()
         };
-        let files = ExperimentFile { trackers: vec![rows], ..ExperimentFile::default() }.files();
+        let mut experiment = ExperimentFile { trackers: vec![rows], ..ExperimentFile::default() };
+        let files = experiment.files_mut();
         for (role, path) in
             [("validation", "other.csv"), ("validation", "third.csv"), ("validation mapping", "other.toml")]
         {
-            assert!(files.contains(&(role, PathBuf::from(path))), "{path} is not among {files:?}");
+            let is_listed =
+                files.iter().any(|(other, file)| *other == role && file.as_path() == Path::new(path));
+            assert!(is_listed, "{path} is not among {files:?}");
         }
     }
 }

@@ -8,7 +8,6 @@ use shared::output::explained;
 
 use super::bar::RunFiles;
 use super::experiment::ExperimentFile;
-use super::inputs;
 use crate::calibrate::CalibrateError;
 use crate::calibrate::refusal::CalibrationRefusal;
 use crate::report::page::{RefusedPage, WrittenRefusal};
@@ -65,7 +64,7 @@ fn write_page(
         measured: &runs.iter().filter_map(RunFiles::measured).collect::<Vec<_>>(),
         refusal,
         runs: &runs.iter().map(|run| run.sources_with_curves(robot)).collect::<Vec<_>>(),
-        inputs: &inputs(&experiment.files())?,
+        inputs: &experiment.inputs()?,
         // A page without its configuration is still useful.
         configuration: &config::to_toml(experiment).unwrap_or_else(|error| error.to_string()),
     };
