@@ -23,7 +23,7 @@ pub(super) fn certificate(file: &CalibrationFile, workspace: &WorkspaceError) ->
         (results(file, workspace))
         (workspace::map(workspace))
         (conditions(file))
-        (signature())
+        dl.signature { @for what in ["Place and date", "Name", "Signature"] { dt { (what) } dd.blank {} } }
     };
     sheet(file.is_simulated(), &body)
 }
@@ -191,11 +191,4 @@ fn conditions(file: &CalibrationFile) -> Markup {
             @if !exact.is_empty() { dt { "Taken as exact" } dd { (exact.join(", ")) } }
         }
     }
-}
-
-/// Lines for the signature.
-pub(super) fn signature() -> Markup {
-    html! { dl.signature {
-        @for what in ["Place and date", "Name", "Signature"] { dt { (what) } dd.blank {} }
-    } }
 }

@@ -75,7 +75,10 @@ impl PosesPage<'_> {
                     "calibration expects. What no parameter describes comes on top."
                 }
                 h2 { "Where the target goes" }
-                figure { div.panels { (self.above()) (self.beside()) } }
+                figure { div.panels {
+                    (self.places("From above", ["x [m]", "y [m]"], |at| (at.x, at.y)))
+                    (self.places("From the side", ["distance from the base's z [m]", "z [m]"], |at| (at.x.hypot(at.y), at.z)))
+                } }
                 h2 { "What the robot does" }
                 figure { (self.angles()) }
                 (self.travel())
@@ -118,15 +121,6 @@ impl PosesPage<'_> {
     fn places(&self, title: &str, axes: [&str; 2], project: fn(&Vector3<f64>) -> (f64, f64)) -> Markup {
         let places = self.planned.joints.iter().map(|q| project(&self.target(q))).collect();
         Panel::new(title, axes, ROUND, vec![dots("", BLUE, places)]).draw()
-    }
-
-    fn above(&self) -> Markup {
-        self.places("From above", ["x [m]", "y [m]"], |at| (at.x, at.y))
-    }
-
-    fn beside(&self) -> Markup {
-        let axes = ["distance from the base's z [m]", "z [m]"];
-        self.places("From the side", axes, |at| (at.x.hypot(at.y), at.z))
     }
 
     fn angles(&self) -> Markup {
