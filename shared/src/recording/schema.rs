@@ -149,6 +149,17 @@ impl EventKind {
             .into_iter()
             .find(|kind| *kind as u8 == number)
     }
+
+    /// Word before the text of an event, so that no spreadsheet reads one as a formula.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Marker => "mark",
+            Self::Gap => "gap",
+            Self::Bus => "bus",
+            Self::Clock => "clock",
+            Self::Disk => "disk",
+        }
+    }
 }
 
 /// Something that happened during a run.

@@ -7,7 +7,7 @@ use std::path::Path;
 use std::slice;
 
 use shared::encoder::Unwrapper;
-use shared::recording::schema::{CycleRecord, EncoderInfo, Event, EventKind, RunMetadata, flags};
+use shared::recording::schema::{CycleRecord, EncoderInfo, Event, RunMetadata, flags};
 use shared::recording::{Disk, OpenFile, Outline, ReadError, ReadErrorKind};
 use shared::time::UtcNs;
 
@@ -119,7 +119,7 @@ impl<'a, W: Write> Table<'a, W> {
         while let Some(Event { kind, text, .. }) =
             self.events.next_if(|event| event.cycle <= record.cycle || is_last)
         {
-            texts.push(format!("{}: {text}", kind_name(*kind)));
+            texts.push(format!("{}: {text}", kind.name()));
         }
         let shown_flags = record.flags | if is_new_origin { flags::ORIGIN_CHANGED } else { 0 };
         row.extend([
@@ -203,15 +203,4 @@ fn angle_zeros(encoders: &[EncoderInfo]) -> String {
     };
     let zeros = [zero("reference mark", &homed), zero("counter at 0", &others)];
     format!("angles from: {}", zeros.into_iter().flatten().collect::<Vec<_>>().join(" and "))
-}
-
-/// Word before the text of an event, so that no spreadsheet reads one as a formula.
-fn kind_name(kind: EventKind) -> &'static str {
-    match kind {
-        EventKind::Marker => "mark",
-        EventKind::Gap => "gap",
-        EventKind::Bus => "bus",
-        EventKind::Clock => "clock",
-        EventKind::Disk => "disk",
-    }
 }

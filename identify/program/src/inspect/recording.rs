@@ -3,7 +3,7 @@
 
 use shared::config::JointKind;
 use shared::recording::Recording;
-use shared::recording::schema::{CycleRecord, EncoderInfo, EventKind, flags};
+use shared::recording::schema::{CycleRecord, EncoderInfo, flags};
 
 use super::{Inspection, JointLine, joint_lines, suspect_still};
 use crate::prepare::{BarAngles, bar_angles};
@@ -22,14 +22,7 @@ pub fn recording(recording: &Recording) -> Inspection {
     times(&mut inspection, recording);
     motion(&mut inspection, &recording.cycles, &recording.run.encoders);
     for event in &recording.events {
-        let kind = match event.kind {
-            EventKind::Marker => "mark",
-            EventKind::Gap => "gap",
-            EventKind::Bus => "bus",
-            EventKind::Clock => "clock",
-            EventKind::Disk => "disk",
-        };
-        inspection.fact(kind, format!("{} (cycle {}): {}", event.time, event.cycle, event.text));
+        inspection.fact(event.kind.name(), format!("{} (cycle {}): {}", event.time, event.cycle, event.text));
     }
     inspection
 }
