@@ -77,12 +77,7 @@ enum RowMapping {
 impl RowMapping {
     /// Recognises the instrument by the keys of the file: a wire has `length`, a touch probe `face`, a tracker neither.
     fn load(path: &Path) -> anyhow::Result<Self> {
-        let table = match Source::find(path) {
-            Source::BuiltIn(_, text) => text.parse::<toml::Table>(),
-            Source::File(file) => std::fs::read_to_string(&file)
-                .with_context(|| format!("cannot read {}", path.display()))?
-                .parse::<toml::Table>(),
-        };
+        let table = Source::find(path).text()?.parse::<toml::Table>();
         let has = |key: &str| table.as_ref().is_ok_and(|table| table.contains_key(key));
         let has_measurement = ["length", "face", "position"].into_iter().any(has);
         anyhow::ensure!(
