@@ -1,8 +1,6 @@
 //! Inspection of rows of a ball in sockets: visits of each socket, ranges and orientations, and how well the nominal robot
 //! seats the ball in the sockets that the rows name.
 
-use std::fmt::Debug;
-
 use shared::config::{JointKind, RobotConfig};
 
 use super::{Inspection, TRAVEL_MIN_DEG};
@@ -22,7 +20,7 @@ pub fn contacts(rows: &[TipRow], table: &SocketTable, robot: &RobotConfig) -> In
     let counts = [(table.sockets.len(), "places"), (table.distances.len(), "distances")];
     let known = counts.iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}"));
     inspection.fact("known of sockets", known.collect::<Vec<_>>().join(", "));
-    copies(&mut inspection, rows, |row| &mut row.line);
+    inspection.suspicious.extend(drop_copies(&mut rows.to_vec(), |row| &mut row.line));
     ranges(&mut inspection, rows.iter().map(|row| row.joints_rad), robot);
     let chain = flange_chain(robot);
     few_orientations(&mut inspection, rows, table, &chain);
@@ -31,15 +29,6 @@ pub fn contacts(rows: &[TipRow], table: &SocketTable, robot: &RobotConfig) -> In
         Err(error) => inspection.suspect(error.to_string()),
     }
     inspection
-}
-
-/// Reports rows that the file repeats.
-pub(super) fn copies<R: Clone + Debug>(
-    inspection: &mut Inspection,
-    rows: &[R],
-    line: impl Fn(&mut R) -> &mut u64,
-) {
-    inspection.suspicious.extend(drop_copies(&mut rows.to_vec(), line));
 }
 
 /// How far each joint goes.

@@ -4,12 +4,12 @@
 use shared::config::RobotConfig;
 use shared::output::named;
 
-use super::contacts::{copies, ranges};
+use super::contacts::ranges;
 use super::{Inspection, stamps};
 use crate::calibrate::rows::{likely, misfit, some_of};
 use crate::instrument::{FaceTable, Instrument, Mistake, PoseError, Touch, Tracker, Wire};
 use crate::kinematics::flange_chain;
-use crate::logs::{LogQuality, MeasuredLengths, MeasuredPoses, TimedPoses, Touches};
+use crate::logs::{LogQuality, MeasuredLengths, MeasuredPoses, TimedPoses, Touches, drop_copies};
 use crate::report::rows::OTHER_ROBOT_M;
 use crate::statistics::extremes;
 
@@ -27,7 +27,7 @@ pub fn poses(read: &MeasuredPoses, robot: &RobotConfig) -> Inspection {
     inspection.fact("rows", format!("{}, {what}", rows.len()));
     set_ups(&mut inspection, [("stations", &read.stations), ("targets", &read.targets)]);
     extent(&mut inspection, rows.iter().map(|row| row.position_m.into()));
-    copies(&mut inspection, rows, |row| &mut row.line);
+    inspection.suspicious.extend(drop_copies(&mut rows.to_vec(), |row| &mut row.line));
     nominal_robot(&mut inspection, &Tracker::new(rows).into(), robot);
     inspection
 }
@@ -83,7 +83,7 @@ pub fn lengths(read: &MeasuredLengths, robot: &RobotConfig) -> Inspection {
     inspection
         .fact("rows", format!("{}, lengths of {:.2} to {:.2} mm", rows.len(), low_m * 1e3, high_m * 1e3));
     set_ups(&mut inspection, [("anchors", &read.anchors), ("attachments", &read.attachments)]);
-    copies(&mut inspection, rows, |row| &mut row.line);
+    inspection.suspicious.extend(drop_copies(&mut rows.to_vec(), |row| &mut row.line));
     nominal_robot(&mut inspection, &Wire::new(rows).into(), robot);
     inspection
 }
@@ -98,7 +98,7 @@ pub fn touches(read: &Touches, robot: &RobotConfig) -> Inspection {
         inspection.fact("readings", format!("{:.3} to {:.3} mm", low_m * 1e3, high_m * 1e3));
     }
     inspection.fact("faces", format!("{}: {}", read.faces.len(), named(&read.faces, NAMED)));
-    copies(&mut inspection, rows, |row| &mut row.line);
+    inspection.suspicious.extend(drop_copies(&mut rows.to_vec(), |row| &mut row.line));
     let touch = Touch::new(rows, &read.faces, &FaceTable::default(), &flange_chain(robot));
     nominal_robot(&mut inspection, &touch.into(), robot);
     inspection
