@@ -7,9 +7,8 @@ use shared::output::named;
 
 use crate::calibrate::rows::{PoseFigures, RowSet, RunCause, Stages};
 use crate::calibrate::validation::unseen::UnseenPart;
-use crate::evaluate::{Limit, Validity};
+use crate::evaluate::Limit;
 use crate::instrument::{Instrument, PoseError, Rejection, Run, Section};
-use crate::kinematics::Joints;
 use crate::model::{Model, ParameterId, Phase, Waves};
 use crate::report::result::validation::ValidationEntry;
 use crate::statistics::Sizes;
@@ -26,16 +25,6 @@ pub struct Validation {
     pub gross: Vec<u64>,
     /// Rows where the calibration is not supported: line of the file, and joints from 0 that were not measured there.
     pub outside: Vec<(u64, Vec<usize>)>,
-}
-
-/// The rows at which a calibration is not supported: line of the file, and the joints concerned, from 0.
-pub fn outside(
-    validity: &Validity,
-    joints: impl Iterator<Item = Joints>,
-    lines: &[u64],
-) -> Vec<(u64, Vec<usize>)> {
-    let outside = |(q, line): (Joints, &u64)| (*line, validity.outside(&q));
-    joints.zip(lines).map(outside).filter(|(_, joints)| !joints.is_empty()).collect()
 }
 
 impl Validation {

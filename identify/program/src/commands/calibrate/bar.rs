@@ -12,6 +12,7 @@ use shared::recording::schema::CycleRecord;
 use super::CommonArguments;
 use super::driver::calibrate;
 use super::experiment::{BarRunFiles, ExperimentFile};
+use super::rows::warn_of;
 use crate::calibrate::{CalibrateError, RunInput};
 use crate::inspect::{self, curves};
 use crate::instrument::CostName;
@@ -269,9 +270,7 @@ fn load_recording(
             other.kind,
             other.unknown.join(", ")
         );
-        for remark in &other.quality.remarks {
-            tracing::warn!("{}: {remark}", path.display());
-        }
+        warn_of(path, &other.quality.remarks);
     }
     Ok(log)
 }
@@ -284,9 +283,7 @@ pub(super) fn load_log(path: &Path, robot: &RobotConfig, options: &LogOptions) -
         path.display()
     );
     let log = logs::load_with(path, robot, options)?;
-    for remark in &log.quality.remarks {
-        tracing::warn!("{}: {remark}", path.display());
-    }
+    warn_of(path, &log.quality.remarks);
     Ok(log)
 }
 

@@ -270,7 +270,7 @@ fn rows_with_joints(
 }
 
 /// Logs remarks on a file.
-fn warn_of(file: &Path, remarks: impl IntoIterator<Item = impl Display>) {
+pub(super) fn warn_of(file: &Path, remarks: impl IntoIterator<Item = impl Display>) {
     remarks.into_iter().for_each(|remark| tracing::warn!("{}: {remark}", file.display()));
 }
 
@@ -380,7 +380,9 @@ impl<'a> ValidationFile<'a> {
         let name = path.display().to_string();
         let Validated { figures: [nominal, calibrated], gross } =
             validate(instrument, robot, model, seed).with_context(|| name.clone())?;
-        let outside = rows_report::outside(validity, instrument.joints().into_iter(), lines);
+        let joints = instrument.joints();
+        let outside = joints.iter().zip(lines).map(|(q, line)| (*line, validity.outside(q)));
+        let outside: Vec<_> = outside.filter(|(_, joints)| !joints.is_empty()).collect();
         let (unsupported, left_out) = (outside.len(), gross.len());
         let entry = ValidationEntry { name, data_set, nominal, calibrated, unsupported, left_out };
         let gross = gross.iter().filter_map(|row| lines.get(*row)).copied().collect();
