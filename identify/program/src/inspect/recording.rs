@@ -119,19 +119,16 @@ fn times(inspection: &mut Inspection, recording: &Recording) {
 
 /// Reports range and speed of each joint, speeds that no bar has, and joints that hardly move.
 pub(super) fn motion(inspection: &mut Inspection, cycles: &[CycleRecord], encoders: &[EncoderInfo]) {
-    match bar_angles(cycles, encoders) {
-        Ok(angles) => motion_of(inspection, &angles),
-        Err(error) => inspection.suspect(error.to_string()),
-    }
-}
-
-fn motion_of(inspection: &mut Inspection, angles: &BarAngles) {
+    let BarAngles { readings, measured, .. } = match bar_angles(cycles, encoders) {
+        Ok(angles) => angles,
+        Err(error) => return inspection.suspect(error.to_string()),
+    };
     // Parts between two changes of the counters' origin: angles of different parts cannot be compared.
-    let parts = angles.readings.parts_within(f64::INFINITY);
+    let parts = readings.parts_within(f64::INFINITY);
     let Some(longest) = parts.into_iter().max_by_key(std::ops::Range::len) else { return };
     let kinds = std::iter::repeat(JointKind::Revolute);
-    let lines = joint_lines('b', kinds, &angles.readings.t_s[longest.clone()], &angles.readings[longest]);
-    let measured = lines.into_iter().zip(angles.measured).filter(|(_, measured)| *measured);
+    let lines = joint_lines('b', kinds, &readings.t_s[longest.clone()], &readings[longest]);
+    let measured = lines.into_iter().zip(measured).filter(|(_, measured)| *measured);
     inspection.joints = measured.map(|(line, _)| line).collect();
     let jumps = |JointLine { name, speed_max, .. }: &JointLine| {
         (*speed_max > SPEED_MAX_DEG_S).then(|| format!("{name} ({speed_max:.0} deg/s)"))
