@@ -161,11 +161,6 @@ impl ExperimentFile {
         ]
     }
 
-    fn rows_mut(&mut self) -> impl Iterator<Item = &mut RowFile> {
-        let Self { trackers, wires, contacts, touches, .. } = self;
-        trackers.iter_mut().chain(wires).chain(contacts).chain(touches)
-    }
-
     /// All files of rows, in the order of their data sets.
     pub(super) fn rows(&self) -> impl Iterator<Item = (RowInstrument, &RowFile)> {
         self.kinds().into_iter().flat_map(|(kind, files)| files.iter().map(move |file| (kind, file)))
@@ -173,7 +168,9 @@ impl ExperimentFile {
 
     /// Sets which rows of each file are held out, if this was left open: a later version may have other defaults.
     pub(super) fn state(&mut self, rows: &[Rows]) {
-        for (file, rows) in self.rows_mut().zip(rows) {
+        let Self { trackers, wires, contacts, touches, .. } = self;
+        let files = trackers.iter_mut().chain(wires).chain(contacts).chain(touches);
+        for (file, rows) in files.zip(rows) {
             (file.hold_out, file.seed) = (Some(rows.hold_out()), Some(rows.seed()));
         }
     }

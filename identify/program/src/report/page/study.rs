@@ -197,15 +197,11 @@ fn value_table(figure: &Figure, curves: &[&ErrorCurve], limit: f64) -> Markup {
             @if figure.measure == Measure::Euclidean { th { "reaches " (short(limit)) " at" } }
         } }
         tbody { @for curve in curves { tr {
-            td.text { (row_name(curve)) }
+            td.text { (curve.label) @if !curve.series.is_empty() { ", " (curve.series) } }
             @for x in x_values(curves) { (cell(curve, x, figure.measure)) }
             @if figure.measure == Measure::Euclidean { td { (reached(curve.limit_at)) } }
         } } }
     } } }
-}
-
-fn row_name(curve: &ErrorCurve) -> String {
-    if curve.series.is_empty() { curve.label.clone() } else { format!("{}, {}", curve.label, curve.series) }
 }
 
 /// The values of the condition at which any curve has a point, ascending.

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use maud::{Markup, html};
 
-use super::path_view::{self, Carried, View, view};
+use super::path_view::{self, Carried, FRAMES, View, view};
 use crate::kinematics::BAR_JOINTS;
 use crate::logs::RobotLog;
 use crate::model::ParameterId;
@@ -101,7 +101,7 @@ impl PathPage<'_> {
                 .iter()
                 .copied()
                 .zip(rows.iter().copied())
-                .step_by(View::row_step(rows.len()))
+                .step_by(rows.len().div_ceil(FRAMES).max(1))
                 .collect(),
             frames_per_pose: None,
             bodies: self.constraints.bodies.as_ref(),

@@ -13,7 +13,7 @@ use crate::plan::{Bodies, Skeleton};
 pub(super) const SCRIPTS: &[&str] = &[include_str!("ogl/ogl.iife.min.js"), include_str!("view.js")];
 
 /// Largest number of frames of a path; between two frames points move along lines.
-const FRAMES: usize = 1000;
+pub(super) const FRAMES: usize = 1000;
 /// Shorter pieces of a link are not drawn \[m\].
 const PIECE_M_MIN: f64 = 1e-3;
 
@@ -35,13 +35,6 @@ pub(super) enum Carried {
     Bar(Vector3<f64>),
     /// A target; its position in the flange's frame \[m\].
     Target(Vector3<f64>),
-}
-
-impl View<'_> {
-    /// Every how many rows of a path the animation has a frame.
-    pub fn row_step(rows: usize) -> usize {
-        rows.div_ceil(FRAMES).max(1)
-    }
 }
 
 /// What `view.js` draws.
