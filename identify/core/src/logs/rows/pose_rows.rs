@@ -103,6 +103,11 @@ pub struct JointColumn {
 }
 
 impl JointColumn {
+    /// With sign and zero of the model.
+    pub const fn new(column: String, unit: JointUnit) -> Self {
+        Self { column, unit, sign: 1.0, offset_deg: 0.0, offset_m: 0.0 }
+    }
+
     /// Value of the file at the model's zero \[rad, m\].
     pub(in crate::logs) fn offset(&self) -> f64 {
         match self.unit.kind() {
@@ -127,8 +132,7 @@ pub fn joint_columns(robot: &RobotConfig) -> Vec<JointColumn> {
             JointKind::Revolute => JointUnit::Deg,
             JointKind::Prismatic => JointUnit::Mm,
         };
-        let column = format!("q{number}_{}", unit.suffix());
-        JointColumn { column, unit, sign: 1.0, offset_deg: 0.0, offset_m: 0.0 }
+        JointColumn::new(format!("q{number}_{}", unit.suffix()), unit)
     };
     (1..).zip(robot.joint_kinds()).map(joint).collect()
 }

@@ -113,14 +113,7 @@ pub(super) fn joints(
         format!("{} are joints 1 to {axes}: inferred from the columns' names and ranges", listed(&names)),
     );
     let unit = if unit == AngleUnit::Deg { JointUnit::Deg } else { JointUnit::Rad };
-    let joint = |column: &&TableColumn| JointColumn {
-        column: column.name.clone(),
-        unit,
-        sign: 1.0,
-        offset_deg: 0.0,
-        offset_m: 0.0,
-    };
-    Some(family.iter().map(joint).collect())
+    Some(family.iter().map(|column| JointColumn::new(column.name.clone(), unit)).collect())
 }
 
 /// Of a table without header: the first neighbouring columns that are neither times nor millimetres.
