@@ -25,8 +25,6 @@ pub struct ParameterEstimates {
     pub id: ParameterId,
     /// Identified value and sigma in each calibration, SI; `None` if it was fixed there. Angles are within half a turn of the first.
     pub values: Vec<Option<(f64, f64)>>,
-    /// Half the width of the 95 % interval in each calibration, SI.
-    pub half_widths: Vec<Option<f64>>,
     /// Mean weighted by the inverse variances.
     pub mean: f64,
     /// Probability of differences at least so large if all measured the same robot; none for a single one.
@@ -38,6 +36,8 @@ pub struct ParameterEstimates {
 pub struct Consistency {
     /// The robot's parameters.
     pub parameters: Vec<ParameterEstimates>,
+    /// Half the width of a 95 % interval in sigmas, in each calibration.
+    pub sigmas_of_95: Vec<f64>,
     /// Parameters of the robot whose nominal value is not the same in all of them.
     pub other_nominals: Vec<String>,
     /// Smallest probability times the number of tests, at most one; `None` if no parameter was identified twice.
@@ -102,8 +102,13 @@ impl Consistency {
         let tested: Vec<f64> = parameters.iter().filter_map(|one| one.p).collect();
         let p_corrected =
             tested.iter().copied().min_by(f64::total_cmp).map(|p| (p * tested.len() as f64).min(1.0));
+        let sigmas_of_95 = |file: &CalibrationFile| {
+            let from = file.knowledge.as_ref().map(|knowledge| knowledge.sigmas_from).unwrap_or_default();
+            from.sigmas_of_95()
+        };
+        let sigmas_of_95 = files.iter().map(sigmas_of_95).collect();
         let apart = others.iter().map(|other| ends_apart(first, other)).collect();
-        Ok(Self { parameters, other_nominals, p_corrected, apart })
+        Ok(Self { parameters, sigmas_of_95, other_nominals, p_corrected, apart })
     }
 }
 
@@ -144,12 +149,6 @@ fn compared(id: ParameterId, files: &[CalibrationFile]) -> ParameterEstimates {
     if let (Unit::Radian, Some((first, _))) = (id.unit(), values.iter().copied().flatten().next()) {
         values.iter_mut().flatten().for_each(|(value, _)| *value = nearest_turn(*value, first));
     }
-    let sigmas_of_95 = |file: &CalibrationFile| {
-        let from = file.knowledge.as_ref().map(|knowledge| knowledge.sigmas_from).unwrap_or_default();
-        from.sigmas_of_95()
-    };
-    let by_file = values.iter().zip(files);
-    let half_widths = by_file.map(|(one, file)| one.map(|(_, sigma)| sigmas_of_95(file) * sigma)).collect();
     let known: Vec<(f64, f64)> = values.iter().copied().flatten().collect();
     let weight: f64 = known.iter().map(|(_, sigma)| sigma.powi(-2)).sum();
     let mean = known.iter().map(|(value, sigma)| value * sigma.powi(-2)).sum::<f64>() / weight;
@@ -158,5 +157,5 @@ fn compared(id: ParameterId, files: &[CalibrationFile]) -> ParameterEstimates {
     // The distribution halves its argument, and fails where half of a positive one rounds to zero.
     let chi_squared = if chi_squared < f64::MIN_POSITIVE { 0.0 } else { chi_squared };
     let p = ChiSquared::new(freedom as f64).ok().map(|distribution| distribution.sf(chi_squared));
-    ParameterEstimates { id, values, half_widths, mean, p }
+    ParameterEstimates { id, values, mean, p }
 }

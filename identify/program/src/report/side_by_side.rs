@@ -129,7 +129,8 @@ fn intervals(title: &str, unit: Unit, consistency: &Consistency, files: usize) -
         let aside = 0.6 * ((file as f64 + 0.5) / files as f64 - 0.5);
         let (mut values, mut ends) = (Vec::new(), Vec::new());
         for (number, one) in parameters().enumerate() {
-            if let (Some((value, _)), Some(half)) = (one.values[file], one.half_widths[file]) {
+            if let Some((value, sigma)) = one.values[file] {
+                let half = consistency.sigmas_of_95[file] * sigma;
                 let (x, y) = (number as f64 + aside, (value - one.mean) * factor);
                 values.push((x, y));
                 ends.extend([(x, y - half * factor), (x, y + half * factor)]);
