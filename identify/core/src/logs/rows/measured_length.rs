@@ -56,8 +56,7 @@ pub struct MeasuredLengthMapping {
     pub length: LengthColumn,
     /// All joints, base to flange.
     pub joints: Vec<JointColumn>,
-    /// Columns of the flange's position in the robot's base, by the controller. Rows whose joint angles contradict it are not
-    /// used.
+    /// Columns of the flange's position in the robot's base, by the controller; rows whose joints contradict it are not used.
     pub flange: Option<PositionColumns>,
     /// Column of the uncertainty of each row, if the file has one.
     pub uncertainty: Option<LengthUncertaintyColumn>,
