@@ -140,7 +140,7 @@ impl BarTableLayout {
             let unit = unit.unwrap_or(EncoderUnit::Counts);
             Ok(Encoder {
                 value: table.column(column, remedy)?,
-                valid: valid.as_ref().map(|name| table.column(name, remedy)).transpose()?,
+                valid: table.if_named(valid.as_ref(), remedy)?,
                 reading: EncoderReader::new(*joint, unit, wraps_at, bar, (path, column))?,
             })
         };

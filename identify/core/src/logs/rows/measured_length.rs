@@ -8,8 +8,7 @@ use serde::{Deserialize, Serialize};
 use shared::config::{Kind, Validate, Violation};
 
 use super::pose_rows::{
-    JointColumns, SetUpNames, check_joints, check_scale_u, is_zero, mapped, mapped_if_named, rows,
-    uncertainty,
+    JointColumns, REMEDY, SetUpNames, check_joints, check_scale_u, is_zero, rows, uncertainty,
 };
 use crate::kinematics::Joints;
 use crate::logs::source::LogSource;
@@ -146,7 +145,7 @@ struct LengthTableColumns<'a> {
 
 impl<'a> LengthTableColumns<'a> {
     fn find(table: &CsvTable<'_>, mapping: &'a MeasuredLengthMapping) -> Result<Self, LogError> {
-        let column = |name: &str| mapped(table, name);
+        let column = |name: &str| table.column(name, REMEDY);
         let flange = mapping.flange.as_ref().map(|flange| {
             let [x, y, z] = flange.columns.each_ref().map(|name| column(name));
             Ok(([x?, y?, z?], flange.unit))
@@ -156,10 +155,10 @@ impl<'a> LengthTableColumns<'a> {
             length: (column(&mapping.length.column)?, &mapping.length),
             joints: JointColumns::find(table, &mapping.joints)?,
             flange: flange.transpose()?,
-            uncertainty: mapped_if_named(table, uncertainty)?,
+            uncertainty: table.if_named(uncertainty, REMEDY)?,
             set_up: [
-                mapped_if_named(table, mapping.anchor.as_ref())?,
-                mapped_if_named(table, mapping.attachment.as_ref())?,
+                table.if_named(mapping.anchor.as_ref(), REMEDY)?,
+                table.if_named(mapping.attachment.as_ref(), REMEDY)?,
             ],
         })
     }
@@ -183,8 +182,7 @@ impl<'a> LengthTableColumns<'a> {
             }
             None => None,
         };
-        let stated = self.uncertainty.as_ref().map(|column| uncertainty(row, column));
-        let uncertainty_m = stated.transpose()?;
+        let uncertainty_m = uncertainty(row, self.uncertainty.as_ref())?;
         Ok(LengthRow { joints_rad, length_m, flange_m, uncertainty_m, set_up, line: row.line })
     }
 }

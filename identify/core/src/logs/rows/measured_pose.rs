@@ -10,9 +10,7 @@ use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 use shared::config::{AngleUnit, Kind, Validate, Violation};
 
-use super::pose_rows::{
-    JointColumns, REMEDY, SetUpNames, check_joints, check_scale_u, mapped_if_named, rows, uncertainty,
-};
+use super::pose_rows::{JointColumns, REMEDY, SetUpNames, check_joints, check_scale_u, rows, uncertainty};
 use crate::kinematics::Joints;
 use crate::logs::source::LogSource;
 use crate::logs::tables::csv_text::{CsvColumn, CsvRow, CsvTable};
@@ -435,10 +433,10 @@ impl<'a> PoseColumns<'a> {
         Ok(Self {
             position: (table.columns(&mapping.position.columns, REMEDY)?, mapping.position.unit),
             rotation: rotation.transpose()?,
-            uncertainty: [mapped_if_named(table, position_u)?, mapped_if_named(table, rotation_u)?],
+            uncertainty: [table.if_named(position_u, REMEDY)?, table.if_named(rotation_u, REMEDY)?],
             set_up: [
-                mapped_if_named(table, mapping.station.as_ref())?,
-                mapped_if_named(table, mapping.target.as_ref())?,
+                table.if_named(mapping.station.as_ref(), REMEDY)?,
+                table.if_named(mapping.target.as_ref(), REMEDY)?,
             ],
         })
     }
@@ -447,17 +445,15 @@ impl<'a> PoseColumns<'a> {
         let (columns, unit) = &self.position;
         let position_m = numbers(row, columns, (unit.to_m(), "m"), POSITION_M_MAX)?;
         let rotation = self.rotation.as_ref().map(|(columns, form)| rotation(row, columns, form));
-        let [position_u, rotation_u] = self.uncertainty.each_ref();
-        let uncertainty =
-            |column: &Option<CsvColumn>| column.as_ref().map(|column| uncertainty(row, column)).transpose();
+        let [position_u, rotation_u] = self.uncertainty.each_ref().map(Option::as_ref);
         Ok(PoseRow {
             joints_rad: Joints::default(),
             line: row.line,
             position_m: Vector3::from_iterator(position_m),
             rotation: rotation.transpose()?,
             uncertainty: PoseUncertainty {
-                position_m: uncertainty(position_u)?,
-                rotation_rad: uncertainty(rotation_u)?,
+                position_m: uncertainty(row, position_u)?,
+                rotation_rad: uncertainty(row, rotation_u)?,
             },
             set_up: names.place(row, &self.set_up)?,
         })

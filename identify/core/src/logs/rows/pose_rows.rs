@@ -117,7 +117,7 @@ impl JointColumn {
     }
 }
 
-pub(in crate::logs) fn is_zero(number: &f64) -> bool {
+pub(super) fn is_zero(number: &f64) -> bool {
     *number == 0.0
 }
 
@@ -187,7 +187,7 @@ pub fn joints_of_robot(joints: &[JointColumn], robot: &RobotConfig, path: &Path)
 }
 
 /// Checks the standard uncertainty of an instrument's scale \[ppm\]. More than a tenth means another unit.
-pub(in crate::logs) fn check_scale_u(scale_u_ppm: Option<f64>) -> Result<(), Violation> {
+pub(super) fn check_scale_u(scale_u_ppm: Option<f64>) -> Result<(), Violation> {
     let remedy = "write the standard uncertainty in ppm: 1000 for 0.1 %, 0 if the scale is exact";
     scale_u_ppm.map_or(Ok(()), |u_ppm| Violation::unless_within("scale_u_ppm", u_ppm, [0.0, 1e5], remedy))
 }
@@ -218,7 +218,7 @@ pub(in crate::logs) fn check_joints(joints: &[JointColumn]) -> Result<(), Violat
 }
 
 /// All rows of a table.
-pub(in crate::logs) fn rows<R>(
+pub(super) fn rows<R>(
     table: &mut CsvTable<'_>,
     mut read: impl FnMut(&CsvRow<'_>) -> Result<R, LogError>,
 ) -> Result<Vec<R>, LogError> {
@@ -258,15 +258,11 @@ pub fn drop_copies<R: Clone + Debug>(rows: &mut Vec<R>, line: impl Fn(&mut R) ->
 
 /// Names of a column, each with its place in the order in which the file has them.
 #[derive(Default)]
-pub(in crate::logs) struct Names(HashMap<String, usize>);
+pub(super) struct Names(HashMap<String, usize>);
 
 impl Names {
     /// The place of the name in a row; 0 without a column of names.
-    pub(in crate::logs) fn place(
-        &mut self,
-        row: &CsvRow<'_>,
-        column: Option<&CsvColumn>,
-    ) -> Result<usize, LogError> {
+    pub fn place(&mut self, row: &CsvRow<'_>, column: Option<&CsvColumn>) -> Result<usize, LogError> {
         let Some(column) = column else { return Ok(0) };
         let name = row.text(column).trim();
         if name.is_empty() {
@@ -277,7 +273,7 @@ impl Names {
         Ok(*self.0.entry(name.to_owned()).or_insert(next))
     }
 
-    pub(in crate::logs) fn in_order(self) -> Vec<String> {
+    pub fn in_order(self) -> Vec<String> {
         let mut names: Vec<(String, usize)> = self.0.into_iter().collect();
         names.sort_by_key(|(_, place)| *place);
         names.into_iter().map(|(name, _)| name).collect()
@@ -286,11 +282,11 @@ impl Names {
 
 /// Names of stations and targets, or anchors and attachments.
 #[derive(Default)]
-pub(in crate::logs) struct SetUpNames([Names; 2]);
+pub(super) struct SetUpNames([Names; 2]);
 
 impl SetUpNames {
     /// The set-up of a row by the columns of its names, where the file has them.
-    pub(in crate::logs) fn place(
+    pub fn place(
         &mut self,
         row: &CsvRow<'_>,
         [station, target]: &[Option<CsvColumn>; 2],
@@ -300,22 +296,22 @@ impl SetUpNames {
         Ok(SetUp { station, target: targets.place(row, target.as_ref())? })
     }
 
-    pub(in crate::logs) fn in_order(self) -> [Vec<String>; 2] {
+    pub fn in_order(self) -> [Vec<String>; 2] {
         self.0.map(Names::in_order)
     }
 }
 
 /// The joints' columns, found in a file.
-pub(in crate::logs) struct JointColumns<'a>(Vec<(CsvColumn, &'a JointColumn)>);
+pub(super) struct JointColumns<'a>(Vec<(CsvColumn, &'a JointColumn)>);
 
 impl<'a> JointColumns<'a> {
-    pub(in crate::logs) fn find(table: &CsvTable<'_>, joints: &'a [JointColumn]) -> Result<Self, LogError> {
-        let found = joints.iter().map(|joint| Ok((mapped(table, &joint.column)?, joint)));
+    pub fn find(table: &CsvTable<'_>, joints: &'a [JointColumn]) -> Result<Self, LogError> {
+        let found = joints.iter().map(|joint| Ok((table.column(&joint.column, REMEDY)?, joint)));
         found.collect::<Result<_, LogError>>().map(Self)
     }
 
     /// Joint variables of a row \[rad, m\].
-    pub(in crate::logs) fn read(&self, row: &CsvRow<'_>) -> Result<Joints, LogError> {
+    pub fn read(&self, row: &CsvRow<'_>) -> Result<Joints, LogError> {
         let mut q_rad = Joints::zeros(self.0.len());
         for (q, (column, joint)) in q_rad.iter_mut().zip(&self.0) {
             *q = joint.sign * (row.number(column)? * joint.unit.to_si() - joint.offset());
@@ -331,13 +327,14 @@ impl<'a> JointColumns<'a> {
     }
 }
 
-/// A stated standard uncertainty of mm or mrad, in m or rad.
-pub(in crate::logs) fn uncertainty(row: &CsvRow<'_>, column: &CsvColumn) -> Result<f64, LogError> {
+/// A stated standard uncertainty of mm or mrad, in m or rad; `None` without a column of it.
+pub(super) fn uncertainty(row: &CsvRow<'_>, column: Option<&CsvColumn>) -> Result<Option<f64>, LogError> {
     /// A larger number means another unit.
     const UNCERTAINTY_MAX: f64 = 0.1;
+    let Some(column) = column else { return Ok(None) };
     let value = row.number(column)? * 1e-3;
     if value > 0.0 && value <= UNCERTAINTY_MAX {
-        return Ok(value);
+        return Ok(Some(value));
     }
     let (given, most) = (value * 1e3, UNCERTAINTY_MAX * 1e3);
     let problem = format!("the standard uncertainty {given} is not above 0 and up to {most}");
@@ -345,20 +342,7 @@ pub(in crate::logs) fn uncertainty(row: &CsvRow<'_>, column: &CsvColumn) -> Resu
 }
 
 /// What to do if a column that the mapping names is missing.
-pub(in crate::logs) const REMEDY: &str = "Correct the column's name in the mapping file, or the header.";
-
-/// A column that the mapping names.
-pub(in crate::logs) fn mapped(table: &CsvTable<'_>, name: &str) -> Result<CsvColumn, LogError> {
-    table.column(name, REMEDY)
-}
-
-/// A column that the mapping may name.
-pub(in crate::logs) fn mapped_if_named(
-    table: &CsvTable<'_>,
-    name: Option<&String>,
-) -> Result<Option<CsvColumn>, LogError> {
-    name.map(|name| mapped(table, name)).transpose()
-}
+pub(super) const REMEDY: &str = "Correct the column's name in the mapping file, or the header.";
 
 #[cfg(test)]
 mod tests {

@@ -9,7 +9,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use shared::config::{Kind, Validate, Violation};
 
-use super::pose_rows::{JointColumns, Names, check_joints, mapped, rows};
+use super::pose_rows::{JointColumns, Names, REMEDY, check_joints, rows};
 use crate::kinematics::Joints;
 use crate::logs::source::LogSource;
 use crate::logs::tables::csv_text::{CsvColumn, CsvRow, CsvTable};
@@ -153,8 +153,8 @@ fn tip_rows(
     mut part: impl FnMut(&CsvRow<'_>, &CsvColumn) -> Result<usize, LogError>,
 ) -> Result<Vec<TipRow>, LogError> {
     let mut table = CsvTable::open(source, layout)?;
-    let name = mapped(&table, name)?;
-    let gauge = gauge.map(|gauge| Ok((mapped(&table, &gauge.column)?, gauge.unit))).transpose()?;
+    let name = table.column(name, REMEDY)?;
+    let gauge = gauge.map(|gauge| Ok((table.column(&gauge.column, REMEDY)?, gauge.unit))).transpose()?;
     let joints = JointColumns::find(&table, joints)?;
     rows(&mut table, |row| {
         let part = part(row, &name)?;

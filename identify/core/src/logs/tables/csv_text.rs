@@ -130,6 +130,11 @@ impl<'a> CsvTable<'a> {
         names.iter().map(|name| self.column(name.as_ref(), remedy)).collect()
     }
 
+    /// The column named `name`, if a name is given.
+    pub fn if_named(&self, name: Option<&String>, remedy: &str) -> Result<Option<CsvColumn>, LogError> {
+        name.map(|name| self.column(name, remedy)).transpose()
+    }
+
     /// What to do if the header shows why a column is missing: it is a row of numbers, or has other delimiters.
     fn remedy_of_header(&self) -> Option<String> {
         let is_number = |name: &String| name.replace(',', ".").parse::<f64>().is_ok();
