@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use super::steps::TRAVEL_DEG_MIN;
+use super::steps::{HOURS_MAX, ORIGIN_CHANGES_MAX, TRAVEL_DEG_MIN};
 use super::{Deviations, ForceError};
 use crate::kinematics::InverseError;
 use crate::logs::LogError;
@@ -49,14 +49,12 @@ pub enum PrepareError {
     },
     /// More changes of the counters' origin than are estimated.
     #[error(
-        "the encoders' counters may have restarted at {origins} places, at most {most} are allowed; repair the plug, cable or supply \
-         and record again, or correct lines and interpolation_bits in the bar's configuration"
+        "the encoders' counters may have restarted at {origins} places, at most {ORIGIN_CHANGES_MAX} are allowed; repair \
+         the plug, cable or supply and record again, or correct lines and interpolation_bits in the bar's configuration"
     )]
     TooManyOrigins {
         /// Number of such places in the recording.
         origins: usize,
-        /// Largest allowed number of places.
-        most: usize,
     },
     /// A cycle's encoders are not those that the recording declares.
     #[error(
@@ -94,7 +92,7 @@ pub enum PrepareError {
     },
     /// One of the logs is too long, or has a time stamp far from the others.
     #[error(
-        "{what} covers {hours:.1} h, at most {hours_max} h can be matched; remove the rows outside the run or from before a clock \
+        "{what} covers {hours:.1} h, at most {HOURS_MAX} h can be matched; remove the rows outside the run or from before a clock \
          was set, or correct the unit of its time stamps"
     )]
     TooLong {
@@ -102,8 +100,6 @@ pub enum PrepareError {
         what: &'static str,
         /// Its duration \[h\].
         hours: f64,
-        /// Longest allowed duration \[h\].
-        hours_max: f64,
     },
     /// No joint moves in one of the logs.
     #[error(

@@ -24,11 +24,11 @@ use crate::threads;
 
 /// Joints that travel less than this do not move \[deg\].
 pub(super) const TRAVEL_DEG_MIN: f64 = 3.0;
-/// Longest log \[s\]: the usual cause of a longer one is a clock that was set.
-const DURATION_S_MAX: f64 = 24.0 * 3600.0;
+/// Longest log \[h\]: the usual cause of a longer one is a clock that was set.
+pub(super) const HOURS_MAX: f64 = 24.0;
 
 /// Largest number of changes of the counters' origin in one run: an hour of a bus that fails once a minute. Each has five parameters.
-const ORIGIN_CHANGES_MAX: usize = 60;
+pub(super) const ORIGIN_CHANGES_MAX: usize = 60;
 
 /// Aligns recording and robot log and selects samples.
 ///
@@ -164,7 +164,7 @@ fn check(angles: &BarAngles, log: &RobotLog, options: &PrepareOptions) -> Result
     }
     let origin_changes = angles.origins().saturating_sub(1);
     if origin_changes > ORIGIN_CHANGES_MAX {
-        return Err(PrepareError::TooManyOrigins { origins: origin_changes, most: ORIGIN_CHANGES_MAX });
+        return Err(PrepareError::TooManyOrigins { origins: origin_changes });
     }
     if let Some(error) = constant_encoder(readings, &angles.measured) {
         return Err(error);
@@ -188,9 +188,9 @@ pub(super) fn check_length(
     options: &PrepareOptions,
 ) -> Result<(), PrepareError> {
     let robot = ("the robot log", log_s);
-    if let Some((what, seconds)) = [other, robot].into_iter().find(|(_, seconds)| *seconds > DURATION_S_MAX) {
-        let hours_max = DURATION_S_MAX / 3600.0;
-        return Err(PrepareError::TooLong { what, hours: seconds / 3600.0, hours_max });
+    let is_too_long = |(_, seconds): &(&str, f64)| *seconds > HOURS_MAX * 3600.0;
+    if let Some((what, seconds)) = [other, robot].into_iter().find(is_too_long) {
+        return Err(PrepareError::TooLong { what, hours: seconds / 3600.0 });
     }
     let (what, seconds) = if other.1 < log_s { other } else { robot };
     if seconds < options.overlap_min_s {

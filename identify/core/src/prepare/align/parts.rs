@@ -32,11 +32,7 @@ impl AlignmentSearch<'_> {
     /// A clock step, if each part of `window` matches, at shifts that agree before and after some instant.
     ///
     /// If the robot is not the configured one parts match, too, but their shifts scatter and the angles fit on neither side.
-    pub(in crate::prepare) fn jump_between_parts(
-        &self,
-        window: &Range<usize>,
-        step_s: f64,
-    ) -> Option<PrepareError> {
+    pub(super) fn jump_between_parts(&self, window: &Range<usize>, step_s: f64) -> Option<PrepareError> {
         let parts = self.parts(window, step_s);
         let differ = |a: &MatchedPart, b: &MatchedPart| (a.shift_s - b.shift_s).abs() > DIFFERENT_S;
         // Each side has two parts or more: a chance match of one part agrees with no other.
