@@ -89,6 +89,7 @@ impl CounterSettings {
 /// State of the counter.
 #[derive(Debug, Default)]
 pub struct Counter {
+    pub settings: CounterSettings,
     /// Added to the position of the encoder. Stored in periods, so that it stays valid if the interpolation changes.
     offset: Periods,
     /// Whether the next conversion must set the number of whole periods to zero.
@@ -105,24 +106,19 @@ impl Counter {
     }
 
     /// Performs one conversion: computes the inputs from the encoder's signal and the requests in the outputs.
-    pub fn convert(
-        &mut self,
-        signal: Signal,
-        settings: &CounterSettings,
-        outputs: &Outputs,
-        inputs: &mut Inputs,
-    ) {
+    pub fn convert(&mut self, signal: Signal, outputs: &Outputs, inputs: &mut Inputs) {
         match signal {
             Signal::Recorded { count } => inputs.counter = count,
             Signal::Turning { position, periods_per_s, amplitude, reference_mark, on_reference_mark } => {
                 let frequency_hz = periods_per_s.abs();
-                let directed = directed(position, settings);
+                let directed = self.directed(position);
                 if std::mem::take(&mut self.begins_at_zero) {
                     // The signal determines the fraction of a period, but not the number of whole periods.
                     self.offset = Periods(directed.0.div_euclid(Periods::ONE).wrapping_mul(-Periods::ONE));
                 }
-                self.serve_set(directed, settings, outputs, inputs);
-                self.serve_latch(reference_mark, settings, outputs, inputs);
+                self.serve_set(directed, outputs, inputs);
+                self.serve_latch(reference_mark, outputs, inputs);
+                let settings = &self.settings;
                 inputs.level_c = on_reference_mark;
                 inputs.frequency_error =
                     settings.frequency_error && frequency_hz > settings.for_bits(FREQUENCY_MAX_HZ);
@@ -135,25 +131,24 @@ impl Counter {
         }
     }
 
+    /// The position as the terminal counts it, backwards if that is set.
+    fn directed(&self, position: Periods) -> Periods {
+        if self.settings.reversed { Periods(position.0.wrapping_neg()) } else { position }
+    }
+
     fn shifted(&self, position: Periods) -> Periods {
         Periods(position.0.wrapping_add(self.offset.0))
     }
 
     /// Sets the offset such that `position` has this count.
-    fn set(&mut self, position: Periods, count: u32, settings: &CounterSettings) {
-        self.offset = Periods(settings.position(count).0.wrapping_sub(position.0));
+    fn set(&mut self, position: Periods, count: u32) {
+        self.offset = Periods(self.settings.position(count).0.wrapping_sub(position.0));
     }
 
     /// Sets the counter on the rising edge of the request. `set_done` follows the request.
-    fn serve_set(
-        &mut self,
-        position: Periods,
-        settings: &CounterSettings,
-        outputs: &Outputs,
-        inputs: &mut Inputs,
-    ) {
+    fn serve_set(&mut self, position: Periods, outputs: &Outputs, inputs: &mut Inputs) {
         if outputs.set_counter && !self.set_was_requested {
-            self.set(position, outputs.set_value, settings);
+            self.set(position, outputs.set_value);
         }
         self.set_was_requested = outputs.set_counter;
         inputs.set_done = outputs.set_counter;
@@ -161,13 +156,7 @@ impl Counter {
 
     /// Latches the count at the reference mark, once after the latch is armed. Also sets the counter to zero
     /// there if that is enabled.
-    fn serve_latch(
-        &mut self,
-        mark: Option<Periods>,
-        settings: &CounterSettings,
-        outputs: &Outputs,
-        inputs: &mut Inputs,
-    ) {
+    fn serve_latch(&mut self, mark: Option<Periods>, outputs: &Outputs, inputs: &mut Inputs) {
         if outputs.enable_latch && !self.latch_was_enabled {
             self.latch_armed = true;
             inputs.latch_valid = false;
@@ -176,21 +165,16 @@ impl Counter {
             inputs.latch_valid = false;
         }
         self.latch_was_enabled = outputs.enable_latch;
-        let Some(mark) = mark.map(|mark| directed(mark, settings)) else { return };
+        let Some(mark) = mark.map(|mark| self.directed(mark)) else { return };
         if self.latch_armed {
-            inputs.latch = settings.count(self.shifted(mark));
+            inputs.latch = self.settings.count(self.shifted(mark));
             inputs.latch_valid = true;
             self.latch_armed = false;
         }
-        if settings.reset_on_c {
-            self.set(mark, 0, settings);
+        if self.settings.reset_on_c {
+            self.set(mark, 0);
         }
     }
-}
-
-/// The position in the counting direction of the terminal.
-fn directed(position: Periods, settings: &CounterSettings) -> Periods {
-    if settings.reversed { Periods(position.0.wrapping_neg()) } else { position }
 }
 
 #[cfg(test)]
@@ -210,18 +194,19 @@ mod tests {
     #[derive(Default)]
     struct Terminal {
         counter: Counter,
-        settings: CounterSettings,
         outputs: Outputs,
         inputs: Inputs,
     }
 
     impl Terminal {
         fn with_bits(bits: u8) -> Self {
-            Self { settings: CounterSettings { bits, ..CounterSettings::default() }, ..Self::default() }
+            let mut terminal = Self::default();
+            terminal.counter.settings.bits = bits;
+            terminal
         }
 
         fn convert(&mut self, signal: Signal) -> u32 {
-            self.counter.convert(signal, &self.settings, &self.outputs, &mut self.inputs);
+            self.counter.convert(signal, &self.outputs, &mut self.inputs);
             self.inputs.counter
         }
     }
@@ -273,7 +258,7 @@ mod tests {
         };
         terminal.convert(weak);
         assert_eq!(terminal.inputs.status(), 1 << 4 | 1 << 10 | 1 << 14);
-        terminal.settings.amplitude_error = false;
+        terminal.counter.settings.amplitude_error = false;
         terminal.convert(weak);
         assert_eq!(terminal.inputs.status(), 1 << 10);
     }
@@ -310,7 +295,7 @@ mod tests {
     #[test]
     fn reset_on_c_counts_from_the_mark() {
         let mut terminal = Terminal::with_bits(12);
-        terminal.settings.reset_on_c = true;
+        terminal.counter.settings.reset_on_c = true;
         assert_eq!(terminal.convert(at(10.25, 0.0, Some(10.0))), 1024);
         assert_eq!(terminal.convert(at(11.0, 0.0, None)), 4096);
     }
@@ -318,14 +303,14 @@ mod tests {
     #[test]
     fn reversed_counts_run_backwards() {
         let mut terminal = Terminal::with_bits(12);
-        terminal.settings.reversed = true;
+        terminal.counter.settings.reversed = true;
         assert_eq!(terminal.convert(at(2.0, 0.0, None)), 0u32.wrapping_sub(2 << 12));
     }
 
     #[test]
     fn a_recorded_count_is_independent_of_the_settings() {
         let mut terminal = Terminal::with_bits(8);
-        terminal.settings.reversed = true;
+        terminal.counter.settings.reversed = true;
         terminal.outputs.set_counter = true;
         assert_eq!(terminal.convert(Signal::Recorded { count: 0xdead_beef }), 0xdead_beef);
     }

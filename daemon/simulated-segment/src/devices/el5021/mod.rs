@@ -5,7 +5,7 @@ mod counter;
 mod mapping;
 mod objects;
 
-use counter::{Counter, CounterSettings};
+use counter::Counter;
 
 use super::VENDOR;
 use crate::chip::al::AlState;
@@ -97,7 +97,6 @@ struct Diagnosis {
 pub struct El5021 {
     channel: usize,
     revision: Revision,
-    settings: CounterSettings,
     counter: Counter,
     sync_mode: SyncMode,
     diagnosis: Diagnosis,
@@ -173,7 +172,7 @@ impl Device for El5021 {
         let at = Conversion { true_time_ns: step.event.true_ns, system_time_ns: step.event.system_ns };
         let signal = disturbed(source.signal(self.channel, at), self.signal_fault);
         let before = self.inputs;
-        self.counter.convert(signal, &self.settings, &self.outputs, &mut self.inputs);
+        self.counter.convert(signal, &self.outputs, &mut self.inputs);
         self.count_errors(before);
         self.inputs.sync_error = self.diagnosis.sync_error;
         // The toggle changes with every event, including those whose data were never read.

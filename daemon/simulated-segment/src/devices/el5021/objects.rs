@@ -1,6 +1,6 @@
 //! Object dictionary of the EL5021 (CoE): reads and writes values by index and subindex.
 
-use super::counter::{BITS, CounterSettings};
+use super::counter::{BITS, Counter, CounterSettings};
 use super::{El5021, PRODUCT, VENDOR, mapping};
 use crate::chip::SyncMode;
 use crate::chip::coe::{Abort, ObjectDictionary, ObjectList};
@@ -67,7 +67,7 @@ impl El5021 {
     /// The value of an object. `None` if the object or its subindex does not exist.
     fn value(&self, index: u16, subindex: u8) -> Option<ObjectValue> {
         use ObjectValue::{Bit, Text, U8, U16, U32};
-        let Self { revision, settings, diagnosis, inputs, outputs, .. } = self;
+        let Self { revision, counter: Counter { settings, .. }, diagnosis, inputs, outputs, .. } = self;
         let on_clock = self.sync_mode == SyncMode::DistributedClock;
         let has_frequency = revision.measures_frequency();
         Some(match (index, subindex) {
@@ -150,7 +150,7 @@ impl El5021 {
     }
 
     fn change_setting(&mut self, index: u16, subindex: u8, value: u32) -> Result<(), Abort> {
-        let settings = &mut self.settings;
+        let settings = &mut self.counter.settings;
         match (index, subindex) {
             (0x8000, 0x01) => settings.reset_on_c = value == 1,
             (0x8000, 0x0e) => settings.reversed = value == 1,
@@ -176,7 +176,7 @@ impl El5021 {
         if signature != RESTORE {
             return Err(Abort::ValueRange);
         }
-        self.settings = CounterSettings::default();
+        self.counter.settings = CounterSettings::default();
         Ok(())
     }
 }
