@@ -121,7 +121,7 @@ struct ApiState {
     foxgloves: Arc<Semaphore>,
     /// How other machines reach the service.
     remote: Option<String>,
-    pairing: Option<Pairing>,
+    pairing: Option<Arc<Pairing>>,
 }
 
 impl FromRef<ApiState> for Service {

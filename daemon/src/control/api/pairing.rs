@@ -3,7 +3,7 @@
 
 use std::fmt::Display;
 use std::net::{IpAddr, SocketAddr};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use axum::Json;
@@ -30,12 +30,9 @@ const CODES_MAX: usize = 8;
 /// Length of a code: too long to be guessed while it is valid.
 const CODE_BYTES: usize = 16;
 
-/// Issues and redeems codes. Clones share them.
-#[derive(Debug, Clone)]
-pub(super) struct Pairing(Arc<Inner>);
-
+/// Issues and redeems codes.
 #[derive(Debug)]
-struct Inner {
+pub(super) struct Pairing {
     address: SocketAddr,
     fingerprint: Fingerprint,
     /// Codes and the times at which they were issued, the oldest first.
@@ -45,12 +42,12 @@ struct Inner {
 impl Pairing {
     /// For clients of this address, with the fingerprint of its certificate.
     pub fn new(address: SocketAddr, fingerprint: Fingerprint) -> Self {
-        Self(Arc::new(Inner { address, fingerprint, codes: Mutex::default() }))
+        Self { address, fingerprint, codes: Mutex::default() }
     }
 
     /// The codes that are valid at this time.
     fn codes(&self, now: MonoNs) -> MutexGuard<'_, Vec<(String, MonoNs)>> {
-        let mut codes = self.0.codes.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut codes = self.codes.lock().unwrap_or_else(PoisonError::into_inner);
         codes.retain(|(_, issued)| now.ns_since(*issued) < VALID.as_nanos() as i64);
         codes
     }
@@ -76,7 +73,7 @@ impl Pairing {
 
     /// Addresses for phones: the one that the service listens on, or those `of_machine` if it listens on all.
     fn addresses(&self, of_machine: &[IpAddr]) -> Vec<SocketAddr> {
-        let own = self.0.address;
+        let own = self.address;
         if !own.ip().is_unspecified() {
             return vec![own];
         }
@@ -97,7 +94,7 @@ impl Pairing {
         }
         let code = self.issue_code(now);
         let links = addresses.iter().map(|address| link(address, &code)).collect::<Result<_, _>>()?;
-        let fingerprint = self.0.fingerprint.to_string();
+        let fingerprint = self.fingerprint.to_string();
         Ok(PairReply { links, valid_s: VALID.as_secs(), fingerprint })
     }
 }

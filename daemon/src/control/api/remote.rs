@@ -127,7 +127,7 @@ impl Remote {
                 let address = listener.local_addr().map_err(refused)?;
                 let (acceptor, fingerprint) = tls(certificate, state)?;
                 words.push(format!("https://{address}, certificate SHA-256 {fingerprint}"));
-                gate.pairing = Some(Pairing::new(address, fingerprint));
+                gate.pairing = Some(Arc::new(Pairing::new(address, fingerprint)));
                 Some(TlsDoor { listener, acceptor })
             }
             None => None,
@@ -172,7 +172,7 @@ impl Drop for ProxyDoor {
 pub(super) struct Gate {
     token: String,
     /// Codes for phones, if the service listens for other machines.
-    pub pairing: Option<Pairing>,
+    pub pairing: Option<Arc<Pairing>>,
     /// Times of the latest wrong tokens.
     wrong: Mutex<Vec<MonoNs>>,
 }
