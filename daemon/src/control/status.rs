@@ -220,20 +220,8 @@ impl LastRun {
         let RunSummary { path, cycles, cycles_valid, cycles_lost, cause, provenance, timing } = summary;
         let file = path.display().to_string();
         let next = (cycles_valid > 0).then(|| next_command(&name, &file));
-        let (file, error, verdict) = (Some(file), None, None);
-        Self {
-            name,
-            file,
-            cycles,
-            cycles_valid,
-            cycles_lost,
-            cause,
-            error,
-            verdict,
-            next,
-            timing,
-            provenance,
-        }
+        let last = Self { name, file: Some(file), next, timing, provenance, ..Self::default() };
+        Self { cycles, cycles_valid, cycles_lost, cause, ..last }
     }
 }
 
