@@ -89,10 +89,10 @@ impl Bus {
         let no_answer = || BusError::from(Fact::BusNoAnswer { bus: plan.name.clone() });
         let bus_minus_monotonic_ns = self.bus_minus_monotonic_ns;
         let bus_time_ns = move || timers::now().plus_ns(bus_minus_monotonic_ns).0.max(0) as u64;
-        let received_before = self.exchange.counters().received;
+        let received_before = self.exchange.counters.received;
         let group = match self.exchange.run(self.main.init_single_group(bus_time_ns)) {
             Ok(group) => group,
-            Err(_) if self.exchange.counters().received == received_before => return Err(no_answer()),
+            Err(_) if self.exchange.counters.received == received_before => return Err(no_answer()),
             Err(error) => return Err(while_doing("looking for devices")(error)),
         };
         if group.is_empty() { Err(no_answer()) } else { Ok(group) }

@@ -52,12 +52,14 @@ pub struct Exchange {
     wire: Box<dyn FrameWire>,
     clock: Clock,
     buffer: Box<[u8; FRAME_BYTES_MAX]>,
-    counters: WireCounters,
+    /// Counters of the wire so far.
+    pub(super) counters: WireCounters,
     /// Time of the last frame that was passed to the wire, and its length in the next field \[bytes\].
-    sent_last: MonoNs,
-    sent_bytes_last: usize,
-    received_last: MonoNs,
-    /// While this is set, [`Self::run`] ends at once.
+    pub(super) sent_last: MonoNs,
+    /// Length of that frame \[bytes\].
+    pub(super) sent_bytes_last: usize,
+    /// When the last reply was received.
+    pub(super) received_last: MonoNs,
     interrupt: Arc<AtomicBool>,
 }
 
@@ -146,26 +148,6 @@ impl Exchange {
         }
         self.receive_one(until);
         None
-    }
-
-    /// Time at which the last frame was passed to the wire.
-    pub fn sent_last(&self) -> MonoNs {
-        self.sent_last
-    }
-
-    /// Length of the last frame that was passed to the wire \[bytes\].
-    pub fn sent_bytes_last(&self) -> usize {
-        self.sent_bytes_last
-    }
-
-    /// Time at which the last reply was received.
-    pub fn received_last(&self) -> MonoNs {
-        self.received_last
-    }
-
-    /// Counters of the wire so far.
-    pub fn counters(&self) -> WireCounters {
-        self.counters
     }
 
     fn send_pending(&mut self) {

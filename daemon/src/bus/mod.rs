@@ -181,12 +181,12 @@ impl Bus {
 
     /// Counters of the wire so far.
     pub fn wire_counters(&self) -> WireCounters {
-        self.exchange.counters()
+        self.exchange.counters
     }
 
     /// Duration of the last frame on the wire, from its first to its last bit \[ns\].
     pub fn frame_ns(&self) -> i64 {
-        let bytes = self.exchange.sent_bytes_last().max(FRAME_BYTES_MIN) + FRAME_BYTES_AROUND;
+        let bytes = self.exchange.sent_bytes_last.max(FRAME_BYTES_MIN) + FRAME_BYTES_AROUND;
         bytes as i64 * WIRE_NS_PER_BYTE
     }
 
@@ -206,7 +206,7 @@ impl Bus {
                 .and_then(Result::ok)
                 .map(|response| (response.working_counter, States::of(&response.subdevice_states), None)),
         };
-        let sent = exchange.sent_last();
+        let sent = exchange.sent_last;
         let Some((working_counter, states, dc_time)) = response else {
             return CyclicExchange { sent, received: sent, reply: None };
         };
@@ -215,7 +215,7 @@ impl Bus {
         let all_operational = not_operational == 0;
         let reply =
             CyclicReply { working_counter, all_operational, not_operational, silent, dc_time, inputs };
-        CyclicExchange { sent, received: self.exchange.received_last(), reply: Some(reply) }
+        CyclicExchange { sent, received: self.exchange.received_last, reply: Some(reply) }
     }
 
     /// Sets the outputs of one terminal from the next exchange on. `encoder` is its number in bus order, from 0.
