@@ -32,7 +32,7 @@ pub use links::Links;
 pub use realtime::RealtimeReport;
 pub use recovery::{BusState, Outage};
 pub use sampler::{SampleTime, Sampler};
-pub use timing::{CycleTiming, TimingSink, TimingSource, Timings, timing_ring};
+pub use timing::{CycleTiming, TimingSource, Timings, timing_ring};
 
 use crate::bus::{Bus, BusError, BusPlan, CyclicExchange, Operational, WireCounters};
 use crate::clock::Clock;

@@ -22,9 +22,6 @@ pub struct CycleTiming {
     pub duration_ns: i64,
 }
 
-/// The writing end of the ring, used by the cycle.
-pub struct TimingSink(Producer<CycleTiming>);
-
 /// The reading end of the ring, with the histograms.
 pub struct TimingSource {
     ring: Consumer<CycleTiming>,
@@ -32,17 +29,9 @@ pub struct TimingSource {
 }
 
 /// Creates a ring for the timing of `capacity` cycles. If it is not drained often enough, timing is lost, but no cycle.
-pub fn timing_ring(capacity: usize) -> (TimingSink, TimingSource) {
+pub fn timing_ring(capacity: usize) -> (Producer<CycleTiming>, TimingSource) {
     let (producer, consumer) = RingBuffer::new(capacity);
-    (TimingSink(producer), TimingSource { ring: consumer, timings: Timings::default() })
-}
-
-impl TimingSink {
-    /// Adds the timing of one cycle. Does not wait.
-    pub fn push(&mut self, timing: CycleTiming) {
-        // If the ring is full, one entry of a histogram is lost. Waiting for space would delay the cycle.
-        let _ = self.0.push(timing);
-    }
+    (producer, TimingSource { ring: consumer, timings: Timings::default() })
 }
 
 impl TimingSource {
@@ -134,7 +123,7 @@ mod tests {
     fn percentiles_are_those_of_what_was_pushed_to_a_part_in_a_thousand() {
         let (mut sink, mut source) = timing_ring(2000);
         assert_eq!(source.summary(), None);
-        (1..=1000).for_each(|step| sink.push(timing(step * 1000)));
+        (1..=1000).for_each(|step| sink.push(timing(step * 1000)).unwrap());
         source.drain();
         let summary = source.summary().unwrap();
         assert_eq!(summary.cycles, 1000);
@@ -176,7 +165,7 @@ mod tests {
     #[test]
     fn a_full_ring_loses_times_without_waiting() {
         let (mut sink, mut source) = timing_ring(4);
-        (0..10).for_each(|step| sink.push(timing(step)));
+        (0..10).for_each(|step| _ = sink.push(timing(step)));
         source.drain();
         assert_eq!(source.summary().unwrap().cycles, 4);
     }
