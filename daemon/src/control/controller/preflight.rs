@@ -85,11 +85,15 @@ fn line(subject: &str, finding: CheckResult) -> CheckLine {
     }
 }
 
+/// These problems, or the text if there are none.
+fn none_of(problems: impl IntoIterator<Item = Problem>, text: impl Into<String>) -> CheckResult {
+    let problems: Vec<_> = problems.into_iter().collect();
+    if problems.is_empty() { Ok(text.into()) } else { Err(problems) }
+}
+
 fn bus(controller: &Controller, status: &Status) -> CheckResult {
-    match controller.machine.bus_fault() {
-        Some(problem) => Err(vec![problem.clone().with_severity(Level::Bad)]),
-        None => Ok(format!("in operation on {}: {}", status.bus, status.devices.join(", "))),
-    }
+    let fault = controller.machine.bus_fault().cloned().map(|problem| problem.with_severity(Level::Bad));
+    none_of(fault, format!("in operation on {}: {}", status.bus, status.devices.join(", ")))
 }
 
 fn encoders(status: &Status) -> CheckResult {
@@ -105,19 +109,12 @@ fn encoders(status: &Status) -> CheckResult {
         Problem::from(Fact::EncoderInvalid { joints, status, valid_share }).with_severity(severity)
     };
     let invalid = status.encoders.iter().filter(|encoder| share(encoder) < VALID_SHARE_GOOD);
-    let problems: Vec<_> = invalid.map(problem).collect();
-    if problems.is_empty() {
-        let joints: Vec<_> = status.encoders.iter().map(|encoder| encoder.joint.to_string()).collect();
-        return Ok(format!("all valid: joints {}", joints.join(", ")));
-    }
-    Err(problems)
+    let joints: Vec<_> = status.encoders.iter().map(|encoder| encoder.joint.to_string()).collect();
+    none_of(invalid.map(problem), format!("all valid: joints {}", joints.join(", ")))
 }
 
 fn cables(status: &Status) -> CheckResult {
-    if status.bad_cables.is_empty() {
-        return Ok("no port has counted an error".into());
-    }
-    Err(status.bad_cables.clone())
+    none_of(status.bad_cables.iter().cloned(), "no port has counted an error")
 }
 
 /// A run needs no marks, because the calibration estimates the offsets. But invalid ones would remain unnoticed.
@@ -145,13 +142,9 @@ fn reference_marks(controller: &Controller, found: Option<&DiskFindings>) -> Che
 
 /// A homing takes a person minutes: this reports beforehand whether its result can be saved.
 fn state(controller: &Controller, found: Option<&DiskFindings>) -> CheckResult {
-    let found = found.ok_or_else(unanswered)?;
-    match &found.unsavable {
-        None => {
-            Ok(format!("reference marks can be saved in {}", controller.settings.marks_file.path().display()))
-        }
-        Some(problem) => Err(vec![problem.clone()]),
-    }
+    let file = controller.settings.marks_file.path().display();
+    let unsavable = found.ok_or_else(unanswered)?.unsavable.clone();
+    none_of(unsavable, format!("reference marks can be saved in {file}"))
 }
 
 /// Measured with five turning encoders at 100 Hz. Three take 132, and longer chunks compress better: 125 at 1000 Hz.
@@ -179,10 +172,8 @@ fn disk(controller: &Controller) -> CheckResult {
 }
 
 fn realtime(controller: &Controller) -> CheckResult {
-    match controller.bus.session().and_then(Session::realtime_problem) {
-        Some(problem) => Err(vec![problem]),
-        None => Ok("priority, core and memory as configured".into()),
-    }
+    let denied = controller.bus.session().and_then(Session::realtime_problem);
+    none_of(denied, "priority, core and memory as configured")
 }
 
 fn clock() -> CheckResult {
@@ -205,10 +196,8 @@ fn clock_is_synchronised() -> io::Result<bool> {
 }
 
 fn log() -> CheckResult {
-    match log::lines_lost() {
-        0 => Ok("every line was written".into()),
-        lines => Err(vec![Fact::LogLinesLost { lines }.into()]),
-    }
+    let lost = Some(log::lines_lost()).filter(|lines| *lines > 0);
+    none_of(lost.map(|lines| Fact::LogLinesLost { lines }.into()), "every line was written")
 }
 
 fn leftovers(found: Option<&DiskFindings>) -> CheckResult {
