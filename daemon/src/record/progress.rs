@@ -26,8 +26,8 @@ pub struct Handed {
 #[derive(Debug)]
 pub struct RunProgress {
     handed: Arc<Handed>,
-    limits: Limits,
-    clock: Clock,
+    pub(super) limits: Limits,
+    pub(super) clock: Clock,
     disk: Mutex<OnDisk>,
 }
 
@@ -131,15 +131,6 @@ impl RunProgress {
 
     fn disk(&self) -> MutexGuard<'_, OnDisk> {
         self.disk.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// Whether the clock runs in real time; false on virtual time.
-    pub(super) fn is_on_real_time(&self) -> bool {
-        self.clock.is_real()
-    }
-
-    pub(super) fn sync_period(&self) -> Duration {
-        self.limits.sync_period
     }
 
     /// Sets the current step of creating the run's file.

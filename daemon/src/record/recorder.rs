@@ -239,7 +239,7 @@ impl Recorder {
         let synchroniser = Synchroniser::new(&link.progress, &*link.scheduler);
         let clock = link.scheduler.clock().clone();
         // Half of the configured period. The other half is a margin for a busy disk or processor.
-        let period = link.progress.sync_period() / 2;
+        let period = link.progress.limits.sync_period / 2;
         Self {
             source,
             synchroniser,

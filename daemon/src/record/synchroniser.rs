@@ -78,7 +78,7 @@ impl Synchroniser {
         let (jobs, jobs_out) = sync_channel(1);
         let (outcomes_in, outcomes) = sync_channel(1);
         let progress = Arc::clone(progress);
-        let waits = progress.is_on_real_time();
+        let waits = progress.clock.is_real();
         let work = SyncWork { jobs: jobs_out, outcomes: outcomes_in, progress, number, next: None };
         let _ = scheduler.start("synchroniser", Box::new(|| Box::new(work)));
         Self { jobs, outcomes, is_busy: false, waits }
