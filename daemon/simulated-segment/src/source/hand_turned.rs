@@ -69,7 +69,7 @@ impl HandTurned {
     /// Returns the source and the hand that controls it.
     pub fn new(motion: SmoothMotion) -> (Self, Hand) {
         let hand = Hand::default();
-        let joints = vec![TurnedJoint::default(); motion.joints()];
+        let joints = vec![TurnedJoint::default(); motion.joints.len()];
         (Self { motion, hand: hand.clone(), joints, stopped_ns: 0, held_since_ns: None }, hand)
     }
 
@@ -97,7 +97,7 @@ impl EncoderSource for HandTurned {
         };
         let is_turned = command.unsigned_abs() == channel as u64 + 1;
         let direction = if is_turned { command.signum() as f64 } else { 0.0 };
-        let mut periods_per_s = direction * SPEED_RAD_PER_S * f64::from(motion.lines()) / TAU;
+        let mut periods_per_s = direction * SPEED_RAD_PER_S * f64::from(motion.lines) / TAU;
         let elapsed_ns = joint.last.map_or(0, |(last_ns, _)| at.true_time_ns.saturating_sub(last_ns).max(0));
         let moved = Periods::from_f64(periods_per_s * elapsed_ns as f64 * 1e-9);
         joint.by_hand = Periods(joint.by_hand.0.wrapping_add(moved.0));

@@ -40,7 +40,7 @@ impl Sine {
 }
 
 #[derive(Debug, Clone)]
-struct SmoothJoint {
+pub(super) struct SmoothJoint {
     sines: [Sine; SINES],
     /// Position of the encoder at angle zero.
     start: Periods,
@@ -53,8 +53,8 @@ struct SmoothJoint {
 /// encoder has one reference mark.
 #[derive(Debug, Clone)]
 pub struct SmoothMotion {
-    lines: u32,
-    joints: Vec<SmoothJoint>,
+    pub(super) lines: u32,
+    pub(super) joints: Vec<SmoothJoint>,
 }
 
 impl SmoothMotion {
@@ -89,14 +89,6 @@ impl SmoothMotion {
 
     pub(super) fn periods_per_s(&self, joint: usize, true_time_ns: i64) -> f64 {
         self.joints.get(joint).map_or(0.0, |joint| joint.periods_per_s(self.lines, true_time_ns))
-    }
-
-    pub(super) fn joints(&self) -> usize {
-        self.joints.len()
-    }
-
-    pub(super) fn lines(&self) -> u32 {
-        self.lines
     }
 
     /// Position of a joint's encoder at angle zero.
