@@ -70,24 +70,21 @@ fn execute_physical(esc: &mut Esc, datagram: &mut Datagram<'_>, now_ns: i64) -> 
 /// Decodes whether the command addresses this device. Also increments the address field if the command requires it.
 fn action(esc: &Esc, datagram: &mut Datagram<'_>) -> CommandEffect {
     let command = datagram.command();
-    let first = datagram.device_address() == 0;
-    let addressed = datagram.device_address() == esc.station_address();
+    let is_addressed = match command {
+        APRD | APWR | APRW | ARMW => datagram.device_address() == 0,
+        FPRD | FPWR | FPRW | FRMW => datagram.device_address() == esc.station_address(),
+        _ => true,
+    };
     if matches!(command, APRD | APWR | APRW | ARMW | BRD | BWR | BRW) {
         datagram.increment_device_address();
     }
     match command {
-        APRD if first => CommandEffect::Read(ReadMode::Replace),
-        APWR if first => CommandEffect::Write,
-        APRW if first => CommandEffect::Exchange(ReadMode::Replace),
-        FPRD if addressed => CommandEffect::Read(ReadMode::Replace),
-        FPWR if addressed => CommandEffect::Write,
-        FPRW if addressed => CommandEffect::Exchange(ReadMode::Replace),
+        APRD | FPRD | ARMW | FRMW if is_addressed => CommandEffect::Read(ReadMode::Replace),
+        APRW | FPRW if is_addressed => CommandEffect::Exchange(ReadMode::Replace),
+        APWR | FPWR if is_addressed => CommandEffect::Write,
         BRD => CommandEffect::Read(ReadMode::Or),
-        BWR => CommandEffect::Write,
         BRW => CommandEffect::Exchange(ReadMode::Or),
-        ARMW if first => CommandEffect::Read(ReadMode::Replace),
-        FRMW if addressed => CommandEffect::Read(ReadMode::Replace),
-        ARMW | FRMW => CommandEffect::Write,
+        BWR | ARMW | FRMW => CommandEffect::Write,
         _ => CommandEffect::Nothing,
     }
 }
