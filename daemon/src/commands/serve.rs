@@ -123,7 +123,7 @@ impl RunArguments {
         let settings =
             RemoteSettings { listen: self.listen, certificate, proxy_socket: self.behind_proxy.clone() };
         let remote = Remote::open(settings, &self.state.directory()).await?;
-        tracing::info!("remote access: {}", remote.words());
+        tracing::info!("remote access: {}", remote.words);
         Ok(Some(remote))
     }
 }

@@ -86,7 +86,7 @@ impl Bench {
                 let remote = Remote::open(RemoteSettings { listen, ..RemoteSettings::default() }, &state)
                     .await
                     .unwrap();
-                let elsewhere = remote.words().split(',').next().unwrap().to_owned();
+                let elsewhere = remote.words.split(',').next().unwrap().to_owned();
                 address.send([here, elsewhere]).unwrap();
                 api::serve(listener, Some(remote), service, async { drop(ended.await) }).await;
             });

@@ -97,8 +97,8 @@ pub struct Remote {
     pub(super) gate: Gate,
     pub(super) tls: Option<TlsDoor>,
     pub(super) proxy: Option<ProxyDoor>,
-    /// Addresses and fingerprint, for people.
-    pub(super) words: String,
+    /// Address, the certificate's fingerprint, and the file of the token, for people.
+    pub words: String,
 }
 
 /// The listener for other machines, and the TLS configuration of its connections.
@@ -139,11 +139,6 @@ impl Remote {
         words.extend(proxy.iter().map(|proxy| format!("a reverse proxy on {}", proxy.path.display())));
         let words = format!("{}; the token is in {}", words.join(", and "), token_file.display());
         Ok(Self { gate, tls, proxy, words })
-    }
-
-    /// Address, the certificate's fingerprint, and the file of the token.
-    pub fn words(&self) -> &str {
-        &self.words
     }
 }
 
