@@ -109,7 +109,7 @@ async fn on_own_bus(
     session.log();
     let mut printer = Printer::new(service.format, session.is_simulated())?;
     let mut homing = Homing::begin(&session);
-    while !homing.poll(&setup.bar.encoders, &marks) {
+    while !homing.poll(&marks) {
         if let Err(error) = printer.print(homing.status()) {
             stop.stop(&explained(error.as_ref()));
         }

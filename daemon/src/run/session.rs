@@ -218,11 +218,6 @@ impl Session {
         encoders
     }
 
-    /// Disk of runs and reference marks.
-    pub fn disk(&self) -> Arc<dyn Disk> {
-        self.setup.storage.disk()
-    }
-
     /// Whether the cycle is running.
     pub fn is_alive(&self) -> bool {
         received(&self.cycle_over).is_none()

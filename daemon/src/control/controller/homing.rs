@@ -1,21 +1,16 @@
 //! Homing in the service: its steps as text, and the file of reference marks at the end.
 
-use std::sync::Arc;
-
-use shared::config::EncoderConfig;
-use shared::recording::Disk;
 use shared::time::MonoNs;
 
 use crate::control::status::HomingStatus;
 use crate::homing::{self, FoundMark, HomingError, HomingStep, MarksFile};
-use crate::run::{ActiveHoming, Session};
-use crate::scheduler::{Pending, Scheduler};
+use crate::run::{ActiveHoming, Session, Setup};
+use crate::scheduler::Pending;
 
 /// A homing, until the next one.
 pub struct Homing {
     active: ActiveHoming,
-    disk: Arc<dyn Disk>,
-    scheduler: Arc<dyn Scheduler>,
+    setup: Setup,
     status: HomingStatus,
     /// Saves the marks that were found.
     saving: Option<Pending<Result<(), HomingError>>>,
@@ -26,8 +21,7 @@ impl Homing {
     pub fn begin(session: &Session) -> Self {
         Self {
             active: session.begin_homing(),
-            disk: session.disk(),
-            scheduler: Arc::clone(&session.setup.scheduler),
+            setup: session.setup.clone(),
             status: HomingStatus::default(),
             saving: None,
         }
@@ -50,12 +44,12 @@ impl Homing {
 
     /// Handles the steps since the last poll. Returns whether the homing has just ended; its status then has the outcome, and
     /// after a success the file `marks` is written.
-    pub fn poll(&mut self, encoders: &[EncoderConfig], marks: &MarksFile) -> bool {
+    pub fn poll(&mut self, marks: &MarksFile) -> bool {
         while let Some(step) = self.active.take_step() {
             show_step(&mut self.status, step);
         }
         match self.active.outcome() {
-            Some(Ok(found)) => self.save(encoders.to_vec(), found, marks),
+            Some(Ok(found)) => self.save(found, marks),
             Some(Err(error)) => return self.finish(marks, Err(error)),
             None => {}
         }
@@ -65,10 +59,11 @@ impl Homing {
     }
 
     /// Verifies the marks and starts to write their file.
-    fn save(&mut self, encoders: Vec<EncoderConfig>, found: Vec<FoundMark>, marks: &MarksFile) {
+    fn save(&mut self, found: Vec<FoundMark>, marks: &MarksFile) {
         (self.status.joint, self.status.turned_deg) = (None, None);
-        let (disk, file) = (Arc::clone(&self.disk), marks.clone());
-        self.saving = Some(Pending::start(&*self.scheduler, "homing", move || {
+        let Setup { scheduler, storage, bar, .. } = &self.setup;
+        let (disk, encoders, file) = (storage.disk(), bar.encoders.clone(), marks.clone());
+        self.saving = Some(Pending::start(&**scheduler, "homing", move || {
             let marks = homing::verify(&encoders, &found)?;
             let written = file.write(&*disk, &encoders, &marks);
             written.map_err(|error| HomingError::NotKept(error.to_string()))

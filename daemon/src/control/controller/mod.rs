@@ -419,7 +419,7 @@ impl Controller {
 
     fn poll_homing(&mut self) {
         let Some(homing) = &mut self.homing else { return };
-        if homing.poll(&self.settings.bar.encoders, &self.settings.marks_file) {
+        if homing.poll(&self.settings.marks_file) {
             self.handle(MachineEvent::HomingOver);
         }
     }
