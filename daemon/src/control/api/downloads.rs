@@ -17,20 +17,14 @@ use tokio::sync::{Semaphore, mpsc};
 use super::refusal;
 
 /// Downloads at a time: the memory of each thread is locked.
-const DOWNLOADS_MAX: usize = 2;
+pub(super) const DOWNLOADS_MAX: usize = 2;
 /// Pieces in the queue of a client.
 const PIECES_MAX: usize = 4;
 const PIECE_BYTES: usize = 64 << 10;
 
 /// Limits the downloads. Clones share the limit.
 #[derive(Clone)]
-pub(super) struct Downloads(Arc<Semaphore>);
-
-impl Default for Downloads {
-    fn default() -> Self {
-        Self(Arc::new(Semaphore::new(DOWNLOADS_MAX)))
-    }
-}
+pub(super) struct Downloads(pub Arc<Semaphore>);
 
 /// Description of a download.
 pub(super) struct Download {

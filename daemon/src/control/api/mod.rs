@@ -38,7 +38,7 @@ use tokio::net::TcpListener;
 use tokio::sync::Semaphore;
 
 use self::connections::{Client, Connections};
-use self::downloads::{Download, Downloads};
+use self::downloads::{DOWNLOADS_MAX, Download, Downloads};
 pub use self::fingerprint::Fingerprint;
 use self::openapi::Operation;
 use self::pairing::Pairing;
@@ -246,12 +246,13 @@ pub fn router(service: Service) -> Router {
 
 fn routes(service: Service, gate: Option<Gate>, remote: Option<String>) -> Router {
     let pairing = gate.as_ref().and_then(|gate| gate.pairing.clone());
-    let viewers = Arc::new(Semaphore::new(VIEWERS_MAX));
-    let foxgloves = Arc::new(Semaphore::new(foxglove::CLIENTS_MAX));
+    let places = |limit| Arc::new(Semaphore::new(limit));
+    let (viewers, foxgloves) = (places(VIEWERS_MAX), places(foxglove::CLIENTS_MAX));
+    let downloads = Downloads(places(DOWNLOADS_MAX));
     let origins = service.settings().live_tap.as_ref().map_or_else(Vec::new, |tap| tap.origins().to_vec());
     let admission = Arc::new(Admission { gate, service: service.clone(), origins });
     let page = page::routes(&service.settings().bar);
-    let shared = ApiState { service, downloads: Downloads::default(), viewers, foxgloves, remote, pairing };
+    let shared = ApiState { service, downloads, viewers, foxgloves, remote, pairing };
     let operations = operations();
     let (described, handlers): (Vec<_>, Vec<_>) = operations.into_iter().unzip();
     let document = openapi::document(&described);
