@@ -7,6 +7,7 @@ use identify::kinematics::{
     ball_bar_inverse_refined, flange_chain, mirroring_joints, robot_chain, robot_inverse, robot_inverse_all,
     singularity_margin_rad,
 };
+use nalgebra::Translation3;
 use num_dual::Dual64;
 use proptest::prelude::*;
 
@@ -57,6 +58,21 @@ fn plate_tool_and_rod_are_part_of_the_chains() {
     assert_eq!(with.links[5].a_m, without.links[5].a_m + bar.plate_m);
     assert_eq!(with.links[5].d_m, without.links[5].d_m + bar.tool_m);
     assert_eq!(ball_bar_chain(&bar).links[2].d_m, bar.length_m);
+}
+
+#[test]
+fn plate_and_tool_follow_the_rotations_of_the_last_link() {
+    let bar = crate::support::bar();
+    let q = [0.3, -0.2, 0.4, 0.1, 0.7, -0.5];
+    for (alpha_deg, beta_deg) in [(0.0, 0.0), (20.0, 0.0), (0.0, 20.0)] {
+        let mut robot = crate::support::irb2400();
+        (robot.links[5].alpha_deg, robot.links[5].beta_deg) = (alpha_deg, beta_deg);
+        let expected = flange_chain(&robot).forward(&q) * Translation3::new(bar.plate_m, 0.0, bar.tool_m);
+        assert!(
+            pose_distance(&robot_chain(&robot, &bar).forward(&q), &expected) < 1e-12,
+            "{alpha_deg} {beta_deg}"
+        );
+    }
 }
 
 #[test]

@@ -27,7 +27,9 @@ pub fn robot_chain(robot: &RobotConfig, bar: &BallBarConfig) -> Chain {
     let mut chain = flange_chain(robot);
     let end = DhLink { a_m: bar.plate_m, d_m: bar.tool_m, ..DhLink::default() };
     match chain.links.last_mut() {
-        Some(last) if last.alpha_rad == 0.0 && chain.last_from_end == Pose::identity() => {
+        Some(last)
+            if [last.alpha_rad, last.beta_rad] == [0.0; 2] && chain.last_from_end == Pose::identity() =>
+        {
             last.a_m += bar.plate_m;
             last.d_m += bar.tool_m;
         }
