@@ -1,23 +1,23 @@
-//! The two inner loops of a solve: products of columns and Householder reflections of a short panel. The widest SIMD
-//! instructions of the processor are selected at run time (crate `pulp`), so that a binary for any x86-64 uses AVX2 and FMA
-//! where available.
+//! The inner loops of a solve: products of columns, Householder reflections, and a test for finite numbers, all on a short
+//! panel of rows. The crate `pulp` selects the widest SIMD instructions of the processor at run time. A binary for any
+//! x86-64 therefore uses AVX2 and FMA where available.
 //!
-//! A panel is column-major: column `c` is `panel[c * stride..][..rows]`, and `rows` is a multiple of [`ROW_STEP`], padded with
-//! zeros.
+//! A panel is column-major: column `c` is `panel[c * stride..][..rows]`. `rows` is a multiple of [`ROW_STEP`], with rows
+//! of zeros as padding.
 
 use pulp::{Arch, Simd, WithSimd};
 
-/// The number of rows of a panel is a multiple of this, the size of the widest SIMD register.
+/// The number of rows of a panel is a multiple of this number, which is the size of the widest SIMD register.
 pub(super) const ROW_STEP: usize = 8;
 
-/// [`add_products`] needs a number of columns that is a multiple of this.
+/// The number of columns for [`add_products`] is a multiple of this number.
 pub(super) const COLUMN_STEP: usize = TILE;
 
-/// Products are formed in square tiles of this many columns: nine sums stay in registers, and each loaded number is used three
-/// times.
+/// Products are formed in square tiles of this many columns. The nine sums of a tile stay in registers, and each loaded
+/// number is used three times.
 const TILE: usize = 3;
 
-/// A column with a smaller sum of squares counts as zero: division by it would overflow.
+/// A column with a smaller sum of squares is treated as zero, because a division by the sum would overflow.
 const SQUARE_MIN: f64 = f64::MIN_POSITIVE / f64::EPSILON;
 
 /// Dimensions of a column-major panel.
@@ -31,8 +31,8 @@ pub(super) struct Shape {
     pub(super) columns: usize,
 }
 
-/// Adds `panel^T panel` to `sums`, a column-major square matrix: the lower triangle, and the tiles on the diagonal whole.
-/// The number of columns is a multiple of [`COLUMN_STEP`].
+/// Adds `panel^T panel` to `sums`, a column-major square matrix. Only the lower triangle of `sums` and the whole tiles on
+/// its diagonal are updated. The number of columns is a multiple of [`COLUMN_STEP`].
 pub(super) fn add_products(panel: &[f64], shape: Shape, sums: &mut [f64]) {
     Arch::new().dispatch(AddProducts { panel, shape, sums });
 }
@@ -68,7 +68,7 @@ impl WithSimd for AddProducts<'_> {
     }
 }
 
-/// `x_i . y_j` as `[j][i]`.
+/// The dot products `x_i . y_j` of a tile, as `[j][i]`.
 #[inline(always)]
 fn tile_products<S: Simd>(simd: S, x: [&[S::f64s]; TILE], y: [&[S::f64s]; TILE]) -> [[f64; TILE]; TILE] {
     let mut sums = [[simd.splat_f64s(0.0); TILE]; TILE];
@@ -90,8 +90,9 @@ fn tile_products<S: Simd>(simd: S, x: [&[S::f64s]; TILE], y: [&[S::f64s]; TILE])
     reduced
 }
 
-/// Replaces `triangle` (column-major, upper, square) by the triangle of `[triangle; panel]` with Householder reflections, so
-/// that `R^T R` grows by `panel^T panel` without being formed. The panel then contains no useful numbers.
+/// Replaces `triangle` (column-major, upper, square) by the triangular factor `R` of `[triangle; panel]`, by
+/// Householder reflections. `R^T R` grows by `panel^T panel`, although this product is never formed. The contents of
+/// the panel are meaningless afterwards.
 pub(super) fn fold_into_triangle(panel: &mut [f64], shape: Shape, triangle: &mut [f64]) {
     Arch::new().dispatch(FoldTriangle { panel, shape, triangle });
 }
@@ -121,7 +122,7 @@ impl WithSimd for FoldTriangle<'_> {
             let v1 = pivot - reflected;
             let beta = 2.0 / (v1 * v1 + squared);
             self.triangle[k * columns + k] = reflected;
-            // `H` of each other column (top, y).
+            // Applies `H` to each of the following columns (top, y).
             for (j, column) in (k + 1..columns).zip(right.chunks_exact_mut(stride)) {
                 let y = S::as_mut_simd_f64s(&mut column[..rows]).0;
                 let top = &mut self.triangle[j * columns + k];
@@ -136,7 +137,7 @@ impl WithSimd for FoldTriangle<'_> {
     }
 }
 
-/// Uses four sums, so that consecutive additions are independent.
+/// Dot product. Uses four sums, so that consecutive additions do not depend on each other.
 #[inline(always)]
 fn dot<S: Simd>(simd: S, x: &[S::f64s], y: &[S::f64s]) -> f64 {
     const SUMS: usize = 4;
@@ -155,7 +156,7 @@ fn dot<S: Simd>(simd: S, x: &[S::f64s], y: &[S::f64s]) -> f64 {
     simd.reduce_sum_f64s(sum)
 }
 
-/// Whether every number of these columns is finite.
+/// Whether every number in the rows and columns in use is finite.
 pub(super) fn is_finite(panel: &[f64], shape: Shape) -> bool {
     Arch::new().dispatch(IsFinite { panel, shape })
 }
@@ -174,7 +175,7 @@ impl WithSimd for IsFinite<'_> {
         let mut sum = zero;
         for column in self.panel.chunks_exact(self.shape.stride).take(self.shape.columns) {
             for &value in S::as_simd_f64s(&column[..self.shape.rows]).0 {
-                // Zero for a finite number, NaN otherwise.
+                // The product with zero is zero for a finite number and NaN otherwise.
                 sum = simd.mul_add_e_f64s(value, zero, sum);
             }
         }

@@ -1,9 +1,11 @@
-//! The minimum of a [`LeastSquares`] problem by Levenberg-Marquardt: steps `(H + lambda D) step = -g` with `H = J^T W J` and
-//! `g = J^T W r` (robust weights `W`, priors added), `D` the largest diagonal of `H` so far, and Nielsen's rule for the damping
-//! `lambda`.
+//! Minimises a [`LeastSquares`] problem by the Levenberg-Marquardt method.
 //!
-//! References: Marquardt 1963; More 1978 (monotone scaling); Nielsen, IMM-REP-1999-05 (damping by the gain
-//! ratio); Madsen, Nielsen, Tingleff 2004.
+//! Each step solves `(H + lambda D) step = -g` with `H = J^T W J` and `g = J^T W r`. `W` contains the robust weights; priors
+//! are added to `H` and `g`. `D` is the largest diagonal of `H` so far. The damping `lambda` follows Nielsen's rule: a step
+//! that lowers the cost is accepted and reduces the damping, any other step is refused and increases it.
+//!
+//! References: Marquardt 1963; More 1978 (monotone scaling); Nielsen, IMM-REP-1999-05 (damping by the gain ratio);
+//! Madsen, Nielsen, Tingleff 2004.
 
 use nalgebra::DVector;
 
@@ -11,14 +13,14 @@ use super::information::identifiability::{at_solution, require_start};
 use super::pass::{Pass, PassError, Products, SampleFit, Taking};
 use super::{LeastSquares, Normal, Options, ScaledCholesky, Solution, SolveError, Summary, Termination};
 
-/// Cost and normal equations at a point, with the priors.
+/// Cost, normal equations and sample fits at a point. Cost and normal equations include the priors.
 struct QuadraticModel {
     cost: f64,
     normal: Normal,
     fits: Vec<SampleFit>,
 }
 
-/// Reduces the samples of a pass to the model at its point. The number of rows is not needed here and stays zero.
+/// Computes the model at the point of a pass. `Normal::rows` is not needed here and stays zero.
 fn quadratic_model(pass: &Pass<'_>) -> Result<QuadraticModel, PassError> {
     let Pass { problem, x, .. } = *pass;
     let (products, fits) = pass.run(|| Products::new(problem.columns()))?;
@@ -28,12 +30,12 @@ fn quadratic_model(pass: &Pass<'_>) -> Result<QuadraticModel, PassError> {
     Ok(QuadraticModel { cost: 0.5 * (cost_of_samples + cost_of_priors), normal, fits })
 }
 
-/// Damping and scaling, updated after each step.
+/// Damping `lambda` and scaling `D`, updated after each step.
 struct Damping {
     lambda: f64,
     /// Factor on `lambda` at the next refused step.
     growth: f64,
-    /// The diagonal `D`: squared column norms, the largest seen so far.
+    /// The diagonal `D`: for each column, the largest squared norm so far.
     scale_squared: DVector<f64>,
 }
 
@@ -50,9 +52,11 @@ impl Damping {
         }
     }
 
-    /// Step of `(H + lambda D) step = -g`, and the decrease of the cost that it predicts, `(lambda step^T D step - step^T g) / 2`.
+    /// Solves `(H + lambda D) step = -g`. Returns the step and the decrease of the cost that the model predicts for it,
+    /// `(lambda step^T D step - step^T g) / 2`.
     ///
-    /// A column without effect gets a step of zero, instead of a singular matrix: identifiability names it afterwards.
+    /// For a column without effect on the residuals the step is zero, so the matrix does not become singular. The
+    /// identifiability at the solution lists such columns. `None` if the matrix cannot be factorised.
     fn step(&self, model: &QuadraticModel, lambda: f64) -> Option<(DVector<f64>, f64)> {
         let Normal { matrix, gradient, .. } = &model.normal;
         let step = -ScaledCholesky::damped(matrix.clone(), &self.scale_squared, lambda)?.solve(gradient);
@@ -61,7 +65,7 @@ impl Damping {
     }
 
     fn accept(&mut self, gain: f64) {
-        // Nielsen's rule, with a faster decrease (0.1 in place of 1/3) of the damping if the prediction was accurate.
+        // Nielsen's rule. If the prediction was accurate, the damping falls by the factor 0.1 rather than 1/3.
         self.lambda *= (1.0 - (2.0 * gain - 1.0).powi(3)).max(0.1);
         self.growth = 2.0;
     }
@@ -87,7 +91,7 @@ fn residual_rms(fits: &[SampleFit]) -> f64 {
     if count == 0 { 0.0 } else { (sum / count as f64).sqrt() }
 }
 
-/// Largest cosine between the residual and a column.
+/// Largest cosine of the angle between the residual and a column of the Jacobian.
 fn gradient_cosine(model: &QuadraticModel) -> f64 {
     let residual_norm = (2.0 * model.cost).sqrt();
     if residual_norm == 0.0 {
@@ -108,13 +112,14 @@ struct Descent {
     evaluations: usize,
 }
 
-/// If no step lowers the cost, the solve counts as converged when the best step predicts a smaller decrease than this part of a
-/// residual's variance: every parameter is then within a thousandth of its standard deviation of the minimum, at the level of
-/// rounding errors.
+/// Used if no step lowers the cost. The solve then counts as converged if the best step predicts a decrease smaller than
+/// this fraction of a residual's variance. Every parameter is then within a thousandth of its standard deviation of the
+/// minimum, which is the level of rounding errors.
 const NEGLIGIBLE_PART: f64 = 1e-6;
 
-/// Whether the current point is a minimum, tested with the step at the initial, small damping: a refused trial or heavy damping
-/// must not count as convergence. A step that predicts a decrease of at most `negligible` counts as zero.
+/// Tests whether the current point is a minimum, and returns the criterion that holds. The test uses the step for the small
+/// initial damping, because a short step due to heavy damping is not a sign of convergence. A predicted decrease of at most
+/// `negligible` counts as zero.
 fn at_minimum(
     now: &Descent,
     damping: &Damping,
@@ -134,7 +139,8 @@ fn at_minimum(
     (predicted <= negligible).then_some(Termination::SmallDecrease)
 }
 
-/// The iteration. It can end at a minimum only at the start or after an accepted step.
+/// Iterates until the point is a minimum, no step lowers the cost, or the iteration limit is reached. The test for a minimum
+/// takes place at the start, after each accepted step, and once when no step is accepted.
 fn descend(
     problem: &dyn LeastSquares,
     start: QuadraticModel,
@@ -163,7 +169,7 @@ fn descend(
     }
 }
 
-/// Increases the damping until a step lowers the cost; false if none does.
+/// Increases the damping until a step lowers the cost, and accepts this step. Returns false if no step lowers the cost.
 fn accept_step(
     problem: &dyn LeastSquares,
     now: &mut Descent,
@@ -176,7 +182,7 @@ fn accept_step(
             continue;
         };
         if predicted <= options.cost_tolerance * now.model.cost {
-            // Shorter steps predict a decrease below the rounding error.
+            // A larger damping gives a shorter step, whose predicted decrease is below the rounding error too.
             return Ok(false);
         }
         let trial_x = &now.x + &step;
@@ -200,10 +206,10 @@ fn accept_step(
     Ok(false)
 }
 
-/// The descent of [`solve`] without rank and covariance, for studies that solve thousands of times.
+/// Minimises as [`solve`] does, but does not compute rank and covariance. For studies that solve thousands of problems.
 ///
 /// # Errors
-/// As [`solve`].
+/// The errors of [`solve`].
 pub fn minimise(
     problem: &dyn LeastSquares,
     start: &[f64],
@@ -212,7 +218,7 @@ pub fn minimise(
     find_minimum(problem, start, options).map(|(x, summary, _)| (x.as_slice().to_vec(), summary))
 }
 
-/// The minimum, its summary, and each sample's fit there.
+/// Returns the minimum, its summary, and the fit of each sample at the minimum.
 fn find_minimum(
     problem: &dyn LeastSquares,
     start: &[f64],
@@ -248,8 +254,8 @@ fn find_minimum(
 
 /// Minimises a problem from `start`, and evaluates identifiability and covariance at the minimum.
 ///
-/// Free parameters that the samples do not determine stay near their start. [`Solution::identifiability`] names them;
-/// [`Solution::identified`] returns an error for them.
+/// Free parameters that the samples do not determine stay near their start. They are listed in
+/// [`Solution::identifiability`], and [`Solution::identified`] returns an error if there are any.
 ///
 /// # Errors
 /// [`SolveError`] if the solve cannot start or was cancelled.

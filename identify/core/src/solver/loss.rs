@@ -1,5 +1,6 @@
-//! Robust losses `rho(s)` of the squared residual norm `s = |r|^2` of a sample, and their weights `rho'(s)` for iteratively
-//! reweighted least squares. Scales come from `robust`, weights are applied in each `pass`.
+//! Robust losses. A loss `rho(s)` is a function of the squared residual norm `s = |r|^2` of a sample. Its derivative
+//! `rho'(s)` is the weight of the sample in iteratively reweighted least squares. The module `robust` estimates the scales
+//! of losses; each `pass` applies the weights.
 
 use serde::{Deserialize, Serialize};
 
@@ -18,15 +19,16 @@ pub enum LossName {
     GemanMcclure,
 }
 
-/// Quantile of the squared norm of `n = rows` standard normal variables, `n (1 - v + z sqrt(v))^3` with `v = 2 / (9 n)` and `z`
-/// the quantile of one such variable (Wilson and Hilferty 1931).
+/// Quantile of the squared norm of `n = rows` independent standard normal variables: `n (1 - v + z sqrt(v))^3` with
+/// `v = 2 / (9 n)`. `z` is the standard normal quantile of the same probability (Wilson and Hilferty 1931).
 pub(super) fn squared_norm_quantile(rows: usize, z: f64) -> f64 {
     let n = rows as f64;
     let v = 2.0 / (9.0 * n);
     n * (1.0 - v + z * v.sqrt()).powi(3)
 }
 
-/// Standard normal quantile of 0.99: scales are such that one clean sample in a hundred is beyond them.
+/// Standard normal quantile of 0.99. With scales from this quantile, one in a hundred samples that are not outliers
+/// is beyond the scale.
 pub(super) const CLEAN_QUANTILE: f64 = 2.326;
 
 /// Contribution of a sample's squared norm to the cost. With the scale `c`, a norm in the residual's (whitened) unit:
@@ -38,7 +40,7 @@ pub(super) const CLEAN_QUANTILE: f64 = 2.326;
 pub struct Loss {
     /// Formula of the loss.
     pub name: LossName,
-    /// The scale `c`; without effect on plain least squares.
+    /// The scale `c`. Plain least squares ignore it.
     pub scale: f64,
 }
 
@@ -46,7 +48,7 @@ impl Loss {
     /// Least squares without a robust loss.
     pub const SQUARED: Self = Self { name: LossName::None, scale: 1.0 };
 
-    /// `rho(s)`; equals `s` for small `s`.
+    /// The loss `rho(s)`. It equals `s` for small `s`.
     pub fn rho(self, s: f64) -> f64 {
         let squared = self.scale * self.scale;
         match self.name {
@@ -58,7 +60,7 @@ impl Loss {
         }
     }
 
-    /// `rho'(s)`, the weight of iteratively reweighted least squares; one at zero.
+    /// The derivative `rho'(s)`, which is the weight in iteratively reweighted least squares. It is one at zero.
     pub fn weight(self, s: f64) -> f64 {
         let squared = self.scale * self.scale;
         match self.name {
@@ -70,8 +72,8 @@ impl Loss {
         }
     }
 
-    /// The loss for samples of `rows` residuals if this one is for samples of `usual` residuals: the same part of clean samples
-    /// is beyond its scale.
+    /// Converts this loss, which is for samples of `usual` residuals, to a loss for samples of `rows` residuals. The
+    /// fraction of non-outlier samples beyond the scale stays equal.
     pub(super) fn of_rows(self, rows: usize, usual: usize) -> Self {
         let [rows, usual] = [rows, usual].map(|rows| squared_norm_quantile(rows, CLEAN_QUANTILE));
         Self { scale: self.scale * (rows / usual).sqrt(), ..self }

@@ -1,9 +1,10 @@
-//! Nonlinear least squares over samples. A solution contains the reason of termination, identifiability and covariance.
+//! Nonlinear least squares over samples. A [`LeastSquares`] problem provides residuals, Jacobians, priors and names of
+//! columns; a column is a free parameter. [`solve`] returns the parameters at the minimum with the reason of termination,
+//! identifiability and covariance. Nothing here depends on robots.
 //!
-//! The solver works on residuals, Jacobians, priors and names of columns, and is independent of robots. Each sample's small
-//! dense block is added to the normal matrix; no tall matrix is stored. At the solution the blocks are reduced once more to a
-//! triangle by orthogonal transformations. Rank, dependent groups and covariance are computed from it, because the normal
-//! matrix would square the condition number.
+//! Each sample contributes a small dense block of rows to the normal matrix, so the Jacobian of all samples is never stored.
+//! At the solution, orthogonal transformations reduce the blocks once more, to a triangular matrix. Rank, dependent groups
+//! and covariance are computed from this triangle, because the normal matrix would square the condition number.
 
 mod information;
 mod kernel;
@@ -36,7 +37,7 @@ pub use robust::{GoodShare, Schedule, minimise_robust};
 pub use subset::Subset;
 pub use watch::{Progress, Watch};
 
-/// Prior on one column, independent of the samples: `x[column] = value +- sigma`, one additional residual row.
+/// Prior knowledge about one column, independent of the samples: `x[column] = value +- sigma`. It adds one residual row.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Prior {
     /// Column of the free parameters.
@@ -60,15 +61,17 @@ pub trait LeastSquares: Sync {
     /// Number of samples of the problem.
     fn samples(&self) -> usize;
 
-    /// Largest number of residual rows of a measured sample; known ones may have more. Scales of losses are for this number.
+    /// Largest number of residual rows of a measured sample. Samples that represent prior knowledge may have more rows.
+    /// Scales of losses refer to this number.
     fn rows(&self) -> usize;
 
-    /// Residual rows of one sample.
+    /// Number of residual rows of one sample.
     fn rows_of(&self, _sample: usize) -> usize {
         self.rows()
     }
 
-    /// Whether the sample is prior knowledge: it is in no fold, and is included whichever fold is held out.
+    /// Whether the sample represents prior knowledge. Such a sample belongs to no fold, so it is used whichever
+    /// fold is held out.
     fn is_known(&self, _sample: usize) -> bool {
         false
     }
@@ -78,15 +81,15 @@ pub trait LeastSquares: Sync {
         &[]
     }
 
-    /// Residuals and Jacobians at `x`. Quantities that depend only on `x` are computed here; each thread has its own
-    /// linearisation.
+    /// Prepares residuals and Jacobians at `x`. Quantities that depend only on `x` are computed here, once. Each thread
+    /// calls this function for a linearisation of its own.
     fn at<'a>(&'a self, x: &[f64]) -> Linearisation<'a>;
 }
 
-/// Writes residual and Jacobian of the sample of this number; both are zero on entry.
+/// Writes the residual and the Jacobian of a sample, whose index is the first argument. Both are zero on entry.
 ///
-/// Returns false if the sample has no value at this point, for example because its time is outside the other log. A sample
-/// without a value at the start is left out and counted; a step after which another sample has none is refused.
+/// Returns false if the sample has no value at this point, for example because its time is outside the other log. Samples
+/// without a value at the start are left out and counted. If another sample has no value after a step, the step is refused.
 pub type Linearisation<'a> = Box<dyn FnMut(usize, &mut [f64], &mut Block<'_>) -> bool + 'a>;
 
 /// Why a solve has no result.

@@ -7,28 +7,28 @@ use super::information::covariance::{Covariance, ResidualNoise};
 use super::information::identifiability::{Identifiability, Unidentifiable};
 use super::{Loss, Watch};
 
-/// Termination criteria and assumptions.
+/// Termination criteria, loss and assumptions of a solve.
 #[derive(Debug, Clone, Copy)]
 pub struct Options<'a> {
-    /// Loss of each sample.
+    /// Robust loss that is applied to each sample.
     pub loss: Loss,
     /// Highest number of accepted steps.
     pub iterations_max: usize,
-    /// Stop if the norm of the scaled step, relative to that of the scaled parameters, is at most this.
+    /// The solve ends if the ratio of the norms of the scaled step and the scaled parameters is at most this.
     pub step_tolerance: f64,
-    /// Stop if the decrease that a step predicts, relative to the cost, is at most this.
+    /// The solve ends if a step predicts a decrease of at most this fraction of the cost.
     pub cost_tolerance: f64,
-    /// Stop if the cosine between the residual and every column is at most this.
+    /// The solve ends if the cosine between the residual and every column is at most this.
     pub gradient_tolerance: f64,
-    /// Initial damping, relative to the scaled normal matrix. Small, because the start is accurate to millimetres, and a larger
-    /// damping would suppress steps along the weak directions.
+    /// Initial damping, relative to the scaled normal matrix. It is small because the start is accurate to millimetres, and
+    /// a larger damping would suppress steps along weakly determined directions.
     pub damping_start: f64,
-    /// Singular values of the column-scaled Jacobian below this part of the largest count as zero.
+    /// Singular values of the column-scaled Jacobian count as zero below this fraction of the largest one.
     pub rank_tolerance: f64,
     /// Assumed noise of the residuals.
     pub noise: ResidualNoise,
-    /// Highest number of threads; `None`: as many as are efficient for the size of the problem. The result does not depend on
-    /// it.
+    /// Highest number of threads. With `None`, the number that is efficient for the size of the problem is used. The result
+    /// does not depend on the number of threads.
     pub threads: Option<NonZeroUsize>,
     /// Observer that may cancel the solve.
     pub watch: Option<&'a dyn Watch>,
@@ -51,20 +51,20 @@ impl Default for Options<'_> {
     }
 }
 
-/// Why the solve ended, at a minimum or not.
+/// Why the solve ended, either at a minimum or without one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Termination {
-    /// The step is within `step_tolerance`.
+    /// The step is at most `step_tolerance`, relative to the parameters.
     SmallStep,
     /// The predicted decrease of the cost is negligible.
     SmallDecrease,
-    /// Residual and columns are orthogonal.
+    /// The residual is orthogonal to every column of the Jacobian.
     SmallGradient,
     /// The cost is exactly zero.
     ZeroResidual,
-    /// The limit of iterations was reached first.
+    /// The iteration limit was reached before a minimum.
     IterationLimit,
-    /// No damping gives a lower cost: the derivatives are wrong, or the problem is dominated by rounding errors.
+    /// No damping leads to a lower cost. Either the derivatives are wrong, or rounding errors dominate the problem.
     NoDecrease,
 }
 
@@ -99,15 +99,15 @@ pub struct Summary {
     pub evaluations: usize,
     /// Half the sum of losses and squared prior residuals at the start.
     pub cost_start: f64,
-    /// The same at the end.
+    /// Half the sum of losses and squared prior residuals at the end.
     pub cost_end: f64,
     /// Root mean square of all residual entries at the start, unweighted, without priors.
     pub residual_rms_start: f64,
-    /// The same at the end.
+    /// Root mean square of all residual entries at the end, unweighted, without priors.
     pub residual_rms: f64,
     /// Number of samples in use.
     pub samples_used: usize,
-    /// Number of samples without a value at the start.
+    /// Number of samples that are not in use, because they have no value at the start.
     pub samples_left_out: usize,
 }
 
@@ -123,7 +123,7 @@ pub struct NotConverged {
     pub summary: Summary,
 }
 
-/// The samples leave no degree of freedom to estimate their noise from.
+/// The samples and priors provide no degree of freedom from which their noise could be estimated.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error(
     "too few samples: {columns} parameters are free without a prior, and no more residuals than that count (robust weights), so \
@@ -155,9 +155,9 @@ pub struct Solution {
     pub identifiability: Identifiability,
     /// Uncertainty of the parameters.
     pub covariance: Covariance,
-    /// Loss of the last iterations.
+    /// Loss that was minimised, with the scale of the last iterations.
     pub loss: Loss,
-    /// Weight of each sample by the loss, zero if left out.
+    /// Weight of each sample under the loss; zero for samples that are not in use.
     pub sample_weights: Vec<f64>,
 }
 
@@ -165,7 +165,7 @@ impl Solution {
     /// Returns the solution if every free parameter is identified.
     ///
     /// # Errors
-    /// [`Unidentifiable`] names the columns that are not.
+    /// [`Unidentifiable`] with the names of the columns that are not identified.
     pub fn identified(self) -> Result<Self, Unidentifiable> {
         self.identifiability.require_full()?;
         Ok(self)
@@ -174,7 +174,7 @@ impl Solution {
     /// Checks that the parameters have standard deviations.
     ///
     /// # Errors
-    /// [`NoFreedom`] if they have none.
+    /// [`NoFreedom`] if they do not.
     pub fn require_sigmas(&self) -> Result<(), NoFreedom> {
         if self.covariance.has_sigmas() {
             return Ok(());

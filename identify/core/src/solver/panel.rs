@@ -1,14 +1,14 @@
-//! Residuals and Jacobians of samples, collected in a short panel of rows. A `pass` reduces each full panel to a normal matrix
-//! or a triangle, so that the Jacobian of all samples is never stored.
+//! A panel collects the residuals and Jacobians of several samples in a short block of rows. A `pass` reduces each full
+//! panel to a normal matrix or a triangle. The Jacobian of all samples is therefore never stored.
 
 use nalgebra::DMatrix;
 
 use super::kernel::{self, COLUMN_STEP, ROW_STEP, Shape};
 
-/// Number of rows of a panel: with 40 columns it fits into the second-level cache.
+/// Number of rows of a panel. A panel of this many rows and 40 columns fits into the second-level cache.
 const PANEL_ROWS: usize = 240;
 
-/// Jacobian of one sample: `rows` entries for each column.
+/// Jacobian of one sample: `rows` entries in each column of a panel.
 #[derive(Debug)]
 pub struct Block<'a> {
     /// Jacobian of the panel that contains the sample, column-major.
@@ -21,14 +21,14 @@ pub struct Block<'a> {
 }
 
 impl Block<'_> {
-    /// Derivatives of all rows by one column; empty for a column that does not exist.
+    /// Derivatives of all rows by the parameter of one column. Empty for a column that does not exist.
     #[inline]
     pub fn column_mut(&mut self, column: usize) -> &mut [f64] {
         let start = column * self.stride + self.offset;
         self.data.get_mut(start..start + self.rows).unwrap_or_default()
     }
 
-    /// Multiplies all derivatives by a factor, such as a weight or a unit.
+    /// Multiplies all derivatives by a factor, such as a weight or a change of unit.
     pub fn scale(&mut self, factor: f64) {
         self.for_each(|value| *value *= factor);
     }
@@ -45,24 +45,25 @@ impl Block<'_> {
     }
 }
 
-/// Weighted rows of several samples, column-major: the columns of the Jacobian, the residual, and zero columns up to a multiple
-/// of the kernel's step.
+/// Weighted rows of several samples, column-major. The first columns are the Jacobian, the next one is the residual. Zero
+/// columns follow, so that the number of columns is a multiple of the kernel's column step.
 pub(super) struct RowPanel {
     data: Vec<f64>,
     stride: usize,
     /// Number of columns of the Jacobian.
     columns: usize,
-    /// Number of all columns: [`width`].
+    /// Number of all columns, see [`width`].
     width: usize,
-    /// Number of rows, and how many of them are in use.
+    /// Number of rows, followed by the number of rows in use.
     capacity: usize,
     used: usize,
-    /// Number of each sample, and the end of its rows.
+    /// For each sample, its index and the row after its last row.
     samples: Vec<(usize, usize)>,
 }
 
 impl RowPanel {
-    /// For samples of `rows` rows; those of prior knowledge may have more, up to [`PANEL_ROWS`].
+    /// Creates an empty panel for samples of `rows` rows. Samples that represent prior knowledge may have more
+    /// rows, up to [`PANEL_ROWS`].
     pub(super) fn new(columns: usize, rows: usize) -> Self {
         let capacity = PANEL_ROWS.max(rows);
         let (stride, width) = (capacity.next_multiple_of(ROW_STEP), width(columns));
@@ -84,8 +85,8 @@ impl RowPanel {
         self.used = 0;
     }
 
-    /// Residual and Jacobian of the next sample: the next `rows` unused rows, all zero. They stay unused until
-    /// [`RowPanel::keep`].
+    /// Residual and Jacobian for the next sample. They are the next `rows` unused rows, all zero. The rows count as unused
+    /// until [`RowPanel::keep`] is called.
     pub(super) fn next(&mut self, rows: usize) -> (&mut [f64], Block<'_>) {
         let offset = self.used;
         let (jacobian, rest) = self.data.split_at_mut(self.columns * self.stride);
@@ -93,19 +94,20 @@ impl RowPanel {
         (residual, Block { data: jacobian, stride: self.stride, offset, rows })
     }
 
-    /// Adds the rows of [`RowPanel::next`] to those in use.
+    /// Marks the rows from [`RowPanel::next`] as rows in use that belong to this sample.
     pub(super) fn keep(&mut self, sample: usize, rows: usize) {
         self.used += rows;
         self.samples.push((sample, self.used));
     }
 
-    /// Rows in use, padded to a multiple of the step; Jacobian and residual without zero columns.
+    /// Shape of the rows in use, padded to a multiple of the row step. Its columns are Jacobian and residual,
+    /// without the zero columns.
     fn shape(&self) -> Shape {
         let rows = self.used.next_multiple_of(ROW_STEP);
         Shape { stride: self.stride, rows, columns: self.columns + 1 }
     }
 
-    /// The first sample with a number that is not finite.
+    /// Index of the first sample with a number that is not finite.
     pub(super) fn not_finite(&self) -> Option<usize> {
         if kernel::is_finite(&self.data, self.shape()) {
             return None;
@@ -115,18 +117,18 @@ impl RowPanel {
         self.samples.iter().find(|(_, end)| row < *end).map(|(sample, _)| *sample)
     }
 
-    /// Adds the products of all columns to a square matrix of [`width`] columns.
+    /// Adds the products of all columns to `sums`, a square matrix with [`width`] columns.
     pub(super) fn add_products(&self, sums: &mut [f64]) {
         kernel::add_products(&self.data, Shape { columns: self.width, ..self.shape() }, sums);
     }
 
-    /// Reduces Jacobian and residual to a triangle of `columns + 1` columns; overwrites the panel.
+    /// Reduces Jacobian and residual to a triangle of `columns + 1` columns, and overwrites the panel.
     pub(super) fn fold_into_triangle(&mut self, triangle: &mut [f64]) {
         let shape = self.shape();
         kernel::fold_into_triangle(&mut self.data, shape, triangle);
     }
 
-    /// Appends the residual, and the Jacobian row by row.
+    /// Appends the residual entries to `residual` and the Jacobian to `gradients`, row by row.
     pub(super) fn append_to(&self, residual: &mut Vec<f64>, gradients: &mut Vec<f64>) {
         for row in 0..self.used {
             residual.push(self.data[self.columns * self.stride + row]);
@@ -135,12 +137,12 @@ impl RowPanel {
     }
 }
 
-/// Number of columns of a panel, with the residual and padding.
+/// Number of columns of a panel: Jacobian, residual and zero columns.
 pub(super) fn width(columns: usize) -> usize {
     (columns + 1).next_multiple_of(COLUMN_STEP)
 }
 
-/// Replaces `into` by the triangle of `[into; from]`: two upper triangles of the same size, column-major.
+/// Replaces `into` by the triangular factor of `[into; from]`. Both are upper triangles of the same size, column-major.
 pub(super) fn fold_triangles(from: &DMatrix<f64>, into: &mut DMatrix<f64>) {
     let columns = into.ncols();
     let stride = columns.next_multiple_of(ROW_STEP);

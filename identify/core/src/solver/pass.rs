@@ -1,9 +1,10 @@
-//! One pass over all samples of a problem at `x`, with one or several threads: residuals and Jacobians with their robust weights,
-//! reduced by a [`Fold`]. Every solve and every analysis of a solution uses it. The result does not depend on the number of
-//! threads.
+//! One pass over all samples of a problem at `x`, with one or several threads. A pass computes residuals and Jacobians,
+//! applies the weights of the robust loss, and reduces the rows by a [`Fold`]. Every solve and every analysis of a solution
+//! uses passes. A [`Fold`] is a reduction of rows; it has no relation to the folds of a cross-validation.
 //!
-//! Samples are divided into parts whose size depends only on the number of samples. Each part is reduced separately, and the
-//! parts are merged in order. Memory: a few dozen normal matrices, and one small record for each sample.
+//! Samples are divided into parts, which are ranges of consecutive samples. The size of a part depends only on the number of
+//! samples. Each part is reduced separately, and the reduced parts are merged in order. The result is therefore independent
+//! of the number of threads. A pass needs memory for a few dozen normal matrices and one small record for each sample.
 
 use std::ops::Range;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -14,25 +15,26 @@ use super::panel::{RowPanel, fold_triangles, width};
 use super::{LeastSquares, Linearisation, Normal, Options, Progress, SolveError};
 use crate::threads::{on_threads, threads_there};
 
-/// Least number of samples of a part: about a millisecond of work.
+/// Smallest number of samples of a part, about a millisecond of work.
 const PART_SAMPLES_MIN: usize = 128;
 /// Highest number of parts, to bound the memory of partial sums.
 const PARTS_MAX: usize = 64;
-/// Entries of the Jacobian for each additional thread: about a millisecond of work, against some 50 us to start a thread.
+/// Number of Jacobian entries that justify an additional thread. They are about a millisecond of work; starting a thread
+/// takes some 50 us.
 const ENTRIES_PER_THREAD: usize = 1 << 17;
 
 /// Residual, loss and weight of one sample in a pass.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(super) struct SampleFit {
-    /// The sample has a value here.
+    /// Whether the sample has a value at this point. If not, the other fields are zero.
     pub(super) present: bool,
-    /// Squared norm of its residual, unweighted.
+    /// Squared norm of the residual, unweighted.
     pub(super) squared: f64,
-    /// Robust loss of the squared norm.
+    /// Robust loss `rho` of the squared norm.
     pub(super) cost: f64,
-    /// Weight of the robust loss.
+    /// Weight of the sample under the robust loss.
     pub(super) weight: f64,
-    /// Number of entries of its residual.
+    /// Number of entries of the residual.
     pub(super) rows: usize,
 }
 
@@ -41,12 +43,12 @@ pub(super) fn weighed_rows(fits: &[SampleFit]) -> f64 {
     fits.iter().map(|fit| fit.weight * fit.rows as f64).sum()
 }
 
-/// Why a pass over the samples ended early.
+/// Why a pass over the samples failed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum PassError {
     /// A sample in use has no value at this point.
     Lost,
-    /// A residual or derivative of this sample is not finite.
+    /// A residual or derivative of the sample with this index is not finite.
     NotFinite(usize),
     /// Cancelled by the observer.
     Cancelled,
@@ -63,25 +65,25 @@ impl PassError {
     }
 }
 
-/// Samples that a pass uses.
+/// Selects the samples of a pass.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Taking<'a> {
-    /// All samples with a value: the first pass, which determines the set.
+    /// All samples with a value. The first pass uses this variant and so determines the samples in use.
     WhatIsThere,
     /// Exactly the samples that are present in these fits.
     These(&'a [SampleFit]),
 }
 
-/// Reduction of the rows of a part.
+/// Accumulates the rows of a part in a reduced form.
 pub(super) trait Fold: Send {
-    /// Adds a panel of rows, which it may overwrite; an error names a sample that is not finite.
+    /// Adds the rows of a panel, and may overwrite the panel. The error identifies a sample with a number that is not finite.
     fn fold(&mut self, panel: &mut RowPanel) -> Result<(), PassError>;
 
-    /// Adds the reduction of the samples that follow.
+    /// Adds the reduced form of the samples that follow.
     fn merge(&mut self, later: Self);
 }
 
-/// No reduction: only the fits of the samples are needed.
+/// Discards the rows. Used if only the fits of the samples are needed.
 impl Fold for () {
     fn fold(&mut self, panel: &mut RowPanel) -> Result<(), PassError> {
         require_finite(panel)
@@ -90,7 +92,7 @@ impl Fold for () {
     fn merge(&mut self, (): ()) {}
 }
 
-/// `[J r]^T [J r]`, the lower triangle.
+/// The matrix `[J r]^T [J r]`, as its lower triangle.
 pub(super) struct Products {
     columns: usize,
     sums: Vec<f64>,
@@ -101,7 +103,7 @@ impl Products {
         Self { columns, sums: vec![0.0; width(columns).pow(2)] }
     }
 
-    /// Normal equations of the rows, whose weighted number is `rows`.
+    /// Normal equations of the rows. `rows` is the weighted number of rows.
     pub(super) fn normal(&self, rows: f64) -> Normal {
         let side = width(self.columns);
         let product = |i: usize, j: usize| self.sums[i.min(j) * side + i.max(j)];
@@ -118,7 +120,7 @@ impl Products {
 impl Fold for Products {
     fn fold(&mut self, panel: &mut RowPanel) -> Result<(), PassError> {
         panel.add_products(&mut self.sums);
-        // The squared norm of a column is finite only if all its entries are.
+        // The squared norm of a column is finite only if all entries of the column are finite.
         let side = width(self.columns);
         let mut squares = self.sums.iter().step_by(side + 1);
         if squares.all(|square| square.is_finite()) { Ok(()) } else { require_finite(panel) }
@@ -129,7 +131,7 @@ impl Fold for Products {
     }
 }
 
-/// The triangle `R` of `[J r] = Q R`.
+/// The triangular factor `R` of `[J r] = Q R`.
 pub(super) struct Triangle(DMatrix<f64>);
 
 impl Triangle {
@@ -137,7 +139,7 @@ impl Triangle {
         Self(DMatrix::zeros(columns + 1, columns + 1))
     }
 
-    /// The triangle of the Jacobian alone.
+    /// The triangular factor of the Jacobian without the residual.
     pub(super) fn of_jacobian(&self) -> DMatrix<f64> {
         let columns = self.0.ncols() - 1;
         self.0.view((0, 0), (columns, columns)).into_owned()
@@ -156,7 +158,7 @@ impl Fold for Triangle {
     }
 }
 
-/// All rows without reduction.
+/// All rows, stacked without reduction.
 #[derive(Default)]
 pub(super) struct StackedRows {
     residual: Vec<f64>,
@@ -176,18 +178,18 @@ impl Fold for StackedRows {
     }
 }
 
-/// One pass: point, samples, and the options for loss, threads and observer.
+/// A pass, defined by problem, point, samples, and the options for loss, threads and observer.
 pub(super) struct Pass<'a> {
     pub(super) problem: &'a dyn LeastSquares,
     pub(super) x: &'a [f64],
     options: &'a Options<'a>,
     taking: Taking<'a>,
-    /// For the observer; [`Pass::run`] adds the completed samples.
+    /// Progress for the observer. [`Pass::run`] fills in the number of completed samples.
     pub(super) progress: Progress,
 }
 
 impl<'a> Pass<'a> {
-    /// A pass with these options, outside an iteration.
+    /// Creates a pass that belongs to no iteration of a solve.
     pub(super) fn new(
         problem: &'a dyn LeastSquares,
         x: &'a [f64],
@@ -199,7 +201,8 @@ impl<'a> Pass<'a> {
         Self { problem, x, options, taking, progress }
     }
 
-    /// Reduces the rows of all samples; also returns each sample's fit.
+    /// Reduces the rows of all samples with the reduction that `new` creates for each part. Also returns the
+    /// fit of each sample.
     pub(super) fn run<F: Fold>(&self, new: impl Fn() -> F + Sync) -> Result<(F, Vec<SampleFit>), PassError> {
         let samples = self.problem.samples();
         let part_samples = samples.div_ceil(PARTS_MAX).max(PART_SAMPLES_MIN);
@@ -224,7 +227,7 @@ impl<'a> Pass<'a> {
         Ok((whole.unwrap_or_else(new), fits))
     }
 
-    /// Reports that `samples` more samples are completed.
+    /// Adds `samples` to the number of completed samples and reports the total to the observer.
     fn report_progress(&self, samples_done: &AtomicUsize, samples: usize) -> Result<(), PassError> {
         let Some(watch) = self.options.watch else { return Ok(()) };
         let samples_done = samples_done.fetch_add(samples, Ordering::Relaxed) + samples;
@@ -254,7 +257,7 @@ impl<'a> Pass<'a> {
         Ok((fold, fits))
     }
 
-    /// Adds a weighted sample to the panel.
+    /// Adds the weighted rows of a sample to the panel.
     fn add_sample(
         &self,
         linearisation: &mut Linearisation<'_>,
@@ -297,7 +300,8 @@ fn require_finite(panel: &RowPanel) -> Result<(), PassError> {
     panel.not_finite().map_or(Ok(()), |sample| Err(PassError::NotFinite(sample)))
 }
 
-/// Highest number of threads for a pass over all samples of a problem: that of the options, or else as many as are efficient.
+/// Highest number of threads for a pass over all samples of a problem. It is the number in the options or, without one, the
+/// number that is efficient.
 pub(super) fn threads_for(problem: &dyn LeastSquares, options: &Options<'_>) -> usize {
     let efficient = || {
         let threads = problem.samples() * problem.rows() * problem.columns() / ENTRIES_PER_THREAD;
@@ -306,7 +310,7 @@ pub(super) fn threads_for(problem: &dyn LeastSquares, options: &Options<'_>) -> 
     options.threads.map_or_else(efficient, usize::from)
 }
 
-/// A pass without loss and observer.
+/// Runs a pass over all samples with a value, without loss and observer.
 fn run_unweighted<F: Fold>(
     problem: &dyn LeastSquares,
     x: &[f64],
@@ -315,13 +319,13 @@ fn run_unweighted<F: Fold>(
     Pass::new(problem, x, &Options::default(), Taking::WhatIsThere).run(new)
 }
 
-/// Fit of each sample at `x`, without loss. Empty if one is not finite.
+/// Fit of each sample at `x`, without loss. Empty if a residual or derivative is not finite.
 pub(super) fn fits(problem: &dyn LeastSquares, x: &[f64]) -> Vec<SampleFit> {
     run_unweighted(problem, x, || ()).map(|((), fits)| fits).unwrap_or_default()
 }
 
-/// Residuals and Jacobian of all samples that have a value at `x`, stacked, without loss and priors: for inspection and for
-/// other solvers. `None` if one of them is not finite.
+/// Residuals and Jacobian of all samples that have a value at `x`, stacked, without loss and priors. For inspection and for
+/// other solvers. `None` if a residual or derivative is not finite.
 pub fn stacked(problem: &dyn LeastSquares, x: &[f64]) -> Option<(DVector<f64>, DMatrix<f64>)> {
     let (rows, _) = run_unweighted(problem, x, StackedRows::default).ok()?;
     let count = rows.residual.len();

@@ -1,24 +1,26 @@
-//! Solves with a robust loss whose scale is estimated from the residuals, as the scale of good samples is unknown.
+//! Solves with a robust loss. The scale of the loss is estimated from the residuals, because the noise of samples that are
+//! not outliers is unknown.
 //!
-//! The *spread* is a robust estimate of the standard deviation of a residual. At the start it is large: residuals show errors of
-//! the model rather than outliers, and a narrow bounded loss would have many local minima. A schedule therefore begins with a
-//! Cauchy loss as wide as the spread, and narrows it as the spread decreases (graduated non-convexity, Blake and Zisserman 1987,
-//! with a schedule from the data). Only the last solve uses the requested loss.
+//! The *spread* is a robust estimate of the standard deviation of a residual. It is large at the start, where residuals are
+//! dominated by errors of the model rather than by outliers. A narrow bounded loss would have many local minima there. A
+//! [`Schedule`] therefore begins with a Cauchy loss as wide as the spread, and narrows the loss as the spread decreases.
+//! This is graduated non-convexity (Blake and Zisserman 1987), with a schedule that depends on the data. Only the last solve
+//! uses the requested loss.
 
 use super::loss::{CLEAN_QUANTILE, squared_norm_quantile};
 use super::pass::fits;
 use super::{LeastSquares, Loss, LossName, Options, SolveError, Summary, minimise};
 
-/// Standard normal quantile of 0.95, which defines the scale of intermediate losses.
+/// Standard normal quantile of 0.95. It defines the scale of the Cauchy losses before the last solve.
 const INTERMEDIATE_QUANTILE: f64 = 1.645;
-/// Accepted steps between two estimates of the spread.
+/// Number of accepted steps between two estimates of the spread.
 const STEPS_BETWEEN: usize = 2;
-/// The spread has converged if a round reduces it by less than this part.
+/// The spread has converged if a round reduces it by less than this fraction.
 const DECREASE_MIN: f64 = 0.02;
-/// Residuals below this are rounding errors: no robust loss is needed.
+/// A smaller spread consists of rounding errors, so no robust loss is needed.
 const SPREAD_MIN: f64 = 1e-12;
 
-/// Part of the samples that is assumed to be good, with its standard normal quantile.
+/// Fraction of the samples that are assumed not to be outliers, with the standard normal quantile of this fraction.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct GoodShare {
     share: f64,
@@ -26,13 +28,14 @@ pub struct GoodShare {
 }
 
 impl GoodShare {
-    /// Half of the samples: the others may be wrong.
+    /// Half of the samples are assumed good; the other half may be outliers.
     pub const HALF: Self = Self { share: 0.5, quantile: 0.0 };
-    /// Nine tenths of the samples: all except gross outliers.
+    /// Nine tenths of the samples are assumed good, so only gross outliers are excluded.
     pub const NINE_TENTHS: Self = Self { share: 0.9, quantile: 1.2816 };
 
-    /// The spread, from the squared norm and the number `n` of residuals of each sample: root of the `share` quantile of
-    /// `squared norm / q(n)`, with `q(n)` the same quantile for `n` standard normal variables; zero without samples.
+    /// The spread, from the squared residual norm and the number `n` of residuals of each sample. It is the root of the
+    /// `share` quantile of `squared norm / q(n)` over the samples, where `q(n)` is the same quantile for `n` standard normal
+    /// variables. Zero without samples.
     pub fn spread(self, samples: impl Iterator<Item = (f64, usize)>) -> f64 {
         let mut variances: Vec<f64> =
             samples.map(|(squared, rows)| squared / squared_norm_quantile(rows, self.quantile)).collect();
@@ -43,36 +46,38 @@ impl GoodShare {
         variances.select_nth_unstable_by(rank, f64::total_cmp).1.sqrt()
     }
 
-    /// [`Self::spread`] of the samples that have a value at `x`.
+    /// The spread of the samples that have a value at `x`, see [`Self::spread`].
     pub fn spread_at(self, problem: &dyn LeastSquares, x: &[f64]) -> f64 {
         self.spread(fits(problem, x).iter().filter(|fit| fit.present).map(|fit| (fit.squared, fit.rows)))
     }
 }
 
-/// How the loss is narrowed, in rounds: each improves the parameters with a loss for the spread before it.
+/// How the loss is narrowed in rounds. Each round improves the parameters with a loss for the spread before the round.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Schedule {
-    /// Part of the samples that is assumed to be good, for the spread at the start and for those after the rounds.
+    /// Fraction of the samples that are assumed not to be outliers: first for the spread at the start, second for the
+    /// spread after each round.
     pub good: [GoodShare; 2],
-    /// Lowest ratio of the scales of consecutive rounds: a faster decrease can converge to samples that fit by chance.
+    /// Smallest ratio of the scales of consecutive rounds. If the scale decreased faster, the solution could converge to
+    /// samples that agree by chance.
     pub narrowing: f64,
-    /// After convergence one more round is tried, with a loss narrower by `narrowing`. If its spread is at most this part of the
-    /// spread before, it has found a better minimum, and the rounds continue from there. `None`: it is not tried.
+    /// If set, convergence is followed by one more round, with a loss narrower by the factor `narrowing`. If its spread is at
+    /// most this fraction of the spread before, the round has found a better minimum, and the schedule continues from there.
     pub better_max: Option<f64>,
     /// Highest number of rounds.
     pub rounds_max: usize,
 }
 
 impl Schedule {
-    /// Half of the samples are assumed to be good throughout.
+    /// Assumes throughout that half of the samples are good.
     const USUAL: Self = Self { good: [GoodShare::HALF; 2], narrowing: 0.0, better_max: None, rounds_max: 20 };
 
-    /// Runs rounds from the parameters `x` until the spread converges; returns the parameters and their spread. `spread` computes
-    /// the spread at parameters; `solve` is a round, which improves parameters with a loss for a spread
-    /// ([`Loss::intermediate`]).
+    /// Runs rounds from the parameters `x` until the spread converges. Returns the parameters and their spread.
+    /// `spread` computes the spread at given parameters. `solve` runs one round: it improves given parameters with the
+    /// loss for a given spread, [`Loss::intermediate`].
     ///
     /// # Errors
-    /// As `solve`.
+    /// The errors of `solve`.
     pub fn converge<E>(
         &self,
         mut x: Vec<f64>,
@@ -103,7 +108,7 @@ impl Schedule {
 }
 
 impl Loss {
-    /// Loss of a round of a schedule, for samples of `rows` residuals with this spread.
+    /// Cauchy loss of a round of a schedule, for samples of `rows` residuals with this spread.
     pub fn intermediate(sigma: f64, rows: usize) -> Self {
         let scale = sigma * squared_norm_quantile(rows, INTERMEDIATE_QUANTILE).sqrt();
         Self { name: LossName::Cauchy, scale }
@@ -111,13 +116,14 @@ impl Loss {
 }
 
 impl LossName {
-    /// Loss for samples of `rows` residuals with this spread: one good sample in a hundred is beyond its scale.
+    /// Loss of the last solve, for samples of `rows` residuals with this spread. One in a hundred samples that are not
+    /// outliers is beyond its scale.
     pub fn for_spread(self, sigma: f64, rows: usize) -> Loss {
         let scale = sigma * squared_norm_quantile(rows, CLEAN_QUANTILE).sqrt();
         if sigma <= SPREAD_MIN { Loss::SQUARED } else { Loss { name: self, scale } }
     }
 
-    /// The loss for the spread at `x`, where it has converged.
+    /// The loss for the spread at parameters `x` for which the schedule has converged.
     pub fn for_spread_at(self, problem: &dyn LeastSquares, x: &[f64]) -> Loss {
         if self == Self::None {
             return Loss::SQUARED;
@@ -126,10 +132,10 @@ impl LossName {
     }
 }
 
-/// Minimises with a loss whose scale is estimated during the solve; computes no rank and covariance.
+/// Minimises with a robust loss whose scale is estimated during the solve. Rank and covariance are not computed.
 ///
 /// # Errors
-/// As [`minimise`].
+/// The errors of [`minimise`].
 pub fn minimise_robust(
     problem: &dyn LeastSquares,
     start: &[f64],
@@ -155,7 +161,7 @@ pub fn minimise_robust(
 mod tests {
     use super::*;
 
-    /// The spread falls from 1 to 0.99 in the first solve, and no narrower loss reduces it further.
+    /// The spread falls from 1 to 0.99 in the first round, and no narrower loss reduces it further.
     #[test]
     fn the_spread_is_that_at_the_solution_whether_or_not_a_narrower_loss_was_tried() {
         for better_max in [None, Some(0.8)] {

@@ -1,12 +1,12 @@
-//! A part of a problem's samples as a separate problem.
+//! A selection of a problem's samples as a problem of its own.
 
 use super::{LeastSquares, Linearisation, Prior};
 
-/// Some samples of a problem, with all of its columns and priors.
+/// A problem with some samples of another problem, and with all columns and priors of that problem.
 pub struct Subset<'p> {
     /// The problem that contains the samples.
     pub of: &'p dyn LeastSquares,
-    /// Numbers of the selected samples, in the order of the subset.
+    /// Indices of the selected samples in that problem, in the order of the subset.
     pub samples: Vec<usize>,
 }
 

@@ -7,13 +7,13 @@ use std::fmt;
 pub struct Progress {
     /// Number of accepted steps so far.
     pub iteration: usize,
-    /// Highest number of steps.
+    /// Highest number of accepted steps.
     pub iterations_max: usize,
-    /// Cost at the current point; `None` before the first pass over the samples ends.
+    /// Cost at the current point; `None` until the first pass over the samples has ended.
     pub cost: Option<f64>,
     /// Number of samples completed in this pass.
     pub samples_done: usize,
-    /// Number of samples of a pass.
+    /// Number of samples of the pass.
     pub samples: usize,
 }
 
@@ -24,7 +24,7 @@ pub trait Watch: fmt::Debug + Sync {
         let _ = stage;
     }
 
-    /// Called after each part of the samples (one millisecond to some tens of them), by the thread that computed it. Returns
+    /// Called by the thread that computed a part of the samples, after each part (one to some tens of milliseconds). Returns
     /// false to end the solve with [`super::SolveError::Cancelled`].
     fn goes_on(&self, progress: &Progress) -> bool;
 }

@@ -1,22 +1,25 @@
-//! Changes during a run: a parameter with a step at an unknown instant, or with a drift. From residuals and Jacobian at a
-//! solution; used by `calibrate/change.rs`.
+//! Detects a change during a run: parameters with a step at an unknown instant, or with a drift over the run. The input is the
+//! residuals and the Jacobian at a solution; the result is the best significant change, if any. Used by `calibrate/change.rs`.
 //!
-//! A change adds columns to the problem: those of the parameters that change, each multiplied by its course in time, which is a
-//! step (zero before an instant, one from it on) or a ramp (from -1/2 to 1/2, by the number of the sample). With `C` these
-//! columns, `J` those of the estimated parameters, `r` the residuals, `N = J'J` and `g = J'r` (both with the priors), the
-//! extended problem has the score `q = C'r - (J'C)' N^-1 g`, the information `S = C'C - (J'C)' N^-1 J'C` (a Schur complement)
-//! and the solution `b = -S^-1 q` for the change. Its sum of squares is lower by `q' S^-1 q` (score test, Rao 1948). The other
-//! parameters are estimated again with the change, so neither an uneven motion nor an early end of the solve is mistaken for a
-//! change.
+//! A change adds columns to the problem. Each is the column of a parameter that changes, multiplied by a course in time. The
+//! course is a step (zero before an instant, one from this instant on) or a ramp (from -1/2 to 1/2 over the samples).
+//! Notation: `C` the added columns, `J` the columns of the estimated parameters, `r` the residuals, and `N = J'J` and
+//! `g = J'r`, both with the priors. The extended problem has the score `q = C'r - (J'C)' N^-1 g` and the information
+//! `S = C'C - (J'C)' N^-1 J'C` (a Schur complement). The solution for the change is `b = -S^-1 q`, which lowers the sum of
+//! squares by `q' S^-1 q` (score test, Rao 1948). The other parameters are estimated again together with the change. An
+//! uneven motion or a solve that ended early is therefore not mistaken for a change.
 //!
-//! A change is significant relative to its own uncertainty, and residuals are not independent: errors of gears and encoders are
-//! correlated over seconds. Their scatter is therefore estimated from sums over blocks of the run, in two ways. `pooled`: ratio
-//! of the scatter of the blocks' scores to that of independent noise, averaged over all blocks. `clustered`: scatter of the
-//! contributions of the blocks to this change (Liang and Zeger 1986; the influence of each block on the fit is removed as by
-//! Bell and McCaffrey 2002), with as many degrees of freedom as blocks contribute; it is valid if the noise varies along the
-//! run. Both are computed for single blocks and for groups of neighbouring blocks, to cover longer correlations. The least
-//! significant result counts (Student's t, and Hotelling's for changes of several numbers). Because all instants and
-//! alternatives are tried, the rate of false alarms is divided by their number (Bonferroni).
+//! A change is significant relative to its own uncertainty. Residuals are not independent, because errors of gears and encoders
+//! are correlated over seconds. The scatter of `q` is therefore estimated from sums over blocks of the run, in two ways:
+//! - `pooled`: the ratio of the scatter of the blocks' scores to the scatter for independent noise, averaged over all
+//!   blocks.
+//! - `clustered`: the scatter of the blocks' contributions to this change (Liang and Zeger 1986), where the influence of
+//!   each block on the fit is removed (Bell and McCaffrey 2002). The degrees of freedom are the effective number of
+//!   contributing blocks less one. This estimate is also valid if the noise varies along the run.
+//!
+//! Both are computed for single blocks and for groups of neighbouring blocks, to cover longer correlations. The least
+//! significant of these results is used (Student's t, or Hotelling's T squared for a change of several parameters). Because
+//! many instants and alternatives are tried, the rate of false alarms is divided by their number (Bonferroni).
 
 use std::ops::Range;
 
@@ -28,25 +31,25 @@ use crate::threads::each;
 
 /// Highest number of blocks of a run.
 const BLOCKS: usize = 128;
-/// Least number of samples of a block, to estimate the scatter.
+/// Smallest number of samples of a block.
 const SAMPLES_PER_BLOCK_MIN: usize = 2;
-/// Number of evenly spaced instants of a step in the first search; the second tries each sample near the best one.
+/// Number of evenly spaced instants for the first search of a step. A second search tries every sample near the best instant.
 const INSTANTS: usize = 32;
-/// Numbers of neighbouring blocks that form a group, for `pooled` and for `clustered`. Larger groups allow longer correlations,
-/// but have fewer degrees of freedom.
+/// Numbers of neighbouring blocks that form a group, first for `pooled`, then for `clustered`. Larger groups cover longer
+/// correlations, but leave fewer degrees of freedom.
 const POOLED_SIZES: [usize; 4] = [1, 2, 4, 8];
 const CLUSTERED_SIZES: [usize; 2] = [1, 2];
-/// Least number of groups: the mean of fewer is too uncertain.
+/// Smallest number of groups. The mean over fewer groups is too uncertain.
 const GROUPS_MIN: usize = 15;
-/// Least number of degrees of freedom for any significance.
+/// With fewer degrees of freedom of the F distribution, no change is significant.
 const FREEDOM_MIN: f64 = 3.0;
-/// Least part of a column's sum of squares that must be independent of the other columns.
+/// Smallest fraction of a column's sum of squares that must be independent of the other columns.
 const INDEPENDENT_MIN: f64 = 1e-4;
 
 /// Course of a change in time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Course {
-    /// A step at this sample, by its index among the given samples.
+    /// A step. The value is the index of the first sample after the step, among the given samples.
     Step(usize),
     /// A ramp over the whole run.
     Drift,
@@ -59,16 +62,17 @@ pub struct Change {
     pub alternative: usize,
     /// Step with its instant, or drift.
     pub course: Course,
-    /// Change of each column, in its unit: after a step, or from begin to end of a drift.
+    /// Change of each column, in the unit of its parameter: the height of the step, or the change from begin to end of a drift.
     pub by: Vec<f64>,
-    /// Reduction of the squared residuals by the change, as a part of those of a solution without it.
+    /// Fraction by which the change reduces the squared residuals of the solution without a change.
     pub explained: f64,
 }
 
-/// The change in `samples`, in the order of time, of `problem` at its solution `x` for the columns `estimated`: of all
-/// significant ones that with the smallest Bayesian information criterion. `None` if none is significant, or if there are too
-/// few samples. A change is significant if at most the part `false_alarms` of runs without changes show as much. An alternative
-/// is one column, or several that change together.
+/// Searches for a change in the given `samples` of `problem`, which are in the order of time. `x` is the solution for the
+/// columns `estimated`. An alternative is a column, or a set of columns that change together. A change is significant if
+/// a run without changes shows an equally large one with probability `false_alarms` at most. Of all significant changes,
+/// the one with the smallest Bayesian information criterion is returned. `None` if no change is significant, or if there
+/// are too few samples.
 pub fn change_point(
     problem: &dyn LeastSquares,
     x: &[f64],
@@ -79,7 +83,7 @@ pub fn change_point(
     false_alarms: f64,
 ) -> Option<Change> {
     let run = WeightedRun::new(problem, x, loss, samples, estimated)?;
-    // The evenly spaced instants of a step, and the drift.
+    // Number of tests: the evenly spaced instants of a step and the drift, for each alternative.
     let tests = (alternatives.len() * INSTANTS) as f64;
     let best_change = |alternative: usize| {
         let columns = &alternatives[alternative];
@@ -102,15 +106,15 @@ pub fn change_point(
     found.reduce(|best, other| if other.0 < best.0 { other } else { best }).map(|(_, change)| change)
 }
 
-/// Weighted residuals and Jacobian of a run.
+/// Weighted residuals and Jacobian of a run at its solution.
 struct WeightedRun {
-    /// `r`, weighted by the robust loss like the Jacobian.
+    /// Residuals `r`, weighted by the robust loss. The Jacobian has the same weights.
     r: DVector<f64>,
-    /// Jacobian of all columns, of which some change.
+    /// Jacobian of all columns of the problem. The changing columns are among them.
     jacobian: DMatrix<f64>,
-    /// `J`: Jacobian of the estimated columns.
+    /// Jacobian `J` of the estimated columns.
     j: DMatrix<f64>,
-    /// First row of each given sample, and the end of the last one; rows of prior knowledge follow.
+    /// First row of each given sample, and the row after the last of them. Rows of prior knowledge follow.
     first_rows: Vec<usize>,
     /// Row range of each block.
     blocks: Vec<Range<usize>>,
@@ -118,7 +122,7 @@ struct WeightedRun {
     n_factor: ScaledCholesky,
     /// `N^-1 g`
     n_inverse_g: DVector<f64>,
-    /// Squared residuals of the given samples, for a solution without a change.
+    /// Sum of squared residuals of the given samples, for a solution without a change.
     squared: f64,
 }
 
@@ -134,14 +138,16 @@ impl WeightedRun {
         if count < GROUPS_MIN {
             return None;
         }
+        // Stack the rows of the given samples, followed by the samples of prior knowledge.
         let known = (0..problem.samples()).filter(|sample| problem.is_known(*sample));
         let with_known: Vec<usize> = samples.iter().copied().chain(known).collect();
         let rows: Vec<usize> = with_known.iter().map(|sample| problem.rows_of(*sample)).collect();
         let (mut r, mut jacobian) = stacked(&Subset { of: problem, samples: with_known }, x)?;
-        // A sample without a value would shift all following rows.
+        // A sample without a value has no rows, which would shift all following rows.
         if r.len() != rows.iter().sum::<usize>() {
             return None;
         }
+        // Apply the robust weights, and find the first row of each sample.
         let mut first_rows = vec![0];
         for (sample, rows) in rows.iter().enumerate() {
             let begin = first_rows[sample];
@@ -154,6 +160,7 @@ impl WeightedRun {
         first_rows.truncate(samples.len() + 1);
         let border = |block: usize| first_rows[block * samples.len() / count];
         let blocks = (0..count).map(|block| border(block)..border(block + 1)).collect();
+        // Solve for the estimated columns, with their priors.
         let j = jacobian.select_columns(estimated);
         let (mut n, mut g) = (j.tr_mul(&j), j.tr_mul(&r));
         for prior in problem.priors() {
@@ -168,12 +175,12 @@ impl WeightedRun {
         Some(Self { r, jacobian, j, first_rows, blocks, n_factor, n_inverse_g, squared })
     }
 
-    /// The best step of these columns, unless other columns explain every step, and the drift.
+    /// Courses to test for these columns: the best step, unless other columns explain every step, and the drift.
     fn courses(&self, columns: &[usize]) -> impl Iterator<Item = Course> {
         let samples = self.first_rows.len() - 1;
         let evenly_spaced: Vec<usize> = (1..INSTANTS).map(|part| part * samples / INSTANTS).collect();
         let spacing = samples.div_ceil(INSTANTS);
-        // With a wrong instant, the samples between it and the right one would increase the scatter.
+        // The second search is needed because samples between a wrong instant and the right one would increase the scatter.
         let near = |instant: usize| -> Vec<usize> {
             (instant.saturating_sub(spacing).max(1)..(instant + spacing).min(samples)).collect()
         };
@@ -182,8 +189,8 @@ impl WeightedRun {
         step.map(Course::Step).into_iter().chain([Course::Drift])
     }
 
-    /// Bayesian information criterion of the solution with a change, for independent groups of blocks; the instant of a step
-    /// counts as one more parameter (Schwarz 1978).
+    /// Bayesian information criterion of the solution with a change (Schwarz 1978). Groups of blocks count as independent
+    /// observations. The instant of a step counts as one more parameter.
     fn criterion(&self, test: &ChangeTest, course: Course) -> f64 {
         let groups = (self.blocks.len() / POOLED_SIZES[POOLED_SIZES.len() - 1]) as f64;
         let parameters = test.b.len() as f64 + if course == Course::Drift { 0.0 } else { 1.0 };
@@ -191,7 +198,7 @@ impl WeightedRun {
         groups * remaining.ln() + parameters * groups.ln()
     }
 
-    /// `C`: the changing columns multiplied by a course, one row for each residual.
+    /// The added columns `C`: the changing columns multiplied by the course, with one row for each residual.
     fn changing_columns(&self, columns: &[usize], course: Course) -> DMatrix<f64> {
         let mut c = DMatrix::zeros(self.r.len(), columns.len());
         let samples = self.first_rows.len() - 1;
@@ -209,9 +216,11 @@ impl WeightedRun {
         c
     }
 
-    /// The instant whose step reduces the squares most; `instants` ascend. `None` if other columns explain every step.
+    /// The instant at which a step reduces the sum of squares most; `instants` ascend. `None` if other
+    /// columns explain every step.
     fn best_step(&self, columns: &[usize], instants: &[usize]) -> Option<usize> {
-        // A step at an instant has these columns in the rows after it, so its sums grow from the last instant to the first.
+        // For a step, `C` contains the changing columns in the rows after the instant and zeros before. From the last
+        // instant to the first, each step therefore adds rows to the sums of the step before.
         let c = self.changing_columns(columns, Course::Step(0));
         let mut sums = ChangeSums::zeros(self.j.ncols(), columns.len());
         let mut end = *self.first_rows.last()?;
@@ -252,7 +261,7 @@ impl ChangeSums {
         self.cr += c.tr_mul(&run.r.rows(from, count));
     }
 
-    /// The solution `b` of the extended problem; `None` if other columns explain the change.
+    /// Solves the extended problem for the change `b`. `None` if other columns explain the change.
     fn solve(&self, run: &WeightedRun) -> Option<ChangeSolution> {
         let mut n_inverse_jc = self.jc.clone();
         for mut column in n_inverse_jc.column_iter_mut() {
@@ -275,7 +284,7 @@ impl ChangeSums {
 struct ChangeSolution {
     /// `N^-1 J'C`
     n_inverse_jc: DMatrix<f64>,
-    /// `S`
+    /// Information `S` about the change.
     information: DMatrix<f64>,
     /// Change of each column.
     b: DVector<f64>,
@@ -296,9 +305,9 @@ struct ChangeTest {
     b: DVector<f64>,
     reduction: f64,
     information: DMatrix<f64>,
-    /// Blocks of the changing columns without the part that `J` explains: `C - J N^-1 J'C`.
+    /// For each block, the sums of the changing columns without the component that `J` explains: `C - J N^-1 J'C`.
     of_change: Vec<BlockSums>,
-    /// Blocks of the same columns without a course in time, with the part that `J` explains.
+    /// For each block, the sums of the same columns without the course in time and with the component that `J` explains.
     of_columns: Vec<BlockSums>,
 }
 
@@ -322,7 +331,8 @@ impl ChangeTest {
         Some(Self { b, reduction, information, of_change, of_columns })
     }
 
-    /// Probability that a run without changes shows as much at this instant.
+    /// Probability that a run without changes shows a change at least this large at this instant. It is the largest result
+    /// of `pooled` and `clustered` for all group sizes.
     fn chance(&self) -> f64 {
         let pooled = POOLED_SIZES.iter().filter_map(|group_size| self.pooled(*group_size));
         let largest = pooled.reduce(f64::max).unwrap_or(1.0);
@@ -331,8 +341,9 @@ impl ChangeTest {
         clustered.fold(largest, f64::max)
     }
 
-    /// Significance by the ratio of the groups' scatter to that of independent noise (`pooled` above). `None` if too few groups
-    /// determine all numbers: two positions do not determine the rotation of an instrument.
+    /// Significance from the ratio of the groups' scatter to that of independent noise (`pooled` in the module
+    /// documentation). Groups that do not determine all changing columns are left out: two positions, for example, do not
+    /// determine the rotation of an instrument. `None` if too few groups remain.
     fn pooled(&self, group_size: usize) -> Option<f64> {
         let scatter: Vec<f64> = sum_groups(&self.of_columns, group_size)
             .into_iter()
@@ -345,12 +356,12 @@ impl ChangeTest {
             return None;
         }
         let count = scatter.len() as f64;
-        // One for independent noise of variance one.
+        // Equal to one for independent noise of variance one.
         let overdispersion = scatter.iter().sum::<f64>() / ((count - 1.0) * self.b.len() as f64);
         Some(hotelling_tail(self.reduction / overdispersion, self.b.len(), count - 1.0))
     }
 
-    /// Significance by the scatter of the groups' contributions to this change (`clustered` above).
+    /// Significance from the scatter of the groups' contributions to this change (`clustered` in the module documentation).
     fn clustered(&self, group_size: usize) -> f64 {
         let Some(inverse) = ScaledCholesky::new(self.information.clone()).map(|factor| factor.inverse())
         else {
@@ -359,12 +370,12 @@ impl ChangeTest {
         let groups = sum_groups(&self.of_change, group_size);
         let (mut scatter, mut shares, mut squared_shares) = (&inverse * 0.0, 0.0, 0.0);
         for BlockSums { score, information } in &groups {
-            // Leverage of the group: the part of the information that it contributes, averaged over the changing columns.
+            // Leverage of the group: the fraction of the information that it contributes, averaged over the changing columns.
             let share = (&inverse * information).trace() / self.b.len() as f64;
             scatter.ger((1.0 - share).max(INDEPENDENT_MIN).powi(-2), score, score, 1.0);
             (shares, squared_shares) = (shares + share, squared_shares + share * share);
         }
-        // `-q`, so that `q' scatter^-1 q` is Hotelling's T squared.
+        // The score with the opposite sign, `-q`. `q' scatter^-1 q` is Hotelling's T squared.
         let score = &self.information * &self.b;
         let Some(factor) = ScaledCholesky::new(scatter) else { return 1.0 };
         let effective_groups = shares * shares / squared_shares;
@@ -381,7 +392,7 @@ fn sum_groups(blocks: &[BlockSums], group_size: usize) -> Vec<BlockSums> {
     blocks.chunks(group_size).map(sum).collect()
 }
 
-/// Probability that Hotelling's T squared of this number of variables exceeds `squared`, from its F distribution.
+/// Probability that Hotelling's T squared for this number of variables exceeds `squared`, from its F distribution.
 fn hotelling_tail(squared: f64, variables: usize, freedom: f64) -> f64 {
     let variables = variables as f64;
     let f_freedom = freedom - variables + 1.0;

@@ -1,12 +1,13 @@
 //! Uncertainty of the identified parameters, from the singular values of the Jacobian at the solution, or from the jackknife
 //! (`normals`).
 //!
-//! To first order: the covariance of least squares with independent noise of equal size on the (weighted) residual rows,
-//! `s^2 (J^T J)^-1`, from singular values, never from the inverted normal matrix. It does not include effects that the model
-//! omits. Priors count as measurements. Parameters that are only determined in combinations have no covariance.
+//! The first form is the covariance of least squares to first order, `s^2 (J^T J)^-1`, for independent noise of equal
+//! size on the weighted residual rows. It is computed from singular values, never from the inverted normal matrix. It
+//! does not contain effects that the model omits. Priors count as measurements. Parameters that are only determined in
+//! combinations have no covariance.
 //!
-//! Every covariance is represented as `S S^T`, where each column of `S` is the contribution of one source of uncertainty: the
-//! errors of some samples, a prior, or the value of a parameter that was not estimated.
+//! Every covariance is represented as `S S^T`. Each column of `S` is the contribution of one source of uncertainty: the
+//! errors of some samples, a prior, or the value of a parameter that was not estimated. The matrix `S` is a [`Spread`].
 
 use std::fmt;
 use std::ops::Range;
@@ -29,7 +30,7 @@ pub enum ResidualNoise {
 }
 
 impl ResidualNoise {
-    /// The factor `s^2`; `None` without a degree of freedom to estimate it from.
+    /// The factor `s^2` on the covariance. `None` if the number of degrees of freedom is not positive.
     pub(in crate::solver) fn variance_factor(
         self,
         problem: &dyn LeastSquares,
@@ -44,7 +45,7 @@ impl ResidualNoise {
                     priors.iter().filter_map(|p| x.get(p.column).map(|x| ((x - p.value) / p.sigma).powi(2)));
                 let of_samples = fits.iter().filter(|fit| fit.present).map(|fit| fit.weight * fit.squared);
                 let sum: f64 = of_samples.chain(of_priors).sum();
-                // A sample of weight w counts as w samples.
+                // A sample of weight w counts as w samples for the degrees of freedom.
                 let freedom = weighed_rows(fits) + priors.len() as f64 - problem.columns() as f64;
                 (freedom > 0.0).then(|| sum / freedom)
             }
@@ -52,22 +53,23 @@ impl ResidualNoise {
     }
 }
 
-/// Assumption behind standard deviations.
+/// How standard deviations were computed, which determines the assumption behind them.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum SigmasFrom {
-    /// Noise is independent from sample to sample: too small if errors are correlated over many samples.
+    /// Assumes that noise is independent from sample to sample. If errors are correlated over many samples, the standard
+    /// deviations are too small.
     #[default]
     IndependentNoise,
-    /// Jackknife: change of the solution when one of several folds is left out.
+    /// Jackknife: from the changes of the solution when the folds are left out in turn.
     Jackknife {
-        /// Number of folds that were left out in turn.
+        /// Number of folds.
         folds: usize,
     },
 }
 
 impl SigmasFrom {
-    /// Degrees of freedom of Student's t; `None` if the standard deviations count as known.
+    /// Degrees of freedom of Student's t for a confidence interval. `None` if the standard deviations are treated as exact.
     pub fn freedom(self) -> Option<f64> {
         match self {
             Self::IndependentNoise => None,
@@ -75,13 +77,13 @@ impl SigmasFrom {
         }
     }
 
-    /// Half-width of a 95 % confidence interval, in standard deviations: 1.96, or more if the standard deviation is estimated
-    /// from few folds.
+    /// Half-width of a 95 % confidence interval, in standard deviations. It is 1.96, or more if the standard deviation is
+    /// estimated from few folds.
     pub fn sigmas_of_95(self) -> f64 {
         self.sigmas_within(0.05)
     }
 
-    /// Half-width, in standard deviations, of an interval that misses the true value with probability `chance`.
+    /// Half-width, in standard deviations, of a confidence interval that misses the true value with probability `chance`.
     pub fn sigmas_within(self, chance: f64) -> f64 {
         let student = self.freedom().and_then(|freedom| StudentsT::new(0.0, 1.0, freedom).ok());
         let upper = 1.0 - 0.5 * chance;
@@ -103,7 +105,7 @@ impl fmt::Display for SigmasFrom {
 /// A source of uncertainty of a solution.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum UncertaintySource {
-    /// Errors of all samples and the priors, not separated.
+    /// Errors of all samples, and the priors, as one source.
     Together,
     /// Errors of the samples of a data set, from 0.
     Samples {
@@ -115,32 +117,34 @@ pub enum UncertaintySource {
         /// Column with the prior.
         column: usize,
     },
-    /// Prior knowledge that is included as samples.
+    /// Prior knowledge that is represented by samples.
     Known,
-    /// Terms that were left out of the solution although they may be present.
+    /// Model terms that were left out of the solution although the robot may have such errors.
     LeftOut,
-    /// The prior of a column, which the samples contradict: the change of the solution without it.
+    /// The prior of a column that the samples contradict. The contribution is the change of the solution without this prior.
     Contradicted {
         /// Column with the prior.
         column: usize,
     },
-    /// A common relative error of all lengths of the robot, estimated from their deviations from the nominal ones.
+    /// A common relative error of all lengths of the robot, estimated from the deviations of the lengths
+    /// from their nominal values.
     OtherScale,
-    /// The value of a considered parameter, which is not estimated.
+    /// The value of a considered parameter, which is uncertain but not estimated.
     Considered {
-        /// Column in the covariance, after those of the solution.
+        /// Column in the covariance. Columns of considered parameters follow those of the solution.
         column: usize,
     },
 }
 
 impl UncertaintySource {
-    /// Whether it is estimated from the scatter of samples (type A of the GUM) rather than stated (type B).
+    /// Whether the contribution is estimated from the scatter of samples (type A of the GUM) rather than from
+    /// a specification (type B).
     pub const fn is_statistical(self) -> bool {
         matches!(self, Self::Together | Self::Samples { .. })
     }
 }
 
-/// The matrix `S` and the source of each column.
+/// The matrix `S` with the source of each of its columns.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Spread {
     /// Each column is one standard deviation of a source, in the parameters' units.
@@ -150,7 +154,7 @@ pub struct Spread {
 }
 
 impl Spread {
-    /// From the contributions of the sources, which have one row for each parameter.
+    /// Creates the matrix from the contributions of the sources, which have one row for each parameter.
     pub fn new(parameters: usize, columns: &[(UncertaintySource, DVector<f64>)]) -> Self {
         let mut by_source = DMatrix::zeros(parameters, columns.len());
         for (mut column, (_, contribution)) in by_source.column_iter_mut().zip(columns) {
@@ -159,7 +163,7 @@ impl Spread {
         Self { by_source, sources: columns.iter().map(|(source, _)| *source).collect() }
     }
 
-    /// Adds a source with the contribution of one standard deviation.
+    /// Adds a source. `contribution` is the change of each parameter if the source is wrong by one standard deviation.
     pub fn add(&mut self, source: UncertaintySource, contribution: &DVector<f64>) {
         let count = self.sources.len();
         self.by_source.resize_horizontally_mut(count + 1, 0.0);
@@ -167,8 +171,8 @@ impl Spread {
         self.sources.push(source);
     }
 
-    /// The rows `places`, followed by the rows `left_out` of terms that were left out of the solution. Priors of other columns
-    /// than `places` become [`UncertaintySource::LeftOut`].
+    /// Selects the rows `places`, followed by the rows `left_out` of terms that were left out of the solution. Priors of
+    /// columns that are not among `places` become [`UncertaintySource::LeftOut`].
     #[must_use]
     pub fn of(&self, places: &[usize], left_out: &[usize]) -> Self {
         let source = |source: &UncertaintySource| match *source {
@@ -184,7 +188,7 @@ impl Spread {
         }
     }
 
-    /// `S S^T`
+    /// The covariance `S S^T`.
     pub fn covariance(&self) -> DMatrix<f64> {
         &self.by_source * self.by_source.transpose()
     }
@@ -195,30 +199,31 @@ impl Spread {
 pub struct Considered {
     /// Standard deviations of their values.
     pub sigmas: Vec<f64>,
-    /// One row for each column of the solution, one column for each parameter: change of the estimate per error of the value.
+    /// Change of the estimate per error of the value. One row for each column of the solution, one column
+    /// for each considered parameter.
     pub change: DMatrix<f64>,
 }
 
-/// Covariance of the identified free parameters, followed by those that were left out or considered.
+/// Covariance of the free parameters. Columns of left-out terms follow, then those of considered parameters.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Covariance {
     matrix: DMatrix<f64>,
     spread: Spread,
     determined: Vec<bool>,
-    /// Number of estimated columns, which come first.
+    /// Number of estimated columns, which are the first columns.
     estimated: usize,
-    /// Number of columns of left-out terms, which follow.
+    /// Number of columns of left-out terms, which follow the estimated columns.
     left_out: usize,
     /// Assumption behind the standard deviations.
     pub sigmas_from: SigmasFrom,
-    /// Factor on the unit covariance: one for known noise, else the estimated variance of a residual row; `None` without a
-    /// degree of freedom to estimate it from.
+    /// Factor `s^2` on the unit covariance: one for known noise, otherwise the estimated variance of a residual row. `None`
+    /// if the number of degrees of freedom is not positive.
     pub variance_factor: Option<f64>,
 }
 
 impl Covariance {
-    /// `s^2 D^-1 V Sigma^-2 V^T D^-1` with the variance factor `s^2`, the column lengths `D`, and the singular values `Sigma` and
-    /// right singular vectors `V` of the scaled Jacobian, up to its rank.
+    /// Covariance `s^2 D^-1 V Sigma^-2 V^T D^-1`, with the variance factor `s^2` and the column lengths `D`. `Sigma` are the
+    /// singular values of the scaled Jacobian and `V` its right singular vectors, both up to the rank.
     pub(in crate::solver) fn new(
         spectrum: &ScaledSpectrum,
         undetermined: &[usize],
@@ -242,8 +247,8 @@ impl Covariance {
         Self { matrix, spread, determined, estimated, left_out: 0, sigmas_from, variance_factor }
     }
 
-    /// Replaces the covariance by that of the jackknife over `folds`, with additional columns for terms that were `left_out` of
-    /// the solution with value zero and may be present.
+    /// Replaces the covariance by that of the jackknife over `folds`. The last `left_out` rows of `spread` are those of
+    /// terms that were left out: their value in the solution is zero, although the robot may have such errors.
     pub fn replace_by_jackknife(&mut self, spread: Spread, folds: usize, left_out: usize) {
         assert_eq!(spread.by_source.nrows(), self.determined.len() + left_out);
         self.determined.extend(std::iter::repeat_n(true, left_out));
@@ -252,8 +257,8 @@ impl Covariance {
         (self.matrix, self.spread) = (spread.covariance(), spread);
     }
 
-    /// Replaces it by the consider covariance (Schmidt 1966): with `x` estimated, `c` considered and `G = dx / dc`, it is
-    /// `[[P_xx + G P_cc G^T, G P_cc], [P_cc G^T, P_cc]]`.
+    /// Replaces the covariance by the consider covariance (Schmidt 1966). With estimated parameters `x`, considered
+    /// parameters `c` and `G = dx / dc`, it is `[[P_xx + G P_cc G^T, G P_cc], [P_cc G^T, P_cc]]`.
     pub fn add_considered(&mut self, Considered { sigmas, change }: Considered) {
         let Spread { by_source, sources } = &mut self.spread;
         let ((rows, columns), count) = (by_source.shape(), sigmas.len());
@@ -269,7 +274,7 @@ impl Covariance {
         self.determined.extend(std::iter::repeat_n(true, count));
     }
 
-    /// Multiplies the contribution of the samples of a data set by `times`, and that of [`UncertaintySource::Together`].
+    /// Multiplies the contributions of the samples of a data set by `times`, and also those of [`UncertaintySource::Together`].
     #[must_use]
     pub fn widened(mut self, data_set: usize, times: f64) -> Self {
         let Spread { by_source, sources } = &mut self.spread;
@@ -284,7 +289,7 @@ impl Covariance {
         self
     }
 
-    /// Adds a source with the contribution of one standard deviation to each column.
+    /// Adds a source. `contribution` is the change of each column if the source is wrong by one standard deviation.
     #[must_use]
     pub(crate) fn with_source(mut self, source: UncertaintySource, contribution: &DVector<f64>) -> Self {
         self.spread.add(source, contribution);
@@ -292,12 +297,14 @@ impl Covariance {
         self
     }
 
-    /// Change of all columns if the prior of a column is wrong by its standard deviation `sigma`: the contribution of the prior,
-    /// or `P e / sigma` with the unit covariance `P` and the unit vector `e` of the column.
+    /// Change of all columns if the prior of a column is wrong by its standard deviation `sigma`. It is the contribution
+    /// of the prior or, if the sources are not separated, `P e / sigma` with the unit covariance `P` and the unit vector
+    /// `e` of the column.
     pub(crate) fn by_prior_on_all(&self, column: usize, sigma: f64) -> DVector<f64> {
         let Spread { by_source, sources } = &self.spread;
         let of_prior = sources.iter().position(|source| *source == UncertaintySource::Prior { column });
-        // Without separate sources the covariance is that of least squares; the factor of the noise is divided out.
+        // If the sources are not separated, the covariance is that of least squares, from which the variance
+        // factor is divided out.
         let unit = self.variance_factor.filter(|factor| *factor > 0.0).unwrap_or(1.0);
         of_prior.map_or_else(
             || self.matrix.column(column) / (unit * sigma),
@@ -305,15 +312,15 @@ impl Covariance {
         )
     }
 
-    /// Change of the estimate of a column if its prior is wrong by one standard deviation; `None` if the sources are not
-    /// separated.
+    /// Change of the estimate of a column if the prior of this column is wrong by one standard deviation. `None` if the
+    /// sources are not separated.
     pub fn by_prior(&self, column: usize) -> Option<f64> {
         let Spread { by_source, sources } = &self.spread;
         let of_prior = sources.iter().position(|source| *source == UncertaintySource::Prior { column })?;
         Some(by_source[(column, of_prior)].abs())
     }
 
-    /// Contributions of the sources.
+    /// Contributions of the sources to the covariance.
     pub fn spread(&self) -> &Spread {
         &self.spread
     }
@@ -323,12 +330,13 @@ impl Covariance {
         self.estimated..self.determined.len()
     }
 
-    /// Columns of estimated and considered parameters, without left-out terms.
+    /// Columns of estimated parameters and of considered parameters, but not those of left-out terms.
     pub fn stated(&self) -> Vec<usize> {
         (0..self.estimated).chain(self.estimated + self.left_out..self.determined.len()).collect()
     }
 
-    /// Whether there are standard deviations: not without a degree of freedom, except those of the jackknife.
+    /// Whether there are standard deviations. They need a degree of freedom for the variance factor, except
+    /// those of the jackknife.
     pub fn has_sigmas(&self) -> bool {
         self.variance_factor.is_some() || self.sigmas_from != SigmasFrom::IndependentNoise
     }
@@ -337,17 +345,18 @@ impl Covariance {
         self.has_sigmas() && self.determined.get(column).copied().unwrap_or(false)
     }
 
-    /// Covariance of two columns in their units; `None` if one is not identified, or without [`Self::has_sigmas`].
+    /// Covariance of two columns in their units. `None` if one of them is not identified, or if [`Self::has_sigmas`] is false.
     pub fn between(&self, a: usize, b: usize) -> Option<f64> {
         (self.is_determined(a) && self.is_determined(b)).then(|| self.matrix[(a, b)])
     }
 
-    /// Standard deviation of a column; `None` if it is not identified.
+    /// Standard deviation of a column. `None` if the column is not identified, or if [`Self::has_sigmas`] is false.
     pub fn sigma(&self, column: usize) -> Option<f64> {
         self.between(column, column).map(f64::sqrt)
     }
 
-    /// As [`Self::sigma`], without the sources of contradictions.
+    /// Standard deviation of a column, without the sources that were added because the samples contradict a prior or the
+    /// scale of all lengths. `None` as for [`Self::sigma`].
     pub fn sigma_before_contradictions(&self, column: usize) -> Option<f64> {
         let Spread { by_source, sources } = &self.spread;
         let is_added = |source: &UncertaintySource| {
@@ -358,12 +367,12 @@ impl Covariance {
         Some((self.between(column, column)? - added).max(0.0).sqrt())
     }
 
-    /// Correlation of two columns, -1 to 1; `None` if one is not identified.
+    /// Correlation of two columns, -1 to 1. `None` if one of them is not identified.
     pub fn correlation(&self, a: usize, b: usize) -> Option<f64> {
         Some(self.between(a, b)? / (self.sigma(a)? * self.sigma(b)?))
     }
 
-    /// Pairs of columns, considered ones included, whose correlation exceeds `least` in size, largest first.
+    /// Pairs of estimated or considered columns whose correlation is larger than `least` in magnitude, strongest first.
     pub fn strongest_correlations(&self, least: f64) -> Vec<(usize, usize, f64)> {
         let columns = self.stated();
         let pairs =
@@ -381,7 +390,7 @@ impl Covariance {
 mod tests {
     use super::*;
 
-    /// Two columns with `J^T J = [[2, 1], [1, 2]]`; the first has a prior of sigma one.
+    /// Two columns with `J^T J = [[2, 1], [1, 2]]`. The first column has a prior with a standard deviation of one.
     #[test]
     fn a_wrong_prior_changes_the_solution_alike_for_known_and_estimated_noise() {
         let unit = DMatrix::from_row_slice(2, 2, &[2.0, -1.0, -1.0, 2.0]) / 3.0;

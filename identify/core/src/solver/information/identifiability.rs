@@ -1,11 +1,14 @@
-//! Identifiability of the free parameters: rank, singular values and dependent groups, from an orthogonal factorisation of the
-//! Jacobian at a point. Part of each solve, and used alone for the selection of parameters and poses.
+//! Identifiability of the free parameters at a point: rank, singular values and groups of dependent parameters. They are
+//! computed from an orthogonal factorisation of the Jacobian. Each solve ends with this analysis; it is also used alone for
+//! the selection of parameters and poses.
 //!
-//! A prior determines its parameter, however wide it is and however exact the samples are: the rank of `[J_f J_p; 0 P]` is the
-//! rank of `J_f`, the samples' columns without prior, plus the number of columns with a prior (`J_p`, with weights `P`). Rank
-//! therefore depends neither on the noise nor on the number of samples; a parameter that the samples hardly determine has a large
-//! standard deviation. Columns are scaled to unit length first, so that metres, radians and seconds are comparable. The singular
-//! values show the rank and the size of its gap; the null space shows which parameters depend on each other.
+//! A prior determines its parameter, however wide the prior and however exact the samples are. Let `J_f` be the samples'
+//! columns without prior, `J_p` those with a prior, and `P` the weights of the priors. The rank of `[J_f J_p; 0 P]` is the
+//! rank of `J_f` plus the number of columns with a prior. The rank therefore depends neither on the noise nor on the number
+//! of samples. A parameter that the samples hardly determine has a large standard deviation instead.
+//!
+//! Columns are first scaled to unit length, so that metres, radians and seconds are comparable. The singular values show the
+//! rank and the size of its gap. The null space shows which parameters depend on each other.
 
 use std::collections::BTreeSet;
 
@@ -21,7 +24,7 @@ use crate::solver::{LeastSquares, Observability, Options, Prior, SolveError};
 pub struct DependentGroup {
     /// Columns, ascending.
     pub columns: Vec<usize>,
-    /// Number of columns to fix so that the others are determined.
+    /// Number of columns that must be fixed so that the other columns are determined.
     pub excess: usize,
 }
 
@@ -30,7 +33,7 @@ pub struct DependentGroup {
 pub struct Identifiability {
     /// Names of the columns.
     pub names: Vec<String>,
-    /// Standard deviations of their priors; `None` for a column without prior.
+    /// Standard deviation of the prior of each column; `None` for a column without prior.
     pub prior_sigmas: Vec<Option<f64>>,
     /// Rank from samples and priors.
     pub rank: usize,
@@ -40,9 +43,9 @@ pub struct Identifiability {
     pub singular_values: Vec<f64>,
     /// Columns without effect on the residuals.
     pub zero_columns: Vec<usize>,
-    /// Columns that depend on each other, smallest groups first.
+    /// Groups of columns that depend on each other, smallest groups first.
     pub groups: Vec<DependentGroup>,
-    /// The triangle `R` of the samples' weighted Jacobian: `R^T R = J^T J`.
+    /// The triangular factor `R` of the samples' weighted Jacobian, with `R^T R = J^T J`.
     pub triangle: DMatrix<f64>,
     /// Number of samples in use.
     pub samples: usize,
@@ -61,7 +64,7 @@ pub struct Unidentifiable {
     pub columns: usize,
     /// Names of the parameters that are not identified.
     pub what: String,
-    /// Names of the parameters to fix so that the others are determined, as an option's value.
+    /// Names of the parameters to fix so that the others are determined, in the form of the option's value.
     pub fix: String,
 }
 
@@ -71,13 +74,14 @@ impl Identifiability {
         self.rank == self.names.len()
     }
 
-    /// Size of the rank's gap: the smallest nonzero singular value over the largest that counts as zero. `None` at full rank.
+    /// Ratio of the smallest nonzero singular value to the largest one that counts as zero, which shows how certain the rank
+    /// is. `None` at full rank.
     pub fn gap(&self) -> Option<f64> {
         let smallest = self.singular_values.get(self.rank.checked_sub(1)?)?;
         Some(smallest / self.singular_values.get(self.rank)?)
     }
 
-    /// Smallest nonzero singular value over the largest: the inverse of the condition number.
+    /// Ratio of the smallest nonzero singular value to the largest, which is the inverse of the condition number.
     pub fn weakest(&self) -> f64 {
         let last = self.rank.checked_sub(1).and_then(|i| self.singular_values.get(i));
         match (last, self.singular_values.first()) {
@@ -91,12 +95,12 @@ impl Identifiability {
         Observability::new(&self.triangle, units, self.samples, 1e-9)
     }
 
-    /// Groups of these columns, which have priors, with a combination that their own priors determine better than the samples
-    /// and all other priors do. A group can be a single column.
+    /// Groups of `columns` for which the priors determine some combination better than all other data do. All `columns` have
+    /// priors. The other data are the samples and the priors of other columns. A group can be a single column.
     ///
-    /// In units of the priors' standard deviations, the information of all other data about the columns is `S`, the Schur
-    /// complement of the normal matrix. Directions with an eigenvalue of `S` below one follow the priors. `P` is the projection
-    /// onto them, and columns `i` and `j` with an entry `P_ij` belong to one group.
+    /// Let `S` be the information of the other data about the columns, in units of the priors' standard deviations. It is the
+    /// Schur complement of the normal matrix. In directions with an eigenvalue of `S` below one, the solution follows the
+    /// priors. `P` is the projection onto these directions. Columns `i` and `j` with an entry `P_ij` belong to one group.
     pub fn by_priors(&self, columns: &[usize]) -> Vec<Vec<usize>> {
         let others: Vec<usize> = (0..self.names.len()).filter(|column| !columns.contains(column)).collect();
         let sigma = |column: &usize| self.prior_sigmas.get(*column).copied().flatten();
@@ -105,7 +109,7 @@ impl Identifiability {
             .enumerate()
             .filter_map(|(place, column)| Some(Prior { column: place, value: 0.0, sigma: sigma(column)? }));
         let priors_of_others: Vec<Prior> = priors_of_others.collect();
-        // With the other columns first, the last rows of the triangle are a root of the Schur complement.
+        // If the other columns come first, the last rows of the triangle are a square root of the Schur complement.
         let order = [&others[..], columns].concat();
         let mut triangle = with_priors(priors_of_others.iter(), &self.triangle.select_columns(&order));
         let first = others.len();
@@ -127,7 +131,7 @@ impl Identifiability {
         combined(&projection).into_iter().map(numbered).collect()
     }
 
-    /// Columns that are not determined: zero or in a dependent group.
+    /// Columns that are not determined, either because they are zero or because they belong to a dependent group.
     pub fn undetermined(&self) -> Vec<usize> {
         let mut columns = self.zero_columns.clone();
         columns.extend(self.groups.iter().flat_map(|group| group.columns.iter().copied()));
@@ -139,14 +143,14 @@ impl Identifiability {
     /// Checks that every free parameter is determined.
     ///
     /// # Errors
-    /// [`Unidentifiable`] names zero columns and dependent groups.
+    /// [`Unidentifiable`] with the zero columns and the dependent groups.
     pub fn require_full(&self) -> Result<(), Unidentifiable> {
         if self.is_full() {
             return Ok(());
         }
         let of_groups = self.groups.iter().flat_map(|group| group.columns.iter().take(group.excess));
         let fix: Vec<usize> = self.zero_columns.iter().chain(of_groups).copied().collect();
-        // An option names a parameter without the number of its run.
+        // Options name a parameter without the index of the run, which follows `@`.
         let names = fix.iter().filter_map(|column| self.name(*column).split('@').next());
         let names: BTreeSet<&str> = names.collect();
         let (what, fix) = (self.describe(), names.into_iter().collect::<Vec<_>>().join(","));
@@ -173,9 +177,9 @@ impl Identifiability {
     }
 }
 
-/// Groups of columns that a projection `P` combines: `i` and `j` with an entry `P_ij` belong to one group.
+/// Groups of columns that a projection `P` combines. Columns `i` and `j` with an entry `P_ij` belong to one group.
 pub fn combined(projection: &DMatrix<f64>) -> Vec<Vec<usize>> {
-    /// A column with a smaller component in the projection's directions counts as determined.
+    /// Entries of the projection up to this size count as zero. A column with a smaller diagonal entry counts as determined.
     const COMPONENT_MIN: f64 = 0.1;
     let mut groups: Vec<Vec<usize>> = Vec::new();
     for i in (0..projection.ncols()).filter(|i| projection[(*i, *i)] > COMPONENT_MIN) {
@@ -188,10 +192,10 @@ pub fn combined(projection: &DMatrix<f64>) -> Vec<Vec<usize>> {
     groups
 }
 
-/// Identifiability at `x` without a solve, for the selection of parameters and poses.
+/// Identifiability at `x` without a solve. Used for the selection of parameters and poses.
 ///
 /// # Errors
-/// [`SolveError`] if no sample is usable or the pass was cancelled.
+/// [`SolveError`] if no sample has a value, a number is not finite, or the pass was cancelled.
 pub fn identifiability(
     problem: &dyn LeastSquares,
     x: &[f64],
@@ -206,7 +210,7 @@ pub fn identifiability(
     Ok(examine(problem, &triangle, &fits, options).0)
 }
 
-/// Identifiability and covariance at the end of a solve of this number of iterations.
+/// Identifiability and covariance at the end of a solve that took this number of iterations.
 pub(in crate::solver) fn at_solution(
     problem: &dyn LeastSquares,
     x: &[f64],
@@ -217,7 +221,7 @@ pub(in crate::solver) fn at_solution(
     let triangle = match sample_triangle(problem, x, options, Taking::These(fits)) {
         Ok((triangle, _)) => triangle,
         Err(PassError::Cancelled) => return Err(SolveError::Cancelled { iterations }),
-        // The same samples were finite at this point during the solve; only squares of derivatives can overflow.
+        // The same samples were finite at this point during the solve, so only the squares of derivatives can have overflowed.
         Err(PassError::Lost | PassError::NotFinite(_)) => DMatrix::zeros(0, problem.columns()),
     };
     let (identifiability, spectrum) = examine(problem, &triangle, fits, options);
@@ -226,7 +230,8 @@ pub(in crate::solver) fn at_solution(
     Ok((identifiability, covariance))
 }
 
-/// Identifiability from the triangle of the samples' Jacobian, and the spectrum of samples and priors for the covariance.
+/// Analyses the triangle of the samples' Jacobian. Returns the identifiability, and the spectrum of samples and priors
+/// together for the covariance.
 fn examine(
     problem: &dyn LeastSquares,
     triangle: &DMatrix<f64>,
@@ -236,7 +241,7 @@ fn examine(
     let (columns, priors, tolerance) = (problem.columns(), problem.priors(), options.rank_tolerance);
     let open = Open::new(triangle, 0..columns, priors, tolerance);
     let mut spectrum = ScaledSpectrum::new(&with_priors(priors.iter(), triangle), tolerance);
-    // A prior determines its column even if its singular value is below the tolerance.
+    // A prior determines its column even if the singular value is below the tolerance.
     spectrum.rank = columns - open.missing();
     let mut prior_sigmas = vec![None; columns];
     priors.iter().for_each(|prior| prior_sigmas[prior.column] = Some(prior.sigma));
@@ -258,16 +263,16 @@ fn examine(
     (identifiability, spectrum)
 }
 
-/// Limit of the iterations of a singular value decomposition, which needs about two for each column.
+/// Maximum number of iterations of a singular value decomposition per column. About two per column are needed.
 const SVD_ITERATIONS_PER_COLUMN: usize = 100;
 
-/// Singular values and right singular vectors of a triangle with columns scaled to unit length.
+/// Singular values and right singular vectors of a triangle whose columns are scaled to unit length.
 pub(in crate::solver) struct ScaledSpectrum {
     /// Column lengths before scaling; zero for a zero column.
     pub(in crate::solver) lengths: DVector<f64>,
     /// Singular values in descending order.
     pub(in crate::solver) singular_values: DVector<f64>,
-    /// One row for each singular value.
+    /// Right singular vectors, one row for each singular value.
     pub(in crate::solver) v_transposed: DMatrix<f64>,
     /// Number of singular values that count as nonzero.
     pub(in crate::solver) rank: usize,
@@ -277,7 +282,7 @@ impl ScaledSpectrum {
     fn new(triangle: &DMatrix<f64>, tolerance: f64) -> Self {
         let (scaled, lengths) = scaled(triangle);
         let columns = lengths.len();
-        // Limited, because the iteration does not end for a matrix that is not finite.
+        // The number of iterations is limited, because the iteration does not end for a matrix that is not finite.
         let svd = scaled.try_svd(false, true, 5.0 * f64::EPSILON, SVD_ITERATIONS_PER_COLUMN * columns);
         let (singular_values, v_transposed) = svd
             .and_then(|svd| Some((svd.singular_values, svd.v_t?)))
@@ -286,14 +291,14 @@ impl ScaledSpectrum {
         Self { lengths, singular_values, v_transposed, rank }
     }
 
-    /// Orthonormal basis of the null space, one column for each missing rank.
+    /// Orthonormal basis of the null space, one column for each direction that is not determined.
     fn null_basis(&self) -> DMatrix<f64> {
         let missing = self.v_transposed.nrows() - self.rank;
         self.v_transposed.rows(self.rank, missing).transpose()
     }
 }
 
-/// A triangle with columns scaled to unit length, and their lengths before scaling, zero for a zero column.
+/// Scales the columns of a triangle to unit length. Also returns the lengths before scaling, which are zero for a zero column.
 fn scaled(triangle: &DMatrix<f64>) -> (DMatrix<f64>, DVector<f64>) {
     let columns = triangle.ncols();
     let mut lengths = DVector::from_iterator(columns, triangle.column_iter().map(|c| c.norm()));
@@ -304,7 +309,7 @@ fn scaled(triangle: &DMatrix<f64>) -> (DMatrix<f64>, DVector<f64>) {
             *l = 0.0;
         }
     });
-    // Square, so that every column has a right singular vector.
+    // The matrix is at least square, so that every column has a right singular vector.
     let mut scaled = DMatrix::zeros(columns.max(triangle.nrows()), columns);
     scaled.rows_mut(0, triangle.nrows()).copy_from(triangle);
     for (mut column, &length) in scaled.column_iter_mut().zip(lengths.iter()) {
@@ -313,13 +318,13 @@ fn scaled(triangle: &DMatrix<f64>) -> (DMatrix<f64>, DVector<f64>) {
     (scaled, lengths)
 }
 
-/// Number of singular values above the tolerance.
+/// Number of singular values above this fraction of the largest one.
 fn rank(singular_values: &DVector<f64>, tolerance: f64) -> usize {
     let floor = tolerance * singular_values.max();
     singular_values.iter().filter(|s| **s > floor).count()
 }
 
-/// Triangle of the samples' weighted Jacobian.
+/// Triangle of the samples' weighted Jacobian, and the fit of each sample.
 pub(in crate::solver) fn sample_triangle(
     problem: &dyn LeastSquares,
     x: &[f64],
@@ -333,7 +338,7 @@ pub(in crate::solver) fn sample_triangle(
     if triangle.iter().all(|entry| entry.is_finite()) { Ok((triangle, fits)) } else { Err(PassError::Lost) }
 }
 
-/// Triangle of the rows of `triangle`, and of one row for each prior: `1 / sigma` in its column.
+/// Triangle of the rows of `triangle` and of one additional row for each prior, which is `1 / sigma` in the prior's column.
 pub(in crate::solver) fn with_priors<'a>(
     priors: impl Iterator<Item = &'a Prior> + Clone,
     triangle: &DMatrix<f64>,
@@ -354,16 +359,16 @@ pub(in crate::solver) fn require_start(problem: &dyn LeastSquares, x: &[f64]) ->
     Err(SolveError::StartLength { found: x.len(), expected: problem.columns() })
 }
 
-/// Spectrum of the samples' columns without prior (`J_f` above), which only the samples can determine.
+/// Spectrum of the columns without prior (`J_f` in the module documentation), which only the samples can determine.
 pub(in crate::solver) struct Open {
-    /// Numbers of the columns without prior.
+    /// Indices of the columns without prior.
     columns: Vec<usize>,
     /// `None` if every column has a prior.
     spectrum: Option<ScaledSpectrum>,
 }
 
 impl Open {
-    /// From the columns without prior among `all`.
+    /// Analyses those columns among `all` that have no prior.
     pub(in crate::solver) fn new(
         triangle: &DMatrix<f64>,
         all: impl Iterator<Item = usize>,
@@ -377,7 +382,7 @@ impl Open {
         Self { columns, spectrum }
     }
 
-    /// Number of undetermined directions.
+    /// Number of directions that the samples do not determine.
     pub(in crate::solver) fn missing(&self) -> usize {
         self.spectrum.as_ref().map_or(0, |spectrum| self.columns.len() - spectrum.rank)
     }

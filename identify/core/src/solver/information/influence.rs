@@ -1,5 +1,6 @@
-//! Effect of an error in a fixed value on the estimated values, to first order: `-J_e^+ J_h` with the columns `J_e` of estimated
-//! and `J_h` of fixed parameters. Used for considered parameters and by `identify examine`.
+//! Effect of an error in a fixed value on the estimated values. To first order it is `-J_e^+ J_h`, where `J_e` are the
+//! columns of estimated parameters, `J_h` those of fixed parameters, and `+` is the pseudo-inverse. Used for considered
+//! parameters and by `identify examine`.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -12,21 +13,21 @@ use crate::solver::{LeastSquares, Options, SolveError};
 pub struct Influence {
     /// Names of the estimated columns.
     pub estimated: Vec<String>,
-    /// Names of the fixed columns.
+    /// Names of the fixed columns, called `held` throughout this file.
     pub held: Vec<String>,
-    /// One row for each estimate, one column for each fixed value: change of the estimate per error of the fixed value, in
-    /// their units.
+    /// Change of the estimate per error of the fixed value, in the units of both parameters. One row for each estimate, one
+    /// column for each fixed value.
     pub change: DMatrix<f64>,
 }
 
 /// Influence of the columns `held` of a problem on its other columns.
 ///
-/// All of them are free in the problem. Estimates that minimise `|J_e dx + J_h dh|` with an error `dh` change by
-/// `-J_e^+ J_h dh`. Samples have their weight at `x`; priors of estimated columns are included. The estimated columns must be
-/// identifiable without the fixed ones.
+/// In the problem, both sets of columns are free. Estimates that minimise `|J_e dx + J_h dh|` change by `-J_e^+ J_h dh` for
+/// an error `dh` of the fixed values. Samples have the weight of the robust loss at `x`, and priors of estimated columns are
+/// included. The estimated columns must be identifiable when the columns `held` are fixed.
 ///
 /// # Errors
-/// [`SolveError`] if no sample is usable, or [`SolveError::Dependent`] if the estimated columns are linearly dependent.
+/// [`SolveError`] if no sample has a value, or [`SolveError::Dependent`] if the estimated columns are linearly dependent.
 pub fn influence(
     problem: &dyn LeastSquares,
     x: &[f64],
@@ -50,7 +51,8 @@ pub fn influence(
     Ok(Influence { estimated: names(&estimated), held: names(held), change })
 }
 
-/// `argmin |A X - B|` by singular values of the column-scaled matrix; `None` if a column of `A` is zero.
+/// Minimises `|A X - B|` over `X` by the singular values of the column-scaled matrix `A`. `None` if a column of `A` is zero,
+/// if `A` has fewer rows than columns, or if a number is not finite.
 fn least_squares(a: &DMatrix<f64>, b: &DMatrix<f64>) -> Option<DMatrix<f64>> {
     let lengths = DVector::from_iterator(a.ncols(), a.column_iter().map(|column| column.norm()));
     if a.nrows() < a.ncols() || !lengths.iter().all(|length| length.is_finite() && *length > 0.0) {

@@ -1,4 +1,4 @@
-//! Information of samples about parameters: normal equations by fold, identifiability, covariance, and changes during a run.
+//! Information of samples about parameters: normal equations of folds, identifiability, covariance, and changes during a run.
 
 pub(in crate::solver) mod change_point;
 pub(in crate::solver) mod covariance;

@@ -1,9 +1,11 @@
-//! Normal equations by fold, linearised at a point `x`.
+//! Normal equations of folds, linearised at a point `x`. A fold is a set of samples, usually a segment of a run, that can be
+//! left out of a solution as a whole.
 //!
-//! `|r + J dx|^2 = r^T r + 2 (J^T r) dx + dx (J^T J) dx`: one pass over the samples gives the three sums of each fold, with
-//! the columns of all candidate terms. Steps, covariances, jackknife, selection of terms, scales of priors and predictions of
-//! held-out folds then need only small matrices, without another pass; all of them are used by `calibrate`. Errors of gears and
-//! encoders are correlated over seconds, so folds of several seconds are nearly independent, while single samples are not.
+//! Because `|r + J dx|^2 = r^T r + 2 (J^T r) dx + dx (J^T J) dx`, three sums describe the samples of a fold. One pass over
+//! the samples computes the sums of each fold, with the columns of all candidate terms. The following computations then need
+//! only small matrices and no further pass: steps, covariances, the jackknife, the selection of terms, scales of priors, and
+//! predictions of held-out folds. `calibrate` uses all of them. Errors of gears and encoders are correlated over seconds.
+//! Folds of several seconds are therefore nearly independent, while single samples are not.
 
 use std::num::NonZeroUsize;
 use std::ops::{Add, AddAssign, Sub};
@@ -40,18 +42,18 @@ impl Normal {
         }
     }
 
-    /// Sum of squares after a step.
+    /// Predicted sum of squares after a step.
     pub fn after(&self, step: &DVector<f64>) -> f64 {
         self.squared + 2.0 * self.gradient.dot(step) + step.dot(&(&self.matrix * step))
     }
 
-    /// The same rows, linearised at a point that differs by `step`.
+    /// Normal equations of the same rows at a point that differs by `step`.
     #[must_use]
     fn moved(&self, step: &DVector<f64>) -> Self {
         Self { gradient: &self.gradient + &self.matrix * step, squared: self.after(step), ..self.clone() }
     }
 
-    /// The same rows with a selection of the columns, in this order.
+    /// Normal equations of the same rows for a selection of the columns, in this order.
     fn only(&self, columns: &[usize]) -> Self {
         let count = columns.len();
         Self {
@@ -61,7 +63,7 @@ impl Normal {
         }
     }
 
-    /// Adds priors of some columns at `x`; returns their sum of squares, which is not added to that of the rows.
+    /// Adds priors of some columns at `x`. Returns the sum of their squared residuals, which is not added to `squared`.
     pub fn add_priors(&mut self, priors: &[Prior], x: &[f64]) -> f64 {
         let mut squared = 0.0;
         for prior in priors {
@@ -113,7 +115,7 @@ pub struct Normals {
     folds: Vec<Normal>,
     /// Sum of all folds.
     total: Normal,
-    /// Samples of prior knowledge ([`LeastSquares::is_known`]), which are in no fold.
+    /// Normal equations of the samples of prior knowledge ([`LeastSquares::is_known`]), which belong to no fold.
     known: Normal,
     priors: Vec<Prior>,
     /// Point of the linearisation.
@@ -121,8 +123,8 @@ pub struct Normals {
 }
 
 impl Normals {
-    /// One pass over the samples of all folds at `x`, with the weights of the options' loss; samples without a value are
-    /// left out.
+    /// Computes the normal equations in one pass over the samples of all folds at `x`, with the weights of the options'
+    /// loss. Samples without a value are left out.
     ///
     /// # Errors
     /// [`SolveError`] if a residual or derivative is not finite, or the pass was cancelled.
@@ -133,9 +135,9 @@ impl Normals {
         folds: &[Vec<usize>],
     ) -> Result<Self, SolveError> {
         let known: Vec<usize> = (0..problem.samples()).filter(|sample| problem.is_known(*sample)).collect();
-        // Prior knowledge is added up as one more set, the last.
+        // The samples of prior knowledge are summed as one more set, the last one.
         let sets: Vec<&Vec<usize>> = folds.iter().chain([&known]).collect();
-        // Each set is summed by one thread, the sets in parallel.
+        // Each set is summed by one thread; different sets are summed in parallel.
         let one_thread = Options { threads: Some(NonZeroUsize::MIN), ..*options };
         let sum = |set: usize| {
             let subset = Subset { of: problem, samples: sets[set].clone() };
@@ -160,7 +162,7 @@ impl Normals {
         &self.priors
     }
 
-    /// The same samples with other priors.
+    /// Replaces the priors; the samples stay unchanged.
     #[must_use]
     pub fn with_priors(self, priors: Vec<Prior>) -> Self {
         Self { priors, ..self }
@@ -171,18 +173,19 @@ impl Normals {
         &self.folds
     }
 
-    /// Sum of all folds, prior knowledge and priors.
+    /// Normal equations of all data: the sum of all folds, the samples of prior knowledge, and the priors.
     pub fn whole(&self) -> Normal {
         let mut whole = &self.total + &self.known;
         whole.add_priors(&self.priors, &self.x);
         whole
     }
 
-    /// Variance of the gradients `g_k` of the `n` folds relative to that for independent noise of variance one, averaged over all
-    /// directions: `n / (n - 1) sum g_k^T H^-1 g_k / tr(H^-1 N)`, with `H` of all data and priors, and `N` of all folds. It is 1
-    /// if errors are not correlated within a fold (design effect, Kish 1965). `None` for fewer than two folds.
+    /// Variance of the gradients `g_k` of the `n` folds, relative to the variance for independent noise of variance one and
+    /// averaged over all directions. It is `n / (n - 1) sum g_k^T H^-1 g_k / tr(H^-1 N)`. `H` is the normal matrix of all
+    /// data and priors, `N` that of all folds. The result is 1 if errors are not correlated within a fold (design effect,
+    /// Kish 1965). `None` for fewer than two folds, or if the result is not finite.
     pub fn overdispersion(&self) -> Option<f64> {
-        /// Avoids division by zero in directions that only other samples determine.
+        /// Avoids a division by zero in directions that only samples outside the folds determine.
         const RIDGE: f64 = 1e-12;
         let (matrix, count) = (self.whole().matrix, self.folds() as f64);
         if count < 2.0 {
@@ -195,8 +198,8 @@ impl Normals {
         Some(scatter * count / ((count - 1.0) * expected)).filter(|ratio| ratio.is_finite())
     }
 
-    /// Logarithm of the evidence of the samples with these priors, up to a constant (MacKay 1992), for residuals with
-    /// `dispersion` times the variance of independent ones. `None` if columns are linearly dependent.
+    /// Logarithm of the evidence of the samples with these priors, up to a constant (MacKay 1992). The variance of the
+    /// residuals is assumed to be `dispersion` times that of independent ones. `None` if columns are linearly dependent.
     pub fn evidence(&self, priors: &[Prior], dispersion: f64) -> Option<f64> {
         let mut posterior = &self.total + &self.known;
         posterior.matrix /= dispersion;
@@ -209,8 +212,8 @@ impl Normals {
         Some(-0.5 * (posterior.after(&step) + factor.log_determinant()) - log_sigmas)
     }
 
-    /// Gradients of the folds at the solution for `kept`, for tests of further columns. `None` if the columns are linearly
-    /// dependent.
+    /// Gradients of the folds at the solution for the columns `kept`, with which further columns can be tested. `None` if
+    /// the columns `kept` are linearly dependent.
     pub fn scores(&self, kept: &[usize], priors: &[Prior]) -> Option<Scores> {
         let priors = priors_among(priors, kept);
         let x: Vec<f64> = kept.iter().map(|&column| self.x[column]).collect();
@@ -227,9 +230,9 @@ impl Normals {
         Some(Scores { gradients, matrix: samples.matrix, kept: kept.to_vec(), factor })
     }
 
-    /// Effective number of parameters that each fold determines: `tr(H^-1 N)` with `H` of all data and `N` of the fold. Less
-    /// than the number of its parameters if priors or other folds also determine them (MacKay 1992). `None` if columns are
-    /// linearly dependent.
+    /// Effective number of parameters that each fold determines: `tr(H^-1 N)`, with the normal matrix `H` of all data and
+    /// `N` of the fold. It is less than the number of parameters of the fold if priors or other folds also determine them
+    /// (MacKay 1992). `None` if columns are linearly dependent.
     pub fn taken(&self) -> Option<Vec<f64>> {
         let inverse = self.covariance()?;
         Some(self.folds.iter().map(|fold| inverse.dot(&fold.matrix)).collect())
@@ -240,7 +243,8 @@ impl Normals {
         self.folds.iter().filter(|fold| fold.rows > 0.0).count()
     }
 
-    /// The same at another point: exact if residuals are linear between the two, as for small terms.
+    /// Normal equations of the same samples at another point. They are exact if the residuals are linear between the two
+    /// points, which holds for small terms.
     #[must_use]
     pub fn about(&self, x: &[f64]) -> Self {
         let step = DVector::from_column_slice(x) - DVector::from_column_slice(&self.x);
@@ -253,13 +257,14 @@ impl Normals {
         }
     }
 
-    /// Mean squared residual of each fold, predicted by a solution for `columns` from all other folds; the other columns
-    /// keep their values. `None` if the other folds do not determine the columns.
+    /// Mean squared residual of each fold, predicted by a solution for `columns` from all other folds. Columns not in
+    /// `columns` keep their values. `None` if the other folds do not determine the columns.
     pub fn held_out(&self, columns: &[usize], priors: &[Prior]) -> Option<Vec<f64>> {
         self.held_out_each(|_| columns.to_vec(), priors)
     }
 
-    /// The same with `columns` as a function of the fold's index.
+    /// Mean squared residual of each fold as in [`Self::held_out`], but with the columns that `columns` returns for the
+    /// index of the fold.
     pub fn held_out_each(&self, columns: impl Fn(usize) -> Vec<usize>, priors: &[Prior]) -> Option<Vec<f64>> {
         let error = |(number, fold): (usize, &Normal)| {
             let columns = columns(number);
@@ -275,7 +280,7 @@ impl Normals {
         self.folds.iter().enumerate().filter(|(_, fold)| fold.rows > 0.0).map(error).collect()
     }
 
-    /// [`Self::whole`] and its factor. `None` if columns are linearly dependent.
+    /// The matrix of [`Self::whole`] and its factor. `None` if columns are linearly dependent.
     fn factored(&self) -> Option<(DMatrix<f64>, ScaledCholesky)> {
         let matrix = self.whole().matrix;
         let factor = ScaledCholesky::new(matrix.clone()).filter(ScaledCholesky::is_complete)?;
@@ -288,13 +293,13 @@ impl Normals {
         Some(self.factored()?.1.inverse())
     }
 
-    /// Step from `x` to the solution. `None` if the samples and priors do not determine every column.
+    /// Step from `x` to the solution of the linearised problem. `None` if the samples and priors do not determine every column.
     pub fn step(&self) -> Option<DVector<f64>> {
         Some(-self.factored()?.1.solve(&self.whole().gradient))
     }
 
-    /// Solution without each fold, linearised at `x`. `None` for a fold without which the others and the priors do not
-    /// determine every column.
+    /// For each fold, the solution without this fold, linearised at `x`. `None` if the other folds and the priors do
+    /// not determine every column.
     pub fn without_each(&self) -> Vec<Option<Vec<f64>>> {
         let whole = self.whole();
         let without = |fold: &Normal| {
@@ -306,11 +311,13 @@ impl Normals {
         self.folds.iter().map(without).collect()
     }
 
-    /// Spread of the solution `x` by the jackknife over folds: its change when one fold is left out. It is valid for any
-    /// correlation of errors within a fold, if folds are independent; the contribution of the priors is added. Approximately
-    /// `H^-1 (sum g g') H^-1` (a sandwich, Liang and Zeger 1986), corrected for the influence of each fold on the solution
-    /// (Bell and McCaffrey 2002, CR3). `None` for fewer than two folds, or if the others do not determine every column.
-    /// `data_set` returns the data set of a fold.
+    /// Spread of the solution `x` by the jackknife over folds, which uses the change of the solution when one fold is left
+    /// out. The result is valid for any correlation of errors within a fold, if different folds are independent. The
+    /// contributions of the priors are added.
+    ///
+    /// It is approximately `H^-1 (sum g g') H^-1` (a sandwich, Liang and Zeger 1986), corrected for the influence of each
+    /// fold on the solution (Bell and McCaffrey 2002, CR3). `data_set` returns the data set of a fold. `None` for fewer than
+    /// two folds, or if the other folds do not determine every column.
     pub fn jackknife(&self, data_set: impl Fn(usize) -> usize) -> Option<Spread> {
         let count = self.folds() as f64;
         if count < 2.0 {
@@ -320,11 +327,13 @@ impl Normals {
         let mut contributions = Vec::new();
         for (number, fold) in self.folds.iter().enumerate().filter(|(_, fold)| fold.rows > 0.0) {
             let others = ScaledCholesky::new(&whole - &fold.matrix).filter(ScaledCholesky::is_complete)?;
-            // At the solution all gradients add up to zero, so that of the others is minus that of the fold.
+            // At the solution, all gradients add up to zero. The gradient of the other folds is therefore minus
+            // that of this fold.
             let change = others.solve(&fold.gradient) * ((count - 1.0) / count).sqrt();
             contributions.push((UncertaintySource::Samples { data_set: data_set(number) }, change));
         }
-        // `H^-1 P H^-1`, where the weights `P` of priors are diagonal; those of prior knowledge are not.
+        // The priors contribute `H^-1 P H^-1`. Their weights `P` are diagonal. For the samples of prior knowledge `P` is not
+        // diagonal, so an eigenvalue decomposition provides the sources.
         let inverse = factor.inverse();
         for &Prior { column, sigma, .. } in &self.priors {
             contributions.push((UncertaintySource::Prior { column }, inverse.column(column) / sigma));
@@ -344,20 +353,21 @@ pub struct Scores {
     gradients: Vec<DVector<f64>>,
     /// Normal matrix of all samples, for all columns.
     matrix: DMatrix<f64>,
-    /// Columns of the solution.
+    /// Columns of the solution, `kept` in [`Normals::scores`].
     kept: Vec<usize>,
     /// Factor of the normal matrix of the kept columns, with priors.
     factor: ScaledCholesky,
 }
 
 impl Scores {
-    /// Probability of gradients along further columns that are at least as far from zero if their parameters are zero: Rao's
-    /// score test with the scatter of the folds, whose errors are correlated (Hotelling's T squared). `None` if there are too
-    /// few folds.
+    /// Probability that the gradients along the columns `tried` are at least this far from zero although the parameters of
+    /// these columns are zero. Rao's score test, with the scatter of the folds because errors within a fold are correlated
+    /// (Hotelling's T squared). `None` if there are too few folds.
     pub fn chance(&self, tried: &[usize]) -> Option<f64> {
         let (count, size) = (self.gradients.len(), tried.len());
         let fisher = FisherSnedecor::new(size as f64, count.checked_sub(size)? as f64).ok()?;
-        // Coefficients of the kept columns that explain a tried column; this part of its gradient is removed.
+        // For each tried column, the coefficients of the kept columns that explain it. The explained component is
+        // removed from the gradient.
         let coefficients: Vec<DVector<f64>> = tried
             .iter()
             .map(|&column| {
@@ -383,7 +393,7 @@ impl Scores {
     }
 }
 
-/// Priors of a selection of the columns, numbered as in the selection.
+/// Priors of a selection of the columns. Their columns are numbered as in the selection.
 fn priors_among(priors: &[Prior], columns: &[usize]) -> Vec<Prior> {
     let place = |prior: &Prior| {
         let column = columns.iter().position(|column| *column == prior.column)?;
@@ -456,7 +466,7 @@ mod tests {
     #[test]
     fn a_fold_is_predicted_as_by_a_solve_without_it() {
         let (line, folds) = line();
-        // Far from the solution: the problem is linear.
+        // The point is far from the solution, which does not matter because the problem is linear.
         let Ok(normals) = Normals::new(&line, &[0.5, -1.0], &Options::default(), &folds) else {
             panic!("finite residuals")
         };

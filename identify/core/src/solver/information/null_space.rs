@@ -1,18 +1,22 @@
-//! Groups of dependent parameters from a sparse basis of the Jacobian's null space, for messages of `identifiability`.
+//! Finds groups of dependent parameters from a sparse basis of the Jacobian's null space.
+//! `identifiability` reports these groups.
 //!
-//! All entries of an orthonormal basis are usually nonzero. Here the basis is reduced with pivots chosen such that a direction
-//! with many parameters (a common scale of all lengths) gets a vector of its own, and the other vectors become sparse: two
-//! parameters that add up, or three that shift the same height.
+//! In an orthonormal basis, usually all entries are nonzero. This module reduces the basis to vectors that are zero at the
+//! pivots of the other vectors. The pivots are chosen such that a direction with many parameters, such as a common scale of
+//! all lengths, becomes a vector of its own. The other vectors then become sparse: two parameters of which only the sum is
+//! determined, for example, or three that shift the same height. The support of a vector is the set of columns with nonzero
+//! entries; overlapping supports are merged to groups.
 
 use nalgebra::DMatrix;
 
 use crate::solver::DependentGroup;
 use crate::statistics::largest_size;
 
-/// Entries below this part of their vector's largest count as zero. The gaps of ranks are much larger than this.
+/// Entries count as zero below this fraction of the largest entry of their vector. The gaps of ranks are much larger.
 const ENTRY_TOLERANCE: f64 = 1e-4;
 
-/// Groups of dependent columns from an orthonormal null basis (one column per vector) of the column-scaled Jacobian.
+/// Groups of dependent columns, from an orthonormal null basis of the column-scaled Jacobian. The basis has one column for
+/// each vector; `zero_columns` of the Jacobian belong to no group.
 pub(in crate::solver) fn dependent_groups(
     null_basis: &DMatrix<f64>,
     zero_columns: &[usize],
@@ -25,12 +29,13 @@ pub(in crate::solver) fn dependent_groups(
     supports.retain(|members| !members.is_empty());
     supports.sort_by_key(Vec::len);
     let mut groups = merge_overlapping(supports);
-    // The order of columns decides, not small numerical differences.
+    // The order follows the column indices, so that small numerical differences do not change it.
     groups.sort_by(|a, b| (a.columns.len(), &a.columns).cmp(&(b.columns.len(), &b.columns)));
     groups
 }
 
-/// A support that overlaps exactly one group extends it. One that overlaps none or several becomes a group of its own.
+/// Merges supports to groups. A support that overlaps exactly one group extends this group. A support that overlaps no group
+/// or several groups becomes a group of its own.
 fn merge_overlapping(supports: Vec<Vec<usize>>) -> Vec<DependentGroup> {
     let mut groups: Vec<DependentGroup> = Vec::new();
     for members in supports {
@@ -49,14 +54,14 @@ fn merge_overlapping(supports: Vec<Vec<usize>>) -> Vec<DependentGroup> {
     groups
 }
 
-/// Columns whose entries of a null vector are not zero.
+/// Columns where a null vector is not zero.
 fn support(vector: &[f64]) -> Vec<usize> {
     let largest = largest_size(vector);
     let is_nonzero = |v: &f64| v.abs() > ENTRY_TOLERANCE * largest;
     vector.iter().enumerate().filter(|(_, v)| is_nonzero(v)).map(|(column, _)| column).collect()
 }
 
-/// Null vectors, each of which is zero at the pivots of the others.
+/// Basis of the same null space, in which each vector is zero at the pivots of the others.
 fn sparse_basis(mut basis: DMatrix<f64>) -> Vec<Vec<f64>> {
     let full = basis.clone();
     let mut pivots = Vec::new();
@@ -68,14 +73,14 @@ fn sparse_basis(mut basis: DMatrix<f64>) -> Vec<Vec<f64>> {
     if pivots.is_empty() {
         return Vec::new();
     }
-    // Coefficients that yield one at the own pivot and zero at the others.
+    // With these coefficients a vector is one at its own pivot and zero at the other pivots.
     let at_pivots = full.select_rows(&pivots);
     let Some(inverse) = at_pivots.pseudo_inverse(1e-12).ok() else { return Vec::new() };
     let reduced = full * inverse;
     reduced.column_iter().map(|column| column.iter().copied().collect()).collect()
 }
 
-/// The parameter with the largest number of rows parallel to its own: these parameters share one null direction.
+/// The row of `basis` with the largest number of parallel rows. The parameters of parallel rows share one null direction.
 fn next_pivot(basis: &DMatrix<f64>) -> Option<usize> {
     let norms: Vec<f64> = basis.row_iter().map(|row| row.norm()).collect();
     let largest = norms.iter().copied().fold(0.0, f64::max);
@@ -88,7 +93,7 @@ fn next_pivot(basis: &DMatrix<f64>) -> Option<usize> {
         };
         nonzero.iter().filter(is_parallel).count()
     };
-    // Of rows with the same number the longest is the best conditioned pivot.
+    // Among rows with the same number of parallel rows, the longest is the best conditioned pivot.
     nonzero
         .iter()
         .copied()
@@ -97,7 +102,7 @@ fn next_pivot(basis: &DMatrix<f64>) -> Option<usize> {
 
 /// Orthonormal basis of the vectors in the span of `basis` that are zero at `pivot`.
 fn vanishing_at(basis: &DMatrix<f64>, pivot: usize) -> DMatrix<f64> {
-    // A reflection that maps the pivot's row onto the first coefficient; the other columns are then zero there.
+    // A reflection maps the pivot's row onto the first coefficient. The other columns are then zero at the pivot.
     let row = basis.row(pivot).transpose();
     let mut axis = row.clone();
     axis[0] += row.norm().copysign(row[0]);

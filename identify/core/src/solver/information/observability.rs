@@ -1,8 +1,8 @@
-//! The five observability indices: how well a set of poses determines the parameters, in one number.
+//! The five observability indices. Each is a number that describes how well a set of poses determines the parameters.
 //!
-//! Names and formulas as in Sun and Hollerbach, "Observability index selection for robot calibration" (ICRA 2008), with
-//! `s1 >= .. >= sL` the singular values of the Jacobian over `m` poses and `L` parameters. Larger is better. All of them
-//! depend on units: the columns are scaled by given units, such as one millimetre for lengths.
+//! Names and formulas are those of Sun and Hollerbach, "Observability index selection for robot calibration" (ICRA 2008).
+//! `s1 >= .. >= sL` are the singular values of the Jacobian over `m` poses and `L` parameters. Larger is better. All indices
+//! depend on units, so the columns are first scaled by given units, such as one millimetre for lengths.
 
 use std::fmt;
 
@@ -12,12 +12,13 @@ use serde::{Deserialize, Serialize};
 /// O1 to O5. All are zero if a parameter is not determined.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct Observability {
-    /// `(s1 s2 .. sL)^(1/L) / sqrt(m)`: volume of the ellipsoid of the Jacobian; its maximum is D-optimal (Borm and Menq
-    /// 1991).
+    /// `(s1 s2 .. sL)^(1/L) / sqrt(m)`, from the volume of the ellipsoid of the Jacobian. Poses that maximise it are
+    /// D-optimal (Borm and Menq 1991).
     pub o1: f64,
     /// `sL / s1`: the inverse condition number (Driels and Pathre 1990).
     pub o2: f64,
-    /// `sL`: information about the weakest direction; E-optimal (Nahvi, Hollerbach and Hayward 1994).
+    /// `sL`: information about the weakest direction. Poses that maximise it are E-optimal (Nahvi,
+    /// Hollerbach and Hayward 1994).
     pub o3: f64,
     /// `sL^2 / s1`: the noise amplification index (Nahvi and Hollerbach 1996).
     pub o4: f64,
@@ -33,10 +34,10 @@ impl fmt::Display for Observability {
 }
 
 impl Observability {
-    /// From a matrix with the singular values of the Jacobian, such as its triangle, its columns multiplied by `scales`
-    /// (one for each column), and the number of poses.
+    /// Computes the indices. `triangle` is a matrix with the singular values of the Jacobian, such as its triangular factor.
+    /// Its columns are multiplied by `scales`, one for each column.
     ///
-    /// Singular values below `tolerance` of the largest count as zero.
+    /// If a singular value is at most `tolerance` times the largest, a parameter is not determined and all indices are zero.
     pub fn new(triangle: &DMatrix<f64>, scales: &[f64], poses: usize, tolerance: f64) -> Self {
         let mut scaled = triangle.clone();
         for (mut column, scale) in scaled.column_iter_mut().zip(scales) {
@@ -68,7 +69,8 @@ mod tests {
 
     #[test]
     fn the_indices_of_known_singular_values() {
-        // Rotated, so that the singular values are not the diagonal; the scales undo the columns' factors.
+        // A rotation makes the triangle differ from a diagonal matrix of singular values. The scales undo the
+        // factors of the columns.
         let turn = DMatrix::from_row_slice(2, 2, &[0.6, -0.8, 0.8, 0.6]);
         let triangle = turn * DMatrix::from_row_slice(2, 2, &[8.0, 0.0, 0.0, 1.0]);
         let found = Observability::new(&triangle, &[1.0, 2.0], 4, 1e-6);

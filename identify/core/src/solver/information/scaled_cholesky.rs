@@ -1,5 +1,6 @@
-//! Cholesky factorisation of a normal matrix `N`, with columns in metres, radians and seconds scaled to unit length first. Used
-//! for steps, fold covariances and tests; rank is decided elsewhere, from an orthogonal factorisation (`identifiability`).
+//! Cholesky factorisation of a normal matrix `N`. The columns, which are in metres, radians and seconds, are scaled to
+//! unit length first. Used for steps, covariances of folds, and tests. The rank is determined in `identifiability`,
+//! from an orthogonal factorisation.
 
 use nalgebra::linalg::Cholesky;
 use nalgebra::{DMatrix, DVector, Dyn};
@@ -8,7 +9,7 @@ use nalgebra::{DMatrix, DVector, Dyn};
 #[derive(Debug, Clone)]
 pub struct ScaledCholesky {
     factor: Cholesky<f64, Dyn>,
-    /// Diagonal of `S`; zero for an undetermined column, whose solution is then zero.
+    /// Diagonal of `S`. It is zero for a zero column, so that the solution is zero there too.
     scale: DVector<f64>,
 }
 
@@ -30,8 +31,8 @@ impl ScaledCholesky {
         Some(Self { factor: normal.cholesky()?, scale })
     }
 
-    /// Whether every column is determined: each has a part of at least a millionth that is independent of the columns before
-    /// it.
+    /// Whether every column is determined: a component of at least a millionth of each scaled column is independent of
+    /// the columns before it.
     pub fn is_complete(&self) -> bool {
         const PIVOT_MIN: f64 = 1e-6;
         let pivots = self.factor.l_dirty().diagonal();
@@ -43,7 +44,7 @@ impl ScaledCholesky {
         self.factor.solve(&b.component_mul(&self.scale)).component_mul(&self.scale)
     }
 
-    /// `ln det N` of the columns that are not zero.
+    /// `ln det N`, without the zero columns.
     pub fn log_determinant(&self) -> f64 {
         let log_scales = self.scale.iter().filter(|scale| **scale > 0.0).map(|scale| scale.ln()).sum::<f64>();
         let log_pivots = self.factor.l_dirty().diagonal().iter().map(|pivot| pivot.ln()).sum::<f64>();
