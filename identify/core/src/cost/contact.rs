@@ -1,4 +1,5 @@
-//! A ball on the flange, seated in sockets: each sample consists of the robot's joints and the number of the socket.
+//! Cost for a ball on the flange that is seated in sockets. Each sample consists of the robot's joints and the
+//! index of the socket.
 
 use nalgebra::Vector3;
 
@@ -7,11 +8,11 @@ use crate::kinematics::Chain;
 use crate::logs::TipRow;
 use crate::model::{Owner, ParameterId};
 
-/// `R ball - socket` \[m\], entries in the robot's base; `R` is the robot's pose. The problem divides it by the standard
-/// deviation of a coordinate.
+/// The residual is `R ball - socket` \[m\], with entries in the robot's base. `R` is the robot's pose. The problem divides
+/// the residual by the standard deviation of a coordinate.
 #[derive(Debug, Clone, Copy)]
 pub struct SeatedBall<'a> {
-    /// Each sample with its socket.
+    /// Each sample with the index of its socket.
     pub rows: &'a [TipRow],
 }
 

@@ -1,15 +1,17 @@
-//! Data sets of one robot (different paths, bars, positions of the bar, or instruments) as one problem, for a calibration.
+//! Combines the data sets of one robot into one problem for a calibration. The data sets can differ in path, bar, position
+//! of the bar, or instrument.
 //!
-//! Each data set (`run` is its index) has its own model. A parameter that two models share, such as a link of the robot, has
-//! one column in the combined problem. A parameter that each run has for itself, such as the bar's position, has a column
-//! per run.
+//! Each data set has an index, `run`, and its own model. A parameter that the models share, such as a link of the robot,
+//! has one column in the combined problem. A parameter with a separate value in each run, such as the bar's position, has
+//! one column per run.
 
 use crate::model::{Column, Model, ParameterId};
 use crate::solver::{LeastSquares, Linearisation, Prior};
 
 /// Whitened samples of one instrument, independent of the type of residual.
 pub trait DataSet: LeastSquares {
-    /// As [`LeastSquares::at`], but in the columns of the caller's problem: parameter `i` is its column `columns[i]`.
+    /// As [`LeastSquares::at`], but writes into the columns of the caller's problem. Parameter `i` of this data set
+    /// is column `columns[i]` there.
     fn at_into<'a>(&'a self, x: &[f64], columns: &'a [usize]) -> Linearisation<'a>;
 }
 
@@ -22,8 +24,9 @@ pub struct SharedColumns {
 }
 
 impl SharedColumns {
-    /// `is_own` is true for parameters that each run has for itself; all others are shared with the first run that has them.
-    /// Columns of the first run are first, in its order.
+    /// Assigns the columns of all models. `is_own` returns true for parameters with a separate value in each run. All
+    /// other parameters are shared with the first run that has them. The columns of the first run come first, in the
+    /// order of its model.
     pub fn new<'m>(
         models: impl IntoIterator<Item = &'m Model>,
         is_own: impl Fn(ParameterId) -> bool,
@@ -54,17 +57,18 @@ impl SharedColumns {
         self.of_runs.get(run).map_or(&[], Vec::as_slice)
     }
 
-    /// The combined columns, in the order of a solution.
+    /// The combined columns, in the order of the solution's values.
     pub fn all(&self) -> &[Column] {
         &self.all
     }
 
-    /// The parameter values of one run, from those of the combined problem.
+    /// The parameter values of one run, selected from the values `x` of the combined problem.
     pub fn values(&self, run: usize, x: &[f64]) -> Vec<f64> {
         self.of_run(run).iter().map(|&column| x.get(column).copied().unwrap_or_default()).collect()
     }
 
-    /// One value per combined column, from each run's own values. The first run that has a column provides its value.
+    /// One value per combined column, from the values of each run. If several runs have a column, the first of
+    /// them provides the value.
     pub fn gather<T: Clone>(&self, values_of_runs: &[Vec<T>]) -> Vec<T> {
         let first_value = |column: usize| {
             let value_in_run = |(columns, values): (&Vec<usize>, &Vec<T>)| {
@@ -89,7 +93,7 @@ pub struct CombinedDataSets<'a> {
 }
 
 impl<'a> CombinedDataSets<'a> {
-    /// Combines data sets; `columns` are those of the models of the sets.
+    /// Combines data sets. `columns` was built from the models of these sets, in the same order.
     pub fn new(sets: Vec<Box<dyn DataSet + 'a>>, columns: &'a SharedColumns) -> Self {
         let mut starts = vec![0];
         for set in &sets {
@@ -99,7 +103,7 @@ impl<'a> CombinedDataSets<'a> {
         for (run, set) in sets.iter().enumerate() {
             for prior in set.priors() {
                 let Some(&column) = columns.of_run(run).get(prior.column) else { continue };
-                // A prior of a shared parameter counts once.
+                // The prior of a shared parameter is used once, although each run has it.
                 if priors.iter().all(|known| known.column != column) {
                     priors.push(Prior { column, ..*prior });
                 }

@@ -1,4 +1,4 @@
-//! A length measured at each pose: draw-wire or telescoping bar.
+//! Cost for a length that is measured at each pose, by a draw-wire sensor or a telescoping bar.
 
 use nalgebra::Vector3;
 
@@ -7,13 +7,14 @@ use crate::kinematics::Chain;
 use crate::logs::LengthRow;
 use crate::model::{Geometry, Owner, ParameterId, SetUp, WireGeometry};
 
-/// `(1 + scale) |R attachment - anchor| + offset - measured` \[m\], divided by the sample's noise relative to that of the median
-/// sample. The problem divides it by the standard deviation of the median sample.
+/// The residual is `(1 + scale) |R attachment - anchor| + offset - measured` \[m\], divided by the relative noise of the
+/// sample. The relative noise is the ratio of a sample's standard deviation to that of the median sample. The problem
+/// divides the residual by the standard deviation of the median sample.
 #[derive(Debug, Clone, Copy)]
 pub struct MeasuredLength<'a> {
-    /// Each sample with its length, anchor and attachment; a sample without row is ignored.
+    /// Each sample with its length, anchor and attachment. Samples without a row are ignored.
     pub rows: &'a [LengthRow],
-    /// Standard deviation of each sample relative to that of the median sample; a sample without entry is ignored.
+    /// Relative noise of each sample. Samples without an entry are ignored.
     pub relative_noise: &'a [f64],
 }
 
@@ -24,7 +25,7 @@ pub struct Stretched {
     set_up: SetUp,
     relative_noise: f64,
     flange_to_attachment_m: Vector3<f64>,
-    /// From anchor to attachment.
+    /// Vector from the anchor to the attachment.
     wire_m: Vector3<f64>,
 }
 
@@ -55,7 +56,7 @@ impl Residual for MeasuredLength<'_> {
 
     fn derivative(&self, scene: &Scene<'_>, wire: &Stretched, id: ParameterId, out: &mut [f64]) {
         let Stretched { set_up, relative_noise, flange_to_attachment_m, wire_m, .. } = wire;
-        // At zero length the direction is undefined; the derivative is taken as zero.
+        // At zero length the direction is undefined, so the derivative is set to zero.
         let direction = if wire_m.norm() > 0.0 { wire_m.normalize() } else { *wire_m };
         let direction = direction * (1.0 + scene.geometry.scale);
         let derivative = match (id, scene.movement(id)) {

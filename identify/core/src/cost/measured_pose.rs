@@ -1,4 +1,4 @@
-//! A pose measured at each pose of the robot: a tracker with a six-degree-of-freedom probe on the flange.
+//! Cost for a pose that is measured at each pose of the robot, by a tracker with a six-degree-of-freedom probe on the flange.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -9,7 +9,7 @@ use crate::kinematics::{Chain, rotation_vector};
 use crate::logs::PoseRow;
 use crate::model::{Owner, ParameterId};
 
-/// Noise of a measured pose: standard deviation of each coordinate.
+/// Noise of a measured pose.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PoseNoise {
     /// Standard deviation of each position coordinate \[m\].
@@ -18,11 +18,12 @@ pub struct PoseNoise {
     pub rotation_rad: f64,
 }
 
-/// `H = R probe` is the probe's pose by the robot (`held`), `S = T measured` that by the tracker (`seen`), with the tracker's
-/// pose `T` and the measured position divided by `1 + scale`. The residual is the position of `H` minus that of `S` in the
-/// robot's base, and the rotation vector of `S^-1 H`, each divided by its standard deviation.
+/// `H = R probe` is the probe's pose predicted by the robot (`held`). `S = T measured` is the probe's pose observed by the
+/// tracker (`seen`), where `T` is the tracker's pose and the measured position is divided by `1 + scale`. The residual
+/// consists of the position of `H` minus that of `S`, in the robot's base, and of the rotation vector of `S^-1 H`. Each is
+/// divided by its standard deviation.
 ///
-/// A sample without row or rotation is ignored.
+/// Samples without a row or a rotation are ignored.
 #[derive(Debug, Clone, Copy)]
 pub struct MeasuredPose<'a> {
     /// Each sample with its pose and set-up.
@@ -31,13 +32,13 @@ pub struct MeasuredPose<'a> {
     pub noise: &'a [PoseNoise],
 }
 
-/// Both poses of the probe, and the rotation between them.
+/// Predicted and observed pose of the probe, and the rotation between them.
 #[derive(Debug, Clone, Copy)]
 pub struct TurnedSighting {
     sighting: Sighting,
     /// Rotation vector of `S^-1 H` \[rad\].
     turn_rad: Vector3<f64>,
-    /// Derivative of `turn_rad` by the angular velocity of `H` minus that of `S`, in the robot's base.
+    /// Derivative of `turn_rad` with respect to the angular velocity of `H` relative to `S`, in the robot's base.
     by_angular: Matrix3<f64>,
 }
 
@@ -72,7 +73,7 @@ impl Residual for MeasuredPose<'_> {
 }
 
 impl TurnedSighting {
-    /// Writes six numbers in units of their standard deviations.
+    /// Writes position and rotation in units of their standard deviations.
     fn write(&self, linear_m: &Vector3<f64>, angular_rad: &Vector3<f64>, out: &mut [f64]) {
         let linear = linear_m / self.sighting.noise.position_m;
         let angular = angular_rad / self.sighting.noise.rotation_rad;

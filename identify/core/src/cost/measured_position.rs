@@ -1,4 +1,4 @@
-//! A position measured at each pose: a tracker that follows a reflector on the flange.
+//! Cost for a position that is measured at each pose, by a tracker that follows a reflector on the flange.
 
 use nalgebra::Vector3;
 
@@ -7,10 +7,10 @@ use crate::kinematics::{Chain, Pose, Twist};
 use crate::logs::PoseRow;
 use crate::model::{Coordinate, Owner, ParameterId, SetUp};
 
-/// `R probe - T measured / (1 + scale)`, entries in the robot's base, divided by the standard deviation of a coordinate: `R` is
-/// the robot's pose, `T` the tracker's pose.
+/// The residual is `R probe - T measured / (1 + scale)`, with entries in the robot's base, divided by the standard deviation
+/// of a coordinate. `R` is the robot's pose and `T` the tracker's pose.
 ///
-/// A sample without row is ignored.
+/// Samples without a row are ignored.
 #[derive(Debug, Clone, Copy)]
 pub struct MeasuredPosition<'a> {
     /// Each sample with its position and set-up.
@@ -19,12 +19,12 @@ pub struct MeasuredPosition<'a> {
     pub noise: &'a [PoseNoise],
 }
 
-/// The pose of the probe predicted by the robot and that observed by the tracker.
+/// Pose of the probe as predicted by the robot, and as observed by the tracker.
 #[derive(Debug, Clone, Copy)]
 pub struct Sighting {
     /// `root_from_probe` predicted by the robot.
     pub(super) held: Pose,
-    /// `root_from_probe` observed by the tracker, without the error of its scale.
+    /// `root_from_probe` observed by the tracker, corrected for the error of the tracker's scale.
     pub(super) seen: Pose,
     /// Noise of the observed pose.
     pub(super) noise: PoseNoise,
@@ -32,7 +32,8 @@ pub struct Sighting {
 }
 
 impl Sighting {
-    /// Both poses at one sample, without rotation if none was measured; `None` if the set-up does not exist.
+    /// Computes both poses at one sample. If no rotation was measured, only the positions are meaningful. `None` if the
+    /// sample's set-up does not exist.
     pub(super) fn new(scene: &Scene<'_>, row: &PoseRow, noise: PoseNoise) -> Option<Self> {
         let (tracker, probe) = scene.geometry.tracker.at(row.set_up)?;
         let held = scene.robot.end() * probe.pose();
@@ -46,7 +47,8 @@ impl Sighting {
         self.held.translation.vector - self.seen.translation.vector
     }
 
-    /// Twist of the predicted probe relative to the observed one, per unit rate of a parameter.
+    /// Twist of the predicted probe relative to the observed one, per unit rate of a parameter. `None` if
+    /// the parameter changes neither.
     pub(super) fn parting(&self, scene: &Scene<'_>, id: ParameterId) -> Option<Twist> {
         use Coordinate::{Position, Rotation};
         let (tracker, probe) = scene.geometry.tracker.at(self.set_up)?;

@@ -1,9 +1,12 @@
-//! Costs: from parameter values and samples to residuals and Jacobian, for the solver. [`crate::instrument`] chooses the cost.
+//! Costs. A cost computes residuals and Jacobian for the solver, from parameter values and samples.
+//! [`crate::instrument`] selects the cost.
 //!
-//! A parameter moves the end of the robot's chain or of the bar's chain by a twist, which [`Scene`] computes for all costs. A
-//! cost is a [`Residual`]: the residual of a sample, and its derivative from this twist. [`LoopProblem`] applies a cost to the
-//! samples of a data set, [`CombinedDataSets`] combines data sets. Letters as in the thesis: `R` and `B` are the poses of the
-//! end by robot and bar, `R_p` and `B_p` their positions, `o` the base of the bar, `L` its length, `b` its joints.
+//! A parameter moves the end of the robot's chain or of the bar's chain by a twist, which [`Scene`] computes for all costs.
+//! A cost implements [`Residual`]: it computes the residual of a sample, and the derivatives of the residual from these
+//! twists. [`LoopProblem`] applies a cost to the samples of a data set. [`CombinedDataSets`] combines data sets.
+//!
+//! Symbols are those of the thesis. `R` and `B` are the poses of the end according to robot and bar, and `R_p` and `B_p`
+//! their positions. `o` is the base of the bar, `L` the length of the bar, and `b` its joints.
 
 mod bar;
 mod contact;

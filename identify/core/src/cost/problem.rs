@@ -1,9 +1,11 @@
-//! [`LoopProblem`]: a cost over the samples of one data set, as a least-squares problem for the solver.
+//! [`LoopProblem`] applies a cost to the samples of one data set. The result is a least-squares problem for the solver.
 //!
-//! At parameter values `x` the model gives the geometry. For each sample, [`LoopPoint`] reads the robot's joints at the
-//! sample's time and traces both chains into a [`Scene`]; from it the cost computes residual and derivatives, which are then
-//! divided by the residual's standard deviation. Known properties of an instrument ([`Knowns`], such as the distance between two
-//! sockets) follow as one sample each, with their own standard deviation and derivatives by their own parameters.
+//! For parameter values `x` the model provides the geometry, from which a [`LoopPoint`] prepares both chains. For each sample,
+//! [`LoopPoint`] interpolates the robot's joints at the sample's time and computes both chains, which together are a [`Scene`].
+//! The cost computes residual and derivatives from the scene. Both are then divided by the standard deviation of the residual.
+//!
+//! Known properties of an instrument ([`Knowns`], such as the distance between two sockets) are additional samples after the
+//! measured ones. Their residuals are already in units of their standard deviations.
 
 use nalgebra::Vector3;
 
@@ -42,18 +44,18 @@ pub enum CostError {
     },
 }
 
-/// The closed chain as a least-squares problem.
+/// The closed chain of robot and instrument as a least-squares problem.
 #[derive(Debug)]
 pub struct LoopProblem<'a, R, M> {
     model: &'a Model,
     motion: &'a M,
     observations: &'a [Observation],
-    /// Sines and cosines of the bar's readings, which are constant in a solve.
+    /// Sines and cosines of the readings of the bar's encoders, which are constant in a solve.
     readings: Vec<[Turn; BAR_JOINTS]>,
     residual: R,
     /// Parameter of each column.
     ids: Vec<ParameterId>,
-    /// `0, 1, 2 ..`: each parameter in its own column.
+    /// The numbers `0, 1, 2 ..`, which assign each parameter to a column of this problem.
     own_columns: Vec<usize>,
     priors: Vec<Prior>,
     /// One over the standard deviation of a residual entry.
@@ -63,11 +65,12 @@ pub struct LoopProblem<'a, R, M> {
 }
 
 impl<'a, R: Residual, M: RobotMotion> LoopProblem<'a, R, M> {
-    /// `sigma` is the standard deviation of a residual entry in its own unit. Residuals are divided by it, so that priors and
-    /// robust scales are in units of sigma. With `sigma` one and without priors the residual is as the cost defines it.
+    /// Creates the problem. `sigma` is the standard deviation of a residual entry, in the unit of the residual. Residuals
+    /// are divided by `sigma`, so that scales of priors and robust losses are in units of standard deviations. If `sigma` is
+    /// one, the residual is as the cost defines it.
     ///
     /// # Errors
-    /// [`CostError`] if the observations lack what the cost needs.
+    /// [`CostError`] if the observations do not contain the values that the cost needs, or if `sigma` is not positive.
     pub fn new(
         model: &'a Model,
         motion: &'a M,
@@ -101,7 +104,7 @@ impl<'a, R: Residual, M: RobotMotion> LoopProblem<'a, R, M> {
         })
     }
 
-    /// The problem with known properties of the instrument as further samples.
+    /// Adds known properties of the instrument as further samples.
     #[must_use]
     pub fn with_knowns(self, knowns: &'a dyn Knowns) -> Self {
         Self { knowns: Some(knowns), ..self }
@@ -113,7 +116,7 @@ pub(super) fn readings(observation: &Observation) -> [Turn; BAR_JOINTS] {
     observation.bar_rad.map(Turn::of)
 }
 
-/// Checks that the observation has finite values of all that the cost needs.
+/// Checks that the observation contains all values that the cost needs, and that they are finite.
 fn check_observation<R: Residual>(sample: usize, observation: &Observation) -> Result<(), CostError> {
     for &joint in R::ENCODERS {
         if !observation.measured.get(joint).copied().unwrap_or(false) {
@@ -129,7 +132,7 @@ fn check_observation<R: Residual>(sample: usize, observation: &Observation) -> R
     }
 }
 
-/// Chains prepared for one set of parameters, with scratch buffers.
+/// Both chains, prepared for one set of parameters. The fields `joints`, `robot` and `bar` are buffers for the current sample.
 #[derive(Debug)]
 pub struct LoopPoint {
     geometry: Geometry,
@@ -158,7 +161,7 @@ impl LoopPoint {
         }
     }
 
-    /// Both chains at one observation; `None` if the robot's log does not cover it.
+    /// Computes both chains at one observation. `None` if the robot's log does not cover the observation.
     pub(super) fn scene<'a>(
         &'a mut self,
         motion: &impl RobotMotion,
@@ -169,12 +172,14 @@ impl LoopPoint {
         if !self.geometry.joints_at(motion, observation.t_s, &mut self.joints) {
             return None;
         }
+        // Bar joints: readings corrected by offsets of the counter origin and by encoder errors.
         let joints = &self.joints;
         let errors_rad = self.geometry.encoder_errors_rad(readings);
         let origin_offsets_rad = self.geometry.offsets_of_origin(observation.origin);
         let correction_rad: [f64; BAR_JOINTS] =
             std::array::from_fn(|joint| origin_offsets_rad[joint] - errors_rad[joint]);
         let bar_joints = readings.iter().zip(correction_rad).map(|(reading, rad)| reading.and(Turn::of(rad)));
+        // Length of the rod, elongated by force and direction.
         if let Some(rod) = self.geometry.bar_links.get(ROD_LINK) {
             let rod_m = rod.d_m + self.geometry.extension_m(&observation.force, readings);
             self.bar_tracer.set_d(ROD_LINK, rod_m);
@@ -202,7 +207,7 @@ impl LoopPoint {
 }
 
 impl<R: Residual, M: RobotMotion> LoopProblem<'_, R, M> {
-    /// The observations as samples, for a geometry that was built from the parameters.
+    /// Linearises the samples of the observations, for the geometry at the current parameters.
     fn linearised<'a>(&'a self, geometry: Geometry, columns: &'a [usize]) -> Linearisation<'a> {
         let mut point = LoopPoint::new(geometry);
         Box::new(move |sample, residual, block| {

@@ -1,11 +1,11 @@
-//! What a cost function provides: a residual per sample, its derivatives, and the encoders that it requires.
+//! Interface of a cost function: the residual of a sample, its derivatives, and the encoders that it requires.
 
 use super::scene::Scene;
 use crate::kinematics::{Chain, ROD_LINK};
 use crate::model::ParameterId;
 
-/// Whether a cost with these encoders can depend on the parameter. Harmonics and offsets of an encoder, and waves over its
-/// reading, need that encoder; all other parameters return true.
+/// Whether a cost that uses these encoders can depend on the parameter. Harmonics and offsets of an encoder, and waves over
+/// its reading, need this encoder. For all other parameters the result is true.
 pub(super) fn encoders_suffice(id: ParameterId, encoders: &[usize]) -> bool {
     match id {
         ParameterId::EncoderWave { joint, .. }
@@ -15,7 +15,7 @@ pub(super) fn encoders_suffice(id: ParameterId, encoders: &[usize]) -> bool {
     }
 }
 
-/// A cost function: a residual vector per sample and its derivatives by the parameters.
+/// A cost function: a residual vector for each sample, and its derivatives with respect to the parameters.
 pub trait Residual: Sync {
     /// Intermediate results of a sample, computed once for its residual and all derivatives.
     type Local;
@@ -23,18 +23,19 @@ pub trait Residual: Sync {
     const NAME: &'static str;
     /// Number of residual entries per sample.
     const ROWS: usize;
-    /// Joints (from 0) whose encoders are required.
+    /// Indices (from 0) of the bar joints whose encoders the cost requires.
     const ENCODERS: &'static [usize] = &[];
 
-    /// Whether the parameter changes the residual of this robot. Other parameters need not be free.
+    /// Whether the parameter changes the residual for this robot. Parameters that do not change the residual need not be free.
     fn depends_on(id: ParameterId, robot: &Chain) -> bool;
 
-    /// Whether the residual distinguishes the parameter from the others. Only then do named selections free it.
+    /// Whether the residual can distinguish the effect of the parameter from that of the other parameters. Named selections
+    /// of parameters free only such parameters.
     fn identifies(id: ParameterId, robot: &Chain) -> bool {
         Self::depends_on(id, robot)
     }
 
-    /// Computes the intermediate results of a sample; `None` if the residual has no value there.
+    /// Computes the intermediate results of a sample. `None` if the residual has no value at this sample.
     fn local(&self, scene: &Scene<'_>) -> Option<Self::Local>;
 
     /// Writes the residual, `ROWS` entries.
@@ -44,9 +45,10 @@ pub trait Residual: Sync {
     fn derivative(&self, scene: &Scene<'_>, local: &Self::Local, id: ParameterId, out: &mut [f64]);
 }
 
-/// Index (from 0) of the joint whose axis is the rod. Without its encoder only the rotation about the rod is unknown.
+/// Index (from 0) of the joint whose axis is the rod. Without the encoder of this joint, only the rotation about
+/// the rod is unknown.
 pub const ROD_JOINT: usize = ROD_LINK;
-/// Bar encoders without that of [`ROD_JOINT`].
+/// Indices of the bar encoders, without that of [`ROD_JOINT`].
 pub(super) const ALL_BUT_ROD_JOINT: &[usize] = &[0, 1, 3, 4];
 
 /// Indices of all five bar encoders.

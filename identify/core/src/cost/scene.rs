@@ -1,5 +1,6 @@
-//! Both chains at one sample, and the twists of their ends by each parameter, for all residuals. [`super::LoopProblem`] fills
-//! the scene from the parameter values, the observation and the robot's motion at its time.
+//! A [`Scene`] contains both chains at one sample and computes the twists of their ends by each parameter, for all
+//! residuals. [`super::LoopProblem`] creates the scene from the parameter values, the observation, and the robot's motion at
+//! the time of the observation.
 
 use nalgebra::Vector3;
 
@@ -11,9 +12,9 @@ use crate::model::{Axis, Geometry, MovingJoints, Observation, ParameterId};
 pub enum Movement {
     /// Moves the robot's end by this twist.
     Robot(Twist),
-    /// Moves the bar's end by this twist, as given by the bar's joints and links.
+    /// Moves the bar's end by this twist. The bar's end is computed from the bar's joints and links.
     Bar(Twist),
-    /// Moves neither end; the parameter may occur in the residual itself.
+    /// Moves neither end. The parameter may still occur in the residual, as those of other instruments do.
     None,
 }
 
@@ -24,23 +25,24 @@ pub struct Scene<'a> {
     pub geometry: &'a Geometry,
     /// Index of the sample, from 0.
     pub sample: usize,
-    /// Measurement of the bar at this sample; for other instruments only its time.
+    /// Measurement of the bar at this sample. For other instruments only its time is valid.
     pub observation: &'a Observation,
     /// Sines and cosines of the bar's readings.
     pub readings: &'a [Turn; BAR_JOINTS],
-    /// Bar joints corrected for encoder harmonics and offset of the counter origin \[rad\]; offsets (`btheta`) not yet added.
+    /// Bar joints, corrected for encoder harmonics and for the offset of the counter origin \[rad\]. The joint offsets
+    /// `btheta` are not added.
     pub bar_rad: [f64; BAR_JOINTS],
-    /// The bar on its base, its rod elongated by this sample's force and direction.
+    /// Chain of the bar on its base. The length of its rod includes the elongation by force and direction of this sample.
     pub bar_chain: &'a Chain,
-    /// Forward passes of the bar at other angles, such as those that the robot's pose implies.
+    /// Computes the bar at other joint angles, such as those that the robot's pose implies.
     pub bar_tracer: &'a Tracer,
     /// Joint states of the robot.
     pub joints: &'a MovingJoints,
-    /// Trace of the robot at its corrected joints.
+    /// Trace of the robot's chain at its corrected joints.
     pub robot: &'a Trace,
-    /// Trace of the bar at its encoder angles; meaningless for a cost without encoders.
+    /// Trace of the bar's chain at its encoder angles. Meaningless for a cost without encoders.
     pub bar: &'a Trace,
-    /// Twist of the robot's end by its motion, per second of the robot's clock.
+    /// Twist of the robot's end due to the robot's motion, per second of the robot's clock.
     pub robot_rate: Twist,
     /// Axis of the base's second rotation, in the root frame.
     pub(super) base_y: Vector3<f64>,
@@ -62,14 +64,14 @@ impl Scene<'_> {
             | ParameterId::BarWave { .. } => {
                 self.bar_twist(self.bar, id).map_or(Movement::None, Movement::Bar)
             }
-            // The wave is subtracted from the reading.
+            // Encoder harmonics are subtracted from the reading.
             ParameterId::EncoderWave { joint, order, phase } => {
                 match (self.bar.twist(joint, LinkParameter::Theta), self.readings.get(joint)) {
                     (Some(twist), Some(&reading)) => Movement::Bar(twist.scaled(-phase.wave(order, reading))),
                     _ => Movement::None,
                 }
             }
-            // It applies only to the samples of its counter origin.
+            // The offset applies only to samples with this counter origin.
             ParameterId::EncoderOffset { origin, joint } => {
                 let twist = self.bar.twist(joint, LinkParameter::Theta);
                 twist.filter(|_| origin == self.observation.origin).map_or(Movement::None, Movement::Bar)
@@ -82,7 +84,7 @@ impl Scene<'_> {
         }
     }
 
-    /// Twist of the bar's end per unit rate of a parameter of its links or base, with the joints as in `bar`.
+    /// Twist of the bar's end per unit rate of a parameter of its links or base, for the joint angles of the trace `bar`.
     #[inline(always)]
     pub fn bar_twist(&self, bar: &Trace, id: ParameterId) -> Option<Twist> {
         match id {
@@ -96,12 +98,12 @@ impl Scene<'_> {
         }
     }
 
-    /// Derivative of the bar's length by a parameter \[m per unit of the parameter\].
+    /// Derivative of the bar's length with respect to a parameter \[m per unit of the parameter\].
     #[inline]
     pub fn elongation(&self, id: ParameterId) -> f64 {
         match id {
             ParameterId::BarCompliance => self.observation.force.along_n,
-            // -1 to 1: the sign of the force, smoothed around zero.
+            // From -1 to 1: the sign of the force, smoothed around zero.
             ParameterId::BarPlay => self.observation.force.side,
             ParameterId::BarWave { joint, order, phase } => {
                 self.readings.get(joint).map_or(0.0, |reading| phase.wave(order, *reading))
@@ -111,14 +113,14 @@ impl Scene<'_> {
         }
     }
 
-    /// Length of the bar under this sample's force and in its direction \[m\].
+    /// Length of the bar under the force of this sample and in its direction \[m\].
     #[inline]
     pub fn rod_m(&self) -> f64 {
         self.bar_chain.links.get(ROD_LINK).map_or(0.0, |rod| rod.d_m)
     }
 
-    /// Twist of the bar's end per radian of base tilt. The base is `T(origin) Rx(rx) Ry(ry)`: `rx` rotates the axis of `ry`, and
-    /// there is no rotation about z, which the offset of encoder 1 contains.
+    /// Twist of the bar's end per radian of base tilt. The base is `T(origin) Rx(rx) Ry(ry)`, so `rx` rotates the axis of
+    /// `ry`. There is no rotation about z, because the offset of encoder 1 contains it.
     fn base_rotation(&self, axis: Axis, end_m: Vector3<f64>) -> Twist {
         let axis = match axis {
             Axis::X => Vector3::x(),

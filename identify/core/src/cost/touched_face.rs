@@ -1,5 +1,5 @@
-//! A tip on the flange that touches a flat face: each sample consists of the robot's joints, the number of the face and, with a
-//! gauge, the displacement of its plunger.
+//! Cost for a tip on the flange that touches a flat face. Each sample consists of the robot's joints, the index of the face
+//! and, with a gauge, the displacement of the gauge's plunger.
 
 use nalgebra::Vector3;
 
@@ -8,9 +8,9 @@ use crate::kinematics::Chain;
 use crate::logs::TipRow;
 use crate::model::{FaceNumber, Owner, ParameterId};
 
-/// `h + reading` \[m\] with the height `h = (n.x - d) / |n|` of the tip's centre `x = R_p + R tip`. The plane `n.x = d` in the
-/// robot's base is the face displaced by the tip's radius along `n`, which points away from the material. The problem divides
-/// the residual by the standard deviation of a distance.
+/// The residual is `h + reading` \[m\]. `h = (n.x - d) / |n|` is the height of the tip's centre `x = R_p + R tip` over the
+/// plane `n.x = d` in the robot's base. This plane is the face, displaced by the tip's radius along `n`, which points away
+/// from the material. The problem divides the residual by the standard deviation of a distance.
 #[derive(Debug, Clone, Copy)]
 pub struct TouchedFace<'a> {
     /// Each sample with its face and reading.
@@ -22,7 +22,7 @@ pub struct TouchedFace<'a> {
 pub struct OverFace {
     face: usize,
     reading_m: f64,
-    /// `n / |n|` and `|n|`.
+    /// Unit normal `n / |n|`, and below it the length `|n|`.
     unit_normal: Vector3<f64>,
     normal_length: f64,
     /// Vector from the flange to the tip, in the robot's base \[m\].

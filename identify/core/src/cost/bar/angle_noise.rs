@@ -1,11 +1,14 @@
-//! Noise of the bar's encoders and of the robot's joints, estimated from the residuals of cost `pose`, for its weights.
+//! Estimates the noise of the bar's encoders and of the robot's joints from the residuals of cost `pose`, which uses
+//! it for its weights.
 //!
-//! Encoders and joints move a pose in different directions, so the scatter of the poses separates both noises. The covariance
-//! of a residual `r` is `V = s_e^2 E + s_r^2 Q + K`: `E` and `Q` are its covariances for encoders and robot joints of unit
-//! variance, `K` is the known rest. Both variances are maximum likelihood estimates, by Fisher scoring: with `V_1 = E`,
-//! `V_2 = Q` and the weights `W = V^-1` of the step before, the new variances `s_l^2` solve, with sums over all samples,
-//! `sum_l tr(W V_k W V_l) s_l^2 = r' W V_k W r - tr(W V_k W K)` for `k` = 1, 2 (Rao 1971). These equations need no good start,
-//! since they are unbiased for any weights.
+//! Encoders and joints move a pose in different directions, so the scatter of the poses separates both noises. The
+//! covariance of a residual `r` is `V = s_e^2 E + s_r^2 Q + K`. `E` and `Q` are the covariances for encoders and for robot
+//! joints of unit variance, and `K` is the known covariance from other sources. The variances `s_e^2` and `s_r^2` are
+//! maximum likelihood estimates, by Fisher scoring.
+//!
+//! In each step, `V_1 = E`, `V_2 = Q`, and `W = V^-1` are the weights from the step before. The new variances `s_l^2` solve
+//! two equations, `k` = 1, 2 (Rao 1971): `sum_l tr(W V_k W V_l) s_l^2 = r' W V_k W r - tr(W V_k W K)`, with sums over all
+//! samples. The equations are unbiased for any weights, so the start need not be accurate.
 
 use nalgebra::{Matrix6, Vector6};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
@@ -32,26 +35,26 @@ impl AngleNoise {
     }
 }
 
-/// The noise estimated from residuals.
+/// Noise that was estimated from residuals.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FoundNoise {
-    /// Estimated noise; it includes correlated errors.
+    /// Estimated noise. It includes correlated errors.
     pub noise: AngleNoise,
-    /// Correlation of successive residuals: zero for white noise; if a part of the variance is slowly varying, the size of
-    /// that part.
+    /// Correlation of successive residuals. It is zero for white noise. If a fraction of the variance is due to slowly
+    /// varying errors, it is equal to this fraction.
     pub autocorrelation: f64,
-    /// Standard deviation of `autocorrelation` for white noise.
+    /// Standard deviation that `autocorrelation` has for white noise.
     pub autocorrelation_sigma: f64,
 }
 
-/// Residual of one sample, with the covariances that its angles contribute.
+/// Residual of one sample, with the covariances that the noise of its angles contributes.
 #[derive(Debug, Clone)]
 pub(in crate::cost) struct NoisySample {
     /// Position \[m\] and rotation \[rad\].
     pub residual: Vector6<f64>,
-    /// Covariance of the residual for unit variance of the encoders, and of the robot joints.
+    /// Covariance of the residual for unit variance of the encoders (`E`), and of the robot joints (`Q`).
     pub by_angles: [Matrix6<f64>; 2],
-    /// Covariance from all other sources.
+    /// Covariance from all other sources (`K`).
     pub known: Matrix6<f64>,
 }
 
@@ -68,30 +71,31 @@ impl NoisySample {
 
 /// Residual entries per sample.
 const ROWS: usize = 6;
-/// Maximum number of samples used: two variances do not need more.
+/// Maximum number of samples used. Two variances do not need more.
 const SAMPLES_MAX: usize = 3000;
-/// Lower limit of the estimates, relative to the configured noise: below it, interpolation and rounding dominate.
+/// Lower limit of the estimates, relative to the configured noise. Below this limit, interpolation
+/// and rounding errors dominate.
 const NOISE_MIN: f64 = 0.1;
-/// Probability that a good sample is rejected as an outlier.
+/// Probability that a sample is rejected as an outlier although its noise is normally distributed.
 const FALSE_REJECTION: f64 = 1e-3;
 
 impl FoundNoise {
-    /// Noise estimated from samples in order of time (`None` where a sample has no value), after a fit of `columns` parameters.
-    /// `None` if there are too few samples.
+    /// Estimates the noise from samples in order of time, after a fit of `columns` parameters. A sample without a value is
+    /// `None`. The iteration begins at `start`. Returns `None` if there are too few samples.
     pub(in crate::cost) fn of(
         samples: &[Option<NoisySample>],
         columns: usize,
         start: AngleNoise,
     ) -> Option<Self> {
         const STEPS_MAX: usize = 30;
-        /// Relative change of both variances at convergence.
+        /// The iteration has converged if both variances change by less than this fraction.
         const CHANGE_CONVERGED: f64 = 1e-3;
         let present: Vec<&NoisySample> = samples.iter().flatten().collect();
         let rows = ROWS * present.len();
         if rows < 2 * columns {
             return None;
         }
-        // The fitted parameters reduce the residuals; this is the factor for their squares.
+        // The fit of the parameters reduces the residuals. This is the factor on their squares.
         let reduction = (rows - columns) as f64 / rows as f64;
         let thinned: Vec<&NoisySample> =
             present.iter().step_by(present.len().div_ceil(SAMPLES_MAX).max(1)).copied().collect();
@@ -111,7 +115,7 @@ impl FoundNoise {
     }
 }
 
-/// A sample with its weight `W`.
+/// A sample with its weight matrix `W`.
 struct Weighted<'a> {
     sample: &'a NoisySample,
     weight: Matrix6<f64>,
@@ -120,13 +124,14 @@ struct Weighted<'a> {
 }
 
 impl Weighted<'_> {
-    /// `r' W r`, chi-squared distributed.
+    /// Squared norm `r' W r` of the whitened residual, which has a chi-squared distribution.
     fn squared_norm(&self) -> f64 {
         self.sample.residual.dot(&self.residual)
     }
 }
 
-/// New variances from samples weighted with the variances `before`. Sums of squares are divided by `reduction`.
+/// One step of Fisher scoring: new variances from samples weighted with the variances `before`. Sums of squares are divided
+/// by `reduction`, to correct for the fit.
 fn scoring_step(
     samples: &[&NoisySample],
     before: [f64; 2],
@@ -140,11 +145,12 @@ fn scoring_step(
             Some(Weighted { sample, weight, residual: weight * sample.residual })
         })
         .collect();
+    // Sum the equations over all samples that are not outliers.
     let limit = squared_norm_limit(weighted.iter().map(Weighted::squared_norm))?;
     let (mut information, mut right_side) = ([[0.0; 2]; 2], [0.0; 2]);
     for good in weighted.iter().filter(|weighted| weighted.squared_norm() <= limit) {
         let Weighted { sample, weight, residual } = good;
-        // `W V_k` and `W K`.
+        // Products `W V_k` and `W K`.
         let by_angles: [Matrix6<f64>; 2] = sample.by_angles.map(|covariance| weight * covariance);
         let known = weight * sample.known;
         for k in 0..2 {
@@ -155,11 +161,12 @@ fn scoring_step(
             }
         }
     }
+    // Solve the equations. A variance below its limit is set to the limit.
     let [[ee, er], [_, rr]] = information;
     let determinant = ee * rr - er * er;
     let [e, r] = right_side;
     let both = [(rr * e - er * r) / determinant, (ee * r - er * e) / determinant];
-    // One variance, if the other is at its limit.
+    // The variance `k`, if the other variance is fixed at its limit.
     let single = |k: usize, other: f64| (right_side[k] - er * other) / information[k][k];
     let [encoder_min, robot_min] = lower_limits;
     let [encoder, robot] = match [both[0] < encoder_min, both[1] < robot_min] {
@@ -175,13 +182,13 @@ fn trace_of_product(a: &Matrix6<f64>, b: &Matrix6<f64>) -> f64 {
     a.component_mul(&b.transpose()).sum()
 }
 
-/// Limit of the squared norm beyond which a sample is an outlier, from the squared norms of all samples.
+/// Squared norm beyond which a sample is an outlier, estimated from the squared norms of all samples.
 fn squared_norm_limit(squared_norms: impl Iterator<Item = f64>) -> Option<f64> {
     let spread = GoodShare::HALF.spread(squared_norms.map(|squared| (squared, ROWS)));
     Some(spread.powi(2) * ChiSquared::new(ROWS as f64).ok()?.inverse_cdf(1.0 - FALSE_REJECTION))
 }
 
-/// Correlation of successive whitened residuals, and its standard deviation for white noise.
+/// Correlation of successive whitened residuals, and the standard deviation of this correlation for white noise.
 fn autocorrelation(samples: &[Option<NoisySample>], variances: [f64; 2]) -> Option<(f64, f64)> {
     let whiten = |sample: &NoisySample| {
         let factor = sample.covariance_of(variances).cholesky()?;
@@ -209,7 +216,7 @@ mod tests {
 
     use super::*;
 
-    /// Poses moved by five encoders and six joints in random directions; optionally every tenth is an outlier.
+    /// Poses that are moved by five encoders and six joints in random directions. Optionally every tenth pose is an outlier.
     fn samples(truth: AngleNoise, outliers: bool) -> Vec<Option<NoisySample>> {
         let mut random = StdRng::seed_from_u64(5);
         let mut normal = move || random.sample::<f64, _>(StandardNormal);

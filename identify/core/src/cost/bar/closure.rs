@@ -1,5 +1,5 @@
-//! Closure errors (differences of the ends of both chains) of a fitted geometry, sample by sample, for
-//! [`crate::evaluate`] and the deviations of a ball-bar run.
+//! Closure errors of a fitted geometry at each sample. A closure error is the difference between the end of the robot's
+//! chain and the end of the bar's chain. Used by [`crate::evaluate`] and for the deviations of a ball-bar run.
 
 use nalgebra::Vector3;
 
@@ -12,14 +12,14 @@ use crate::model::{BarForce, Geometry, JointState, Observation, RobotMotion};
 pub struct Closure {
     /// Time on the bar's clock, since the reference time \[s\].
     pub t_s: f64,
-    /// Reported robot joints at that instant.
+    /// Robot joints as reported, at that instant.
     pub joints: JointState,
-    /// Robot's end minus bar's end, in the robot's base \[m\].
+    /// Position of the robot's end minus that of the bar's end, in the robot's base \[m\].
     pub position_error_m: Vector3<f64>,
-    /// Rotation from the bar's end to the robot's, in the robot's base \[rad\].
+    /// Rotation from the bar's end to the robot's end, as a rotation vector in the robot's base \[rad\].
     pub turned_rad: Vector3<f64>,
-    /// Distance of the robot's end from the centre of the gimbal, minus the bar's length under its force and in its direction
-    /// \[m\].
+    /// Distance of the robot's end from the centre of the gimbal, minus the length of the bar under its force and
+    /// in its direction \[m\].
     pub off_sphere_m: f64,
     /// Elongation of the bar by the force \[m\].
     pub by_force_m: f64,
@@ -34,14 +34,15 @@ pub struct Closure {
 }
 
 impl Closure {
-    /// Distance of the two ends; without encoders the bar's end is unknown, and this is the distance from its sphere \[m\].
+    /// Distance between the two ends \[m\]. If the bar has no encoders, its end is unknown, and this is the distance of the
+    /// robot's end from the sphere of the bar.
     pub fn gap_m(&self, by_encoders: bool) -> f64 {
         if by_encoders { self.position_error_m.norm() } else { self.off_sphere_m.abs() }
     }
 }
 
-/// The closed chain at each observation, for one geometry. Joints without encoder must have been filled in.
-/// Observations outside the robot's log are omitted.
+/// Closures at all observations, for one geometry. Angles of joints without encoder must have been filled in. Observations
+/// outside the robot's log are omitted.
 pub fn loop_closures(
     geometry: &Geometry,
     motion: &impl RobotMotion,

@@ -1,4 +1,4 @@
-//! The bar as a distance; needs no encoders.
+//! Cost that uses the bar as a distance. It needs no encoders.
 
 use nalgebra::Vector3;
 
@@ -6,8 +6,8 @@ use crate::cost::{Movement, Residual, Scene};
 use crate::kinematics::Chain;
 use crate::model::{Group, Owner, ParameterId};
 
-/// `|R_p - o|^2 - L^2` (thesis eq. 2.1): the robot's end lies on the sphere of the bar \[m^2\]. `L` is `bd3` plus the
-/// elongation by force and direction.
+/// The residual is `|R_p - o|^2 - L^2` \[m^2\] (thesis eq. 2.1), because the robot's end lies on the sphere of the bar. `L`
+/// is `bd3` plus the elongation by force and direction.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Length;
 
@@ -28,8 +28,8 @@ impl Residual for Length {
     }
 
     fn identifies(id: ParameterId, robot: &Chain) -> bool {
-        // The robot moves along the sphere, so the time of a sample affects the residual only through noise. Without encoders
-        // the direction of the bar is unknown.
+        // The robot moves along the sphere, so the time of a sample affects the residual only through noise. Waves need the
+        // direction of the bar, which is unknown without encoders.
         let is_clock = id.group() == Group::Clock;
         let needs_direction = matches!(id, ParameterId::BarWave { .. });
         let needs_rotation =

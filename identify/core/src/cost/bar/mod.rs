@@ -1,4 +1,4 @@
-//! Costs of the ball-bar: the compared quantities of the closed chain, and the noise of its angles.
+//! Costs of the ball-bar, which differ in the quantities that they compare, and the noise of the ball-bar's angles.
 
 pub(in crate::cost) mod angle_noise;
 pub(in crate::cost) mod closure;

@@ -1,5 +1,5 @@
-//! The default cost: the pose `B^-1 R` of the robot's end relative to the bar's end, whitened by its covariance. It needs all
-//! five encoders, or all except that of joint 3.
+//! The default cost. It compares the pose `B^-1 R` of the robot's end relative to the bar's end, whitened by the covariance
+//! of this pose. It needs all five encoders, or all except that of joint 3.
 
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
@@ -10,35 +10,37 @@ use crate::cost::{AngleNoise, FoundNoise, Movement, Residual, Scene};
 use crate::kinematics::{Chain, LinkParameter, ROD_LINK, Trace, rotation_vector};
 use crate::model::{Geometry, Observation, Owner, ParameterId, RobotMotion};
 
-/// Standard deviation added in each direction \[m, rad\]. It limits the weight of directions that neither chain's noise
-/// reaches, near a singular pose.
+/// Standard deviation that is added in each direction \[m, rad\]. Near a singular pose, the noise of both chains vanishes in
+/// some directions. The added value limits the weights of these directions.
 const FLOOR: f64 = 1e-7;
-/// Standard deviation of an angle without encoder \[rad\]. Compared with microradians it has practically no weight, and
-/// the covariance can still be factorised.
+/// Standard deviation of an angle without encoder \[rad\]. Compared with the microradians of an encoder, such an angle has
+/// practically no weight, and the covariance can still be factorised.
 const UNKNOWN_RAD: f64 = 0.1;
 
-/// Position \[m\] and rotation vector \[rad\] of `B^-1 R`, whitened: multiplied by the inverse Cholesky factor of their
-/// covariance, which gives six numbers with unit standard deviation.
+/// The residual is the position \[m\] and rotation vector \[rad\] of `B^-1 R`, whitened. It is multiplied by the inverse
+/// Cholesky factor of its covariance, so that the six numbers have unit standard deviation.
 ///
-/// The covariance of a sample is propagated from the noise of its eleven angles. It is computed once, on the geometry given
-/// to [`WhitenedPose::new`], and is constant in a solve, so that residual and derivative belong to one function. Errors of
-/// millimetres change it by thousandths. If that matters, whiten again at the solution and solve once more.
+/// The covariance of a sample is propagated from the noise of its eleven angles. It is computed once, on the geometry
+/// that [`WhitenedPose::new`] receives, and stays constant in a solve. Residual and derivative are therefore consistent.
+/// Geometry errors of millimetres change the covariance by thousandths. If this matters, whiten again at the solution
+/// and solve once more.
 ///
-/// Constant weights of positions in metres would favour a smaller scale, by several sigmas if only a prior fixes the scale:
-/// distances shrink with it. The weights of positions are therefore inversely proportional to the length of the rod.
+/// If the weights of positions in metres were constant, the estimated scale would be too small, because all position errors
+/// shrink with the scale. The error would be several standard deviations if only a prior determines the scale. The weights
+/// of positions are therefore inversely proportional to the length of the rod during the solve.
 ///
-/// Without encoder 3 the rotation about the rod is unknown; directions that it moves have no weight.
+/// Without encoder 3 the rotation about the rod is unknown. Directions in which this rotation moves the end have no weight.
 #[derive(Debug, Clone)]
 pub struct PoseByNoise<const ENCODER_3: bool> {
-    /// Inverse of the Cholesky factor of each sample's covariance; `None` if the sample has no value.
+    /// Inverse Cholesky factor of each sample's covariance. `None` if the sample has no value.
     whitening: Vec<Option<Matrix6<f64>>>,
     /// Length of the rod for which `whitening` was computed \[m\].
     rod_m: f64,
 }
 
-/// The cost with all five encoders.
+/// The cost for all five encoders.
 pub type WhitenedPose = PoseByNoise<true>;
-/// The cost with encoders 1, 2, 4 and 5.
+/// The cost for encoders 1, 2, 4 and 5.
 pub type WhitenedPoseOfFour = PoseByNoise<false>;
 
 impl<const ENCODER_3: bool> PoseByNoise<ENCODER_3> {
@@ -56,8 +58,8 @@ impl<const ENCODER_3: bool> PoseByNoise<ENCODER_3> {
         Self { whitening: whitening.collect(), rod_m: rod_length_m(geometry) }
     }
 
-    /// Noise estimated from the observations on a geometry fitted with a number of `columns`, iterated from `start`; `None` if
-    /// there are too few observations.
+    /// Estimates the noise from the observations, on a geometry for which `columns` parameters were fitted. The iteration
+    /// begins at `start`. `None` if there are too few observations.
     pub fn noise(
         geometry: &Geometry,
         motion: &impl RobotMotion,
@@ -69,7 +71,7 @@ impl<const ENCODER_3: bool> PoseByNoise<ENCODER_3> {
         FoundNoise::of(&samples, columns, start)
     }
 
-    /// For each observation the residual with its covariances; `None` outside the robot's log.
+    /// For each observation, the residual with its covariances. `None` outside the robot's log.
     fn noisy_samples(
         geometry: &Geometry,
         motion: &impl RobotMotion,
@@ -88,7 +90,8 @@ fn rod_length_m(geometry: &Geometry) -> f64 {
     geometry.bar_links.get(ROD_LINK).map_or(1.0, |rod| rod.d_m)
 }
 
-/// Position and rotation vector of `B^-1 R`, with their derivatives by the twists (linear, then angular) of both ends.
+/// Position and rotation vector of `B^-1 R`, with their derivatives with respect to the twists (linear, then
+/// angular) of both ends.
 struct RelativePose {
     value: Vector6<f64>,
     by_robot: Matrix6<f64>,
@@ -107,18 +110,18 @@ impl RelativePose {
         let mut by_robot = Matrix6::zeros();
         by_robot.fixed_view_mut::<3, 3>(0, 0).copy_from(&bar_from_root);
         by_robot.fixed_view_mut::<3, 3>(3, 3).copy_from(&turn_by_angular);
-        // A rotation of the bar's end also rotates the frame in which the position is stated.
+        // A rotation of the bar's end also rotates the frame in which the position is expressed.
         let mut by_bar = -by_robot;
         by_bar.fixed_view_mut::<3, 3>(0, 3).copy_from(&(bar_from_root * difference_m.cross_matrix()));
         Self { value, by_robot, by_bar }
     }
 }
 
-/// Derivative of the rotation vector `w` of a rotation `Q` by an angular velocity `v`, `dQ = [v] Q`: the matrix
-/// `1 - [w]/2 + c [w]^2` with `c = 1/t^2 - cot(t/2)/(2t)`, `t = |w|`.
+/// Derivative of the rotation vector `w` of a rotation `Q` with respect to an angular velocity `v`, where `dQ = [v] Q`. It
+/// is the matrix `1 - [w]/2 + c [w]^2` with `c = 1/t^2 - cot(t/2)/(2t)` and `t = |w|`.
 pub(in crate::cost) fn inverse_left_jacobian(w: &Vector3<f64>) -> Matrix3<f64> {
     let squared = w.norm_squared();
-    // For small angles c suffers cancellation; use its series.
+    // For small angles the formula of `c` suffers from cancellation, so a series is used.
     let c = if squared < 1e-2 {
         1.0 / 12.0 + squared * (1.0 / 720.0 + squared * (1.0 / 30240.0 + squared / 1_209_600.0))
     } else {
@@ -151,13 +154,13 @@ fn noisy_sample<const ENCODER_3: bool>(scene: &Scene<'_>) -> NoisySample {
     NoisySample { residual: pose.value, by_angles: [by_encoders, by_robot_joints], known }
 }
 
-/// The whitened residual and its derivatives by the twists of both ends (linear, then angular).
+/// The whitened residual, and its derivatives with respect to the twists of both ends (linear, then angular).
 #[derive(Debug, Clone)]
 pub struct Whitened {
     residual: Vector6<f64>,
     by_robot: Matrix6<f64>,
     by_bar: Matrix6<f64>,
-    /// Derivative of the whitened residual through the weights, by the length of the rod.
+    /// Derivative of the whitened residual with respect to the length of the rod, only through the weights.
     by_scale: Vector6<f64>,
 }
 

@@ -1,4 +1,4 @@
-//! The bar as a point: encoders 1 and 2.
+//! Cost that uses the bar as a point. It needs encoders 1 and 2.
 
 use nalgebra::Vector3;
 
@@ -7,10 +7,10 @@ use crate::cost::{Movement, Residual, Scene};
 use crate::kinematics::{Chain, LinkParameter};
 use crate::model::{Owner, ParameterId};
 
-/// `R_p - B_p` \[m\] (thesis eq. 2.2).
+/// The residual is `R_p - B_p` \[m\] (thesis eq. 2.2).
 ///
 /// The bar's point depends on joints 3 to 5 only through lever arms that are nominally zero (`ba3 ba4 ba5 bd4 bd5`). If
-/// these joints have no encoder their angles must be filled in, see [`super::fill_in`].
+/// these joints have no encoder, their angles must be filled in, see [`super::fill_in`].
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Position;
 
@@ -19,7 +19,7 @@ pub(in crate::cost) fn difference(scene: &Scene<'_>) -> Vector3<f64> {
     scene.robot.position_m() - scene.bar.position_m()
 }
 
-/// Derivative of [`difference`] by a parameter.
+/// Derivative of [`difference`] with respect to a parameter.
 #[inline]
 pub(in crate::cost) fn derivative(scene: &Scene<'_>, id: ParameterId) -> Vector3<f64> {
     match scene.movement(id) {
@@ -39,7 +39,7 @@ impl Residual for Position {
     fn depends_on(id: ParameterId, robot: &Chain) -> bool {
         match id {
             ParameterId::Robot { link, parameter } => !robot.only_turns_end(link, parameter),
-            // The angles of cardan and rod turn the bar's end about its own origin, if the lever arms are zero.
+            // If the lever arms are zero, the angles of cardan and rod rotate the bar's end about its own origin.
             ParameterId::Bar { link: 2..=4, parameter } => {
                 matches!(parameter, LinkParameter::A | LinkParameter::D)
             }
@@ -50,7 +50,7 @@ impl Residual for Position {
     fn identifies(id: ParameterId, robot: &Chain) -> bool {
         let is_separable = match id {
             ParameterId::Robot { link, parameter } => !robot.is_last_rotation(link, parameter),
-            // It moves the rod's end sideways, as `btheta2` does: only the cardan's angles separate the two.
+            // `ba2` moves the rod's end sideways, as `btheta2` does. Only the cardan's angles distinguish these two parameters.
             ParameterId::Bar { link: 1, parameter: LinkParameter::A } => false,
             _ => true,
         };

@@ -1,4 +1,4 @@
-//! The bar as a point and two angles of its cardan: encoders 1, 2, 4 and 5.
+//! Cost that uses the bar as a point and two angles of its cardan. It needs encoders 1, 2, 4 and 5.
 
 use nalgebra::Vector5;
 
@@ -8,15 +8,15 @@ use crate::cost::{Movement, Residual, Scene};
 use crate::kinematics::{BAR_JOINTS, Chain, ImpliedBar, LinkParameter, Turn};
 use crate::model::{Observation, Owner, ParameterId};
 
-/// `R_p - B_p` \[m\], `sin(b4^ - b4)` and `sin(b5^ - b5)` (thesis eq. 2.3); `b^` are the joints implied by the robot's
-/// pose, see [`ImpliedBar`]. As in the thesis, metres and sines have equal weights.
+/// The residual is `R_p - B_p` \[m\], `sin(b4^ - b4)` and `sin(b5^ - b5)` (thesis eq. 2.3). `b^` are the joints that the
+/// robot's pose implies, see [`ImpliedBar`]. As in the thesis, metres and sines have equal weights.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct PositionAngles;
 
-/// Joints whose angles are compared.
+/// Indices (from 0) of the joints whose angles are compared.
 const COMPARED: [usize; 2] = [3, 4];
 
-/// Bar joints implied by the robot's pose, and their differences from the measured ones.
+/// Bar joints that the robot's pose implies, and the differences of the compared joints from the measured angles.
 #[derive(Debug, Clone)]
 pub struct ComparedAngles {
     implied: ImpliedBar,
@@ -36,7 +36,7 @@ impl Residual for PositionAngles {
     const ENCODERS: &'static [usize] = ALL_BUT_ROD_JOINT;
 
     fn depends_on(id: ParameterId, _: &Chain) -> bool {
-        // The residual does not contain joint 3: its offset changes the implied angle 3 only.
+        // The residual does not contain joint 3. The offset of this joint changes only the implied angle 3.
         id != ParameterId::Bar { link: ROD_JOINT, parameter: LinkParameter::Theta }
             && id.affects(Owner::BallBar)
             && encoders_suffice(id, Self::ENCODERS)
@@ -61,10 +61,10 @@ impl Residual for PositionAngles {
         let ComparedAngles { implied, differences } = compared;
         let (position, angles) = out.split_at_mut(3);
         position.copy_from_slice(derivative(scene, id).as_slice());
-        // Derivative of implied minus measured joints. Most parameters change the implied joints only.
+        // Derivative of the implied joints minus the measured joints. Most parameters change only the implied joints.
         let joints_derivative = match (scene.movement(id), id) {
             (Movement::Robot(twist), _) => implied.by_pose(&twist),
-            // Waves are subtracted from the measured joint, offsets are added to it.
+            // Encoder harmonics are subtracted from the measured joint; offsets are added to it.
             (_, ParameterId::EncoderWave { joint, order, phase }) => {
                 let wave = phase.wave(order, scene.readings[joint]);
                 Vector5::from_fn(|i, _| if i == joint { wave } else { 0.0 })

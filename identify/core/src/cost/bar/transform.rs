@@ -1,4 +1,4 @@
-//! The whole pose, entry by entry: all five encoders.
+//! Cost that compares the whole pose, entry by entry. It needs all five encoders.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -7,19 +7,19 @@ use crate::cost::{Movement, Residual, Scene};
 use crate::kinematics::{Chain, Twist};
 use crate::model::{Owner, ParameterId};
 
-/// The twelve entries of `R - B` (thesis eq. 2.4): columns of the rotation, then the position \[m\]. As in the thesis,
-/// metres and matrix entries have equal weights.
+/// The residual is the twelve entries of `R - B` (thesis eq. 2.4): the columns of the rotation, then the position \[m\]. As
+/// in the thesis, metres and matrix entries have equal weights.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Transform;
 
-/// Writes the derivative of a pose with this rotation by a twist (`w`, `v`): `sign ([w] rotation, v)`.
+/// Writes the derivative of a pose with this rotation for a twist (`w`, `v`), which is `sign ([w] rotation, v)`.
 #[inline(always)]
 fn write_derivative(twist: &Twist, rotation: &Matrix3<f64>, sign: f64, out: &mut [f64]) {
     let Some(out) = out.first_chunk_mut::<12>() else { return };
     let w: Vector3<f64> = twist.angular * sign;
     let v = twist.linear * sign;
     [out[9], out[10], out[11]] = v.into();
-    // A translation does not rotate: the other entries stay zero.
+    // A translation does not rotate, so the other entries stay zero.
     if w == Vector3::zeros() {
         return;
     }
