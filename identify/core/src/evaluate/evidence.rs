@@ -1,5 +1,6 @@
-//! All data that the report of a calibration shows. A gap is the distance of the robot's end from the bar's; without encoders,
-//! from the bar's sphere.
+//! Computes all results that the report of a calibration shows, and collects them in [`Evidence`]. A gap is the distance of
+//! the robot's end from the bar's end. Without encoders the bar's end is unknown, and a gap is the distance of the robot's
+//! end from the sphere of the bar.
 
 use super::accuracy::workspace::Workspace;
 use super::limits::gap_m;
@@ -21,20 +22,20 @@ use crate::threads::{both, each};
 /// Results of one run of a calibration.
 #[derive(Debug, Clone)]
 pub struct RunEvidence {
-    /// Closure of each sample with the nominal robot and the bar fitted to it.
+    /// Closure of each sample with the nominal robot, and with the bar fitted to this robot.
     pub before: Vec<Closure>,
     /// Closure of each sample at the solution.
     pub after: Vec<Closure>,
-    /// Gap against time shift over a wide range.
+    /// Gap as a function of the time shift, over a wide range.
     pub shift_wide: ShiftCurve,
-    /// Gap against time shift near the minimum.
+    /// Gap as a function of the time shift, near the minimum.
     pub shift_near: ShiftCurve,
 }
 
 impl RunEvidence {
-    /// Results of a run whose model is at the solution.
+    /// Computes the results of a run whose model contains the solution.
     pub fn new(prepared: &Prepared, model: &Model) -> Self {
-        /// Half widths of the two curves \[s\]: that of figure 5.5 in the thesis, and the neighbourhood of the minimum.
+        /// Half widths of the two curves \[s\]: the wide one as in figure 5.5 of the thesis, the other one near the minimum.
         const WIDE_S: f64 = 0.2;
         const NEAR_S: f64 = 0.005;
         const STEPS: usize = 20;
@@ -59,30 +60,30 @@ pub struct Evidence {
     pub rotations: bool,
     /// Results of each run, in order.
     pub runs: Vec<RunEvidence>,
-    /// Gap with the nominal robot, all runs \[m\].
+    /// Gap with the nominal robot, statistics over all runs \[m\].
     pub gap_before_m: Sizes,
-    /// Gap at the solution, all runs \[m\].
+    /// Gap at the solution, statistics over all runs \[m\].
     pub gap_after_m: Sizes,
-    /// Residuals of all runs at the solution, per robot joint and sample.
+    /// Residuals of all runs at the solution, expressed as errors of single joints: one list for each joint.
     pub joints: Vec<Vec<JointGap>>,
     /// Deviation of the robot's end from the bar's sphere, per run.
     pub spheres: Vec<SphereDeviation>,
     /// Expected position error over the workspace.
     pub workspace: WorkspaceError,
-    /// Basis of `workspace`, kept for the errors of the deployments.
+    /// Data from which `workspace` was computed. Kept to compute the errors of the deployments later.
     uncertain: Workspace,
-    /// Rows at each part of an instrument, predicted by all other data.
+    /// For each part of an instrument, such as a socket, the rows measured there, as predicted by the fit to all other data.
     pub unseen: Vec<UnseenPart>,
     /// Limitations of the result.
     pub limits: Vec<Limit>,
     /// Prediction of held-out segments; `None` if not requested.
     pub held_out: Option<HeldOut>,
-    /// The best fit of each partial deployment with its prediction of the held-out segments, if requested; deployments whose
-    /// fit does not converge are omitted.
+    /// For each partial deployment, its best fit and the prediction of the held-out segments by this fit. Empty if not
+    /// requested. Deployments whose fit does not converge are omitted.
     pub deployed: Vec<(Deployed, HeldOut)>,
 }
 
-/// Computes the results of a calibration; `joint_limits` are those of the model's joints.
+/// Computes the results of a calibration. `joint_limits` are the limits of the joints of the model.
 pub fn evidence(calibration: &Calibration, joint_limits: &[[f64; 2]]) -> Evidence {
     let runs: Vec<RunEvidence> =
         calibration.bar_runs().map(|(prepared, model)| RunEvidence::new(prepared, model)).collect();
@@ -109,8 +110,8 @@ pub fn evidence(calibration: &Calibration, joint_limits: &[[f64; 2]]) -> Evidenc
 }
 
 impl Evidence {
-    /// Adds the predictions of held-out ball-bar segments by the calibration and its deployments, and the expected error of
-    /// each deployment over the workspace. This needs more solves.
+    /// Adds the predictions of held-out ball-bar segments by the calibration and by its deployments, and the expected error
+    /// of each deployment over the workspace. Each deployment is solved again.
     ///
     /// # Errors
     /// [`CalibrateError`] if a solve fails or `watch` cancels it.

@@ -1,5 +1,6 @@
-//! Residuals by joint: the motion of one robot joint that closes most of the gap between robot and bar, `-J . e / |J|^2` with
-//! the position error `e` and its derivative `J` by the joint. For the figures by joint in the report.
+//! Residuals by joint. The gap between robot and bar is expressed as the motion of a single robot joint that closes most of
+//! it. This motion is `-J . e / |J|^2`, with the position error `e` and its derivative `J` with respect to the joint. Used
+//! for the figures by joint in the report.
 
 use crate::cost::Closure;
 
@@ -10,19 +11,19 @@ pub struct JointGap {
     pub q: f64,
     /// Reported rate \[rad/s, m/s\].
     pub qd: f64,
-    /// Additional motion that brings the robot's end nearest to the bar's end \[rad, m\].
+    /// Additional motion of the joint that brings the robot's end nearest to the bar's end \[rad, m\].
     pub motion: f64,
 }
 
-/// The least-squares motion of each robot joint alone, per joint and sample; `axes` is the number of joints.
+/// For each joint, the least-squares motion of this joint alone, one entry per sample. `axes` is the number of joints.
 ///
-/// Uses positions only. A sample is omitted for joints that hardly move the end (lever arm below a tenth of a metre).
-/// A gear error appears as a wave over the joint angle, backlash as two branches by direction.
+/// Uses positions only. A sample is omitted for joints that hardly move the end, with a lever arm below a tenth of a metre. In
+/// these values, a gear error is a wave over the joint angle. Backlash is a difference between the two directions of motion.
 pub fn joint_gaps<'a>(
     axes: usize,
     closures: impl Iterator<Item = &'a Closure> + Clone,
 ) -> Vec<Vec<JointGap>> {
-    /// Minimum lever arm \[m/rad\]; that of a prismatic joint is 1 m/m.
+    /// Minimum lever arm \[m/rad\]. The lever arm of a prismatic joint is 1 m/m.
     const LEVER_MIN: f64 = 0.1;
     let of_joint = |joint: usize| {
         let gap = |closure: &Closure| {

@@ -1,5 +1,5 @@
-//! Robot against bar on held-out segments of time, before and after calibration. The models come from
-//! `calibrate::validation::held_out`; the errors are the differences of the two ends.
+//! Compares robot and bar on held-out segments of time, before and after calibration. `calibrate::validation::held_out`
+//! provides the models that were fitted without each segment. The errors are the differences of the two ends.
 
 use super::nominal::bar_fitted;
 use super::uncalibrated;
@@ -14,11 +14,14 @@ use crate::model::{Geometry, Model, Observation, ParameterId};
 /// Errors of one held-out segment.
 #[derive(Debug, Clone, PartialEq)]
 pub struct HeldOutSegment {
-    /// Index of its run, from 0.
+    /// Index of the run that contains the segment, from 0.
     pub run: usize,
-    /// Errors with the time of their sample on the bar's clock, since the run's reference time \[s\]: of the nominal robot, with
-    /// the bar fitted to it on the rest of the run; as predicted by the fit to all other data; of the full fit, which includes the
-    /// segment. With a cost that needs fewer encoders, the bar is fitted in the same way to the other two.
+    /// Errors in three stages, each with the time of the sample on the bar's clock, since the run's reference time \[s\]:
+    /// - nominal: the nominal robot, with the bar fitted to it on the other samples of the run;
+    /// - predicted: the fit to all data except the segment;
+    /// - fitted: the full fit, which includes the segment.
+    ///
+    /// If the cost does not estimate the offsets of all encoders, the bar is also fitted to the robots of the last two stages.
     pub stages: [Vec<(f64, PoseError)>; 3],
 }
 
@@ -29,7 +32,7 @@ impl HeldOutSegment {
         [fitted.first(), fitted.last()].map(|sample| sample.map_or(0.0, |(t_s, _)| *t_s))
     }
 
-    /// Root mean square errors: nominal, predicted, fitted.
+    /// Root mean square error of each stage: nominal, predicted, fitted.
     pub fn rms(&self) -> [PoseError; 3] {
         rms(std::slice::from_ref(self))
     }
@@ -38,14 +41,14 @@ impl HeldOutSegment {
 /// All held-out segments of all runs.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct HeldOut {
-    /// Segments in the order of runs and time, without those that the other data could not predict.
+    /// Segments in the order of runs and time. Segments that the other data could not predict are omitted.
     pub segments: Vec<HeldOutSegment>,
-    /// Number of segments whose remaining data do not determine the parameters.
+    /// Number of omitted segments, because the other data do not determine all parameters.
     pub undetermined: usize,
 }
 
 impl HeldOut {
-    /// Root mean square errors over all segments: nominal, predicted, fitted.
+    /// Root mean square error of each stage over all segments: nominal, predicted, fitted.
     pub fn rms(&self) -> [PoseError; 3] {
         rms(&self.segments)
     }
@@ -56,8 +59,8 @@ fn rms(segments: &[HeldOutSegment]) -> [PoseError; 3] {
     [0, 1, 2].map(|stage| PoseFigures::of(errors(stage).map(|(_, error)| *error)).rms())
 }
 
-/// The nominal robot of each segment, with the bar fitted to it on the rest of the run; `None` if the rest could not predict
-/// it.
+/// For each segment, the nominal robot with the bar fitted to it on the other samples of the run. `None` if the other data
+/// do not determine all parameters.
 pub fn nominals(calibration: &Calibration, segments: &[Segment]) -> Vec<Option<Geometry>> {
     let runs: Vec<_> = calibration.bar_runs().collect();
     let nominal = |segment: &Segment| {
@@ -67,14 +70,15 @@ pub fn nominals(calibration: &Calibration, segments: &[Segment]) -> Vec<Option<G
     segments.iter().map(nominal).collect()
 }
 
-/// Errors of each segment for the parameters estimated without it, and for the nominal robot.
+/// Errors of each segment in all three stages. `nominals` come from [`nominals`].
 pub fn held_out(calibration: &Calibration, segments: &[Segment], nominals: &[Option<Geometry>]) -> HeldOut {
     let Some(cost) = calibration.cost() else { return HeldOut::default() };
     let measured = calibration.measured();
     let robot = calibration.model().robot();
     let is_estimated =
         |link| cost.identifies(&measured, ParameterId::Bar { link, parameter: LinkParameter::Theta }, robot);
-    // A cost that does not use all encoders does not estimate their offsets. Then compare robots, each with its bar fitted.
+    // A cost that does not use all encoders does not estimate their offsets. The comparison is then between robots, each
+    // with its own fitted bar.
     let all_estimated = measured.iter().enumerate().all(|(link, measured)| !measured || is_estimated(link));
     let geometry = |model: &Model, motion: &_, observations: &[Observation]| {
         if all_estimated { model.geometry(&[]) } else { bar_fitted(model.clone(), motion, observations) }
@@ -97,7 +101,7 @@ pub fn held_out(calibration: &Calibration, segments: &[Segment], nominals: &[Opt
     HeldOut { undetermined: segments.len() - predicted.len(), segments: predicted }
 }
 
-/// Difference of robot and bar by all encoders, whether the cost uses them or not.
+/// Difference between robot and bar. It uses all measured encoders, even if the cost does not.
 fn pose_error(closure: &Closure, measured: [bool; BAR_JOINTS]) -> PoseError {
     PoseError {
         position_m: closure.gap_m(measured.contains(&true)),

@@ -1,5 +1,5 @@
-//! Limitations of a calibration, as sentences that suggest an action: tests of the solution, its covariance and its residuals.
-//! Used for report and verdict.
+//! Limitations of a calibration, as sentences that suggest an action. They result from tests of the solution, its covariance
+//! and its residuals. Used for report and verdict.
 
 use serde::{Deserialize, Serialize};
 use shared::config::JointKind;
@@ -17,31 +17,32 @@ use crate::model::{JointTerm, Model, ParameterId};
 use crate::solver::{Loss, LossName, Solution};
 use crate::statistics::{Sizes, extremes, median};
 
-/// A joint that moved by less determines the parameters of its link poorly \[deg\].
+/// If a joint moved by less than this, the parameters of its link are poorly determined \[deg\].
 const TRAVEL_MIN_DEG: f64 = 20.0;
-/// Above this autocorrelation of the residuals, model errors limit the result rather than noise.
+/// If the autocorrelation of the residuals is above this, the result is limited by model errors rather than by noise.
 const AUTOCORRELATION_MAX: f64 = 0.5;
-/// Significance limit in standard deviations: white noise exceeds it once in a thousand runs.
+/// Significance limit, in standard deviations. White noise exceeds it once in a thousand runs.
 const BY_CHANCE: f64 = 3.09;
 /// Samples with a weight below this in the robust loss are outliers.
 const WEIGHT_MIN: f64 = 0.5;
 
-/// Larger length errors are not manufacturing or measurement errors \[m\].
+/// Larger length errors have another cause than manufacturing or measurement \[m\].
 const LENGTH_OFF_M: f64 = 5e-3;
 
-/// A plate rotated by more is reported \[rad\]: offsets of joints have smaller errors, mountings of plates may have larger ones.
+/// A rotation of the plate by more than this is reported \[rad\]. Offsets of joints have smaller errors; mountings of plates
+/// may have larger ones.
 const TURNED_RAD: f64 = 17e-3;
 
-/// Gear ratios are ratios of tooth numbers, so a larger relative error is a wrong configuration. Elastic parts of a drive
-/// contribute less than a tenth of this.
+/// A larger relative error of a gear ratio shows a wrong configuration, because gear ratios are ratios of tooth numbers. The
+/// elasticity of a drive contributes less than a tenth of this.
 const RATIO_OFF: f64 = 500e-6;
-/// Smaller delays of a joint are not reported \[s\]: at 1 rad/s this is an error of half a milliradian.
+/// Smaller delays of a joint are not reported \[s\]. At 1 rad/s, this delay is an error of half a milliradian.
 const DELAY_S: f64 = 5e-4;
 
-/// A contribution below this fraction of an uncertainty adds less than 6 % to it.
+/// A contribution below this fraction of an uncertainty increases it by less than 6 %.
 const NEGLIGIBLE: f64 = 1.0 / 3.0;
 
-/// Maximum number of names in one sentence, which ends with the number of further ones.
+/// Maximum number of names in one sentence. If there are more names, the sentence ends with the number of the others.
 const NAMED: usize = 3;
 
 /// One limitation of a calibration.
@@ -49,7 +50,7 @@ const NAMED: usize = 3;
 pub struct Limit {
     /// The limitation as text for the report.
     pub sentence: String,
-    /// Whether the limitation invalidates the reported accuracy, or shows that a stated input is wrong.
+    /// Whether the limitation invalidates the reported accuracy, or shows that a given input is wrong.
     pub serious: bool,
 }
 
@@ -62,7 +63,7 @@ pub fn limits(calibration: &Calibration, workspace: &WorkspaceError) -> Vec<Limi
     limits.extend(of_changes(&calibration.changed, reach_m, workspace.budget.expanded_m));
     limits.extend(wrong_ratios(model, solution));
     limits.extend(late_joints(model, solution));
-    // With other instruments the rotation of the last link is part of the target's mounting.
+    // With other instruments, the rotation of the last link belongs to the mounting of the target.
     if scales.clone().any(|scale| scale == ScaleFrom::Plate) {
         limits.extend(turned_plate(model, solution));
     }
@@ -78,7 +79,7 @@ pub fn limits(calibration: &Calibration, workspace: &WorkspaceError) -> Vec<Limi
     limits
 }
 
-/// Reasons of the instruments why the result may be wrong.
+/// Reasons that the instruments report for a result that may be wrong.
 fn of_doubts(calibration: &Calibration) -> impl Iterator<Item = Limit> {
     calibration.runs.iter().enumerate().flat_map(move |(number, Run { instrument, model })| {
         let doubts = instrument.doubts(&model.geometry(&[])).into_iter();
@@ -102,10 +103,10 @@ fn little_travel(calibration: &Calibration) -> Vec<Limit> {
     travel.filter(|(_, travel_deg)| *travel_deg < TRAVEL_MIN_DEG).map(little).collect()
 }
 
-/// Samples with a low weight in the robust loss, if they are more than one in twenty.
+/// Samples with a low weight in the robust loss, if they are more than one in twenty samples.
 fn outliers(solution: &Solution) -> Option<Limit> {
     let weights = &solution.sample_weights;
-    // At its scale a loss has weight one half; Geman-McClure has the square of that.
+    // At its scale, a loss has the weight one half. The weight of Geman-McClure is the square of this.
     let weight_min = match solution.loss.name {
         LossName::GemanMcclure => WEIGHT_MIN.powi(2),
         _ => WEIGHT_MIN,
@@ -120,7 +121,7 @@ fn outliers(solution: &Solution) -> Option<Limit> {
     })
 }
 
-/// The parameter combination that limits the accuracy most.
+/// The combination of parameters that limits the accuracy most.
 fn weakest(workspace: &WorkspaceError) -> Option<Limit> {
     let names: Vec<&str> = workspace.weakest.iter().map(|(name, _)| name.as_str()).take(NAMED).collect();
     (!names.is_empty()).then(|| Limit {
@@ -151,7 +152,7 @@ const fn describe_scale(scale: ScaleFrom) -> &'static str {
     }
 }
 
-/// Data sets that contradict each other.
+/// Data sets that contradict each other about the robot.
 fn of_disagreement(runs: &[Run], sigmas: &[f64], loss: Loss) -> Option<Limit> {
     let describe = |Disagreement { data_set, times }: &Disagreement| {
         let name = runs.get(*data_set).map_or("", |run| run.instrument.name());
@@ -168,7 +169,8 @@ fn of_disagreement(runs: &[Run], sigmas: &[f64], loss: Loss) -> Option<Limit> {
     })
 }
 
-/// Lengths that differ from the configured ones, for any instruments: a different robot or bar, or a wrong scale of all lengths.
+/// Lengths that differ from the configured ones, for any instruments. The cause is a different robot or bar, or a wrong
+/// scale of all lengths.
 fn of_lengths(calibration: &Calibration, scales: impl Iterator<Item = ScaleFrom>) -> Vec<Limit> {
     let mut sources: Vec<&str> = Vec::new();
     for source in scales.map(describe_scale) {
@@ -191,9 +193,9 @@ fn of_lengths(calibration: &Calibration, scales: impl Iterator<Item = ScaleFrom>
     sentences.map(|sentence| Limit { sentence, serious: true }).collect()
 }
 
-/// Changes during the measurement. They are serious if the end of an arm of this reach moves by more than a negligible
-/// fraction of the expanded uncertainty. The fraction is small because a change also increases that uncertainty: the samples
-/// contradict each other.
+/// Changes during the measurement. They are serious if they move the end of an arm with this reach by more than a negligible
+/// fraction of the expanded uncertainty. The fraction is small because a change also increases the expanded uncertainty: it
+/// makes the samples contradict each other.
 fn of_changes(changed: &[Changed], reach_m: f64, expanded_m: f64) -> Option<Limit> {
     (!changed.is_empty()).then(|| Limit {
         sentence: format!(
@@ -228,7 +230,7 @@ fn correlated_residuals(calibration: &Calibration) -> impl Iterator<Item = Limit
     })
 }
 
-/// Forces that do not explain the bar's length.
+/// Force measurements that do not explain the bar's length.
 fn forces_without_sign(calibration: &Calibration) -> impl Iterator<Item = Limit> {
     let undetermined = Elongation::all(calibration)
         .into_iter()
@@ -257,7 +259,8 @@ fn strained_priors(strained: &[ContradictedPrior]) -> Option<Limit> {
     })
 }
 
-/// Estimates of an error term of the joints: joint (from 1), value and its standard deviation.
+/// Estimates of one error term of the joints. Each consists of the joint (from 1), the value and the standard
+/// deviation of the value.
 fn estimates(model: &Model, solution: &Solution, wanted: JointTerm) -> Vec<(usize, f64, f64)> {
     let columns = model.columns().enumerate();
     let of_term = columns.filter_map(|(column, parameter)| match parameter.id {
@@ -269,7 +272,7 @@ fn estimates(model: &Model, solution: &Solution, wanted: JointTerm) -> Vec<(usiz
     of_term.collect()
 }
 
-/// Whether an estimate with this standard deviation is significantly above a limit.
+/// Whether an estimate `off` with this standard deviation is significantly larger than the limit `off_min`.
 fn is_certain(off: f64, off_min: f64, sigma: f64) -> bool {
     off.abs() > off_min + BY_CHANCE * sigma
 }
@@ -302,7 +305,8 @@ fn late_joints(model: &Model, solution: &Solution) -> Option<Limit> {
     })
 }
 
-/// Joints with a significant difference from the median delay, which belongs to the clocks; joints without an estimate have none.
+/// Joints whose delay differs significantly from the median delay. The median delay is an error of the clocks. Joints
+/// without an estimate count as joints without delay.
 fn later_than_others(delays: &[(usize, f64, f64)], axes: usize) -> Vec<String> {
     let mut all_s: Vec<f64> = delays.iter().map(|(_, delay_s, _)| *delay_s).collect();
     all_s.resize(axes, 0.0);
@@ -312,7 +316,8 @@ fn later_than_others(delays: &[(usize, f64, f64)], axes: usize) -> Vec<String> {
     late.map(|(joint, delay_s, _)| format!("joint {joint} by {:+.1} ms", 1e3 * delay_s)).collect()
 }
 
-/// Rotation of the flange plate, or of the last joint's offset, about the flange's axis relative to the configuration.
+/// Rotation of the flange plate about the flange's axis, relative to the configuration, or an offset of the last joint. The
+/// two cannot be distinguished.
 fn turned_plate(model: &Model, solution: &Solution) -> Option<Limit> {
     let last = model.axes().checked_sub(1)?;
     let theta = ParameterId::Robot { link: last, parameter: LinkParameter::Theta };
@@ -329,7 +334,7 @@ fn turned_plate(model: &Model, solution: &Solution) -> Option<Limit> {
     })
 }
 
-/// Lengths far from the configured ones.
+/// Lengths that differ by more than [`LENGTH_OFF_M`] from the configured ones.
 fn far_lengths(model: &Model, solution: &Solution, scale: &str) -> Option<String> {
     let mut off: Vec<LengthEstimate> =
         lengths(model, solution).filter(|length| length.off_m.abs() > LENGTH_OFF_M).collect();

@@ -1,5 +1,5 @@
-//! Evaluation of a calibration: figures for the report, computed from a solution and not used by any solve. Most are in
-//! [`Evidence`].
+//! Evaluation of a calibration. Computes the figures of the report from a solution; no solve uses these figures. Most of
+//! them are in [`Evidence`].
 
 mod accuracy;
 mod evidence;

@@ -1,23 +1,24 @@
-//! The nominal robot with a fitted bar: the reference with which a calibration is compared.
+//! The nominal robot with a bar fitted to it. A calibration is compared with this reference.
 
 use crate::cost::{LoopProblem, Position, Residual, Transform};
 use crate::model::{Geometry, Model, Observation, Owner, ParameterId, RobotMotion};
 use crate::solver::{Options, minimise};
 
-/// Relative tolerance of the cost; the root mean square compared changes by half of it.
+/// Relative tolerance of the cost. The root mean square that is compared changes by half of this.
 const COST_TOLERANCE: f64 = 1e-6;
 
-/// The calibrated model with its robot reset to nominal, and the bar's base and encoder offsets fitted to it.
+/// The calibrated model with its robot reset to nominal, and with the bar's base and encoder offsets fitted to this robot.
 ///
-/// Without the fit, all errors of the robot would appear as a displacement of the bar. If the fit fails the bar stays as
-/// calibrated.
+/// Without the fit, all errors of the robot would appear as a displacement of the bar. If the fit fails, the
+/// bar stays as calibrated.
 pub fn uncalibrated(model: &Model, motion: &impl RobotMotion, observations: &[Observation]) -> Geometry {
     let mut nominal = model.clone();
     nominal.reset_to_nominal(|id| id.owner() == Owner::Robot);
     bar_fitted(nominal, motion, observations)
 }
 
-/// The model's robot unchanged, and the bar's base and encoder offsets fitted to it. If the fit fails the bar is unchanged.
+/// Geometry with the model's robot unchanged, and the bar's base and encoder offsets fitted to this robot. If the fit fails,
+/// the bar is unchanged.
 pub(super) fn bar_fitted(
     mut model: Model,
     motion: &impl RobotMotion,
@@ -27,7 +28,8 @@ pub(super) fn bar_fitted(
     let is_fitted = |id: ParameterId| match id {
         ParameterId::Base { .. } | ParameterId::BaseRotation { .. } => true,
         ParameterId::Bar { link, parameter } => {
-            // The first offset is the bar's rotation about z; offsets after the second joint matter only with five encoders.
+            // The first offset is the bar's rotation about z. Offsets after the second joint have an effect only if
+            // all five encoders exist.
             parameter == crate::kinematics::LinkParameter::Theta && (all_encoders || link < 2)
         }
         _ => false,

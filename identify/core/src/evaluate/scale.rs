@@ -1,4 +1,5 @@
-//! The reference of the scale of all lengths, as text. If there is only one, no other measurement can verify it.
+//! Describes the reference of the scale of all lengths as text. If there is only one reference, no other
+//! measurement can verify it.
 
 use std::borrow::Cow;
 use std::path::Path;
@@ -10,11 +11,12 @@ use super::Budget;
 use crate::instrument::{Run, ScaleFrom};
 use crate::model::{ParameterId, Role};
 
-/// Length error of a plate in the example of the sentence \[m\].
+/// Length error of a plate that the sentence uses as an example \[m\].
 const LONGER_M: f64 = 1e-4;
 
-/// A sentence on what determines the scale: the plates of `bars`, each with its configuration, and the `others` instruments,
-/// each with its mapping. The budget has the effect of a plate error on positions.
+/// A sentence that describes what determines the scale. The references are the plates of `bars`, each with its
+/// configuration, and the instruments `others`, each with the file of its mapping. The effect of a plate error on positions
+/// comes from the budget.
 pub fn scale_sentence<'a>(
     bars: impl IntoIterator<Item = (&'a BallBarConfig, Source)>,
     others: impl IntoIterator<Item = (&'a Run, &'a Path)>,
@@ -50,7 +52,7 @@ fn plate(bar: &BallBarConfig, source: &Source) -> String {
     } else {
         format!("the offset plate of {plate_mm:.3} mm, taken as exact")
     };
-    // A stated value equal to the default has the same meaning as the default.
+    // A configured value equal to the default has the same meaning as the default.
     let is_default = bar.plate_u_um == BallBarConfig::PLATE_U_UM;
     let source = if matches!(source, Source::BuiltIn(..)) {
         "an example that is built in: write the lengths of your bar into ball_bar.toml".to_owned()

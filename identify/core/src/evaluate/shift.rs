@@ -1,4 +1,5 @@
-//! The alignment as in figure 5.5 of the thesis: the gap when one log is shifted in time.
+//! The gap between robot and bar if one log is shifted in time. The curve shows the quality of the alignment, as figure 5.5
+//! of the thesis does.
 
 use crate::cost::loop_closures;
 use crate::model::{Geometry, Observation, RobotMotion};
@@ -9,16 +10,17 @@ use crate::statistics::rms;
 pub struct ShiftCurve {
     /// Shifts added to the robot's clock \[s\], ascending.
     pub shift_s: Vec<f64>,
-    /// Root mean square distance of the robot's end from the bar's \[m\].
+    /// Root mean square distance of the robot's end from the bar's end \[m\].
     pub rms_m: Vec<f64>,
-    /// Time shift at the vertex of a parabola through the minimum \[s\]; `None` if the minimum is at an end.
+    /// Time shift at the vertex of a parabola through the minimum \[s\]. `None` if the minimum is at an end of the curve.
     pub minimum_s: Option<f64>,
 }
 
-/// Maximum number of samples of a curve; more do not change it visibly.
+/// Maximum number of samples of a curve. More samples do not change it visibly.
 const SAMPLES_MAX: usize = 300;
 
-/// The curve over `-reach_s ..= reach_s` at `2 steps + 1` shifts; all parameters except the shift as in `geometry`.
+/// Computes the curve at `2 steps + 1` shifts from `-reach_s` to `reach_s`. All parameters except the shift
+/// are those of `geometry`.
 pub fn shift_curve(
     geometry: &Geometry,
     motion: &impl RobotMotion,
@@ -44,7 +46,8 @@ pub fn shift_curve(
     curve
 }
 
-/// Vertex of the parabola through the smallest square and its neighbours: squared gaps are quadratic in the shift.
+/// Vertex of the parabola through the smallest squared gap and the squared gaps before and after it, because squared gaps
+/// are quadratic in the shift.
 fn minimum(shift_s: &[f64], rms_m: &[f64]) -> Option<f64> {
     let least = (0..rms_m.len()).min_by(|&a, &b| rms_m[a].total_cmp(&rms_m[b]))?;
     let square = |index: usize| rms_m.get(index).map(|rms| rms * rms);

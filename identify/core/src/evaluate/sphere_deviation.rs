@@ -1,7 +1,9 @@
-//! Distance of the robot's end from the sphere of a rigid bar, and the part explained by a force (TFRT-6017 section 5.3).
+//! Distance of the robot's end from the sphere of a rigid bar, and the fraction of it that a force
+//! explains (TFRT-6017 section 5.3).
 //!
-//! If the bar's encoders give its direction, the deviation is the gap between robot and bar along the rod. The axes of a real
-//! bar miss each other by some hundredths of a millimetre, so the robot does not move on an exact sphere about the gimbal.
+//! If the bar's encoders measure its direction, the deviation is the gap between robot and bar along the rod. The axes
+//! of a real bar miss each other by some hundredths of a millimetre. The robot therefore does not move on an exact
+//! sphere about the gimbal.
 
 use nalgebra::Vector3;
 
@@ -18,13 +20,13 @@ use crate::statistics::{Sizes, rms};
 pub struct OffSphere {
     /// Time on the bar's clock, since the reference time \[s\].
     pub t_s: f64,
-    /// Unit vector from the centre to the robot's end, in the robot's base.
+    /// Unit vector from the centre of the gimbal to the robot's end, in the robot's base.
     pub direction: Vector3<f64>,
-    /// Radial distance beyond the end of a bar without force \[m\].
+    /// Radial distance of the robot's end from the end of a bar without force, positive outwards \[m\].
     pub off_m: f64,
     /// `off_m` minus the elongation by the force \[m\].
     pub unexplained_m: f64,
-    /// Axial force on the bar with the sign of its log \[N\], or only its sign.
+    /// Axial force on the bar with the sign of its log \[N\], or only its sign if `bplay` was estimated.
     pub force: f64,
 }
 
@@ -44,7 +46,7 @@ impl ModelDeviation {
         let radial_m = |closure: &Closure| {
             if by_encoders { closure.direction.dot(&closure.position_error_m) } else { closure.off_sphere_m }
         };
-        // The bar of a closure is elongated by the force, that of `off_m` is not.
+        // The bar of a closure is elongated by the force; the bar of `off_m` is not.
         let sample = |closure: &Closure| OffSphere {
             t_s: closure.t_s,
             direction: closure.direction,
@@ -61,7 +63,7 @@ impl ModelDeviation {
     }
 }
 
-/// Meaning of a positive force in the log.
+/// Physical meaning of a positive force in the log.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PositiveForce {
     /// Tension: the bar is longer if the force is positive.
@@ -72,16 +74,18 @@ pub enum PositiveForce {
     NotDetermined,
 }
 
-/// Elongation of the bar by a force, as estimated.
+/// Estimated elongation of the bar by a force.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Elongation {
     /// Index of the run, from 0.
     pub run: usize,
     /// The force measurement of the run.
     pub measured: BarForces,
-    /// `bcompliance`, or `bplay` if only the sign was measured or if that explains more.
+    /// The estimated parameter: `bcompliance`, or `bplay` if only the sign of the force was measured or
+    /// if `bplay` explains more.
     pub parameter: ParameterId,
-    /// Value of the parameter \[m/N or m\]: elongation per newton, or on the positive side; with the sign of the log.
+    /// Value of the parameter, with the sign of the log: elongation per newton \[m/N\], or elongation for
+    /// a positive force \[m\].
     pub value: f64,
     /// Standard deviation of `value`; `None` if the parameter was fixed.
     pub sigma: Option<f64>,
@@ -90,12 +94,12 @@ pub struct Elongation {
 }
 
 impl Elongation {
-    /// Elongation of the first run with a force; `None` without any.
+    /// Elongation of the first run with a force measurement. `None` if no run has one.
     pub fn of(calibration: &Calibration) -> Option<Self> {
         Self::all(calibration).into_iter().next()
     }
 
-    /// Elongation of each run with a force.
+    /// Elongation of each run with a force measurement.
     pub fn all(calibration: &Calibration) -> Vec<Self> {
         let runs = calibration.bar_runs().enumerate();
         runs.filter_map(|(run, (prepared, model))| Self::of_run(calibration, run, prepared, model)).collect()
@@ -104,7 +108,7 @@ impl Elongation {
     fn of_run(calibration: &Calibration, run: usize, prepared: &Prepared, model: &Model) -> Option<Self> {
         let Solved { columns, solution, .. } = &calibration.solved;
         let measured = prepared.force?;
-        // The estimate frees the play instead of the compliance if it explains more.
+        // The calibration frees the play instead of the compliance if the play explains more.
         let candidates = [ParameterId::BarCompliance, ParameterId::BarPlay].into_iter();
         let mut estimated = candidates.filter(|id| model.column_of(*id).is_some());
         let parameter = estimated.next().unwrap_or_else(|| measured.parameter());
@@ -124,7 +128,7 @@ impl Elongation {
     /// The result as one or two sentences.
     pub fn sentence(&self) -> String {
         let unit = self.parameter.unit();
-        // Play is displayed in um: it is some hundredths of a millimetre.
+        // Play is displayed in um, because it is some hundredths of a millimetre.
         let (factor, symbol) = if self.parameter == ParameterId::BarPlay {
             (1e6, "um")
         } else {
@@ -151,7 +155,7 @@ impl Elongation {
 /// Deviation of one run from the sphere before and after calibration, and its elongation if a force was measured.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SphereDeviation {
-    /// Deviation with the nominal robot and the bar fitted to it.
+    /// Deviation with the nominal robot, and with the bar fitted to this robot.
     pub before: ModelDeviation,
     /// Deviation with the calibrated robot.
     pub after: ModelDeviation,

@@ -1,5 +1,6 @@
-//! Uncertainty budget of positions, by contribution, as in the GUM (JCGM 100:2008): the covariance by source (samples, priors,
-//! considered parameters), propagated to random postures. Used for the report; the expanded uncertainty is its "known within".
+//! Uncertainty budget of positions by contribution, as in the GUM (JCGM 100:2008). Each source of the covariance (samples,
+//! priors, considered parameters) is propagated to random postures. The budget is shown in the report. The expanded
+//! uncertainty is the value after "known within" there.
 
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
@@ -9,13 +10,13 @@ use crate::instrument::Run;
 use crate::model::{Column, Group, Model, ParameterId, Role};
 use crate::solver::UncertaintySource;
 
-/// Type of evaluation of a contribution (GUM 3.3.4).
+/// Type of evaluation of a contribution, A or B (GUM 3.3.4).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Evaluation {
-    /// Type A: from the scatter of samples.
+    /// Type A: estimated from the scatter of samples.
     #[serde(rename = "A")]
     Statistical,
-    /// Type B: from a stated uncertainty.
+    /// Type B: a specified uncertainty.
     #[serde(rename = "B")]
     Stated,
 }
@@ -31,7 +32,7 @@ pub struct Contribution {
     pub u_m: f64,
 }
 
-/// All contributions to the uncertainty of a position; they are independent of each other.
+/// All contributions to the uncertainty of a position. The contributions are independent of each other.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Budget {
     /// Combined standard uncertainty, root mean square over the workspace \[m\].
@@ -46,16 +47,17 @@ pub struct Budget {
     /// The contributions, largest first.
     pub contributions: Vec<Contribution>,
     /// Displacement of positions, root mean square over the workspace, per metre by which the bar's offset plate is longer than
-    /// stated: the derivative of the solution. Absent without a plate or if its length is taken as exact.
+    /// specified. It is the derivative of the solution. Absent if there is no plate or if its length is treated as exact.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub moved_by_plate: Option<f64>,
 }
 
-/// Coverage factor: 95 % of normal errors along an axis, more for a distance in space.
+/// Coverage factor. It covers 95 % of normal errors along an axis, and more than 95 % of distances in space.
 const K: f64 = 2.0;
 
 impl Budget {
-    /// `moved_m` is the displacement of the robot's end by one standard deviation of each source: three rows per posture.
+    /// Computes the budget. `moved_m` has one column for each source, with the displacement of the robot's end by one
+    /// standard deviation of this source. It has three rows for each posture.
     pub(in crate::evaluate) fn new(calibration: &Calibration, moved_m: &DMatrix<f64>) -> Self {
         let (model, covariance) = (calibration.model(), &calibration.solution().covariance);
         let postures = moved_m.nrows() as f64 / 3.0;
@@ -100,7 +102,7 @@ impl Budget {
     }
 }
 
-/// Stated standard deviation of a parameter, SI; `None` if it is free or fixed.
+/// Specified standard deviation of a parameter, SI. `None` if the parameter is free or fixed.
 fn stated_sigma(model: &Model, id: ParameterId) -> Option<f64> {
     match model.role(id)? {
         Role::Prior { sigma, .. } | Role::Considered { sigma } => Some(sigma),
@@ -108,7 +110,8 @@ fn stated_sigma(model: &Model, id: ParameterId) -> Option<f64> {
     }
 }
 
-/// Name of a source for the report. Stated lengths and fixed parameters are named one by one; other sources by type.
+/// Name of a source for the report. Measured lengths and fixed parameters have individual names; other sources
+/// are named by type.
 fn source_name(source: UncertaintySource, calibration: &Calibration) -> String {
     let (column, how) = match source {
         UncertaintySource::Together => return "errors of the samples, with all priors".into(),

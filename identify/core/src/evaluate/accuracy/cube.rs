@@ -1,4 +1,4 @@
-//! Pose accuracy as defined by ISO 9283:1998, 6.8: five poses in a cube in the working space.
+//! Pose accuracy as defined by ISO 9283:1998, 6.8: at five poses in a cube within the workspace.
 
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
@@ -6,16 +6,18 @@ use serde::{Deserialize, Serialize};
 use super::workspace::{Expected, random_postures};
 use crate::kinematics::{Chain, Joints, Pose, robot_inverse};
 
-/// Candidate edge lengths, largest first: that of the standard, then smaller ones for small arms \[m\].
+/// Candidate edge lengths, largest first \[m\]. The first is that of the standard; the others are for small arms.
 const EDGES_M: [f64; 6] = [1.0, 0.63, 0.4, 0.25, 0.16, 0.1];
-/// Number of random postures whose position is tried as the centre.
+/// Number of random postures whose positions are tried as the centre of the cube.
 const CENTRES: usize = 100;
-/// Distance of the outer poses from the centre, as a fraction of half the diagonal: a tenth of the diagonal from its ends.
+/// Distance of the outer poses from the centre, as a fraction of half the diagonal. Each outer pose is a tenth of the
+/// diagonal away from the end of a diagonal.
 const FROM_CENTRE: f64 = 0.8;
-/// Maximum distance of each joint from the centre's posture \[rad, m\], so that all poses are in one configuration.
+/// Maximum distance of each joint from its value at the centre \[rad, m\]. It ensures that all poses have the same
+/// configuration of the arm.
 const APART_MAX: f64 = 1.5;
 
-/// Distance between commanded and actual position, over the five poses of the standard.
+/// Distance between commanded and actual position, as statistics over the five poses of the standard.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct CubeError {
     /// Edge length of the cube, whose edges are parallel to the base's axes \[m\].
@@ -24,11 +26,11 @@ pub struct CubeError {
     pub centre_m: [f64; 3],
     /// Position error with the nominal geometry.
     pub before: Expected,
-    /// Position error with the calibrated geometry, from its covariance.
+    /// Position error with the calibrated geometry, computed from the covariance of the solution.
     pub after: Expected,
 }
 
-/// The cube and the five poses of the standard, the centre first.
+/// The cube and the postures of its five poses, of which the first is at the centre.
 pub(in crate::evaluate) struct Cube {
     pub(in crate::evaluate) edge_m: f64,
     pub(in crate::evaluate) centre_m: Vector3<f64>,
@@ -37,7 +39,8 @@ pub(in crate::evaluate) struct Cube {
 
 impl Cube {
     /// The largest cube whose five poses the robot reaches with one orientation, within its joint limits and in one
-    /// configuration. Among cubes of this size, the one with the smallest joint motion. `None` if the robot reaches none.
+    /// configuration. Among cubes of this size, the one with the smallest joint motion is returned. `None` if the robot
+    /// reaches none of the candidates.
     pub(in crate::evaluate) fn largest(robot: &Chain, joint_limits: &[[f64; 2]]) -> Option<Self> {
         let centres: Vec<Joints> = random_postures(joint_limits).take(CENTRES).collect();
         EDGES_M.into_iter().find_map(|edge_m| {
@@ -47,13 +50,14 @@ impl Cube {
         })
     }
 
-    /// The cube centred at the position of a posture, and the largest joint motion in it; `None` if not reachable.
+    /// The cube centred at the position of a posture, and the largest joint motion from the centre to an outer pose. `None`
+    /// if the robot does not reach an outer pose.
     fn centred_at(robot: &Chain, joint_limits: &[[f64; 2]], q: &Joints, edge_m: f64) -> Option<(Self, f64)> {
         let centre = robot.forward(q);
         let mut furthest: f64 = 0.0;
         let mut postures = vec![*q];
         for [along, across] in [[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]] {
-            // In the plane through two opposite edges.
+            // The poses are in the plane through two opposite edges.
             let offset = 0.5 * edge_m * FROM_CENTRE * Vector3::new(along, across, along);
             let target = Pose::from_parts((centre.translation.vector + offset).into(), centre.rotation);
             let corner_q = robot_inverse(robot, &target, q).ok()?;
@@ -87,7 +91,7 @@ mod tests {
         for (pose, q) in poses.iter().zip(&cube.postures) {
             assert!(pose.rotation.angle_to(&poses[0].rotation) < 1e-6);
             let from_centre = pose.translation.vector - cube.centre_m;
-            // A tenth of the cube's diagonal from its end: the standard allows (10 +- 2) %.
+            // Each outer pose is a tenth of the cube's diagonal from the end of the diagonal. The standard allows (10 +- 2) %.
             let diagonal = cube.edge_m * 3.0_f64.sqrt();
             let is_centre = from_centre.norm() < 1e-6;
             assert!(is_centre || (from_centre.norm() - 0.4 * diagonal).abs() < 1e-6, "{from_centre}");

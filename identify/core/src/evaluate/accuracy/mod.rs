@@ -1,4 +1,5 @@
-//! Accuracy of the calibrated robot: over its workspace, in the cube of ISO 9283, and the region where it is valid.
+//! Accuracy of the calibrated robot over its workspace and in the cube of ISO 9283, and the region where
+//! the calibration is valid.
 
 pub(in crate::evaluate) mod budget;
 pub(in crate::evaluate) mod cube;

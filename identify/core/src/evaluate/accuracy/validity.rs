@@ -1,4 +1,4 @@
-//! The region of joint space in which a calibration is valid.
+//! The region of joint space in which a calibration is valid: near the joint values that were measured.
 
 use std::fmt;
 
@@ -7,8 +7,8 @@ use shared::config::JointKind;
 
 use crate::kinematics::{Chain, Joints};
 
-/// Maximum distance from measured joint values \[rad, m\]: link errors have one or two waves per turn and change by less
-/// than half of their amplitude over it.
+/// Maximum distance from measured joint values \[rad, m\]. Link errors have one or two waves per turn, so they change by
+/// less than half of their amplitude over this distance.
 const BESIDE: f64 = 0.2;
 
 /// Intervals in which each joint was measured. A calibration is valid for a pose if each joint is within or near one of its
@@ -23,7 +23,7 @@ pub struct Validity {
 }
 
 impl Validity {
-    /// Intervals of the measured poses; empty without poses.
+    /// Computes the intervals from the measured poses. Without poses there are no intervals.
     pub fn of(poses: impl Iterator<Item = Joints>, robot: &Chain) -> Self {
         let is_prismatic = |joint: &usize| robot.links[*joint].joint == JointKind::Prismatic;
         let poses: Vec<Joints> = poses.collect();
@@ -31,7 +31,7 @@ impl Validity {
         let of_joint = |joint: usize| {
             let mut values: Vec<f64> = poses.iter().map(|q| q[joint]).collect();
             values.sort_by(f64::total_cmp);
-            // A gap in which each value is near one of its ends is part of the interval.
+            // In a gap up to this width, each value is near one end of the gap. Such a gap belongs to the interval.
             let intervals = values.chunk_by(|low, high| high - low <= 2.0 * BESIDE);
             intervals.filter_map(|values| Some([*values.first()?, *values.last()?])).collect()
         };
@@ -39,7 +39,7 @@ impl Validity {
         Self { joints: (0..axes).map(of_joint).collect(), prismatic }
     }
 
-    /// Joints (from 0) of a pose that are too far from all of their intervals.
+    /// Indices (from 0) of the joints of a pose that are too far from all their intervals.
     pub fn outside(&self, q: &Joints) -> Vec<usize> {
         let is_beside = |value: f64, [low, high]: &[f64; 2]| (low - BESIDE..=high + BESIDE).contains(&value);
         let is_outside =
@@ -49,7 +49,8 @@ impl Validity {
 }
 
 impl fmt::Display for Validity {
-    /// `joint 1 -170..170, joint 2 -95..-20 and 10..40, joint 3 -60..80 in 7 parts`, in degrees; prismatic joints in mm.
+    /// For example `joint 1 -170..170, joint 2 -95..-20 and 10..40, joint 3 -60..80 in 7 parts`. Values are in degrees,
+    /// those of prismatic joints in mm.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         /// Maximum number of intervals that are listed one by one.
         const LISTED_MAX: usize = 3;

@@ -1,9 +1,10 @@
-//! Accuracy of the calibrated robot in its workspace: position error over the whole range of its joints. Monte Carlo: robots are
-//! drawn from the covariance of the solution, `drawn error = J dp` in each of many random postures; used for the report.
+//! Accuracy of the calibrated robot in its workspace, which is the position error over the whole range of its joints. The
+//! method is Monte Carlo: robots are drawn from the covariance of the solution, and each has the errors `J dp` in many
+//! random postures, where `dp` are the drawn errors of the parameters. Used for the report.
 //!
-//! The part of a link's tolerance that moves the whole robot relative to its base does not count as an error. After a lift or
-//! parallel axes a link error displaces all that follows it, as another pose of the instrument would: no measurement separates
-//! the two.
+//! The tolerance of a link has a component that moves the whole robot relative to its base. This component does not count as
+//! an error. For example, after a linear axis or parallel axes a link error displaces all following links by the same
+//! motion. Another pose of the instrument would have the same effect, so no measurement separates the two.
 
 use std::collections::BTreeMap;
 
@@ -24,7 +25,7 @@ use crate::model::{JointState, Model, Owner, ParameterId, TermGroup};
 use crate::solver::{Covariance, UncertaintySource};
 use crate::statistics::{mean, quantile, rms};
 
-/// Number of random postures, uniformly distributed over the joint limits.
+/// Number of random postures, which are uniformly distributed over the joint limits.
 const POSTURES: usize = 400;
 /// Number of robots drawn from the covariance.
 const DRAWS: usize = 400;
@@ -58,12 +59,12 @@ pub struct PlaceError {
 pub struct WorkspaceError {
     /// Error with the nominal geometry.
     pub before: Expected,
-    /// Error with the calibrated geometry (links and joint errors compensated), from its covariance.
+    /// Error with the calibrated geometry (links and joint errors compensated), computed from the covariance of the solution.
     pub after: Expected,
-    /// Error with the part of the model that a controller applies; empty before deployments are fitted.
+    /// Error if a controller applies only some parameters of the model. Empty until the deployments are fitted.
     pub deployed: BTreeMap<Deployment, Expected>,
-    /// The combination of parameters that contributes most to the remaining error, largest first: name and fraction of the
-    /// combination, 0 to 1.
+    /// The combination of parameters that contributes most to the remaining error. Each entry is the name of a parameter and
+    /// its fraction of the combination, 0 to 1, largest first.
     pub weakest: Vec<(String, f64)>,
     /// Uncertainty budget of the position error.
     pub budget: Budget,
@@ -73,15 +74,16 @@ pub struct WorkspaceError {
     pub cube: Option<CubeError>,
 }
 
-/// Postures with the error removed by calibration, and the derivatives of positions by the robot's parameters.
+/// Random postures with the position change that the calibration causes in each, and the derivatives of positions with
+/// respect to the robot's parameters.
 #[derive(Debug, Clone)]
 struct Postures {
     states: Vec<JointState>,
     /// Positions of the calibrated robot's end.
     positions_m: Vec<Vector3<f64>>,
-    /// Calibrated minus nominal position.
+    /// Position of the calibrated robot minus that of the nominal robot.
     corrected_m: Vec<Vector3<f64>>,
-    /// Derivatives of the positions by parameters: three rows per posture.
+    /// Derivatives of the positions with respect to the parameters: three rows per posture, one column per parameter.
     by_parameter: DMatrix<f64>,
 }
 
@@ -89,31 +91,33 @@ struct Postures {
 /// ([`UncertaintySource`]), such as the errors of the samples or a prior.
 #[derive(Debug, Clone)]
 pub(in crate::evaluate) struct Workspace {
-    /// Of the covariance, see [`robot_columns`].
+    /// Columns of the covariance that belong to the robot, see [`robot_columns`].
     columns: Vec<(usize, ParameterId)>,
-    /// Change of these parameters by one standard deviation of each source: one row per parameter, one column per source.
+    /// Change of these parameters if a source is wrong by one standard deviation: one row per parameter, one column per source.
     spread: DMatrix<f64>,
-    /// Errors of the sources in their standard deviations: one row per source, one robot drawn from the covariance per column.
+    /// Drawn errors of the sources, in standard deviations: one row per source, one column per robot drawn from the covariance.
     drawn: DMatrix<f64>,
     postures: Postures,
-    /// The motion of the whole robot that is nearest to the effect of each source, for tolerances of links alone: one column per
-    /// source, six rows as the columns of [`Postures::by_base`].
+    /// For each source, the motion of the whole robot that is nearest to the effect of the source. Zero for sources other
+    /// than tolerances of links. One column per source; the six rows correspond to the columns of [`Postures::by_base`].
     base_motions: DMatrix<f64>,
 }
 
-/// Expected position errors: nominal robot and calibrated robot, each against robots drawn from the solution's covariance.
+/// Expected position errors of the nominal robot and of the calibrated robot. Each is compared with robots drawn from the
+/// covariance of the solution.
 ///
-/// `joint_limits` are those of the model's joints. The drawn errors are those of the robot itself: its links, including
-/// links fixed at uncertain values, and its joint errors, including excluded terms. All other parameters define the robot's
-/// base frame.
+/// `joint_limits` are the limits of the joints of the model. Drawn errors are those of the robot: its links,
+/// including links fixed at uncertain values, and its joint errors, including excluded terms. All other parameters
+/// define the robot's base frame.
 pub fn workspace_error(calibration: &Calibration, joint_limits: &[[f64; 2]]) -> WorkspaceError {
     Workspace::new(calibration, joint_limits).error(calibration, joint_limits)
 }
 
 impl Workspace {
-    /// Arguments as for [`workspace_error`].
+    /// Draws the robots. The arguments are those of [`workspace_error`].
     pub(in crate::evaluate) fn new(calibration: &Calibration, joint_limits: &[[f64; 2]]) -> Self {
-        /// The end of a robot that moves along a line does not show a rotation about it.
+        /// Singular values up to this size count as zero. If the end moves along a line only, a rotation about this
+        /// line has no effect.
         const SINGULAR: f64 = 1e-9;
         let covariance = &calibration.solution().covariance;
         let columns = robot_columns(calibration);
@@ -131,7 +135,7 @@ impl Workspace {
         Self { columns, spread, drawn: drawn_sources(covariance), postures, base_motions }
     }
 
-    /// Errors of the nominal and the calibrated robot; arguments as for [`Self::new`].
+    /// Errors of the nominal and the calibrated robot. The arguments are those of [`Self::new`].
     pub(in crate::evaluate) fn error(
         &self,
         calibration: &Calibration,
@@ -151,7 +155,7 @@ impl Workspace {
         }
     }
 
-    /// Errors with the parts of the model that a controller applies.
+    /// Error of each deployment, which applies only some parameters of the model.
     pub(in crate::evaluate) fn deployed<'a>(
         &self,
         parts: impl Iterator<Item = &'a Deployed>,
@@ -168,16 +172,16 @@ impl Workspace {
         Some(CubeError { edge_m: cube.edge_m, centre_m: cube.centre_m.into(), before, after })
     }
 
-    /// Displacement of the robot's end by one standard deviation of each source, without motions of the whole robot: three rows
-    /// per posture, one column per source \[m\].
+    /// Displacement of the robot's end if a source is wrong by one standard deviation, without motions of the whole robot:
+    /// three rows per posture, one column per source \[m\].
     fn moved_m(&self, postures: &Postures) -> DMatrix<f64> {
         &postures.by_parameter * &self.spread - postures.by_base() * &self.base_motions
     }
 
-    /// The parameter combination that contributes most to position errors `K = J S`, which are `moved_m`: `S v` with the largest
-    /// eigenvector `v` of `K^T K`, where `S S^T` is the covariance.
+    /// The combination of parameters that contributes most to position errors. With `K` for `moved_m` and the covariance
+    /// `S S^T`, the combination is `S v`. `v` is the eigenvector of `K^T K` with the largest eigenvalue.
     fn weakest(&self, moved_m: &DMatrix<f64>) -> Vec<(String, f64)> {
-        /// Smaller fractions of the combination are not reported.
+        /// Parameters with a smaller fraction of the combination are not reported.
         const PART_MIN: f64 = 0.05;
         let Self { columns, spread, postures: Postures { by_parameter, .. }, .. } = self;
         if spread.is_empty() {
@@ -186,7 +190,7 @@ impl Workspace {
         let by_parameter_squared = by_parameter.tr_mul(by_parameter);
         let eigen = SymmetricEigen::new(moved_m.tr_mul(moved_m));
         let direction = spread * eigen.eigenvectors.column(eigen.eigenvalues.imax());
-        // The effect on positions makes metres and radians comparable.
+        // Metres and radians become comparable by their effect on positions.
         let effect = |i: usize| direction[i] * direction[i] * by_parameter_squared[(i, i)];
         let whole: f64 = (0..columns.len()).map(effect).sum();
         let mut parts: Vec<(String, f64)> = columns
@@ -200,7 +204,7 @@ impl Workspace {
     }
 }
 
-/// Columns of the covariance that move the robot's end at standstill: of its links and joint errors.
+/// Columns of the covariance that move the robot's end at standstill. They belong to its links and joint errors, except delays.
 fn robot_columns(calibration: &Calibration) -> Vec<(usize, ParameterId)> {
     let covariance = &calibration.solution().covariance;
     (0..calibration.model().columns().len())
@@ -213,12 +217,13 @@ fn robot_columns(calibration: &Calibration) -> Vec<(usize, ParameterId)> {
         .collect()
 }
 
-/// Errors of the sources in their standard deviations, one robot drawn from the covariance per column.
+/// Draws errors of the sources, in standard deviations. Each column is one robot drawn from the covariance.
 fn drawn_sources(covariance: &Covariance) -> DMatrix<f64> {
     let sources = &covariance.spread().sources;
     let mut random = ChaCha8Rng::seed_from_u64(0);
     let mut drawn = DMatrix::from_fn(sources.len(), DRAWS, |_, _| StandardNormal.sample(&mut random));
-    // Standard deviations from a few folds are uncertain themselves: multivariate t (Kotz and Nadarajah 2004).
+    // Standard deviations from a few folds are themselves uncertain, so the errors have a multivariate t distribution
+    // (Kotz and Nadarajah 2004).
     if let Some((freedom, chi_squared)) =
         covariance.sigmas_from.freedom().and_then(|freedom| Some((freedom, ChiSquared::new(freedom).ok()?)))
     {
@@ -231,7 +236,7 @@ fn drawn_sources(covariance: &Covariance) -> DMatrix<f64> {
     drawn
 }
 
-/// Whether a source is the tolerance of a number of a link, estimated or fixed.
+/// Whether a source is the tolerance of a link parameter, which can be estimated or fixed.
 fn is_tolerance_of_link(source: UncertaintySource, calibration: &Calibration) -> bool {
     let (UncertaintySource::Prior { column }
     | UncertaintySource::Contradicted { column }
@@ -243,7 +248,7 @@ fn is_tolerance_of_link(source: UncertaintySource, calibration: &Calibration) ->
     id.owner() == Owner::Robot && id.term().is_none()
 }
 
-/// Joint variables uniformly distributed over the limits \[rad, m\].
+/// Random postures with joint variables that are uniformly distributed over the limits \[rad, m\].
 pub fn random_postures(joint_limits: &[[f64; 2]]) -> impl ExactSizeIterator<Item = Joints> + '_ {
     let mut random = ChaCha8Rng::seed_from_u64(1);
     let posture =
@@ -279,14 +284,15 @@ impl Postures {
         postures
     }
 
-    /// Position of the calibrated robot's end minus that of another model, per posture \[m\].
+    /// Position of the calibrated robot's end minus that of another model, for each posture \[m\].
     fn difference_m(&self, other: &Model) -> Vec<Vector3<f64>> {
         let other = other.geometry(&other.start());
         let ends = self.states.iter().map(|state| other.robot_end(state).translation.vector);
         self.positions_m.iter().zip(ends).map(|(calibrated, other)| calibrated - other).collect()
     }
 
-    /// Derivatives of the positions by a motion of the base, a translation and a rotation: three rows per posture, `[I, -[p]x]`.
+    /// Derivatives of the positions with respect to a motion of the base, which is a translation and a rotation: three rows
+    /// per posture, `[I, -[p]x]`.
     fn by_base(&self) -> DMatrix<f64> {
         let mut by_base = DMatrix::zeros(3 * self.states.len(), 6);
         for (posture, position_m) in self.positions_m.iter().enumerate() {
@@ -296,7 +302,7 @@ impl Postures {
         by_base
     }
 
-    /// Errors of each posture over all draws, as in [`Self::errors`].
+    /// Root mean square error of each posture over all draws, with the nominal and with the calibrated geometry.
     fn places(&self, drawn_m: &DMatrix<f64>) -> Vec<PlaceError> {
         let of_posture = |(posture, (position_m, corrected_m)): (usize, (&Vector3<f64>, &Vector3<f64>))| {
             let drawn = |draw| Vector3::from(drawn_m.fixed_view::<3, 1>(3 * posture, draw));
@@ -317,8 +323,8 @@ impl Postures {
     }
 }
 
-/// Expected error of a robot from which the calibrated one differs by `difference_m` in each posture. The true robot is the
-/// calibrated one with the drawn errors `drawn_m`.
+/// Expected error of a robot model. The position of the calibrated robot differs from it by `difference_m` in each posture.
+/// The true robot is assumed to be the calibrated one with the drawn errors `drawn_m`.
 fn expected(difference_m: &[Vector3<f64>], drawn_m: &DMatrix<f64>) -> Expected {
     let of_draw = |draw: DVectorView<'_, f64>| -> Vec<f64> {
         let drawn = |posture: usize| Vector3::from(draw.fixed_rows::<3>(3 * posture));
@@ -332,7 +338,8 @@ fn expected(difference_m: &[Vector3<f64>], drawn_m: &DMatrix<f64>) -> Expected {
     Expected {
         mean_m: mean(&all),
         p95_m,
-        // With five poses the quantile of one robot lies between its two largest errors, and can be below that of all robots.
+        // With five poses, the quantile of one robot lies between its two largest errors, and can be below the
+        // quantile over all robots.
         p95_upper_m: quantile(&mut p95s, 0.975).max(p95_m),
         interval_m: [0.025, 0.975].map(|part| quantile(&mut means, part)),
     }
