@@ -1,6 +1,6 @@
-//! [`Geometry`] has the values of all parameters by their meaning: chains of robot and bar, joint errors, clock, and the parts
-//! of the other instruments. It converts reported joints and encoder readings to true ones, for the residuals ([`crate::cost`]),
-//! for corrections of poses and for simulations. [`super::Model`] builds it from the columns of a solve.
+//! [`Geometry`] contains the values of all parameters, arranged by meaning: chains of robot and bar, joint errors, clock,
+//! and the geometry of the other instruments. It converts reported joints and encoder readings to true ones. Residuals
+//! ([`crate::cost`]), corrections of poses, and simulations use it. [`super::Model`] creates it from the columns of a solve.
 
 use std::cell::OnceCell;
 
@@ -12,30 +12,31 @@ use super::{
 };
 use crate::kinematics::{AXES_MAX, BAR_JOINTS, Chain, DhLink, LinkParameter, Pose, Trace, Turn, Twist};
 
-/// Number of bar joints before the rod: they define the direction of the bar.
+/// Number of bar joints before the rod, which define the direction of the bar.
 pub(super) const DIRECTION_JOINTS: usize = 2;
 
-/// Joint states of a moving robot. The buffer is reused from sample to sample.
+/// Joint states of a moving robot. One value is reused as a buffer from sample to sample.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct MovingJoints {
     /// Joint state as reported by the log.
     pub reported: JointState,
-    /// Joint state after the correction of single-axis delays: all joints at one instant.
+    /// Joint state after the correction of the delays of single axes, so that all joints belong to one instant.
     pub delayed: JointState,
-    /// Delayed state with all other joint errors added: the estimated true joint state.
+    /// Delayed state with all other joint errors added. It is the estimate of the true joint state.
     pub corrected: JointState,
     /// Drive states that belong to `reported`, computed on first use.
     drives: OnceCell<DriveState>,
 }
 
 impl MovingJoints {
-    /// Drive states that belong to `reported`, computed on first use. `drives` are those of the robot.
+    /// Drive states that belong to `reported`, computed on first use. `drives` is the drive train of the robot.
     pub fn drives(&self, drives: &DriveTrain) -> &DriveState {
         self.drives.get_or_init(|| drives.state(&self.reported))
     }
 }
 
-/// Pose of the ball-bar's base: `T(origin) Rx(rx) Ry(ry)`; the rotation about z is the bar's `btheta1`.
+/// Pose of the ball-bar's base: `T(origin) Rx(rx) Ry(ry)`. The rotation about z is not included, because it
+/// is the bar's `btheta1`.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct BasePlacement {
     /// Centre of the gimbal in the robot's base \[m\].
@@ -60,12 +61,13 @@ impl BasePlacement {
 pub struct BarElongation {
     /// Elongation per newton \[m/N\]; negative if the log counts compression as positive.
     pub compliance_m_per_n: f64,
-    /// Half of the axial play \[m\]: the bar is longer by this value on the positive side, shorter on the negative side.
+    /// Half of the axial play \[m\]. The bar is longer by this value when the force is positive, and shorter
+    /// when it is negative.
     pub play_m: f64,
 }
 
 impl BarElongation {
-    /// Elongation of the bar under a force \[m\]: compliance times force plus half of the play times its side.
+    /// Elongation of the bar under a force \[m\]: compliance times force, plus half of the play times the side of the force.
     #[inline]
     pub fn extension_m(&self, force: &BarForce) -> f64 {
         self.compliance_m_per_n * force.along_n + self.play_m * force.side
@@ -82,20 +84,20 @@ pub struct Clock {
 }
 
 impl Clock {
-    /// Bar time since the reference to robot time since the reference: `t + shift + skew t` \[s\].
+    /// Converts bar time to robot time, both since the reference time: `t + shift + skew t` \[s\].
     pub fn robot_time_s(&self, t_s: f64) -> f64 {
         t_s + self.shift_s + self.skew * t_s
     }
 }
 
-/// A draw-wire or telescoping bar.
+/// Geometry of a draw-wire sensor or a telescoping bar.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct WireGeometry {
     /// Attachment points of the wire, in the flange frame \[m\].
     pub attachments_m: Vec<Vector3<f64>>,
     /// Anchor points of the wire, in the robot's base \[m\].
     pub anchors_m: Vec<Vector3<f64>>,
-    /// Measured length minus distance \[m\].
+    /// Offset of the sensor: measured length minus distance \[m\].
     pub offset_m: f64,
 }
 
@@ -106,12 +108,12 @@ impl WireGeometry {
     }
 }
 
-/// A ball on the flange and the sockets in which it is seated.
+/// Geometry of a ball on the flange and of the sockets in which it is seated.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct ContactGeometry {
     /// Centre of the ball in the flange frame \[m\].
     pub ball_m: Vector3<f64>,
-    /// Ball centre when seated in each socket, in the robot's base \[m\].
+    /// For each socket, the centre of the seated ball in the robot's base \[m\].
     pub sockets_m: Vec<Vector3<f64>>,
 }
 
@@ -124,25 +126,25 @@ pub struct Face {
     pub distance_m: f64,
 }
 
-/// A probe tip on the flange and the faces that it touches.
+/// Geometry of a probe tip on the flange and of the faces that it touches.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct TouchGeometry {
     /// Centre of the tip's ball in the flange frame \[m\].
     pub tip_m: Vector3<f64>,
-    /// For each face, the plane on which the ball centre lies at contact.
+    /// For each face, the plane that contains the ball centre at contact.
     pub faces: Vec<Face>,
 }
 
-/// The values of all parameters, as the residuals use them.
+/// The values of all parameters, in the form that residuals use.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Geometry {
-    /// Kinematic chain of the robot, on its own base.
+    /// Kinematic chain of the robot, including the robot's base.
     pub robot: Chain,
     /// Errors of the robot's joint angles.
     pub joints: JointErrors,
-    /// Line spectrum of each robot axis: errors with three or more waves per turn.
+    /// Line spectrum of each robot axis, which contains errors with three or more waves per turn.
     pub axis_waves: [Waves; AXES_MAX],
-    /// DH links of the ball-bar; its base is `base`.
+    /// DH links of the ball-bar. The pose of the bar's base is in `base`.
     pub bar_links: Vec<DhLink>,
     /// Pose of the ball-bar's base in the robot's base.
     pub base: BasePlacement,
@@ -160,7 +162,7 @@ pub struct Geometry {
     pub wire: WireGeometry,
     /// Tracker and its targets, for measured positions and poses.
     pub tracker: TrackerGeometry,
-    /// Relative error of measured lengths and positions: measured = (1 + scale) * true.
+    /// Relative error of measured lengths and positions: `measured = (1 + scale) * true`.
     pub scale: f64,
     /// Ball and sockets, for ball-in-socket measurements.
     pub contact: ContactGeometry,
@@ -169,7 +171,7 @@ pub struct Geometry {
 }
 
 impl Geometry {
-    /// The robot with nominal links, and the ball-bar if it is given; all other parameters are zero.
+    /// The robot with nominal links, and the ball-bar if there is one. All other parameters are zero.
     pub fn new(robot: Chain, bar: Option<&Chain>) -> Self {
         let (bar_links, base) = bar.map_or_else(Default::default, |bar| {
             let origin_m = bar.root_from_base.translation.vector;
@@ -199,14 +201,14 @@ impl Geometry {
         self.robot.forward(&self.corrected(reported).q)
     }
 
-    /// Twist of the robot's end per unit rate of a robot parameter (link, joint error, wave); `None` for parameters of any
+    /// Twist of the robot's end per unit rate of a robot parameter (link, joint error, wave). `None` for parameters of any
     /// other owner. `end` is the trace of the robot at its corrected joints.
     #[inline]
     pub fn end_twist(&self, joints: &MovingJoints, end: &Trace, id: ParameterId) -> Option<Twist> {
         let drives = &self.joints.drives;
         match id {
             ParameterId::Robot { link, parameter } => end.twist(link, parameter),
-            // The error of a drive moves every joint that this drive turns.
+            // The error of a drive moves every joint that is coupled to this drive.
             ParameterId::Joint { axis, term } => {
                 let MovingJoints { reported, delayed, .. } = joints;
                 let state = if term == JointTerm::Delay { delayed } else { reported };
@@ -215,7 +217,8 @@ impl Geometry {
             ParameterId::JointWave { axis, order, phase } => {
                 let wave =
                     joints.drives(drives).turn.get(axis).map_or(0.0, |angle| phase.wave(order, *angle));
-                // Fast path for the drives that turn one joint only, which most do: hundreds of orders are tried.
+                // Fast path for drives that turn a single joint, because hundreds of orders are tried and most drives
+                // are of this type.
                 if let Some(joint) = drives.only_joint(axis) {
                     return Some(end.twist(joint, LinkParameter::Theta)?.scaled(wave));
                 }
@@ -231,15 +234,15 @@ impl Geometry {
         MovingJoints { reported, delayed: reported, corrected, drives: OnceCell::new() }
     }
 
-    /// Joints with their errors added, for a robot at rest or a log that samples all joints at one instant.
+    /// Joints with their errors added. For a robot at rest, or for a log that samples all joints at one instant.
     pub fn corrected(&self, reported: &JointState) -> JointState {
         let mut corrected = *reported;
         self.add_joint_errors(&mut corrected, reported, &OnceCell::new());
         corrected
     }
 
-    /// Writes the robot's joint states at bar time `t_s` into `joints`, overwriting them; false if the robot's log does not
-    /// cover this time.
+    /// Writes the robot's joint states at bar time `t_s` into `joints`, and overwrites all of them. False if the robot's log
+    /// does not cover this time.
     #[must_use]
     pub fn joints_at(&self, motion: &impl RobotMotion, t_s: f64, joints: &mut MovingJoints) -> bool {
         let tau_s = self.clock.robot_time_s(t_s);
@@ -252,14 +255,14 @@ impl Geometry {
         true
     }
 
-    /// Adds joint errors and line spectrum to `corrected`; all states belong to one instant.
+    /// Adds joint errors and line spectrum to `corrected`. All states belong to one instant.
     fn add_joint_errors(
         &self,
         corrected: &mut JointState,
         reported: &JointState,
         drives: &OnceCell<DriveState>,
     ) {
-        // This test is cheaper than the sines and cosines of all drives.
+        // This test takes less time than the sines and cosines of all drives.
         if !self.joints.any() && self.axis_waves.iter().all(Waves::is_none) {
             return;
         }
@@ -276,13 +279,13 @@ impl Geometry {
         }
     }
 
-    /// Errors of the bar's encoders at these readings, to be subtracted \[rad\].
+    /// Errors of the bar's encoders at these readings \[rad\]. They must be subtracted from the readings.
     #[inline]
     pub fn encoder_errors_rad(&self, readings: &[Turn; BAR_JOINTS]) -> [f64; BAR_JOINTS] {
         std::array::from_fn(|joint| self.encoder_waves[joint].at(readings[joint]).0)
     }
 
-    /// Offsets added to the encoder angles for one counter origin \[rad\]; zero for origin 0.
+    /// Offsets that are added to the encoder angles for a counter origin \[rad\]. They are zero for origin 0.
     pub fn offsets_of_origin(&self, origin: usize) -> [f64; BAR_JOINTS] {
         origin
             .checked_sub(1)
@@ -291,7 +294,7 @@ impl Geometry {
             .unwrap_or_default()
     }
 
-    /// The offset of one encoder for an origin from 1 on; the table grows as needed.
+    /// The offset of one encoder for an origin, counted from 1. The table of offsets is extended if necessary.
     pub(super) fn offset_of_origin_mut(&mut self, origin: usize, joint: usize) -> Option<&mut f64> {
         let index = origin.checked_sub(1)?;
         if self.origin_offsets_rad.len() <= index {
@@ -300,7 +303,7 @@ impl Geometry {
         self.origin_offsets_rad.get_mut(index)?.get_mut(joint)
     }
 
-    /// Elongation of the ball-bar due to an axial force and to its direction, given by these readings \[m\].
+    /// Elongation of the ball-bar due to an axial force and to the direction of the bar, which the readings determine \[m\].
     #[inline]
     pub fn extension_m(&self, force: &BarForce, readings: &[Turn; BAR_JOINTS]) -> f64 {
         let by_direction: f64 =

@@ -1,18 +1,20 @@
-//! Conversion from reported joint angles to true joint angles, for [`super::Geometry`]: errors of gears, bearings and joint
-//! encoders, delays in the log, and compliance under gravity.
+//! Converts reported joint angles to true joint angles, for [`super::Geometry`]. The errors are those of gears, bearings and
+//! joint encoders, delays in the log, and compliance under gravity.
 //!
-//! Gear errors are periodic in the angle of the gear's output. This angle is not always a joint angle of the model: rods or
-//! bevel gears may couple drives. The drive angles are then `g = q C^-1` (row vector times matrix); row `i` of `C` is the
-//! motion of each joint per radian of drive `i`. With amplitudes `a` and shapes `s`
+//! Gear errors are periodic in the output angle of the gear, called the drive angle. A drive angle is not always a joint
+//! angle of the model, because rods or bevel gears may couple drives. The drive angles are `g = q C^-1` (row vector times
+//! matrix), where row `i` of `C` is the motion of each joint per radian of drive `i`. The true angles follow from amplitudes
+//! `a` and shapes `s`:
 //!
 //! `q' = q + e(g, dg/dt) C`, `e_i = sum_t a_it s_t(g_i)`.
 //!
-//! Where drives are coupled, a joint may also have errors of its own, `s_t(q_i)` on joint `i` only: errors of its bearing or of
-//! an encoder on the joint.
+//! If drives are coupled, a joint may also have errors of its own, from its bearing or from an encoder on the joint. Such an
+//! error is `s_t(q_i)` and moves joint `i` only.
 //!
 //! Shapes are functions of the reported state, so errors are linear in their amplitudes: `dq'/da_it = s_t(g_i) C_i`. The
-//! exception is a delay `d_i`. It reads the drive's angle at another instant of the log: `e_i = g_i(t + d_i - d) - g_i(t)`. A
-//! delay modelled as a shape (a rate) would amplify the noise of the log. The mean `d` of all delays belongs to the clock.
+//! exception is a delay `d_i`, which evaluates the drive's angle at another instant of the log:
+//! `e_i = g_i(t + d_i - d) - g_i(t)`. If a delay were modelled by a shape, which would be a rate, it would amplify the noise
+//! of the log. The mean `d` of all delays is subtracted because the clock describes it.
 
 use nalgebra::{DMatrix, Vector3};
 use shared::config::{JointKind, RobotConfig};
@@ -21,13 +23,14 @@ use super::{JointState, JointTerm, Load, Period, Phase, RobotMotion};
 use crate::kinematics::{AXES_MAX, Chain, Joints, Trace, Tracer, Turn, Twist};
 use crate::statistics::mean;
 
-/// Drive speed scale of the backlash shape `tanh(rate / speed)` \[rad/s\]; at this speed the shape is about 0.76. It is lower
-/// than the speeds of calibration motions and higher than the residual speed of a noisy log at standstill. At standstills in a
-/// log the shape is zero, although a real joint stays on the side from which it came. Where the robot stands still at every
-/// pose, `instrument::rows` gives each joint 1 rad/s in the direction of its last motion.
+/// Scale of the drive speed in the backlash shape `tanh(rate / speed)` \[rad/s\]. At this speed the shape is about 0.76. The
+/// scale is lower than the speeds of calibration motions, and higher than the apparent speed of a noisy log at standstill.
+///
+/// At standstills in a log the shape is zero, although a real joint stays on the side from which it arrived. If the robot
+/// stands still at every pose, `instrument::rows` therefore sets each joint to 1 rad/s in the direction of its last motion.
 pub const BACKLASH_SPEED_RAD_S: f64 = 0.01;
 
-/// Log columns that turn faster than the joint by this factor are taken as motor angles.
+/// If a log column turns faster than the joint by more than this factor, it is assumed to be a motor angle.
 const GEAR_RATIO_MIN: f64 = 2.0;
 
 fn rows_of(matrix: &DMatrix<f64>) -> Vec<Joints> {
@@ -37,24 +40,24 @@ fn rows_of(matrix: &DMatrix<f64>) -> Vec<Joints> {
 /// Couplings between drives and joints, and the data that determine which error terms an axis can have.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DriveTrain {
-    /// Row i: motion of each joint per radian of drive i's output.
+    /// Row i is the motion of each joint per radian of drive i's output.
     pub joint_from_drive: Vec<Joints>,
-    /// Row i: motion of each drive per radian of joint i; the inverse of `joint_from_drive`.
+    /// Row i is the motion of each drive per radian of joint i. Inverse of `joint_from_drive`.
     pub drive_from_joint: Vec<Joints>,
-    /// Number of lobes of each drive's cycloid gear; `None` without such a gear or if the number is unknown.
+    /// Number of lobes of each drive's cycloid gear. `None` if the drive has no such gear or if the number is unknown.
     pub cycloid_lobes: Vec<Option<f64>>,
     /// Motor turns per turn of each drive's output; `None` if unknown.
     pub motor_turns: Vec<Option<f64>>,
     /// Unit vector of gravity in the robot's base.
     pub gravity: Vector3<f64>,
     joints: Vec<JointKind>,
-    /// The nominal chain, for the lever arms of weights.
+    /// The nominal chain, from which the lever arms of weights are computed.
     arm: Tracer,
 }
 
 impl DriveTrain {
-    /// One drive per joint, robot upright. `arm` is the nominal chain. It gives the lever arms of weights, for which errors of
-    /// a few millimetres do not matter.
+    /// Drive train of an upright robot with one drive per joint. `arm` is the nominal chain, used for the lever arms of
+    /// weights. Errors of a few millimetres in lever arms do not matter.
     pub fn direct(arm: &Chain) -> Self {
         let axes = arm.links.len();
         let identity = rows_of(&DMatrix::identity(axes, axes));
@@ -69,8 +72,9 @@ impl DriveTrain {
         }
     }
 
-    /// Drive train from the robot's file. Couplings are those of its log (`raw_to_joint`, each row divided by its diagonal
-    /// entry). If the log contains motor angles, the gear ratios come from it as well.
+    /// Drive train from the robot's file. Couplings are those of the log's matrix `raw_to_joint`, with each row
+    /// divided by its diagonal entry. If the log contains motor angles, gear ratios that the file does not contain are
+    /// computed from this matrix.
     pub fn of(robot: &RobotConfig, arm: &Chain) -> Self {
         let raw_to_joint = &robot.log.raw_to_joint;
         let axes = raw_to_joint.len();
@@ -90,7 +94,7 @@ impl DriveTrain {
         if let Some(gravity) = robot.drives.gravity {
             drives.gravity = Vector3::from(gravity).normalize();
         }
-        // If the columns are permuted, the matrix does not describe couplings.
+        // If the columns are permuted, the matrix does not describe couplings, and its inverse is not finite.
         let inverse = joint_from_drive.clone().try_inverse();
         if let Some(inverse) = inverse.filter(|inverse| inverse.iter().all(|entry| entry.is_finite())) {
             drives.joint_from_drive = rows_of(&joint_from_drive);
@@ -110,7 +114,7 @@ impl DriveTrain {
         state
     }
 
-    /// Number of waves per turn; `None` if it is unknown, or if the axis cannot have such waves.
+    /// Number of waves per turn. `None` if the number is unknown, or if the axis cannot have such waves.
     fn waves_per_turn(&self, axis: usize, period: Period) -> Option<f64> {
         match period {
             Period::Once => Some(1.0),
@@ -129,7 +133,7 @@ impl DriveTrain {
             || rows.any(|(drive, row)| drive != axis && row.get(axis).is_some_and(|part| *part != 0.0))
     }
 
-    /// Motion of each joint per radian of this error term.
+    /// Motion of each joint per radian of an error term.
     fn joint_motion(&self, axis: usize, term: JointTerm) -> Joints {
         if term.is_of_joint() {
             return Joints::from_fn(self.axes(), |joint| f64::from(u8::from(joint == axis)));
@@ -142,10 +146,10 @@ impl DriveTrain {
         self.joints.len()
     }
 
-    /// Whether this axis (from 0) can have the term. A prismatic axis can have a ratio error and a delay. A revolute axis can
-    /// also have backlash, waves with a known number per turn, and compliance under a load that it raises and lowers. The loads
-    /// are known for arms with six revolute axes ([`Load::acts_on`]). Other arms have the tool as load of every axis but the
-    /// first.
+    /// Whether this axis (from 0) can have the term. A prismatic axis can have a ratio error and a delay. A revolute axis
+    /// can also have backlash, waves with a known number per turn, and compliance under a load that it raises and lowers.
+    /// For arms with six revolute axes, [`Load::acts_on`] determines these loads. In other arms, the tool is the load of
+    /// every axis except the first.
     pub fn has(&self, axis: usize, term: JointTerm) -> bool {
         if !self.turns(axis) {
             return axis < self.axes() && matches!(term, JointTerm::Ratio | JointTerm::Delay);
@@ -163,18 +167,18 @@ impl DriveTrain {
         self.joints.get(axis) == Some(&JointKind::Revolute)
     }
 
-    /// Angle or rate of one drive, from those of the joints.
+    /// Angle or rate of one drive, from the angles or rates of the joints.
     pub fn of_drive(&self, axis: usize, joints: &Joints) -> f64 {
         joints.iter().zip(&self.drive_from_joint).map(|(joint, row)| joint * row[axis]).sum()
     }
 
-    /// The only joint that this drive turns; `None` if it turns others as well.
+    /// The single joint that this drive turns. `None` if the drive turns other joints as well.
     pub fn only_joint(&self, axis: usize) -> Option<usize> {
         let mut parts = self.joint_from_drive.get(axis)?.iter().enumerate();
         parts.all(|(joint, part)| *part == f64::from(u8::from(joint == axis))).then_some(axis)
     }
 
-    /// Value of a term for unit amplitude, and its time derivative \[1/s\].
+    /// Value of a term for unit amplitude, and the time derivative of this value \[1/s\].
     fn shape(&self, axis: usize, term: JointTerm, reported: &JointState, state: &DriveState) -> (f64, f64) {
         let DriveState { angle, rate, turn } = state;
         let (angle, rate, turn) = (angle[axis], rate[axis], turn[axis]);
@@ -209,8 +213,8 @@ impl DriveTrain {
         }
     }
 
-    /// Torque about an axis per newton of weight \[m\], `z . ((p - r) x u)`, and its time derivative \[m/s\]. The axis has
-    /// direction `z` and point `r`, the load is at the point `p`, `u` is the direction of gravity.
+    /// Torque about an axis per newton of weight \[m\], `z . ((p - r) x u)`, and its time derivative \[m/s\]. `z` is the
+    /// direction of the axis and `r` a point on it, `p` is the position of the load, and `u` is the direction of gravity.
     fn lever(&self, axis: usize, load: Load, reported: &JointState) -> (f64, f64) {
         let mut trace = Trace::default();
         self.arm.trace(&reported.q, &mut trace);
@@ -223,7 +227,7 @@ impl DriveTrain {
             Load::Tool => (Some(trace.position_m()), axes.len()),
         };
         let Some(p) = p else { return (0.0, 0.0) };
-        // Velocity of a point that these joints move, or its angular velocity.
+        // Velocity of a point that the first `joints` joints move, or the angular velocity of its link.
         let velocity = |point: Vector3<f64>, joints: usize, component: fn(&Twist) -> Vector3<f64>| {
             let twists = trace.point_twists(point, joints).zip(reported.qd);
             twists.map(|(twist, rate)| component(&twist) * rate).sum::<Vector3<f64>>()
@@ -237,10 +241,10 @@ impl DriveTrain {
     }
 }
 
-/// Drive outputs at one instant: the arguments of the gear errors.
+/// Output angles of all drives at one instant, on which gear errors depend.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DriveState {
-    /// Output angle of each drive \[rad\]; position of a prismatic one \[m\].
+    /// Output angle of each drive \[rad\], or position of a prismatic drive \[m\].
     pub angle: [f64; AXES_MAX],
     /// Rate of change of `angle`, per second.
     pub rate: [f64; AXES_MAX],
@@ -260,7 +264,7 @@ impl Default for DriveState {
 pub struct JointErrors {
     /// Couplings between drives and joints.
     pub drives: DriveTrain,
-    /// Axis, term, amplitude; sorted by axis and term. Missing entries are zero.
+    /// Axis, term and amplitude of each entry, sorted by axis and term. Missing entries are zero.
     amplitudes: Vec<(usize, JointTerm, f64)>,
 }
 
@@ -275,7 +279,7 @@ impl JointErrors {
         self.amplitudes.iter().any(|(_, _, amplitude)| *amplitude != 0.0)
     }
 
-    /// Mutable amplitude of a term; `None` if the robot cannot have it.
+    /// Mutable amplitude of a term. `None` if the robot cannot have the term.
     pub fn amplitude_mut(&mut self, axis: usize, term: JointTerm) -> Option<&mut f64> {
         if !self.drives.has(axis, term) {
             return None;
@@ -288,13 +292,13 @@ impl JointErrors {
         Some(&mut self.amplitudes[index].2)
     }
 
-    /// Removes zero amplitudes, which would otherwise cost time in each sample.
+    /// Removes zero amplitudes, because they would take time in each sample.
     pub(super) fn drop_zeros(&mut self) {
         self.amplitudes.retain(|(_, _, amplitude)| *amplitude != 0.0);
     }
 
-    /// Motion of each joint per unit amplitude of a term, at this drive state. For a delay pass the delayed joints as
-    /// `reported`.
+    /// Motion of each joint per unit amplitude of a term, at this drive state. For a delay, `reported` must be
+    /// the delayed joint state.
     pub fn by_amplitude(
         &self,
         axis: usize,
@@ -304,14 +308,14 @@ impl JointErrors {
     ) -> Joints {
         let shape = self.drives.shape(axis, term, reported, state).0;
         let joint_motion = self.drives.joint_motion(axis, term);
-        // The delay of one drive of n changes the mean of all delays, which is subtracted, by 1/n.
+        // The mean of all `n` delays is subtracted, and the delay of one drive changes this mean by 1/n.
         let mean_share = if term == JointTerm::Delay { (self.drives.axes() as f64).recip() } else { 0.0 };
         Joints::from_fn(joint_motion.len(), |joint| {
             joint_motion[joint] * shape - mean_share * reported.qd[joint]
         })
     }
 
-    /// Joints with the delay of each drive applied; near an end or a gap of the log by extrapolation from `reported`.
+    /// Joints with the delay of each drive applied. Near an end or a gap of the log, the state is extrapolated from `reported`.
     pub(super) fn delayed(&self, reported: &JointState, motion: &impl RobotMotion, tau_s: f64) -> JointState {
         let mut delayed = *reported;
         let delays = || self.amplitudes.iter().filter(|(_, term, _)| *term == JointTerm::Delay);
@@ -330,7 +334,7 @@ impl JointErrors {
                 continue;
             }
             let later = motion.at(tau_s + delay_s).unwrap_or_else(|| reported.after(delay_s));
-            // `g_i(t + d_i - d) - g_i(t)`, and the same of its derivatives.
+            // Change `g_i(t + d_i - d) - g_i(t)` of the drive angle, and the same change of its derivatives.
             let drive_change = |joints_of: fn(&JointState) -> &Joints| {
                 self.drives.of_drive(axis, joints_of(&later))
                     - self.drives.of_drive(axis, joints_of(reported))
@@ -351,7 +355,7 @@ impl JointErrors {
     pub(super) fn add_to(&self, corrected: &mut JointState, reported: &JointState, state: &DriveState) {
         for axis_amplitudes in self.amplitudes.chunk_by(|(axis, _, _), (next, _, _)| axis == next) {
             let axis = axis_amplitudes[0].0;
-            // Error and its rate; index 0: of the drive, index 1: of the joint.
+            // Error and its rate: first for errors of the drive, then for errors of the joint.
             let mut errors = [(0.0, 0.0); 2];
             let terms = axis_amplitudes.iter().map(|(_, term, amplitude)| (*term, *amplitude));
             for (term, amplitude) in terms.filter(|(term, _)| *term != JointTerm::Delay) {

@@ -1,4 +1,4 @@
-//! Error terms of a robot axis beyond its link.
+//! Error terms of a robot axis, in addition to the parameters of its link.
 
 use std::fmt;
 
@@ -7,17 +7,18 @@ use super::{Phase, TermGroup, Unit};
 /// Number of waves per turn of a drive's output.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Period {
-    /// Once per turn: an eccentric output gear or joint encoder.
+    /// Once per turn, as from an eccentric output gear or joint encoder.
     Once,
-    /// Twice per turn: an elliptic or tilted gear or encoder.
+    /// Twice per turn, as from an elliptic or tilted gear or encoder.
     Twice,
-    /// Once per lobe of a cycloid gear; only if the robot's file contains the number of lobes.
+    /// Once per lobe of a cycloid gear. Only if the robot's file contains the number of lobes.
     Cycloid,
-    /// Once per motor turn; only if the gear ratio is known.
+    /// Once per motor turn. Only if the gear ratio is known.
     Motor,
-    /// Once per turn of the joint (not the drive): a bearing or an encoder of the joint; only where drives are coupled.
+    /// Once per turn of the joint rather than of the drive, as from a bearing or encoder of the joint. Only
+    /// if drives are coupled.
     JointOnce,
-    /// Twice per turn of the joint; otherwise as [`Self::JointOnce`].
+    /// Twice per turn of the joint. Causes and condition are those of [`Self::JointOnce`].
     JointTwice,
 }
 
@@ -37,11 +38,11 @@ impl Period {
 /// The mass whose weight deflects a joint.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Load {
-    /// The upper arm: a weight on axis 3.
+    /// The upper arm, modelled as a weight on axis 3.
     Elbow,
-    /// The forearm: a weight where the wrist's axes meet.
+    /// The forearm, modelled as a weight at the point where the wrist's axes meet.
     Wrist,
-    /// The tool: a weight at the end of the chain.
+    /// The tool, modelled as a weight at the end of the chain.
     Tool,
 }
 
@@ -49,8 +50,9 @@ impl Load {
     /// All loads, from elbow to tool.
     pub const ALL: [Self; 3] = [Self::Elbow, Self::Wrist, Self::Tool];
 
-    /// Axes (from 0) of a six-axis arm whose compliance under this load can be identified: those that raise and lower it in
-    /// most postures. Of the others the first is vertical, the fourth points along the forearm, the sixth along the tool.
+    /// Axes (from 0) of a six-axis arm whose compliance under this load can be identified, because they raise and lower
+    /// the load in most postures. Of the other axes, the first is vertical, the fourth points along the forearm, and the
+    /// sixth along the tool.
     pub const fn acts_on(self, axis: usize) -> bool {
         matches!((self, axis), (Self::Elbow, 1) | (Self::Wrist, 1 | 2) | (Self::Tool, 1 | 2 | 4))
     }
@@ -64,11 +66,12 @@ impl Load {
     }
 }
 
-/// One error term of a robot axis, in the order of reports. A constant offset is not a term: it is the link's `theta`.
+/// One error term of a robot axis; the variants are in the order of reports. A constant offset is not a term, because it
+/// is the link's `theta`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum JointTerm {
-    /// `sin(n g)` or `cos(n g)` of the drive's output angle `g`: `rsin1`, `rcos1`, `rsin2`, `rsinc`, `rsinm`; or of the joint
-    /// angle: `rsinj1`, `rsinj2`.
+    /// `sin(n g)` or `cos(n g)` of the drive's output angle `g`: `rsin1`, `rcos1`, `rsin2`, `rsinc`, `rsinm`. Or the same of
+    /// the joint angle: `rsinj1`, `rsinj2`.
     Wave(Period, Phase),
     /// Half of the lost motion, with the sign of the drive's speed: `rbacklash`.
     Backlash,
@@ -76,12 +79,12 @@ pub enum JointTerm {
     Ratio,
     /// Delay of this axis in the log relative to the other axes \[s\], caused by servo lag or a filter: `rdelay`.
     Delay,
-    /// The axis deflects under a weight: `relbow`, `rwrist`, `rtool`.
+    /// Deflection of the axis under a weight: `relbow`, `rwrist`, `rtool`.
     Compliance(Load),
 }
 
 impl JointTerm {
-    /// All terms, in their order.
+    /// All terms, in the order of reports.
     pub const ALL: [Self; 18] = [
         Self::Wave(Period::Once, Phase::Sine),
         Self::Wave(Period::Once, Phase::Cosine),
@@ -103,12 +106,12 @@ impl JointTerm {
         Self::Compliance(Load::Tool),
     ];
 
-    /// Whether the term depends on the joint angle and moves this joint only; other terms depend on the drive angle.
+    /// Whether the term depends on the joint angle and moves only this joint. Other terms depend on the drive angle.
     pub const fn is_of_joint(self) -> bool {
         matches!(self, Self::Wave(Period::JointOnce | Period::JointTwice, _))
     }
 
-    /// The group of terms to which it belongs.
+    /// The group to which the term belongs.
     pub const fn group(self) -> TermGroup {
         match self {
             Self::Wave(period, _) => match period {

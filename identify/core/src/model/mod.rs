@@ -1,6 +1,6 @@
-//! Estimated and measured quantities: named parameters with roles, the geometry that they describe, observations.
+//! The quantities of a calibration: observations, named parameters with roles, and the geometry that the parameters describe.
 //!
-//! [`Model`] is the only place that maps parameter names to columns of the solve.
+//! Only [`Model`] maps parameter names to columns of the solve.
 
 mod geometry;
 mod joint_errors;

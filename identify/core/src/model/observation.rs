@@ -1,26 +1,28 @@
-//! Samples of the bar and motion of the robot, each on its own clock.
+//! Observations of the bar and motion of the robot. Each has its own clock.
 
 use crate::kinematics::{BAR_JOINTS, Joints};
 
-/// Axial force on the ball-bar with the sign of its log; whether tension is positive is not known.
+/// Axial force on the ball-bar, with the sign of its log. It is not known whether tension is positive.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct BarForce {
     /// Force along the bar \[N\]; 0 if not measured.
     pub along_n: f64,
-    /// Side of the axial play, from -1 to 1: the smoothed sign of the force.
+    /// Side of the axial play, from -1 to 1. It is the sign of the force, smoothed around zero.
     pub side: f64,
 }
 
-/// Measurement of the ball-bar at one instant. For other instruments, whose rows have the measurement, it has only the time.
+/// Measurement of the ball-bar at one instant. For other instruments only the time is used, because their
+/// rows contain the measurement.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Observation {
     /// Time on the bar's clock, since the reference time \[s\].
     pub t_s: f64,
-    /// Bar joints \[rad\], encoder offsets not yet added; entries that are not `measured` are ignored.
+    /// Bar joints without the encoder offsets \[rad\]. Entries that are not `measured` are ignored.
     pub bar_rad: [f64; BAR_JOINTS],
     /// Which joints have an encoder value.
     pub measured: [bool; BAR_JOINTS],
-    /// Index of the counter origin: 0 uses the offsets of the bar's links; others add [`super::ParameterId::EncoderOffset`].
+    /// Index of the counter origin. Origin 0 uses the offsets of the bar's links; every
+    /// other origin adds [`super::ParameterId::EncoderOffset`].
     pub origin: usize,
     /// Axial force on the ball-bar.
     pub force: BarForce,
@@ -33,7 +35,7 @@ impl Observation {
         Self { t_s, bar_rad, measured: [true; BAR_JOINTS], origin: 0, force }
     }
 
-    /// An instant at which another instrument measured.
+    /// Observation that consists only of the time at which another instrument measured.
     pub fn time_only(t_s: f64) -> Self {
         Self { measured: [false; BAR_JOINTS], ..Self::bar(t_s, [0.0; BAR_JOINTS]) }
     }
@@ -69,13 +71,13 @@ impl JointState {
     }
 }
 
-/// The robot's motion on its own clock, differentiable in time.
+/// The robot's motion as a differentiable function of the time on the robot's clock.
 pub trait RobotMotion: Sync {
-    /// Joints at robot time `tau_s` since the reference \[s\]; `None` outside the log.
+    /// Joints at robot time `tau_s` since the reference time \[s\]. `None` outside the log.
     fn at(&self, tau_s: f64) -> Option<JointState>;
 }
 
-/// Joints given per observation, for data without clocks: observation `i` has time `i` seconds.
+/// One joint position for each observation, for data without clocks. Observation `i` has the time `i` seconds.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PerObservation(pub Vec<Joints>);
 
@@ -88,7 +90,7 @@ impl PerObservation {
 
 /// Index of the observation at this time; `None` before the first one.
 fn index_at(tau_s: f64) -> Option<usize> {
-    // A time below -0.5 rounds to a negative index, which the cast would change to 0.
+    // A time below -0.5 rounds to a negative index, which the cast would convert to 0.
     (tau_s > -0.5).then(|| tau_s.round() as usize)
 }
 
@@ -98,7 +100,7 @@ impl RobotMotion for PerObservation {
     }
 }
 
-/// Joint states given per observation, as [`PerObservation`].
+/// One joint state for each observation, with times as in [`PerObservation`].
 impl RobotMotion for Vec<JointState> {
     fn at(&self, tau_s: f64) -> Option<JointState> {
         self.get(index_at(tau_s)?).copied()

@@ -1,8 +1,10 @@
-//! All parameters, in blocks: [`ParameterId`] names a parameter for files and reports, and finds its number in a [`Geometry`].
+//! All parameters of robot and instruments. [`ParameterId`] identifies a parameter, converts it to and from its name in
+//! files and reports, and finds its number in a [`Geometry`].
 //!
-//! One row of `parameters!` below defines a block: the indices of its parameters with their ranges, their names, the properties
-//! that they share (owner, group, unit), and the place of the number. The macro makes a variant of [`ParameterId`] from it. A
-//! new term or instrument needs a new row here, and its twist where residuals are computed ([`crate::cost`]).
+//! Parameters are defined in blocks, one row of `parameters!` below for each block. A row contains the indices of the
+//! block's parameters with their ranges, the names, the common properties (owner, group, unit), and an expression for the
+//! number in the geometry. The macro creates a variant of [`ParameterId`] from each row. A new term or instrument needs a
+//! new row here, and its twist where residuals are computed ([`crate::cost`]).
 
 use std::collections::HashMap;
 use std::fmt;
@@ -90,7 +92,7 @@ impl fmt::Display for FaceNumber {
     }
 }
 
-/// The part of the set-up to which a parameter belongs.
+/// The component of the set-up to which a parameter belongs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Owner {
     /// The robot: its links and joint errors.
@@ -111,16 +113,16 @@ pub enum Owner {
     Touch,
 }
 
-/// Type of a parameter; it determines the prior knowledge.
+/// Type of a parameter. It determines the prior knowledge about the parameter.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Group {
-    /// Manufactured dimension of a link, within a tolerance.
+    /// Manufactured dimension of a link. Prior knowledge is the tolerance of the dimension.
     Link,
-    /// Alternative parametrisation of another parameter: freed by name, instead of that one.
+    /// Alternative parametrisation that replaces another parameter. It is freed only by name.
     InPlaceOfAnother,
-    /// Location, mounting or counter origin; no prior knowledge.
+    /// Location, mounting or counter origin, without prior knowledge.
     Placement,
-    /// Relative error of an instrument's lengths, within its stated uncertainty.
+    /// Relative error of an instrument's lengths. Prior knowledge is the specified uncertainty of the instrument.
     Scale,
     /// Shift or skew of a clock.
     Clock,
@@ -130,26 +132,26 @@ pub enum Group {
     Term(TermGroup),
 }
 
-/// SI unit of a parameter, with the unit in which it is displayed.
+/// SI unit of a parameter, and the unit in which the parameter is displayed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Unit {
-    /// Metres, read in mm.
+    /// Metres, displayed in mm.
     Metre,
-    /// Radians, read in mrad.
+    /// Radians, displayed in mrad.
     Radian,
-    /// Seconds, read in ms.
+    /// Seconds, displayed in ms.
     Second,
-    /// Ratio, read in ppm.
+    /// Ratio, displayed in ppm.
     Ratio,
-    /// Deflection of an axis per metre of its load's lever arm \[rad/m\], that is compliance \[rad/(N m)\] times weight \[N\];
-    /// read in mrad/m.
+    /// Deflection of an axis per metre of its load's lever arm \[rad/m\], displayed in mrad/m. It is the compliance \[rad/(N
+    /// m)\] times the weight \[N\].
     RadianPerMetre,
-    /// Metres per newton, read in um/N.
+    /// Metres per newton, displayed in um/N.
     MetrePerNewton,
 }
 
 impl Unit {
-    /// Symbol of the SI unit, that of the displayed unit, and the factor from the first to the second.
+    /// Symbol of the SI unit, symbol of the displayed unit, and the factor from the SI unit to the displayed unit.
     const fn symbols(self) -> (&'static str, &'static str, f64) {
         match self {
             Self::Metre => ("m", "mm", 1e3),
@@ -185,18 +187,19 @@ impl Unit {
     }
 }
 
-/// The properties that all parameters of a block share.
+/// The properties that all parameters of a block have in common.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ParameterBlock {
-    /// The part of the set-up to which they belong.
+    /// The component of the set-up to which the parameters belong.
     pub owner: Owner,
-    /// Type of parameter, which determines the prior knowledge.
+    /// Type of the parameters, which determines the prior knowledge.
     pub group: Group,
     /// SI unit and display unit.
     pub unit: Unit,
-    /// Whether every run has its own value, because of a new set-up or a new counter origin.
+    /// Whether every run has a separate value, because of a new set-up or a new counter origin.
     pub of_run: bool,
-    /// Whether a model has them only on request; others are present whenever the geometry has them.
+    /// Whether a model contains the parameters only on request. Other parameters are present whenever
+    /// the geometry contains them.
     pub on_request: bool,
 }
 
@@ -230,7 +233,8 @@ impl ParameterBlock {
     }
 }
 
-/// One row per block: fields with their ranges, name, common properties, and the place of the number in `Geometry`.
+/// Defines all parameters. Each row is a block: fields with their ranges, name, common properties, and place of
+/// the number in `Geometry`.
 macro_rules! parameters {
     ($(
         $(#[doc = $doc:literal])*
@@ -540,34 +544,36 @@ parameters! {
 impl ParameterId {
     /// Number of sockets that have parameters.
     pub const SOCKETS_MAX: usize = 99;
-    /// Number of tracker stations, wire anchors, flange targets and faces that have parameters (each).
+    /// Number of tracker stations, wire anchors, flange targets and faces that have parameters, each.
     pub const SET_UPS_MAX: usize = 99;
-    /// Last counter origin that has parameters. A run that loses the origin more often keeps the offsets from the preparation.
+    /// Last counter origin that has parameters. If a run loses the origin more often, the later offsets stay as
+    /// the preparation determined them.
     pub const LAST_ORIGIN: usize = 99;
     /// Length of the ball-bar: `bd3`.
     pub const ROD: Self = Self::Bar { link: ROD_LINK, parameter: LinkParameter::D };
 
-    /// Offset plate between the last of the robot's `axes` axes and axis 5 of the ball-bar: `ra6` for six axes.
+    /// Length of the offset plate between the last of the robot's `axes` axes and axis 5 of the ball-bar. It is
+    /// `ra6` for six axes.
     pub const fn plate(axes: usize) -> Self {
         Self::Robot { link: axes.saturating_sub(1), parameter: LinkParameter::A }
     }
 
-    /// Lengths of the bar that are measured separately, each with its own uncertainty.
+    /// Lengths of the bar that are measured separately. Each has its own uncertainty.
     pub const fn known_lengths(axes: usize) -> [Self; 2] {
         [Self::plate(axes), Self::ROD]
     }
 
-    /// The part of the set-up to which it belongs.
+    /// The component of the set-up to which the parameter belongs.
     pub const fn owner(self) -> Owner {
         self.block().owner
     }
 
-    /// Type of parameter, which determines the prior knowledge.
+    /// Type of the parameter, which determines the prior knowledge.
     pub const fn group(self) -> Group {
         self.block().group
     }
 
-    /// Its group of error terms; `None` for geometry and clocks.
+    /// The group of the error term. `None` for geometry and clocks.
     pub const fn term(self) -> Option<TermGroup> {
         match self.group() {
             Group::Term(group) => Some(group),
@@ -580,7 +586,7 @@ impl ParameterId {
         self.block().unit
     }
 
-    /// The link of the ball-bar to which the parameter belongs, from 0.
+    /// Index (from 0) of the ball-bar's link to which the parameter belongs. `None` if it belongs to no link.
     pub const fn bar_link(self) -> Option<usize> {
         match self {
             Self::Bar { link, .. } => Some(link),
@@ -589,18 +595,19 @@ impl ParameterId {
         }
     }
 
-    /// Whether it belongs to this instrument. Trackers and wires have a scale.
+    /// Whether the parameter belongs to this instrument. For trackers and wires this includes the scale.
     pub fn is_of(self, instrument: Owner) -> bool {
         let has_scale = matches!(instrument, Owner::Tracker | Owner::Wire);
         self.owner() == instrument || self == Self::Scale && has_scale
     }
 
-    /// Whether it can affect this instrument's measurements: it belongs to the robot, the clocks or the instrument.
+    /// Whether the parameter can affect this instrument's measurements, because it belongs to the robot, the
+    /// clocks or the instrument.
     pub fn affects(self, instrument: Owner) -> bool {
         self.is_of(instrument) || matches!(self.owner(), Owner::Robot | Owner::Clocks)
     }
 
-    /// The robot's axis or the bar's joint whose error a term describes, from 0; `None` for geometry and clocks.
+    /// Index (from 0) of the robot's axis or the bar's joint whose error the term describes. `None` for geometry and clocks.
     pub const fn axis(self) -> Option<usize> {
         match self {
             Self::Joint { axis, .. } | Self::JointWave { axis, .. } => Some(axis),
@@ -614,23 +621,23 @@ impl ParameterId {
         Self::all().filter(move |id| id.term() == Some(group))
     }
 
-    /// Waves of all robot axes up to order `last`, whether or not a robot has these axes.
+    /// Waves of all robot axes up to order `last`, including axes that a robot may not have.
     pub fn joint_waves(last: u8) -> impl Iterator<Item = Self> {
         Self::of_term(TermGroup::LineSpectrum)
             .filter(move |id| matches!(id, Self::JointWave { order, .. } if *order <= last))
     }
 }
 
-/// A column of a solution: its parameter, and the data set that has it for itself.
+/// A column of a solution: a parameter, and the data set to which its value belongs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Column {
-    /// Parameter whose value the column has.
+    /// Parameter whose value is in the column.
     pub id: ParameterId,
-    /// Index of the data set, from 0; 0 for a parameter that the data sets share.
+    /// Index of the data set, from 0. It is 0 for a parameter that the data sets share.
     pub data_set: usize,
 }
 
-/// The name of the parameter; if the column belongs to a later data set, with its number: `ox@2`.
+/// The name of the parameter. For a later data set, its number follows: `ox@2`.
 impl fmt::Display for Column {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.data_set {
@@ -640,7 +647,7 @@ impl fmt::Display for Column {
     }
 }
 
-/// Suffix of a station or target in names, counted from 1; empty for the first.
+/// Suffix of a station or target in names, counted from 1. It is empty for the first one.
 pub fn further(number: usize) -> String {
     if number == 0 { String::new() } else { (number + 1).to_string() }
 }

@@ -1,5 +1,5 @@
-//! [`Model`]: the parameters of a calibration with their roles (free, fixed, considered, with prior). It maps them to the columns
-//! of the solve, and the columns' values to a [`Geometry`].
+//! [`Model`] contains the parameters of a calibration with their roles (free, fixed, considered, with prior). It assigns the
+//! estimated parameters to columns of the solve, and creates a [`Geometry`] from the values of the columns.
 
 use nalgebra::Vector3;
 
@@ -10,11 +10,11 @@ use crate::solver::Prior;
 /// How the solve treats a parameter.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Role {
-    /// Estimated from the samples alone.
+    /// Estimated from the samples, without prior.
     Free,
-    /// Constant: the value is exact or arbitrary.
+    /// Constant. The value is exact or arbitrary.
     Fixed,
-    /// Constant, but uncertain: its uncertainty adds to that of the estimated parameters.
+    /// Constant, but uncertain. The uncertainty of the value adds to that of the estimated parameters.
     Considered {
         /// Standard deviation of the value, SI.
         sigma: f64,
@@ -29,7 +29,7 @@ pub enum Role {
 }
 
 impl Role {
-    /// Whether the solve estimates its value.
+    /// Whether the solve estimates the value of the parameter.
     pub const fn is_estimated(self) -> bool {
         matches!(self, Self::Free | Self::Prior { .. })
     }
@@ -40,15 +40,15 @@ impl Role {
 pub struct Parameter {
     /// Identifier of the parameter.
     pub id: ParameterId,
-    /// Value from the data sheet or first estimate, the reference in reports, SI.
+    /// Value from the data sheet or first estimate, SI. It is the reference in reports.
     pub nominal: f64,
-    /// Start value of the solve, or the constant value if not estimated, SI.
+    /// Start value of the solve, or the constant value if the parameter is not estimated, SI.
     pub value: f64,
-    /// How the solve treats it.
+    /// How the solve treats the parameter.
     pub role: Role,
 }
 
-/// Unknown parameter or invalid prior.
+/// A parameter is unknown, or a prior is invalid.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ModelError {
     /// No parameter has this name.
@@ -80,7 +80,7 @@ pub enum ModelError {
     },
 }
 
-/// First and last name of each type of parameter, for a message.
+/// First and last name of each type of parameter, for the message about an unknown name.
 fn ranges() -> String {
     let mut ranges: Vec<(String, [String; 2])> = Vec::new();
     for name in ParameterId::all().map(|id| id.to_string()) {
@@ -97,7 +97,7 @@ fn ranges() -> String {
     ranges.into_iter().map(range).collect::<Vec<_>>().join(", ")
 }
 
-/// A parameter fixed at its value in a geometry; `None` if the geometry does not have it.
+/// A parameter fixed at its value in a geometry. `None` if the geometry does not contain the parameter.
 fn fixed_parameter(structure: &mut Geometry, id: ParameterId) -> Option<Parameter> {
     let value = *structure.parameter_mut(id)?;
     Some(Parameter { id, nominal: value, value, role: Role::Fixed })
@@ -105,38 +105,40 @@ fn fixed_parameter(structure: &mut Geometry, id: ParameterId) -> Option<Paramete
 
 /// Parameters in blocks, their roles, and the geometry that they describe.
 ///
-/// In a new model all parameters are fixed at their nominal values; select, free or set priors from there.
+/// In a new model, all parameters are fixed at their nominal values. Call [`Model::select`], [`Model::free_only`] or
+/// [`Model::set_role`] to change this.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Model {
-    /// Has the right number of links, stations and so on; its numbers are replaced by those of `parameters`.
+    /// Geometry with the right number of links, stations and so on. The numbers in it are replaced by
+    /// the values of `parameters`.
     structure: Geometry,
-    /// In the order of their identifiers.
+    /// All parameters, in the order of their identifiers.
     parameters: Vec<Parameter>,
     /// Index into `parameters` of each column.
     columns: Vec<usize>,
 }
 
 impl Model {
-    /// A model of a geometry with the parameters of these owners.
+    /// A model of a geometry, with the parameters that belong to these owners.
     fn new(structure: Geometry, owners: &[Owner]) -> Self {
         let mut model = Self { structure, parameters: Vec::new(), columns: Vec::new() };
         model.replace_parameters(|id| owners.contains(&id.owner()));
         model
     }
 
-    /// Robot and ball-bar: links of both, the bar's base (nominal position from `bar`), elongation by force and direction,
-    /// encoder harmonics, error terms of the robot's axes, and the clocks.
+    /// Model of a robot and a ball-bar. Its parameters are the links of both, the bar's base (nominal position from `bar`),
+    /// elongation by force and direction, encoder harmonics, error terms of the robot's axes, and the clocks.
     pub fn ball_bar(robot: &Chain, bar: &Chain) -> Self {
         let structure = Geometry::new(robot.clone(), Some(bar));
         Self::new(structure, &[Owner::Robot, Owner::Clocks, Owner::BallBar])
     }
 
-    /// A robot without instrument, with the clock of its log.
+    /// Model of a robot without instrument, with the clock of its log.
     pub fn alone(robot: &Chain) -> Self {
         Self::new(Geometry::new(robot.clone(), None), &[Owner::Robot, Owner::Clocks])
     }
 
-    /// Replaces the parameters that match `wanted` with those of the geometry, fixed at their values.
+    /// Replaces the parameters that match `wanted` by those of the geometry, which are fixed at their values.
     fn replace_parameters(&mut self, wanted: impl Fn(ParameterId) -> bool) {
         self.parameters.retain(|parameter| !wanted(parameter.id));
         for id in ParameterId::all().filter(|id| !id.block().on_request && wanted(*id)) {
@@ -145,14 +147,15 @@ impl Model {
         self.sort_parameters();
     }
 
-    /// Sorts the parameters. Of duplicates the first is kept, which is the older one.
+    /// Sorts the parameters. Of duplicates, the first one is kept, which is the older one.
     fn sort_parameters(&mut self) {
         self.parameters.sort_by_key(|parameter| parameter.id);
         self.parameters.dedup_by_key(|parameter| parameter.id);
         self.update_columns();
     }
 
-    /// The model with other drives than [`DriveTrain::direct`]; error terms that they can have are added, fixed at zero.
+    /// The model with these drives instead of [`DriveTrain::direct`]. Error terms that the drives can have are
+    /// added, fixed at zero.
     #[must_use]
     pub fn with_drives(mut self, drives: DriveTrain) -> Self {
         self.structure.joints = JointErrors::none(drives);
@@ -160,8 +163,8 @@ impl Model {
         self
     }
 
-    /// The model with additional on-request parameters, fixed at zero, if the robot and the bar can have them. Values and
-    /// roles of all other parameters stay the same.
+    /// The model with additional on-request parameters, fixed at zero. Parameters that the robot or the bar cannot have are
+    /// ignored. Values and roles of all other parameters stay unchanged.
     #[must_use]
     pub fn with(mut self, more: impl IntoIterator<Item = ParameterId>) -> Self {
         for id in more.into_iter().filter(|id| id.block().on_request) {
@@ -171,8 +174,8 @@ impl Model {
         self
     }
 
-    /// The model with a number of stations and targets (tracker), anchors and attachments (wire), or sockets or faces (one tip),
-    /// all fixed at zero.
+    /// The model with a number of set-ups, all fixed at zero. The two numbers are stations and targets of a tracker, or
+    /// anchors and attachments of a wire. Of sockets or faces there is only the first number, because there is one tip.
     #[must_use]
     pub fn with_set_ups(mut self, owner: Owner, [stations, targets]: [usize; 2]) -> Self {
         let Geometry { tracker, wire, contact, touch, .. } = &mut self.structure;
@@ -201,8 +204,8 @@ impl Model {
         self
     }
 
-    /// Chain of the robot: number and kinds of its links, its base and its end. Numbers of links are those of the parameters only
-    /// in [`Self::geometry`].
+    /// Chain of the robot, for the number and types of links, the base and the end. Only [`Self::geometry`] returns a chain
+    /// with the values of the parameters.
     pub fn robot(&self) -> &Chain {
         &self.structure.robot
     }
@@ -212,22 +215,22 @@ impl Model {
         self.structure.robot.links.len()
     }
 
-    /// All parameters in the order of their blocks.
+    /// All parameters in the order of their identifiers.
     pub fn parameters(&self) -> &[Parameter] {
         &self.parameters
     }
 
-    /// Identifiers of all parameters, in the same order.
+    /// Identifiers of all parameters, in the order of [`Self::parameters`].
     pub fn ids(&self) -> Vec<ParameterId> {
         self.parameters.iter().map(|parameter| parameter.id).collect()
     }
 
-    /// A parameter by its identifier; `None` if the model does not have it.
+    /// A parameter by its identifier. `None` if the model does not contain it.
     pub fn parameter(&self, id: ParameterId) -> Option<&Parameter> {
         self.parameters.get(self.index_of(id)?)
     }
 
-    /// Role of a parameter; `None` if the model does not have it.
+    /// Role of a parameter. `None` if the model does not contain it.
     pub fn role(&self, id: ParameterId) -> Option<Role> {
         Some(self.parameter(id)?.role)
     }
@@ -244,13 +247,13 @@ impl Model {
     /// Sets the start value or constant value of a parameter.
     ///
     /// # Errors
-    /// [`ModelError::NotInModel`].
+    /// [`ModelError::NotInModel`] if the model does not contain the parameter.
     pub fn set_value(&mut self, id: ParameterId, value: f64) -> Result<(), ModelError> {
         self.parameter_mut(id)?.value = value;
         Ok(())
     }
 
-    /// Sets these parameters to their nominal values.
+    /// Sets the parameters for which `is_reset` is true to their nominal values.
     pub fn reset_to_nominal(&mut self, is_reset: impl Fn(ParameterId) -> bool) {
         for parameter in self.parameters.iter_mut().filter(|parameter| is_reset(parameter.id)) {
             parameter.value = parameter.nominal;
@@ -260,7 +263,8 @@ impl Model {
     /// Sets the role of a parameter.
     ///
     /// # Errors
-    /// [`ModelError::NotInModel`], [`ModelError::BadPrior`].
+    /// [`ModelError::NotInModel`] if the model does not contain the parameter, [`ModelError::BadPrior`] if the standard
+    /// deviation is invalid.
     pub fn set_role(&mut self, id: ParameterId, role: Role) -> Result<(), ModelError> {
         let parameter = self.parameter_mut(id)?;
         let known = match role {
@@ -284,7 +288,8 @@ impl Model {
         self.columns = estimated.map(|(index, _)| index).collect();
     }
 
-    /// The model with a new role for each [`Role::Considered`] parameter for which `role` (parameter, sigma) returns one.
+    /// The model with new roles for [`Role::Considered`] parameters. `role` receives a parameter and its standard deviation,
+    /// and returns the new role or `None` for no change.
     #[must_use]
     pub fn with_considered(&self, role: impl Fn(&Parameter, f64) -> Option<Role>) -> Self {
         let mut model = self.clone();
@@ -297,10 +302,10 @@ impl Model {
         model
     }
 
-    /// [`Model::set_role`] for a number of parameters.
+    /// Sets the role of several parameters, see [`Model::set_role`].
     ///
     /// # Errors
-    /// As [`Model::set_role`].
+    /// The errors of [`Model::set_role`].
     pub fn set_roles(
         &mut self,
         ids: impl IntoIterator<Item = ParameterId>,
@@ -322,7 +327,7 @@ impl Model {
         self.columns.iter().map(|&index| &self.parameters[index])
     }
 
-    /// Column of a parameter; `None` if it is not estimated or absent.
+    /// Column of a parameter. `None` if the parameter is not estimated or absent.
     pub fn column_of(&self, id: ParameterId) -> Option<usize> {
         self.columns.binary_search(&self.index_of(id)?).ok()
     }
@@ -341,7 +346,8 @@ impl Model {
         self.columns().enumerate().filter_map(prior).collect()
     }
 
-    /// Geometry with the columns at `x` and all other parameters at their values; columns missing in `x` keep their values.
+    /// Geometry with the values `x` for the columns. All other parameters, and columns missing in `x`, have the
+    /// value in the model.
     pub fn geometry(&self, x: &[f64]) -> Geometry {
         let mut geometry = self.structure.clone();
         for parameter in &self.parameters {

@@ -3,8 +3,9 @@
 use super::{Group, Model, ParameterId};
 use crate::kinematics::{Chain, LinkParameter};
 
-/// Fixed in the thesis to make the remaining parameters identifiable (TFRT-6017 section 3.3), on a robot with `axes` axes: the
-/// offset plate, which defines the scale (`ra6` of six axes, `ba5`), and one parameter of each dependent pair.
+/// Parameters that the thesis fixes so that the remaining parameters are identifiable (TFRT-6017 section 3.3), for a robot
+/// with `axes` axes. They are the offset plate, which defines the scale (`ra6` for six axes, and `ba5`), and one parameter
+/// of each dependent pair.
 pub const fn thesis_fixed(axes: usize) -> [ParameterId; 9] {
     use LinkParameter::{A, Alpha, D, Theta};
     const fn robot(number: usize, parameter: LinkParameter) -> ParameterId {
@@ -26,39 +27,40 @@ pub const fn thesis_fixed(axes: usize) -> [ParameterId; 9] {
     ]
 }
 
-/// Which parameters of a ball-bar model are free.
+/// Named sets of free parameters of a ball-bar model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Selection {
-    /// The 38 parameters of the thesis: robot and bar links and the bar's position, without [`thesis_fixed`].
+    /// The 38 parameters of the thesis: robot and bar links and the bar's position, except [`thesis_fixed`].
     Thesis,
     /// [`Self::Thesis`] with clock shift and skew, for logs on two clocks.
     ThesisWithClocks,
-    /// The 38 of the thesis and two rotations of the bar's base, which is never exactly parallel to the robot's in a real cell.
+    /// [`Self::Thesis`] with two rotations of the bar's base, because the bar's base is never exactly parallel to that of
+    /// the robot in a real cell.
     Cell,
     /// [`Self::Cell`] with clock shift and skew, for logs on two clocks.
     CellWithClocks,
 }
 
 impl Selection {
-    /// Whether the selection for a robot with `axes` axes contains a parameter, regardless of what a cost can identify.
+    /// Whether the selection contains a parameter, for a robot with `axes` axes. What a cost can identify has no influence.
     pub fn contains(self, id: ParameterId, axes: usize) -> bool {
         match id {
-            // Hayati's rotation is freed by name only, in place of the link's d.
+            // Hayati's rotation replaces the link's `d`. It is freed only by name.
             ParameterId::Robot { parameter: LinkParameter::Beta, .. } => false,
             ParameterId::Robot { .. } | ParameterId::Bar { .. } | ParameterId::Base { .. } => {
                 !thesis_fixed(axes).contains(&id)
             }
             ParameterId::BaseRotation { .. } => matches!(self, Self::Cell | Self::CellWithClocks),
-            // The samples alone do not separate all others from the geometry: they have priors, or are freed with a measured
-            // force, or belong to another instrument.
+            // The samples alone do not separate any other parameter from the geometry. Such parameters have priors, are
+            // freed together with a measured force, or belong to another instrument.
             _ => id.group() == Group::Clock && matches!(self, Self::ThesisWithClocks | Self::CellWithClocks),
         }
     }
 }
 
 impl Model {
-    /// Frees the parameters that a selection contains and a cost identifies; fixes the rest. Pass
-    /// [`crate::cost::Residual::identifies`] as `identifies`.
+    /// Frees the parameters that are in the selection and that the cost identifies, and fixes all others. `identifies` is
+    /// [`crate::cost::Residual::identifies`] of the cost.
     pub fn select(&mut self, selection: Selection, identifies: impl Fn(ParameterId, &Chain) -> bool) {
         let robot = self.robot().clone();
         self.free_only(|id| selection.contains(id, robot.links.len()) && identifies(id, &robot));

@@ -6,19 +6,19 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum TermGroup {
-    /// Errors of robot axes, once per turn.
+    /// Errors of robot axes, once per turn of the drive.
     GearOnce,
-    /// Errors of robot axes, twice per turn.
+    /// Errors of robot axes, twice per turn of the drive.
     GearTwice,
     /// Errors of robot axes, once per lobe of the cycloid gear.
     Cycloid,
     /// Errors of robot axes, once per motor turn.
     Motor,
-    /// Errors of joints with coupled drives, once and twice per turn of the joint.
+    /// Errors of joints whose drives are coupled, once and twice per turn of the joint.
     Joint,
-    /// Errors of robot axes at orders (waves per turn) found in the residuals.
+    /// Errors of robot axes at orders (waves per turn) that were found in the residuals.
     LineSpectrum,
-    /// Errors of robot axes with the sign of the speed.
+    /// Errors of robot axes that change sign with the direction of motion.
     Backlash,
     /// Relative errors of gear ratios.
     Ratio,
@@ -28,7 +28,7 @@ pub enum TermGroup {
     Compliance,
     /// Errors of bar encoders, once and twice per turn.
     EncoderHarmonics,
-    /// Elongation of the bar by its direction.
+    /// Elongation of the bar as a function of its direction.
     BarLength,
 }
 
@@ -65,8 +65,9 @@ impl TermGroup {
         }
     }
 
-    /// Factors by which its prior standard deviations may be multiplied. Manufacturing errors of a gear ratio are far below one
-    /// percent; a wrong value in the configuration is not, and is found only if a wide prior allows it.
+    /// Factors by which the prior standard deviations of the group may be multiplied. Manufacturing errors of a gear
+    /// ratio are far below one percent. A wrong ratio in the configuration is a larger error, which is found only if a
+    /// wide prior allows it.
     pub const fn scales(self) -> &'static [f64] {
         match self {
             Self::Ratio => &[1.0, 10.0, 100.0],

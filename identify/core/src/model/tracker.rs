@@ -1,4 +1,5 @@
-//! Pose of a tracker and of its targets: two unknown rigid transforms between tracker and robot.
+//! Poses of a tracker and of its targets. Both are unknown rigid transforms, which relate the tracker's
+//! measurements to the robot.
 
 use std::fmt;
 
@@ -40,8 +41,8 @@ impl fmt::Display for Coordinate {
     }
 }
 
-/// A rigid transform as position and rotation vector. No orientation of a real set-up is singular: a rotation vector is
-/// regular up to a full turn, and half a turn is sufficient.
+/// A rigid transform, as position and rotation vector. A rotation vector is regular up to a full turn, and real set-ups need
+/// half a turn at most. No orientation of a real set-up is therefore singular.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Placement {
     /// Origin \[m\].
@@ -53,7 +54,7 @@ pub struct Placement {
 impl Placement {
     /// Position and rotation vector of a transform.
     pub fn of(pose: &Pose) -> Self {
-        // By way of the quaternion: the logarithm of the matrix loses digits near zero and near half a turn.
+        // The conversion uses a quaternion, because the logarithm of the matrix loses digits near zero and near half a turn.
         let rotation = nalgebra::UnitQuaternion::from_rotation_matrix(&pose.rotation);
         Self { position_m: pose.translation.vector, rotation_rad: rotation.scaled_axis() }
     }
@@ -76,12 +77,13 @@ impl Placement {
         *self.coordinate_mut(coordinate)
     }
 
-    /// Angular velocity, in the parent frame of the placement, per unit rate of one component of the rotation vector: a column
-    /// of the left Jacobian `1 + (1 - cos t)/t^2 [w] + (t - sin t)/t^3 [w]^2`, `t = |w|`.
+    /// Angular velocity per unit rate of one component of the rotation vector, in the parent frame of the placement. It
+    /// is a column of the left Jacobian `1 + (1 - cos t)/t^2 [w] + (t - sin t)/t^3 [w]^2`, with the rotation vector `w`
+    /// and `t = |w|`.
     pub fn turning(&self, axis: Axis) -> Vector3<f64> {
         let w = self.rotation_rad;
         let squared = w.norm_squared();
-        // For small angles both quotients suffer cancellation; use their series.
+        // For small angles both quotients suffer from cancellation, so series are used.
         let (first, second) = if squared < 1e-4 {
             (
                 0.5 - squared / 24.0 + squared * squared / 720.0,
@@ -107,14 +109,14 @@ pub struct SetUp {
 }
 
 impl SetUp {
-    /// Number of stations and of targets in the rows of a file, at least one each.
+    /// Number of stations and of targets in the rows of a file. Each is at least one.
     pub fn counts(set_ups: impl Iterator<Item = Self> + Clone) -> [usize; 2] {
         let count = |index: fn(Self) -> usize| set_ups.clone().map(index).max().map_or(1, |last| last + 1);
         [count(|set_up| set_up.station), count(|set_up| set_up.target)]
     }
 }
 
-/// A tracker that follows targets on the flange, from one station or several.
+/// A tracker that follows targets on the flange from one or more stations.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct TrackerGeometry {
     /// `root_from_tracker` of each station: the tracker's pose.
@@ -124,7 +126,7 @@ pub struct TrackerGeometry {
 }
 
 impl TrackerGeometry {
-    /// Tracker pose and probe pose of a set-up; `None` if the set-up does not exist.
+    /// Tracker pose and probe pose of a set-up. `None` if the set-up does not exist.
     pub fn at(&self, set_up: SetUp) -> Option<(&Placement, &Placement)> {
         Some((self.places.get(set_up.station)?, self.probes.get(set_up.target)?))
     }

@@ -1,13 +1,14 @@
-//! Periodic functions of an angle: errors of a robot axis, of a bar encoder, or of the bar's length. Each is a Fourier series,
-//! `e(b) = sum_n a_n sin(n b) + c_n cos(n b)`.
+//! Periodic functions of an angle `b`. They describe errors of a robot axis, of a bar encoder, or of the bar's length. Each
+//! is a Fourier series, `e(b) = sum_n a_n sin(n b) + c_n cos(n b)`.
 //!
-//! - A robot axis, by the angle of its drive's output: encoder, teeth of the last gear, flexspline of a harmonic drive. Once
-//!   and twice per turn are separate terms ([`super::JointTerm`]). Amplitudes are many and small, so they are estimated with a
-//!   prior, never free.
-//! - A bar encoder, by its reading: an eccentric grating gives one wave per turn, an elliptic or tilted one gives two.
-//! - The bar's length, by the readings of its first two joints, which define its direction: an oval or three-lobed bearing
-//!   moves the bar's end radially. One wave per turn is an axis offset, which the bar's base and the encoder waves already
-//!   describe; the balls of the bearing average out higher orders.
+//! - Errors of a robot axis depend on the output angle of its drive. Causes are the encoder, the teeth of the last gear, or
+//!   the flexspline of a harmonic drive. Waves once and twice per turn are separate terms ([`super::JointTerm`]). The
+//!   amplitudes are many and small, so they are always estimated with a prior.
+//! - Errors of a bar encoder depend on its reading. An eccentric grating causes one wave per turn, an elliptic or tilted
+//!   grating causes two.
+//! - Errors of the bar's length depend on the readings of its first two joints, which define its direction. An oval or
+//!   three-lobed bearing moves the bar's end radially. One wave per turn is an axis offset, which the bar's base and the
+//!   encoder waves already describe. Higher orders are small because the balls of the bearing average them.
 //!
 //! The phases of the bar's waves refer to each encoder's offset in the recording.
 
@@ -29,7 +30,7 @@ impl Phase {
     /// Both components, sine first.
     pub const ALL: [Self; 2] = [Self::Sine, Self::Cosine];
 
-    /// Value at an angle of a wave with unit amplitude.
+    /// Value at an angle of the wave with this order and unit amplitude.
     #[inline]
     pub fn wave(self, order: u8, angle: Turn) -> f64 {
         let Turn { sin, cos } = angle.times(order);
@@ -52,7 +53,7 @@ impl fmt::Display for Phase {
 /// A Fourier series over one angle.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Waves {
-    /// Order (waves per turn) with amplitudes of sine and cosine; in ascending order.
+    /// Orders (waves per turn) with the amplitudes of sine and cosine, in ascending order.
     of_orders: Vec<(u8, [f64; 2])>,
 }
 
@@ -64,12 +65,12 @@ impl Waves {
     /// Orders (waves per turn) of the bar's length.
     pub const OF_LENGTH: RangeInclusive<u8> = 2..=3;
 
-    /// Whether the series has no entries.
+    /// Whether the series has no orders.
     pub(super) fn is_none(&self) -> bool {
         self.of_orders.is_empty()
     }
 
-    /// Mutable amplitude; a missing order is inserted with zero.
+    /// Mutable amplitude. A missing order is inserted with the amplitude zero.
     pub fn amplitude_mut(&mut self, order: u8, phase: Phase) -> &mut f64 {
         let found = self.of_orders.binary_search_by_key(&order, |(order, _)| *order);
         let index = found.unwrap_or_else(|index| {
@@ -82,7 +83,7 @@ impl Waves {
     /// Value of the series at an angle, and its derivative with respect to the angle.
     #[inline]
     pub fn at(&self, angle: Turn) -> (f64, f64) {
-        // The angle times the previous order: of consecutive orders the next multiple is one sum of angles.
+        // The angle times the previous order. For consecutive orders, the next multiple needs only one addition of angles.
         let mut previous: Option<(u8, Turn)> = None;
         let (mut sum, mut slope) = (0.0, 0.0);
         for &(order, [a, c]) in self.of_orders.iter().filter(|(_, amplitudes)| *amplitudes != [0.0; 2]) {
