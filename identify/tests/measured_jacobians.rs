@@ -1,4 +1,4 @@
-//! Compares the analytic Jacobians of the costs for a tracker and for a ball in sockets with automatic
+//! Compares the analytic Jacobians of the costs for a tracker, for a ball in sockets, and for a tip on faces with automatic
 //! differentiation of an independent kinematics.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 
@@ -63,6 +63,7 @@ fn exponential(w: [Dual64; 3]) -> Matrix<Dual64> {
     sum
 }
 
+/// Pose from three coordinates of the position, followed by three of the rotation vector.
 fn placed(six: &[Dual64]) -> Matrix<Dual64> {
     let mut m = exponential([six[3], six[4], six[5]]);
     (0..3).for_each(|i| m[i][3] = six[i]);
@@ -97,7 +98,7 @@ fn flange(model: &Model, by: ParameterId, t_s: f64) -> Matrix<Dual64> {
     forward(&identity(), &links, &joints)
 }
 
-/// Pose of the probe predicted by the robot, and as measured by the tracker.
+/// Pose of the probe as predicted by the robot, and as measured by the tracker.
 fn probes(model: &Model, by: ParameterId, t_s: f64, measured: &PoseRow) -> [Matrix<Dual64>; 2] {
     let SetUp { station, target } = measured.set_up;
     let place = Coordinate::ALL.map(|coordinate| ParameterId::Tracker { station, coordinate });
@@ -112,11 +113,13 @@ fn probes(model: &Model, by: ParameterId, t_s: f64, measured: &PoseRow) -> [Matr
     [held, product(&placed(&six[..6]), &measured)]
 }
 
+/// Position of the probe as predicted minus as measured.
 fn position([held, seen]: &[Matrix<Dual64>; 2]) -> Vec<Dual64> {
     (0..3).map(|i| held[i][3] - seen[i][3]).collect()
 }
 
-/// Rotation vector of `S^T H`, computed from angle and axis.
+/// Rotation vector of `S^T H`, with the predicted rotation `H` and the measured rotation `S`. It is computed
+/// from angle and axis.
 fn turn([held, seen]: &[Matrix<Dual64>; 2]) -> Vec<Dual64> {
     let q = |i: usize, j: usize| (0..3).map(|k| seen[k][i] * held[k][j]).sum::<Dual64>();
     let twice_sine_axis = [q(2, 1) - q(1, 2), q(0, 2) - q(2, 0), q(1, 0) - q(0, 1)];
@@ -129,7 +132,7 @@ fn times() -> impl Iterator<Item = f64> {
     (0..20).map(|k| 0.4 * f64::from(k) - 3.0)
 }
 
-/// Random poses as measurements of the tracker, all with one set-up.
+/// Varied poses as measurements of the tracker, all with one set-up.
 fn measured() -> Vec<PoseRow> {
     let row = |t: f64| {
         let turn = Rotation3::new(Vector3::new(0.4 * t.sin(), 0.3, 0.2 * t.cos()));
@@ -139,6 +142,9 @@ fn measured() -> Vec<PoseRow> {
     times().map(row).collect()
 }
 
+/// Compares residual and Jacobian of a cost with `independent`. This function returns the residual of a sample as dual
+/// numbers, for the parameter of the derivative, the index of the sample, and its time. Also checks that the derivative is
+/// zero exactly for parameters on which the residual does not depend.
 fn agrees<R: Residual>(
     model: &Model,
     residual: R,
@@ -202,7 +208,7 @@ fn measured_position_and_pose_have_the_derivatives_of_tracker_and_robot() {
     for (number, row) in rows.iter_mut().enumerate() {
         row.set_up = SetUp { station: number % 2, target: number * 2 % 3 };
     }
-    // Each row has another uncertainty.
+    // Each row has a different uncertainty.
     let noise =
         |row| PoseNoise { position_m: 0.2 + 0.01 * row as f64, rotation_rad: 0.5 - 0.02 * row as f64 };
     let noises: Vec<PoseNoise> = (0..rows.len()).map(noise).collect();

@@ -16,8 +16,8 @@ pub fn rms(values: impl IntoIterator<Item: Borrow<f64>>) -> f64 {
     mean(values.into_iter().map(|value| value.borrow().powi(2))).sqrt()
 }
 
-/// The median of `values`; of an even number of values, the upper one of the two in the middle. `None` if there are
-/// no values. Reorders `values`.
+/// The median of `values`, or `None` without values. For an even number of values, it is the larger of the two
+/// middle values. Reorders `values`.
 pub fn median(values: &mut [f64]) -> Option<f64> {
     let middle = values.len() / 2;
     (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
@@ -34,7 +34,7 @@ pub(crate) fn largest_size(values: impl IntoIterator<Item: Borrow<f64>>) -> f64 
     values.into_iter().map(|value| value.borrow().abs()).fold(0.0, f64::max)
 }
 
-/// Largest difference of two numbers at the same place.
+/// Largest absolute difference of two numbers at the same index.
 pub fn largest_difference(a: &[f64], b: &[f64]) -> f64 {
     largest_size(a.iter().zip(b).map(|(a, b)| a - b))
 }
@@ -50,7 +50,7 @@ pub(crate) fn quantile(values: &mut [f64], part: f64) -> f64 {
     *below + place.fract() * (next - *below)
 }
 
-/// Statistics of the sizes of errors, all in one unit.
+/// Statistics of the magnitudes of errors, all in one unit.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct Sizes {
     /// Arithmetic mean of the sizes.
@@ -81,7 +81,8 @@ pub(crate) fn median_size(values: impl Iterator<Item = f64>) -> f64 {
     quantile(&mut values.map(f64::abs).collect::<Vec<_>>(), 0.5)
 }
 
-/// Mean of the values after removing the fraction `part` of them at each end. `None` if no values remain.
+/// Mean of the values without the smallest and the largest ones, where the fraction `part` of the values is removed at each
+/// end. `None` if no values remain.
 pub(crate) fn trimmed_mean(mut values: Vec<f64>, part: f64) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     let ends = (part * values.len() as f64) as usize;

@@ -143,8 +143,8 @@ pub enum Unit {
     Second,
     /// Ratio, displayed in ppm.
     Ratio,
-    /// Deflection of an axis per metre of its load's lever arm \[rad/m\], displayed in mrad/m. It is the compliance \[rad/(N
-    /// m)\] times the weight \[N\].
+    /// Deflection of an axis per metre of its load's lever arm \[rad/m\], displayed in mrad/m. It is the compliance
+    /// \[rad/(N m)\] times the weight \[N\].
     RadianPerMetre,
     /// Metres per newton, displayed in um/N.
     MetrePerNewton,

@@ -36,12 +36,12 @@ const KNOWN_SIGMA: f64 = 1e-9;
 /// undetermined, for example the position of the bar or a clock.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ExpectedPosition {
-    /// If the robot's axes have no errors, and the plate is known.
+    /// Error if the robot's axes have no errors and the plate's length is known.
     pub axes_exact_m: f64,
-    /// If all terms of the axes are estimated with their priors, and the plate is known.
+    /// Error if all terms of the axes are estimated with their priors, and the plate's length is known.
     pub with_terms_m: f64,
-    /// As `with_terms_m`, with the uncertainty of the plate's length in addition. All estimated lengths
-    /// are proportional to it.
+    /// Error as in `with_terms_m`, with the uncertainty of the plate's length in addition. All estimated lengths are
+    /// proportional to the plate's length.
     pub with_plate_m: f64,
 }
 
@@ -57,7 +57,7 @@ pub enum Criterion {
     Worst,
 }
 
-/// Expected position error if one group of terms alone is estimated.
+/// Expected position error if only the terms of one group are estimated.
 #[derive(Debug, Clone, PartialEq)]
 pub struct WithTerms {
     /// Group of the terms.
@@ -73,7 +73,7 @@ pub struct Information {
     noise: AngleNoise,
     /// Number of samples per second that a calibration keeps \[1/s\].
     samples_per_s: f64,
-    /// Normal equations of the priors, which are added to those of every path.
+    /// Normal equations of the priors, which are added to the normal equations of every path.
     prior: Normal,
     /// Prior standard deviation of each column, SI; infinite without a prior.
     prior_sigmas: Vec<f64>,
@@ -160,10 +160,10 @@ impl Information {
     }
 
     /// The information for a new run after a calibration. `between` returns the covariance of two parameters in that
-    /// calibration; `None` if one was not identified. Position of the bar, encoder offsets and clocks are estimated again
-    /// in the new run.
+    /// calibration, or `None` if one of them was not identified. Position of the bar, encoder offsets and clocks are
+    /// estimated again in the new run.
     ///
-    /// `None` if the calibration identified none of the parameters, or its covariance is not positive definite.
+    /// Returns `None` if the calibration identified none of the parameters, or if its covariance is not positive definite.
     #[must_use]
     pub fn after(mut self, between: impl Fn(ParameterId, ParameterId) -> Option<f64>) -> Option<Self> {
         let encoder_harmonics = Some(TermGroup::EncoderHarmonics);
@@ -184,15 +184,15 @@ impl Information {
         let information = ScaledCholesky::new(covariance)?.inverse();
         for (i, (row, _)) in columns.iter().enumerate() {
             for (j, (column, _)) in columns.iter().enumerate() {
-                // This replaces the priors, because the calibration already includes them.
+                // The result replaces the priors, because the calibration already includes them.
                 self.prior.matrix[(*row, *column)] = information[(i, j)];
             }
         }
         Some(self)
     }
 
-    /// The information for another run with the bar at another position, after a run with these normal equations. `None` if
-    /// the first run leaves a parameter undetermined.
+    /// The information for another run with the bar at another position. `normal` are the normal equations of the run
+    /// before. `None` if that run leaves a parameter undetermined.
     #[must_use]
     pub fn after_run(&self, normal: &Normal) -> Option<Self> {
         let covariance = self.covariance_of(normal)?;
@@ -226,9 +226,9 @@ impl Information {
         evaluate(&problem, &self.model.start())
     }
 
-    /// Optimal fractions of the time of a run at these poses, without motion between them. Minimises the
-    /// mean squared position error over the workspace with all terms of the axes \[m²\]. `None` if the poses
-    /// leave a parameter undetermined.
+    /// Optimal fractions of a run's time for each of these poses, if the motion between them takes no time. They minimise
+    /// the mean squared position error over the workspace \[m²\], where all terms of the axes are estimated. `None` if the
+    /// poses leave a parameter undetermined.
     pub fn optimum(&self, poses: &Visited, duration_s: f64) -> Option<Optimum> {
         let (_, rows) = self.with_problem(poses, |problem, start| stacked(problem, start))?;
         let mut prior = self.prior.matrix.clone();
@@ -287,7 +287,8 @@ impl Information {
         match criterion {
             Criterion::Position => (&self.weight * of_links).trace().max(0.0).sqrt(),
             Criterion::Determinant => {
-                // The sum is half of the determinant's logarithm. The result is the geometric mean of the ellipsoid's axes.
+                // The sum of logarithms is half of the logarithm of the determinant. The result is the geometric mean
+                // of the ellipsoid's semi-axes.
                 let Some(factor) = of_links.cholesky() else { return f64::INFINITY };
                 let half_log: f64 = factor.l().diagonal().iter().map(|entry| entry.ln()).sum();
                 (half_log / self.link_columns.len().max(1) as f64).exp()
@@ -324,9 +325,9 @@ impl Information {
         groups.into_iter().map(alone).collect()
     }
 
-    /// Groups of link parameters that the data do not separate, because they determine only a combination of the group.
-    /// These are offsets along parallel axes, and parameters with a combination that the priors determine better than the
-    /// data. A group of one is a parameter that the data do not determine.
+    /// Groups of link parameters of which the data determine only a combination. A group contains either offsets along
+    /// parallel axes, or parameters with a combination that the priors determine better than the data do. A group of one is
+    /// a parameter that the data do not determine.
     pub fn not_separated(&self, normal: &Normal) -> Vec<Vec<ParameterId>> {
         let Some(covariance) = self.covariance_of(normal) else { return Vec::new() };
         let links = self.link_columns.len();
@@ -335,7 +336,8 @@ impl Information {
             covariance[(row, column)] / (self.prior_sigmas[row] * self.prior_sigmas[column])
         });
         let eigen = relative_covariance.symmetric_eigen();
-        // Projector onto the directions that the priors determine: those that keep more than half of their prior variance.
+        // Projector onto the directions that the priors determine. The variance in such a direction is more than half
+        // of its prior variance.
         let mut by_prior = DMatrix::<f64>::zeros(links, links);
         for (direction, remaining) in eigen.eigenvectors.column_iter().zip(eigen.eigenvalues.iter()) {
             if *remaining > 0.5 {

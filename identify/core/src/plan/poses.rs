@@ -36,11 +36,10 @@ use crate::threads::{each, threads_there};
 
 use super::optimum::optimum;
 
-/// Prior standard deviation of the poses of instrument and target \[m, rad\]. It is much larger than after the measurement.
-/// A still larger value would cause rounding errors in the information about gears.
+/// Prior standard deviation of the poses of instrument and target \[m, rad\]. It is much larger than the standard deviation
+/// after the measurements. A still larger value would cause rounding errors in the information about gears.
 const PLACE_SIGMA: f64 = 0.02;
-/// Number of exchanges to try. At least one is tried for each pose. The first round over the poses
-/// improves the selection most.
+/// Number of exchanges that are tried, at least one for each pose. The first round over the poses improves the selection most.
 const EXCHANGES: usize = 100;
 /// Number of random selections of the same size for comparison.
 const RANDOM_CHOICES: usize = 5;
@@ -132,7 +131,7 @@ pub struct Determined {
     pub name: String,
     /// Parameters of this group.
     pub ids: Vec<ParameterId>,
-    /// Standard deviation of each parameter after the measurements, divided by that before.
+    /// Standard deviation of each parameter after the measurements, divided by the standard deviation before the measurements.
     pub left: Vec<f64>,
     /// Root mean square of the standard deviations before the measurements, SI.
     pub prior: f64,
@@ -211,7 +210,7 @@ pub fn is_on_last_axis(robot: &RobotConfig, target_m: &[f64; 3]) -> bool {
 /// joints also within half a turn of zero.
 ///
 /// # Errors
-/// [`PosesError::NoRoom`].
+/// [`PosesError::NoRoom`] if too few of the random postures are free of collisions.
 pub fn random_postures(
     robot: &RobotConfig,
     bodies: &Bodies,
@@ -247,7 +246,7 @@ pub fn random_postures(
 /// space if it is clear of `bodies`, otherwise through intermediate postures. Without `bodies`, all lines are straight.
 ///
 /// # Errors
-/// [`PosesError`].
+/// [`PosesError`] if there are fewer candidates than `count`, or if a candidate has no finite derivatives.
 pub fn poses(
     request: &PoseRequest<'_>,
     candidates: &[Joints],
@@ -281,6 +280,7 @@ pub fn poses(
         joints.push(to);
         ways.push(way);
     }
+    // RMS position error over the candidates for a covariance of the parameters.
     let position_m = |covariance: &DMatrix<f64>| weight.dot(covariance).max(0.0).sqrt();
     // Random selections for comparison.
     let mut random = ChaCha8Rng::seed_from_u64(seed);
@@ -290,8 +290,8 @@ pub fn poses(
         let covariance = known.covariance_in_order(sample.iter().map(|&pose| candidates[pose]))?;
         random_m.extend(covariance.as_ref().map(position_m));
     }
-    // The covariance is that of the candidates instead of `joints`. A whole turn changes only the effect of an error
-    // of a gear's ratio.
+    // The covariance is computed for the candidates instead of `joints`, which may differ by whole turns. A whole turn
+    // changes only the effect of an error of a gear's ratio.
     let in_order = order.iter().map(|&pose| candidates[pose]);
     let covariance = known.covariance_in_order(in_order)?.ok_or(PosesError::NotFinite)?;
     Ok(PlannedPoses {
@@ -305,11 +305,11 @@ pub fn poses(
     })
 }
 
-/// Lower bound of the RMS position error over the candidates for every selection of `count` poses \[m\], even with repeated
-/// poses. The difference from the error of a selection is the most that a better selection could gain.
+/// Lower bound of the RMS position error over the candidates \[m\]. It holds for every selection of `count` poses, including
+/// selections with repeated poses. The difference from the error of a selection is the most that a better selection could gain.
 ///
 /// # Errors
-/// [`PosesError`].
+/// [`PosesError`] if a candidate has no finite derivatives.
 pub fn poses_position_m_min(
     request: &PoseRequest<'_>,
     candidates: &[Joints],
@@ -454,7 +454,7 @@ impl<'a> PriorModel<'a> {
     }
 
     /// Covariance after measurements at these poses in this order. The order determines the direction of motion before each
-    /// pose, which backlash depends on. Moves are straight.
+    /// pose, on which backlash depends. Moves are straight.
     fn covariance_in_order(
         &self,
         poses: impl Iterator<Item = Joints>,
@@ -565,6 +565,7 @@ impl<'k> PoseSelection<'k> {
         stacked.rows(pose * self.rows, self.rows)
     }
 
+    /// Reduction of `tr(W P)` if the pose is selected.
     fn gain(&self, pose: usize) -> f64 {
         let jpwpj = self.rows_of(&self.jpwpj, pose).into_owned();
         let sum = self.rows_of(&self.jpj, pose) + DMatrix::identity(self.rows, self.rows);
@@ -573,8 +574,8 @@ impl<'k> PoseSelection<'k> {
 
     /// Adds a pose to the selection (`sign` 1) or removes it (-1). Returns false if rounding errors prevent this.
     ///
-    /// Let `C C^T = I + sign J P J^T` and `L = P J^T C^-T` for this pose. The new covariance is `P - sign L L^T`. From it
-    /// follow the changes of `J P J^T` and `J P W P J^T` of every candidate with its own `J`.
+    /// Let `C C^T = I + sign J P J^T` and `L = P J^T C^-T` for this pose. The new covariance is `P - sign L L^T`. The
+    /// changes of `J P J^T` and `J P W P J^T` of every candidate follow from this formula and the candidate's own `J`.
     fn change(&mut self, pose: usize, sign: f64) -> bool {
         let identity = DMatrix::<f64>::identity(self.rows, self.rows);
         let Some(factor) = (identity + self.rows_of(&self.jpj, pose) * sign).cholesky() else { return false };
@@ -623,9 +624,10 @@ pub(super) fn squared(rows: &DMatrix<f64>) -> DMatrix<f64> {
     times(&rows.transpose(), rows)
 }
 
-/// A short tour through the chosen poses. It starts at the pose nearest to joints of zero and continues to the nearest
-/// remaining pose, if possible along a clear line. It is then shortened by reversing sections of it (2-opt, Croes 1958).
-/// The distance of two poses is their largest joint difference, which determines the duration of the move.
+/// A short tour through the chosen poses. It starts at the pose nearest to joints of zero. From each pose it continues to
+/// the nearest remaining pose that a clear straight line reaches, or to the nearest one if there is none. It is then
+/// shortened by reversing sections of it (2-opt, Croes 1958). The distance of two poses is their largest joint difference,
+/// which determines the duration of the move.
 fn short_tour(
     chosen: &[usize],
     candidates: &[Joints],
@@ -645,6 +647,8 @@ fn short_tour(
         let Some(next) = nearest_clear.or(remaining.len().checked_sub(1)) else { break };
         order.push(remaining.remove(next));
     }
+    // Reverse sections while this shortens the tour. Beyond the first and the last pose, the distance is zero and
+    // every move is possible.
     let length =
         |from: Option<&usize>, to: Option<&usize>| from.zip(to).map_or(0.0, |(a, b)| distance(*a, *b));
     let may_follow =

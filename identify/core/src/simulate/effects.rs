@@ -23,10 +23,12 @@ pub struct Effects {
     pub robot_noise_urad: f64,
     /// Standard deviation of the white noise of each bar encoder.
     pub encoder_noise_urad: f64,
-    /// Amplitude of the error of order two per turn of each robot gear's output: an eccentric output gear (thesis 2.3).
+    // The error has two periods per turn of the gear's output, as from an eccentric output gear (thesis 2.3).
+    /// Sinusoidal error of each robot gear, amplitude [urad]
     pub gear_sine_urad: f64,
-    /// Amplitude of the ripple of each cycloid gear at its number of lobes, with a second harmonic of a quarter of it, as
-    /// in Yang and Blanche 1990. Robot axes without a configured number of lobes have none.
+    // The ripple has one period per lobe, and a second harmonic with a quarter of the amplitude, as in Yang and Blanche
+    // 1990. Robot axes without a configured number of lobes have no ripple.
+    /// Ripple of each cycloid gear, amplitude [urad]
     pub cycloid_urad: f64,
     /// Half of the backlash between each robot motor and its joint.
     pub backlash_urad: f64,
@@ -34,17 +36,19 @@ pub struct Effects {
     pub encoder_eccentricity_urad: f64,
     /// Amplitude of the error of order two per turn of each bar encoder: an elliptic grating.
     pub encoder_ellipticity_urad: f64,
-    /// Resolution of a bar encoder, which is rounded to the middle of each step: the thesis (3.1) truncates, but a common shift
-    /// of all angles is part of the encoder's offset.
+    // A reading is rounded to the middle of its step. The thesis (3.1) truncates instead, which differs only by a common
+    // shift of all angles. This shift is part of the encoder's offset.
+    /// Resolution of each bar encoder, if coarser than its counts [urad]
     pub encoder_step_urad: f64,
-    /// Tilt of the bar's base about x, and by 0.6 of it about -y.
+    // The tilt about x has this size. The tilt about y is -0.6 times this size.
+    /// Tilt of the bar's base against the robot's [urad]
     pub base_tilt_urad: f64,
 }
 
 /// Periods of the gear error per turn of the gear's output.
 pub(super) const GEAR_PERIODS: f64 = 2.0;
-/// Index of the first harmonic of a cycloid gear among the harmonics of a gear. A calibration names this term `c` instead
-/// of by its number of periods.
+/// Index of the first harmonic of a cycloid gear in [`ReadingErrors::harmonics`]. A calibration names this term `c`,
+/// although other terms have their number of periods in the name.
 const CYCLOID: usize = 1;
 /// Amplitude of the second harmonic of a cycloid gear, relative to the first.
 const CYCLOID_SECOND: f64 = 0.25;
@@ -135,9 +139,9 @@ impl Wave {
         self.amplitude_rad * (self.periods * angle_rad + self.phase_rad).sin()
     }
 
-    /// Parameters of a calibration that cancel this error in the reading of a drive: the coefficients of `sin(periods q)`
-    /// and `cos(periods q)` in `-amplitude sin(periods q + phase)` \[rad\]. Their names contain `order` and the number of
-    /// the drive; `drive` counts from 0.
+    /// Parameters of a calibration that cancel this error in the reading of a drive. They are the coefficients of
+    /// `sin(periods q)` and `cos(periods q)` in `-amplitude sin(periods q + phase)` \[rad\]. Their names contain `order` and
+    /// the number of the drive, counted from 1; the argument `drive` counts from 0.
     pub fn terms(&self, order: &str, drive: usize) -> [(String, f64); 2] {
         let (sin, cos) = self.phase_rad.sin_cos();
         [("sin", cos), ("cos", sin)]

@@ -51,7 +51,7 @@ impl Skeleton {
         for (link, joint) in robot.links.iter().zip(robot_rad) {
             let before = frame.translation.vector;
             let moved_m = if link.joint == JointKind::Prismatic { *joint } else { 0.0 };
-            // Along the joint's axis first, then along the link.
+            // The corner is the end of the translation along the joint's axis. The translation along the common normal follows.
             let corner = before + frame.rotation * Vector3::z() * (link.d_m + moved_m);
             frame *= link.transform(*joint);
             links.push([before, corner, frame.translation.vector]);
@@ -74,19 +74,19 @@ impl Bodies {
         }
     }
 
-    /// Smallest distance between bodies at a posture of the robot that holds the bar \[m\]; zero if two
-    /// bodies overlap. It compares:
+    /// Smallest distance between bodies at a posture of the robot with the bar attached \[m\]. It is zero if two bodies
+    /// overlap. These bodies are compared:
     ///
     /// - the rod with the links before the wrist,
-    /// - the plate with these links except the last, the forearm,
-    /// - boxes with rod, plate and all links except the first,
+    /// - the plate with the links before the wrist, except the last of these, the forearm,
+    /// - boxes with the rod, the plate and all links except the first,
     /// - the floor with the plate and all links except the first.
     pub fn clearance_m(&self, robot: &Chain, bar: &Chain, robot_rad: &[f64]) -> f64 {
         let Skeleton { links, end } = Skeleton::of(robot, robot_rad);
         let gimbal = bar.root_from_base.translation.vector;
         let plate = self.rod([links.last().map_or(end, |[_, corner, _]| *corner), end]);
         let rod = self.rod([gimbal, end]);
-        // The end of the rod is always near the plate, so a short length there is not compared.
+        // The end of the rod is always near the plate, so a short segment of the rod there is not compared with the links.
         let length_m = bar.links.get(ROD_LINK).map_or(0.0, |rod| rod.d_m);
         let near_end = end + (gimbal - end) * (4.0 * self.rod_radius_m / length_m.max(1e-3)).min(0.5);
         let free_rod = self.rod([gimbal, near_end]);
@@ -110,7 +110,7 @@ impl Bodies {
         clearance_m.min(self.cell_clearance_m(&links, &[&plate, &rod], Some(&plate))).max(0.0)
     }
 
-    /// Whether an arm without the bar keeps the least clearance between its own links and from the cell.
+    /// Whether an arm without the bar keeps the least clearance, both between its own links and to boxes and floor.
     pub fn is_clear(&self, arm: &Chain, robot_rad: &[f64]) -> bool {
         self.arm_clearance_m(arm, robot_rad) >= self.clearance_m_min
     }
@@ -120,11 +120,11 @@ impl Bodies {
         self.cell_clearance_m(&links, &[], None).min(self.own_clearance_m(&links))
     }
 
-    /// Whether [`Self::is_clear`] is true on the straight line in joint space between two postures. It may miss up
-    /// to half of [`ADVANCE_M_MIN`].
+    /// Whether [`Self::is_clear`] is true on the straight line in joint space between two postures. The clearance between
+    /// checked postures may be smaller than the least clearance by up to half of [`ADVANCE_M_MIN`].
     ///
     /// No point of the arm moves further than `way_m` on this line. If the clearance of a posture exceeds the least
-    /// clearance, the arm can move by the difference without a check (conservative advancement, Mirtich 1996).
+    /// clearance, the arm can therefore move by the difference without a check (conservative advancement, Mirtich 1996).
     pub fn is_way_clear(&self, arm: &Chain, from: &Joints, to: &Joints) -> bool {
         let extended_m = |((link, from), to): ((&DhLink, &f64), &f64)| match link.joint {
             JointKind::Revolute => 0.0,
@@ -151,8 +151,8 @@ impl Bodies {
         }
     }
 
-    /// Smallest distance between two links \[m\]. Two links are compared only if the chain between them is long enough
-    /// for the least clearance.
+    /// Smallest distance between two links \[m\]. Two links are compared only if the chain between them is longer than their
+    /// diameter plus the least clearance. Nearer links would always be too close to each other.
     fn own_clearance_m(&self, links: &[[Vector3<f64>; 3]]) -> f64 {
         let length_m =
             |[before, corner, after]: &[Vector3<f64>; 3]| (corner - before).norm() + (after - corner).norm();
@@ -175,8 +175,8 @@ impl Bodies {
         clearance_m
     }
 
-    /// Smallest distance from the cell \[m\]. All links except the first, and the bodies `carried`, are compared with
-    /// boxes. These links and `plate` are compared with the floor.
+    /// Smallest distance of the arm from the boxes and the floor \[m\]. All links except the first, and the bodies
+    /// `carried`, are compared with the boxes. The same links and `plate` are compared with the floor.
     fn cell_clearance_m(
         &self,
         links: &[[Vector3<f64>; 3]],
@@ -209,7 +209,8 @@ impl Bodies {
         clearance_m
     }
 
-    /// The capsules of a link: one along its joint axis, one along its common normal. Capsules without length are omitted.
+    /// The capsules of a link: the first along its joint axis, the second along its common normal. Capsules
+    /// without length are omitted.
     fn pieces(&self, [before, corner, after]: &[Vector3<f64>; 3]) -> impl Iterator<Item = Capsule> {
         let radius_m = self.link_radius_m;
         [[*before, *corner], [*corner, *after]]

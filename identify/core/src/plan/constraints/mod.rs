@@ -1,5 +1,5 @@
-//! Constraints of a path: singular postures, joint limits, speed, acceleration, and collisions. All planners and the check
-//! of a path use them. The robot's joints at each posture of the bar follow from inverse kinematics.
+//! Constraints of a path: singular postures, joint limits, speed, acceleration, and collisions. All planners and the check of
+//! a path use these constraints. The robot's joints at each posture of the bar are computed by inverse kinematics.
 
 mod bodies;
 
@@ -37,7 +37,7 @@ pub enum Obstacle {
     Collision,
     /// An encoder cable is wound up too far.
     Cable,
-    /// The gap between the ends of robot and bar is too large.
+    /// The gap between the end of the robot and the end of the bar is too large.
     OffSphere,
 }
 
@@ -100,10 +100,11 @@ impl<'a> Constraints<'a> {
         Self { bodies, acceleration_rad_s2, ..self }
     }
 
-    /// The robot's joints at a bar posture, the solution nearest to `near_rad`, if both satisfy the constraints.
+    /// The robot's joints at a bar posture, if bar and robot satisfy the constraints. Of several solutions, the one nearest
+    /// to `near_rad` is used.
     ///
     /// # Errors
-    /// The violated constraint.
+    /// The constraint that is violated first, in the order of the checks.
     pub fn robot_at(&self, bar_rad: &[f64; 5], near_rad: &[f64]) -> Result<Joints, Obstacle> {
         if singularity_margin_rad(&self.bar.links, bar_rad) < self.design.bar_margin_deg.to_radians() {
             return Err(Obstacle::BarSingularity);
@@ -112,8 +113,8 @@ impl<'a> Constraints<'a> {
         self.robot_is_comfortable(&robot).map(|()| robot)
     }
 
-    /// The robot's joints at a pose of its end: the solution nearest to `near_rad`. If the arm has more axes than a pose
-    /// needs, the solution nearest to the middle of its limits.
+    /// The robot's joints at a pose of its end. Of several solutions, the one nearest to `near_rad` is returned. If the arm
+    /// has more axes than a pose needs, the solution nearest to the middle of its limits is returned instead.
     ///
     /// # Errors
     /// Errors of the inverse kinematics.
@@ -121,10 +122,10 @@ impl<'a> Constraints<'a> {
         robot_inverse_centred(self.robot, target, near_rad, &self.limits)
     }
 
-    /// Checks the robot's joint limits, singular postures and collisions.
+    /// Checks the robot's joint limits, the distance from singular postures, and collisions.
     ///
     /// # Errors
-    /// The violated constraint.
+    /// The constraint that is violated first, in the order of the checks.
     pub fn robot_is_comfortable(&self, robot_rad: &Joints) -> Result<(), Obstacle> {
         if !robot_rad.iter().zip(&self.limits_with_margin).all(|(q, [low, high])| (*low..=*high).contains(q))
         {
@@ -144,9 +145,9 @@ impl<'a> Constraints<'a> {
         }
     }
 
-    /// Configuration of wrist, elbow and shoulder of an arm with six axes, as three signs: the sign of joint 5, the side of
-    /// the upper arm on which the wrist is, and the sign of the Jacobian's determinant. The determinant changes its sign
-    /// with each of the three configurations. No sign changes along a path that avoids singular postures. For other arms
+    /// Configuration of wrist, elbow and shoulder of an arm with six axes, as three signs. They are the sign of joint 5, the
+    /// side of the upper arm on which the wrist is, and the sign of the Jacobian's determinant. The determinant changes its
+    /// sign with each of the three configurations. On a path that avoids singular postures, no sign changes. For other arms,
     /// the result is always the same.
     pub(super) fn bent(&self, robot_rad: &[f64]) -> [bool; 3] {
         let &[_, _, _, _, wrist, _] = robot_rad else { return [true; 3] };
@@ -171,8 +172,8 @@ impl<'a> Constraints<'a> {
         squares.symmetric_eigenvalues().min().max(0.0).sqrt()
     }
 
-    /// The robot's joints along a path from `from_s` to `until_s`, at equal time steps of about [`LOOK_S`]. The first
-    /// joints are those nearest to `near_rad`. Checks all constraints, including speed and acceleration.
+    /// The robot's joints along a path from `from_s` to `until_s`, at equal time steps of at most [`LOOK_S`]. The first
+    /// joints are the solution nearest to `near_rad`. Checks all constraints, including speed and acceleration.
     ///
     /// # Errors
     /// The constraint that is violated first.
