@@ -152,14 +152,15 @@ impl Elongation {
     }
 }
 
-/// Deviation of one run from the sphere before and after calibration, and its elongation if a force was measured.
+/// Deviation of one run from the sphere, before and after calibration. If a force was measured, also the elongation of the
+/// bar by the force.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SphereDeviation {
     /// Deviation with the nominal robot, and with the bar fitted to this robot.
     pub before: ModelDeviation,
     /// Deviation with the calibrated robot.
     pub after: ModelDeviation,
-    /// Elongation by the force; `None` without a force.
+    /// Elongation of the bar by the force. `None` if no force was measured.
     pub elongation: Option<Elongation>,
 }
 

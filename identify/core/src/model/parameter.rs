@@ -255,12 +255,12 @@ macro_rules! parameters {
                 match self { $( Self::$block { $($($field),*)? } => $name.to_string(), )* }
             }
 
-            /// The meaning of its block: that of its row in the table of parameters.
+            /// Describes the block of the parameter, with the text of the block's row in the table of parameters.
             pub fn meaning(self) -> &'static str {
                 match self { $( Self::$block { .. } => concat!($($doc),*).trim_ascii(), )* }
             }
 
-            /// The properties that it shares with its block.
+            /// The properties that all parameters of the block have in common.
             #[allow(unused_variables, reason = "most blocks have all in common")]
             pub const fn block(self) -> ParameterBlock {
                 match self { $( Self::$block { $($($field),*)? } => $common, )* }
@@ -281,7 +281,7 @@ macro_rules! parameters {
         }
 
         impl Geometry {
-            /// The number that a parameter identifies; `None` if its link, joint or station does not exist.
+            /// The number in the geometry that a parameter identifies. `None` if the link, joint or station does not exist.
             pub fn parameter_mut(&mut self, id: ParameterId) -> Option<&mut f64> {
                 match id { $( ParameterId::$block { $($($field),*)? } => { let $geometry = self; $number } )* }
             }

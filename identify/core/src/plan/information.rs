@@ -1,12 +1,12 @@
-//! Computes the information of a path: the normal equations of the parameters that a calibration would estimate. From them
-//! it computes the expected position error, and the scalar criterion of every search in this folder. Let `P` be the
-//! covariance of the parameters, and `W` the mean of `J^T J`, where `J` are the derivatives of positions over the
+//! Computes the information of a path, which is the normal equations of the parameters that a calibration would estimate. The
+//! normal equations determine the expected position error and the scalar criterion of every search in this folder. Let `P` be
+//! the covariance of the parameters, and `W` the mean of `J^T J`, where `J` are the derivatives of positions over the
 //! workspace. The position error is then `sqrt(tr(W P))`.
 //!
-//! Each pose contributes the residual of the `pose` cost at the nominal geometry, divided by its standard deviation. Noise
-//! is white, and the number of samples is that of a calibration. Encoder harmonics and all terms of the robot's axes are
+//! Each pose contributes the residual of the `pose` cost at the nominal geometry, divided by the residual's standard deviation.
+//! Noise is white, and the number of samples is that of a calibration. Encoder harmonics and all terms of the robot's axes are
 //! included with their priors. A calibration includes a term only if held-out data support it, so its accuracy is slightly
-//! better than expected here. Errors without a parameter are not included.
+//! better than expected here. Errors that no parameter describes are not included.
 
 use nalgebra::DMatrix;
 use rand_chacha::ChaCha8Rng;

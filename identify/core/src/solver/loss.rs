@@ -31,11 +31,13 @@ pub(super) fn squared_norm_quantile(rows: usize, z: f64) -> f64 {
 /// is beyond the scale.
 pub(super) const CLEAN_QUANTILE: f64 = 2.326;
 
-/// Contribution of a sample's squared norm to the cost. With the scale `c`, a norm in the residual's (whitened) unit:
+/// Loss of a sample: the contribution of its squared residual norm `s` to the cost. The scale `c` is a norm in the
+/// residual's (whitened) unit:
 ///
-/// - `huber` is quadratic up to `c`, linear beyond (Huber 1964);
-/// - `cauchy` is `c^2 ln(1 + s / c^2)`;
-/// - `geman_mcclure` is `c^2 s / (c^2 + s)`: bounded, so that a gross outlier has almost no weight (Geman and McClure 1985).
+/// - `huber` is quadratic in the norm up to `c`, and linear beyond (Huber 1964).
+/// - `cauchy` is `c^2 ln(1 + s / c^2)`.
+/// - `geman_mcclure` is `c^2 s / (c^2 + s)`. It is bounded, so a gross outlier has almost no weight (Geman and McClure
+///   1985).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Loss {
     /// Formula of the loss.

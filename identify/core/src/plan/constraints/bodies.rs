@@ -15,8 +15,8 @@ use crate::kinematics::{Chain, DhLink, Joints, ROD_LINK};
 
 /// Number of links of the wrist. These links only rotate in place, so the plate and the end of the rod represent them.
 const WRIST_LINKS: usize = 2;
-/// Shortest step between two checked postures of a move \[m\]. Between them the clearance is smaller by at most
-/// half of this step.
+/// Shortest step between two checked postures of a move \[m\]. Between two checked postures, the clearance can be smaller by
+/// at most half of this step.
 const ADVANCE_M_MIN: f64 = 5e-3;
 
 /// Sizes of the bodies, and their least clearance.

@@ -60,7 +60,7 @@ pub enum Course {
 pub struct Change {
     /// Index of the alternative.
     pub alternative: usize,
-    /// Step with its instant, or drift.
+    /// Course of the change in time: a step with its instant, or a drift.
     pub course: Course,
     /// Change of each column, in the unit of its parameter: the height of the step, or the change from begin to end of a drift.
     pub by: Vec<f64>,
