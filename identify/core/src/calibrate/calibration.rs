@@ -1,4 +1,4 @@
-//! The result of a calibration, for any instruments.
+//! The result of a calibration, independent of the type of its instruments.
 
 use super::change::Changed;
 use super::contradicted::Contradicted;
@@ -11,19 +11,19 @@ use crate::model::{Model, ParameterId};
 use crate::prepare::Prepared;
 use crate::solver::{LossName, Solution};
 
-/// A calibrated robot, with the data and the solve behind it.
+/// A calibrated robot, with the data sets and the solve from which it was computed.
 #[derive(Debug, Clone)]
 pub struct Calibration {
-    /// Data sets (one or more) with their parameters at the solution: first ball-bar runs, then files of rows, each in their
-    /// order. The columns of the first data set are first in the solution.
+    /// Data sets (one or more) with their parameters at the solution. Ball-bar runs are first, followed by the files of
+    /// rows, each in the order of the input. The columns of the first data set are the first columns of the solution.
     pub runs: Vec<Run>,
     /// For each file of rows, its errors per stage, rejected rows and drift.
     pub rows: Vec<RowSet>,
     /// The joint solve of all data sets.
     pub solved: Solved,
-    /// Priors, and the scale, that the samples contradict; the covariance of `solved` includes them.
+    /// Priors that the samples contradict, and a contradicted scale. The covariance of `solved` includes both.
     pub contradicted: Contradicted,
-    /// Changes during the measurement that are too small for a refusal.
+    /// Changes during the measurement that were detected but did not cause a refusal.
     pub changed: Vec<Changed>,
     /// Robust loss, which reduces the weight of samples with large residuals.
     pub loss: LossName,
@@ -40,13 +40,13 @@ impl Calibration {
         &self.solved.solution
     }
 
-    /// Standard deviation of a parameter of the first data set, SI; `None` if it was fixed.
+    /// Standard deviation of a parameter of the first data set, SI. `None` if the parameter was not estimated.
     pub fn sigma(&self, id: ParameterId) -> Option<f64> {
         let column = self.model().column_of(id)?;
         self.solution().covariance.sigma(*self.solved.columns.of_run(0).get(column)?)
     }
 
-    /// Cost of the ball-bar runs; `None` without any.
+    /// Cost of the ball-bar runs. `None` without ball-bar runs.
     pub fn cost(&self) -> Option<CostName> {
         self.runs.iter().find_map(|run| run.instrument.residual_unit_of())
     }
@@ -63,7 +63,7 @@ impl Calibration {
         self.runs.iter().filter_map(|run| Some((run.instrument.prepared()?, &run.model)))
     }
 
-    /// Preparation of the first ball-bar run, with the alignment of its logs; `None` without any.
+    /// Preparation of the first ball-bar run, which contains the alignment of its logs. `None` without ball-bar runs.
     pub fn prepared(&self) -> Option<&Prepared> {
         self.bar_runs().next().map(|(prepared, _)| prepared)
     }
@@ -73,12 +73,13 @@ impl Calibration {
         measured(self.bar_runs().map(|(prepared, _)| prepared))
     }
 
-    /// Reported robot joints at each sample of all data sets.
+    /// Joints that the robot reported at each sample of all data sets.
     pub fn poses(&self) -> impl Iterator<Item = Joints> {
         self.runs.iter().flat_map(|run| run.instrument.poses(&run.model))
     }
 
-    /// Copies of the data sets thinned to at most about `samples_max` samples in total, for statistics that need no more.
+    /// Copies of the data sets, thinned to about `samples_max` samples in total. For statistics that do
+    /// not need more samples.
     pub(super) fn thinned(&self, samples_max: usize) -> Vec<Run> {
         let samples: usize = self.runs.iter().map(|run| run.instrument.samples()).sum();
         let every = samples.div_ceil(samples_max.max(1)).max(1);

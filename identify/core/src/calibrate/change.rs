@@ -1,7 +1,12 @@
-//! Changes during a run or a file of rows: an encoder slips, a joint offset steps, the bar or another instrument is moved, a
-//! clock steps, or one of them drifts. Other checks do not detect this: the fit distributes the change over links and terms,
-//! and held-out samples have the same error. All hypotheses are tested on the same residuals, those of the solution with its
-//! terms, at one false alarm rate ([`change_point`]). A large change refuses a ball-bar run; others are in the report.
+//! Tests whether something changed during the measurement of a data set, given its model at the solution. The result is the
+//! most significant change of each data set, or an error that refuses a ball-bar run.
+//!
+//! Possible changes: an encoder slips, a joint offset steps, the bar or another instrument is displaced, or a clock steps.
+//! Each of these quantities may also drift linearly. Other checks do not detect such a change. The fit distributes it over
+//! link parameters and error terms, and held-out samples contain the same error.
+//!
+//! All hypotheses are tested on the residuals of the same solution, with one common false alarm rate ([`change_point`]). A
+//! large change refuses a ball-bar run. All other changes are listed in the report.
 
 use std::fmt;
 
@@ -14,22 +19,24 @@ use crate::solver::{Change, Course, LossName, change_point};
 
 /// Probability of a false alarm in a data set without change.
 const FALSE_ALARMS: f64 = 1e-4;
-/// Minimum clock step that refuses a run \[s\]: at 0.15 rad/s it corresponds to `slip_min_mrad`.
+/// Minimum clock step that refuses a run \[s\]. A joint at 0.15 rad/s turns by the default `slip_min_mrad` in this time.
 const CLOCK_S_MIN: f64 = 0.002;
-/// Minimum displacement of the bar's base that refuses a run, per radian of `slip_min_mrad` \[m\]: about the rod's length.
+/// Lever arm that converts `slip_min_mrad` to the minimum displacement of the bar's base that refuses a run \[m\]. About
+/// the length of the rod.
 const LEVER_M: f64 = 0.5;
-/// Minimum fraction of the squared residuals that a change must explain to refuse a run. Below this fraction model errors
-/// dominate. These can look like a change if the parts of the path differ.
+/// A change refuses a run only if it explains at least this fraction of the squared residuals. If the fraction is smaller,
+/// model errors dominate. Model errors can look like a change if the robot's path differs between parts of the run.
 const EXPLAINED: f64 = 0.3;
-/// Maximum number of samples tested: a change that needs more samples is too small to matter.
+/// Maximum number of samples in the test of a data set. A change that is significant only with more samples is
+/// too small to matter.
 const SAMPLES_MAX: usize = 3000;
 
-/// Course of a change in time.
+/// How a change develops over time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum When {
-    /// A step, this long after the first sample \[s\].
+    /// A step at this time after the first sample \[s\].
     At(f64),
-    /// A step, after this fraction of the rows (robot at rest, no time).
+    /// A step after this fraction of the rows. For a robot at rest, whose rows have no time.
     After(f64),
     /// A linear drift from the first sample to the last.
     Drift,
@@ -42,25 +49,26 @@ pub struct Changed {
     pub data_set: usize,
     /// The cause that explains the change best.
     pub cause: Cause,
-    /// Time of the change.
+    /// Time of the step, or a drift.
     pub when: When,
-    /// Change of each parameter of the cause, in its order, SI.
+    /// Change of each parameter of `cause`, in the order of `cause.ids`, SI.
     pub by: Vec<f64>,
     /// Fraction of the squared residuals that the change explains.
     pub explained: f64,
 }
 
-/// Refusal of the first run whose angles fit no geometry. It replaces the error of a solve that failed for this reason.
+/// Error of the first run whose bar angles do not fit any geometry, according to the preparation. If the solve fails too,
+/// this error is returned instead, because it is more informative.
 pub(super) fn poor_fit(runs: &[Run]) -> Option<CalibrateError> {
     let refusal = |run: &Run| Some(run.instrument.prepared()?.poor_fit.as_ref()?.refusal());
     let first = runs.iter().enumerate().find_map(|(number, run)| Some((number, refusal(run)?)));
     first.map(|(run, error)| CalibrateError::Prepare { run, error: Box::new(error) })
 }
 
-/// Changes in data sets at their solution; `sigmas` are the residual standard deviations of each data set.
+/// Tests each data set for a change at its solution. `sigmas` contains the residual standard deviation of each data set.
 ///
 /// # Errors
-/// [`CalibrateError::Prepare`] with the first ball-bar run that has a large change, or whose angles fit no geometry.
+/// [`CalibrateError::Prepare`] for the first ball-bar run that has a large change, or whose angles do not fit any geometry.
 pub(super) fn checked(
     runs: &[Run],
     sigmas: &[f64],
@@ -74,22 +82,26 @@ pub(super) fn checked(
     Ok(changed)
 }
 
-/// The most significant change in one data set.
+/// Finds the most significant change in one data set. `None` if no change is significant.
 fn change_of_run(
     data_set: usize,
     Run { instrument, model }: &Run,
     sigma: f64,
 ) -> Result<Option<Changed>, CalibrateError> {
-    // Parameters fixed at uncertain values are estimated as well, so that their errors are not reported as a change.
+    // Estimate parameters that are fixed at uncertain values, too. Otherwise their errors could be reported as a change.
     let model =
         &model.with_considered(|parameter, sigma| Some(Role::Prior { value: parameter.value, sigma }));
     let can_change =
         |id: &ParameterId| instrument.identifies(*id, model.robot()) && model.parameter(*id).is_some();
+    // Possible causes: a step of each robot joint's offset, and the causes of the instrument. Keep only parameters
+    // that the samples identify.
     let joints = model.robot().links.iter().enumerate();
     let joints = joints.map(|(link, DhLink { joint, .. })| Cause::joint(link, *joint));
     let mut causes: Vec<Cause> = joints.chain(instrument.causes(&model.geometry(&[]))).collect();
     causes.iter_mut().for_each(|cause| cause.ids.retain(can_change));
     causes.retain(|cause| !cause.ids.is_empty());
+    // Free the parameters of all causes. `alternatives` contains the columns of each cause, `estimated` the
+    // columns of the fit.
     let mut with_causes = model.clone();
     for &id in causes.iter().flat_map(|cause| &cause.ids) {
         if model.column_of(id).is_none() {
@@ -101,7 +113,7 @@ fn change_of_run(
         causes.iter().map(|cause| cause.ids.iter().filter_map(column).collect()).collect();
     let estimated: Vec<usize> = model.columns().filter_map(|parameter| column(&parameter.id)).collect();
     let problem = instrument.data_set(&with_causes, sigma)?;
-    // Without the samples that state known properties of the instrument.
+    // Exclude the samples that represent known properties of the instrument, then thin the others.
     let measured = || (0..problem.samples()).filter(|sample| !problem.is_known(*sample));
     let every = measured().count().div_ceil(SAMPLES_MAX).max(1);
     let samples: Vec<usize> = measured().step_by(every).collect();
@@ -117,30 +129,32 @@ fn change_of_run(
     }))
 }
 
-/// Time of a step; `first_after` is the first sample after it, as an index into the tested `samples`.
+/// Time of a step. `first_after` is the first sample after the step, as an index into the tested `samples`.
 fn time_of_step(instrument: &Instrument, samples: &[usize], first_after: usize) -> Option<When> {
     let Some(first_s) = instrument.first_s() else {
         return Some(When::After(first_after as f64 / samples.len() as f64));
     };
     let time_s = |index: usize| instrument.time_s(*samples.get(index)?);
-    // The middle of the interval between two samples, which may be long.
+    // The step lies between two samples, which may be far apart. Use the middle of this interval.
     Some(When::At(0.5 * (time_s(first_after.checked_sub(1)?)? + time_s(first_after)?) - first_s))
 }
 
 impl Changed {
-    /// Magnitude of the change, SI; for a tracker, which can also turn, the distance.
+    /// Magnitude of the change, SI. If a cause has parameters in two units, only those in the unit of the first one are
+    /// used: for a tracker, the distance and not the rotation.
     pub fn size(&self) -> f64 {
         let components = self.by.iter().zip(&self.cause.ids);
         let of_unit = components.filter(|(_, id)| id.unit() == self.cause.unit());
         of_unit.map(|(by, _)| by * by).sum::<f64>().sqrt()
     }
 
-    /// Change of the first parameter: the only one of an encoder, a joint, a clock or a length offset.
+    /// Change of the first parameter. An encoder, a joint, a clock and a length offset have only this one.
     fn first_component(&self) -> f64 {
         self.by.first().copied().unwrap_or_default()
     }
 
-    /// Displacement of the end of an arm with this reach \[m\]; zero for a clock, which does not change the geometry.
+    /// Displacement that the change causes at the end of an arm with this reach \[m\]. Zero for a clock, which does
+    /// not change the geometry.
     pub fn displacement_m(&self, reach_m: f64) -> f64 {
         match self.cause.unit() {
             Unit::Radian => self.size() * reach_m,
@@ -149,17 +163,18 @@ impl Changed {
         }
     }
 
-    /// The reason to refuse a ball-bar run with this change: a step above the limit; `None` otherwise.
+    /// Error that refuses a ball-bar run because of this change. `None` if the change is a drift, is below its limit, or
+    /// has a cause that never refuses a run.
     fn refusal(&self, options: &PrepareOptions) -> Option<PrepareError> {
         let When::At(at_s) = self.when else { return None };
         let slip_min_rad = options.slip_min_mrad * 1e-3;
-        // The offset has the opposite sign of the error in the reported angle.
+        // The estimated offset has the opposite sign of the error in the reported angle.
         let by_mrad = -self.first_component() * 1e3;
         let (error, size_min) = match self.cause.ids.first()? {
             ParameterId::Bar { link, .. } => {
                 (PrepareError::EncoderSlip { joint: *link as u8 + 1, at_s, by_mrad }, slip_min_rad)
             }
-            // The limit is an angle, so a prismatic joint is not refused.
+            // The limit is an angle, so a step of a prismatic joint never refuses a run.
             ParameterId::Robot { link, parameter: LinkParameter::Theta } => {
                 (PrepareError::JointStep { joint: *link as u8 + 1, at_s, by_mrad }, slip_min_rad)
             }
@@ -175,8 +190,8 @@ impl Changed {
     }
 }
 
-/// Refuses ball-bar runs with a large change, and runs whose angles fitted no geometry in the preparation, for which a
-/// change may be the cause.
+/// Refuses ball-bar runs with a large change. Otherwise refuses runs whose angles did not fit any
+/// geometry in the preparation.
 fn refuse(runs: &[Run], changed: &[Changed], options: &PrepareOptions) -> Result<(), CalibrateError> {
     for (run, Run { instrument, model }) in runs.iter().enumerate() {
         let Some(prepared) = instrument.prepared() else { continue };
@@ -196,7 +211,7 @@ impl fmt::Display for Changed {
         let Self { cause: Cause { name, ids }, when, .. } = self;
         let unit = self.cause.unit();
         let size = match ids[..] {
-            // The offset has the opposite sign of the error in the angle.
+            // The estimated offset has the opposite sign of the error in the angle.
             [ParameterId::Bar { .. }] => format!("{:+.2}", -self.first_component() * unit.display_factor()),
             [_] => format!("{:+.2}", self.first_component() * unit.display_factor()),
             _ => format!("{:.2}", self.size() * unit.display_factor()),

@@ -1,5 +1,6 @@
-//! `config/identify.toml`: cost, free parameters, and the limits of the preparation. Sets the role of every parameter of a model
-//! (free, fixed, prior, considered) from selection, tolerances and the parameters that are given by name.
+//! Options of a calibration, from `config/identify.toml`: cost, free parameters, and limits of the preparation. From these
+//! options, [`IdentifyConfig::set_roles`] sets the role of every parameter of a ball-bar model (free, fixed, prior or
+//! considered), and `set_link_roles` sets the roles of a robot's link parameters with any instrument.
 
 use std::collections::BTreeMap;
 
@@ -14,11 +15,12 @@ use crate::model::{Group, Model, ModelError, Owner, ParameterId, Role, Selection
 use crate::prepare::PrepareOptions;
 use crate::solver::LossName;
 
-/// Prior of encoder offsets after the loss of a counter's origin \[rad\]. They correct the preparation's offsets, which are for
-/// the nominal geometry, so they are zero at the start. The prior is much wider than their error, so that the samples determine
-/// them. If a held-out segment contains all samples of an origin, its offsets stay at their start.
+/// Standard deviation of the prior of encoder offsets after a counter lost its origin \[rad\]. The offsets are relative to
+/// those of the preparation, which assumed the nominal geometry, so their start value is zero. The prior is much wider than
+/// their error, so that the samples determine them. If a held-out segment contains all samples of an origin, its offsets
+/// keep their start value.
 const LOST_ORIGIN_SIGMA_RAD: f64 = 0.01;
-/// Tilt of the bar's base if it is not estimated, for a set-up by eye, standard deviation \[rad\].
+/// Standard deviation of the tilt of the bar's base if it is not estimated \[rad\]. For a base that was levelled by eye.
 const BASE_TILT_SIGMA_RAD: f64 = 5e-3;
 
 /// Named sets of free parameters.
@@ -84,7 +86,7 @@ impl Default for JointTermsConfig {
     }
 }
 
-/// Obsolete key: solves no longer start from random subsets; files with `ransac = false` can still be read.
+/// Obsolete key, because solves no longer start from random subsets. Files with `ransac = false` can still be read.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize)]
 #[serde(try_from = "bool")]
 pub struct NoRansac;
@@ -159,7 +161,7 @@ impl Default for IdentifyConfig {
     }
 }
 
-/// Whether a bar link parameter only defines the position of frames on the bar's base or on the robot's flange.
+/// Whether a link parameter of the bar only defines where frames are on the bar's base or on the robot's flange.
 const fn only_defines_frames(id: ParameterId) -> bool {
     const LAST: usize = BAR_JOINTS - 1;
     matches!(
@@ -169,10 +171,11 @@ const fn only_defines_frames(id: ParameterId) -> bool {
 }
 
 impl IdentifyConfig {
-    /// Checks that the selection is that of calibrations (tolerances and names); others are for the estimators of studies.
+    /// Checks that the selection is the one for calibrations, with tolerances and names. The other
+    /// selections are for studies.
     ///
     /// # Errors
-    /// [`CalibrateError::Selection`].
+    /// [`CalibrateError::Selection`] with the name of another selection.
     pub fn require_usual_selection(&self) -> Result<(), CalibrateError> {
         match self.selection {
             SelectionName::Cell => Ok(()),
@@ -180,8 +183,9 @@ impl IdentifyConfig {
         }
     }
 
-    /// Sets the role of every parameter of a ball-bar model, for a cost that identifies the parameters for which `identifies`
-    /// is true. `identifiable` is the selection, if that depends on the poses. Candidate terms are not freed.
+    /// Sets the role of every parameter of a ball-bar model. `identifies` returns whether the cost identifies a parameter.
+    /// `identifiable` lists the parameters to free if the selection depends on the poses. Error terms that are only
+    /// candidates are not freed.
     ///
     /// # Errors
     /// [`ModelError`] for an invalid standard deviation.
@@ -200,7 +204,7 @@ impl IdentifyConfig {
         }
         self.set_encoder_priors(model, identifies)?;
         if self.selection == SelectionName::Cell {
-            // The rod has a measured length, or is estimated without tolerance.
+            // The rod is excluded: its length is either measured, or estimated without a tolerance.
             let has_tolerance = |id: &ParameterId| {
                 let is_link = id.owner() == Owner::BallBar && id.group() == Group::Link;
                 is_link && !only_defines_frames(*id) && *id != ParameterId::ROD && identifies(*id)
@@ -213,7 +217,7 @@ impl IdentifyConfig {
         self.consider_fixed(model)
     }
 
-    /// Sets the priors of the encoders' offsets after the loss of an origin, and of their harmonics.
+    /// Sets the priors of encoder offsets after a counter lost its origin, and the priors of encoder harmonics.
     fn set_encoder_priors(
         &self,
         model: &mut Model,
@@ -230,7 +234,7 @@ impl IdentifyConfig {
         Ok(())
     }
 
-    /// Gives fixed parameters their uncertainty, if they have one.
+    /// Sets fixed parameters whose uncertainty is known to [`Role::Considered`].
     fn consider_fixed(&self, model: &mut Model) -> Result<(), ModelError> {
         let axes = model.axes();
         for id in model.ids() {
@@ -243,9 +247,10 @@ impl IdentifyConfig {
         Ok(())
     }
 
-    /// Sets the roles of the robot's link parameters, independent of the instrument: each has a prior at its nominal value with
-    /// the tolerance. Parameters of the last link belong to the mounted instrument and are not changed. Parameters that only
-    /// define frames stay fixed. Then parameters that have a role by name receive it.
+    /// Sets the roles of the robot's link parameters. They do not depend on the instrument. Each has a prior at its
+    /// nominal value, with the tolerance as standard deviation. Parameters that only define frames stay fixed. Parameters
+    /// of the last link are not changed, because they belong to the mounted instrument. Roles that the configuration sets
+    /// by name are applied last.
     ///
     /// # Errors
     /// [`ModelError`] for an invalid standard deviation.
@@ -257,7 +262,7 @@ impl IdentifyConfig {
         self.set_tolerances(model, free.iter().copied())?;
         self.set_named_roles(model)?;
         for id in free {
-            // Links that are fixed by name.
+            // Links that the configuration fixes by name.
             if model.role(id) == Some(Role::Fixed) {
                 self.consider(model, id)?;
             }
@@ -265,13 +270,13 @@ impl IdentifyConfig {
         Ok(())
     }
 
-    /// Fixes a link parameter at its value, with its tolerance as uncertainty.
+    /// Fixes a link parameter at its value and considers its uncertainty: the stated one, or else the tolerance.
     pub(crate) fn consider(&self, model: &mut Model, id: ParameterId) -> Result<(), ModelError> {
         let sigma = self.stated(id).unwrap_or_else(|| self.tolerance());
         model.set_role(id, Role::Considered { sigma })
     }
 
-    /// Stated standard deviation of a parameter, by name, SI.
+    /// Standard deviation that the configuration states for a parameter by name, SI.
     fn stated(&self, id: ParameterId) -> Option<f64> {
         Some(self.priors.get(&id)? / id.unit().display_factor())
     }
@@ -281,7 +286,7 @@ impl IdentifyConfig {
         self.tolerance_mm_mrad * 1e-3
     }
 
-    /// Sets priors at the nominal values with the tolerance.
+    /// Sets priors at the nominal values, with the tolerance as standard deviation.
     fn set_tolerances(
         &self,
         model: &mut Model,
@@ -294,7 +299,7 @@ impl IdentifyConfig {
         Ok(())
     }
 
-    /// Sets the roles of parameters that have one by name.
+    /// Sets the roles that the configuration sets by name.
     fn set_named_roles(&self, model: &mut Model) -> Result<(), ModelError> {
         for (&id, sigma) in &self.priors {
             let Some(value) = model.parameter(id).map(|parameter| parameter.value) else { continue };
@@ -306,16 +311,16 @@ impl IdentifyConfig {
         Ok(())
     }
 
-    /// Checks that each parameter with a role by name exists in at least one model.
+    /// Checks that each parameter that the configuration names exists in at least one model.
     ///
     /// # Errors
-    /// [`ModelError`] names a parameter that does not exist.
+    /// [`ModelError`] with the name of a parameter that does not exist.
     pub(crate) fn require_known<'m>(
         &self,
         models: impl Iterator<Item = &'m Model> + Clone,
     ) -> Result<(), ModelError> {
         for id in self.named() {
-            // Models without a ball-bar receive their waves later.
+            // Models without a ball-bar receive their joint waves later.
             let is_wave = matches!(id, ParameterId::JointWave { .. });
             if !is_wave && models.clone().all(|model| model.parameter(id).is_none()) {
                 return Err(ModelError::NotInModel { id });
@@ -324,8 +329,8 @@ impl IdentifyConfig {
         Ok(())
     }
 
-    /// Known lengths of a bar on a robot with `axes` axes, with their standard uncertainties \[m\], except those that are free
-    /// by name or have a prior.
+    /// Known lengths of a bar on a robot with `axes` axes, with their standard uncertainties \[m\]. Lengths that the
+    /// configuration frees or gives a prior by name are omitted.
     pub fn known_length_sigmas_m(&self, bar: &BallBarConfig, axes: usize) -> Vec<(ParameterId, f64)> {
         let u_um = |id| if id == ParameterId::ROD { bar.length_u_um } else { Some(bar.plate_u_um) };
         let is_open = |id: &ParameterId| !self.free.contains(id) && !self.priors.contains_key(id);
@@ -333,15 +338,16 @@ impl IdentifyConfig {
         known.filter_map(|id| Some((id, u_um(id).filter(|u_um| *u_um > 0.0)? * 1e-6))).collect()
     }
 
-    /// Standard deviation of a fixed parameter, SI; `None` if it is not stated or if the value is arbitrary because it only
-    /// defines a frame. The uncertainty of the plate is in the bar's configuration.
+    /// Standard deviation of a fixed parameter, SI. `None` if no uncertainty is stated, or if the value is arbitrary
+    /// because it only defines a frame. The uncertainty of the plate is in the bar's configuration, not here.
     fn uncertainty(&self, id: ParameterId, axes: usize) -> Option<f64> {
         if let Some(sigma) = self.stated(id) {
             return Some(sigma);
         }
-        // Whether the link parameter is a dimension of a part; the others only define a frame.
+        // Whether the link parameter is a dimension of a real part. Other link parameters only define a frame.
         let is_dimension = match (self.selection, id) {
-            // `set_link_roles` has given an uncertainty to the other links; what it left fixed only defines a frame.
+            // `set_link_roles` has set the uncertainty of the other links. Parameters that it left fixed
+            // only define a frame.
             (SelectionName::Cell, ParameterId::Robot { link, .. }) => {
                 link + 1 == axes && id != ParameterId::plate(axes)
             }
@@ -356,10 +362,10 @@ impl IdentifyConfig {
         }
     }
 
-    /// Frees a parameter that a force determines, unless it is fixed or has a prior.
+    /// Frees a parameter that a measured force determines, unless the configuration fixes it or gives it a prior.
     ///
     /// # Errors
-    /// [`ModelError::NotInModel`].
+    /// [`ModelError::NotInModel`] if the model does not contain the parameter.
     pub fn free_for_force(&self, model: &mut Model, id: ParameterId) -> Result<(), ModelError> {
         if self.fix.contains(&id) || self.priors.contains_key(&id) {
             return Ok(());
@@ -367,18 +373,18 @@ impl IdentifyConfig {
         model.set_role(id, Role::Free)
     }
 
-    /// Parameters that are freed, fixed or given a prior by name.
+    /// Parameters that the configuration frees, fixes or gives a prior by name.
     pub fn named(&self) -> impl Iterator<Item = ParameterId> + '_ {
         self.priors.keys().chain(&self.free).chain(&self.fix).copied()
     }
 
-    /// Harmonics of the bar's encoders that have no role by name; they share one prior scale.
+    /// Harmonics of the bar's encoders, except those that the configuration names. They share one scale of their priors.
     pub(crate) fn harmonics(&self) -> impl Iterator<Item = ParameterId> + '_ {
         let harmonics = ParameterId::of_term(TermGroup::EncoderHarmonics);
         harmonics.filter(|id| !self.named().any(|named| named == *id))
     }
 
-    /// Standard deviation of the prior of a term group, SI.
+    /// Standard deviation of the prior of a group of terms, SI.
     pub(super) fn sigma(&self, group: TermGroup) -> f64 {
         let terms = &self.joint_terms;
         1e-6 * match group {
@@ -399,9 +405,9 @@ fn positive(key: String, value: f64) -> Result<(), Violation> {
     Err(Violation::new(key, format!("invalid standard deviation {value}"), "give a number above zero"))
 }
 
-/// Values out of these ranges disable a check, or reject all data.
+/// Checks the ranges of the preparation's options. Values outside these ranges would disable a check or reject all data.
 fn validate_preparation(prepare: &PrepareOptions) -> Result<(), Violation> {
-    /// Fewer samples than twice the parameters of robot, bar and clocks are insufficient.
+    /// Minimum number of samples: twice the number of parameters of robot, bar and clocks.
     const POINTS_MIN: usize = 100;
     for (key, value, [low, high]) in [
         ("correlation_min", prepare.correlation_min, [0.0, 1.0]),
@@ -417,7 +423,7 @@ fn validate_preparation(prepare: &PrepareOptions) -> Result<(), Violation> {
         ("joint_travel_min_deg", prepare.joint_travel_min_deg, [0.0, 360.0]),
         ("slip_min_mrad", prepare.slip_min_mrad, [0.001, 1000.0]),
     ] {
-        // Test for values within the range: it rejects NaN too.
+        // Tests that the value is within the range, because this test also rejects NaN.
         if !(low..=high).contains(&value) {
             let remedy = format!("give a number from {low} to {high}");
             return Err(Violation::new(format!("prepare.{key}"), format!("{value} is out of range"), remedy));
@@ -450,7 +456,7 @@ impl Validate for IdentifyConfig {
 }
 
 impl IdentifyConfig {
-    /// Parameters must not be both free and fixed, and priors by name need a standard deviation above zero.
+    /// A parameter must not be both free and fixed. Each prior by name must have a standard deviation above zero.
     fn validate_names(&self) -> Result<(), Violation> {
         if let Some((index, id)) = self.fix.iter().enumerate().find(|(_, id)| self.free.contains(id)) {
             let problem = format!("`{id}` is also in `free`");
@@ -459,7 +465,8 @@ impl IdentifyConfig {
         self.priors.iter().try_for_each(|(id, sigma)| positive(format!("priors.{id}"), *sigma))
     }
 
-    /// Standard deviations must be above zero, except those that exclude a group of terms, and so must the required error.
+    /// The required error and all standard deviations must be above zero, except those whose value zero excludes
+    /// a group of terms.
     fn validate_sigmas(&self) -> Result<(), Violation> {
         positive("tolerance_mm_mrad".into(), self.tolerance_mm_mrad)?;
         if let Some(require_mm) =

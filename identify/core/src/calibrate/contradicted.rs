@@ -1,6 +1,7 @@
-//! Priors, and the scale of all lengths, that the samples contradict: the stated uncertainty of one of them is too small. The
-//! covariance of the solution gets an additional source for each contradiction, of its size. Steps of [`super::calibrate`];
-//! `evaluate::limits` states them.
+//! Detects priors that the samples contradict, and a contradicted scale of all lengths. The stated uncertainty of a
+//! contradicted quantity is too small. Therefore the covariance of the solution gets an additional source of uncertainty
+//! for each contradiction, as large as the contradiction. The tests are steps of [`super::calibrate`].
+//! `evaluate::limits` reports the contradictions.
 
 use std::fmt;
 
@@ -13,44 +14,45 @@ use crate::kinematics::LinkParameter;
 use crate::model::{Column, Model, Parameter, ParameterId, Role};
 use crate::solver::{Covariance, Solution, UncertaintySource};
 
-/// Standard deviation of a robot's length errors \[m\]: the default of `tolerance_mm_mrad`.
+/// Standard deviation of the length errors of a robot's links \[m\]: the default of `tolerance_mm_mrad`.
 pub(crate) const LENGTH_SIGMA_M: f64 = 1e-3;
-/// Probability of a false report of a wrong scale.
+/// Probability that a scale is reported as wrong although it is correct.
 const OTHER_SCALE_BY_CHANCE: f64 = 1e-3;
-/// Probability of a false report if all priors are correct.
+/// Probability that any prior is reported although all priors are correct.
 const STRAINED_BY_CHANCE: f64 = 1e-3;
-/// Relative nonlinearity of a prior's influence. The influence on a parameter that the samples do not determine is linear
-/// except for this part.
+/// Relative error of the influence of a prior on its estimate. The influence is computed by linearisation. It has about
+/// this error if the samples do not determine the parameter.
 const NONLINEAR: f64 = 0.1;
-/// A deviation of more standard deviations of its prior is not an error of this kind: another cause has its shape where the
-/// robot was measured, and not elsewhere.
+/// If an estimate deviates by more than this number of standard deviations of its prior, the parameter is not the cause.
+/// The actual cause resembles an error of the parameter only in the poses in which the robot was measured.
 const OTHER_CAUSE: f64 = 10.0;
-/// Minimum fraction of a deviation that remains with the prior. A smaller fraction is not accurate.
+/// Minimum fraction of a deviation that remains if the prior is used. Smaller fractions cannot be computed accurately.
 const REMAINING_MIN: f64 = 0.01;
 
-/// All contradictions of a calibration.
+/// All contradictions that were detected in a calibration.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Contradicted {
-    /// Priors, the most contradicted first.
+    /// Contradicted priors, the most contradicted first.
     pub priors: Vec<ContradictedPrior>,
-    /// The scale of all lengths.
+    /// Contradicted scale of all lengths. `None` if the scale is not contradicted.
     pub scale: Option<OtherScale>,
 }
 
 impl Contradicted {
-    /// Tests the solution of all data sets.
+    /// Tests the priors and the scale at the solution of all data sets.
     pub(super) fn new(runs: &[Run], solved: &Solved) -> Self {
         let scale = other_scale(&runs[0].model, &solved.solution);
         Self { priors: strained_priors(runs, solved), scale }
     }
 
-    /// The covariance of a solution with a source for each contradiction, of the size of the contradiction. The solution may be
-    /// another fit to the same samples; its first columns are those of `model`.
+    /// Returns the covariance of a solution with an additional source for each contradiction, as large as
+    /// the contradiction. The solution may belong to another fit to the same samples. Its first columns must
+    /// be those of `model`.
     pub(super) fn added_to(&self, Solved { solution, columns, .. }: &Solved, model: &Model) -> Covariance {
         let mut covariance = solution.covariance.clone();
         for prior in &self.priors {
             let Some(column) = columns.all().iter().position(|own| *own == prior.column) else { continue };
-            // Shift of all estimates if the prior is wrong by the deviation of the estimate without it.
+            // Change of all estimates, if the prior is wrong by as much as the estimate without the prior deviates from it.
             let shift = solution.covariance.by_prior_on_all(column, prior.s0) * prior.times_without();
             covariance = covariance.with_source(UncertaintySource::Contradicted { column }, &shift);
         }
@@ -63,10 +65,10 @@ impl Contradicted {
     }
 }
 
-/// Contradicted priors, the most contradicted first: the test of Evans and Moshonov (2006) for each of the `n` priors, with
-/// probability [`STRAINED_BY_CHANCE`] of a false report in all.
+/// Finds the contradicted priors, the most contradicted first. Each of the `n` priors is tested (Evans and Moshonov 2006).
+/// [`STRAINED_BY_CHANCE`] is the probability that any of them is reported although all are correct.
 fn strained_priors(runs: &[Run], Solved { solution, columns, .. }: &Solved) -> Vec<ContradictedPrior> {
-    // The first data set that has a column provides its prior, as in the solve.
+    // As in the solve, the prior of a column is taken from the first data set that has the column.
     let parameters: Vec<Vec<Parameter>> =
         runs.iter().map(|run| run.model.columns().copied().collect()).collect();
     let parameters = columns.gather(&parameters);
@@ -83,29 +85,32 @@ fn strained_priors(runs: &[Run], Solved { solution, columns, .. }: &Solved) -> V
     priors
 }
 
-/// A parameter with a prior, in SI units.
+/// An estimate with a prior, and the test quantities of their contradiction, in SI units.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ContradictedPrior {
     column: Column,
-    /// Estimated minus expected value.
+    /// Estimate minus the expected value of the prior.
     off: f64,
     /// Standard deviation of the prior.
     s0: f64,
     /// Standard deviation of the estimate.
     s: f64,
-    /// Shift of the estimate if the prior is off by its standard deviation.
+    /// Change of the estimate if the prior is wrong by its standard deviation.
     g: f64,
     /// Standard deviation of `off` if all priors are correct.
     spread: f64,
 }
 
 impl ContradictedPrior {
-    /// The prior of a parameter; `None` if it has none.
+    /// Computes the quantities for a parameter. `None` if it has no prior.
     ///
-    /// A correct prior of `x0` with sigma `s0` shifts the estimate `x` (sigma `s`) by `g` if it is off by `s0`. Then `x - x0` has
-    /// the variance `(s0 - g)^2` ([`NONLINEAR`] of `g` is added as a tolerance) plus the variance of `x` from all other sources:
-    /// samples, other priors, errors of fixed parameters. If the sources are unknown, use that of independent noise,
-    /// `s^2 (1 - g / s0)`: `s0^2 - s^2` in all if the noise is known.
+    /// The prior expects `x0` with the standard deviation `s0`. The estimate is `x` with the standard deviation `s`. If the
+    /// prior is wrong by `s0`, the estimate changes by `g`. If the prior is correct, the variance of `x - x0` is
+    /// `(s0 - g)^2` plus the variance of `x` from all other sources: samples, other priors, errors of fixed parameters. The
+    /// fraction [`NONLINEAR`] of `g` is added as a tolerance.
+    ///
+    /// If the covariance does not separate the sources, the variance from the others is `s^2 (1 - g / s0)`, as for
+    /// independent noise. For a known noise the sum of the two is then `s0^2 - s^2`.
     fn new(
         index: usize,
         column: Column,
@@ -125,8 +130,8 @@ impl ContradictedPrior {
         Some(Self { column, off: x.get(index)? - value, s0, s, g, spread })
     }
 
-    /// Whether it invalidates the result: it has another cause, or the prior biases the result by more than the uncertainty
-    /// (without it the estimate would differ more from the expected value).
+    /// Whether the contradiction invalidates the result. This is so if it has another cause, or if the prior biases the
+    /// estimate by more than its uncertainty. The bias is the change of the estimate when the prior is removed.
     pub fn is_serious(&self) -> bool {
         self.off.abs() > OTHER_CAUSE * self.s0 || self.off.abs() * self.g > self.s * (self.s0 - self.g)
     }
@@ -136,7 +141,8 @@ impl ContradictedPrior {
         self.off.abs() / self.spread
     }
 
-    /// Deviation of the estimate without this prior, in standard deviations of the prior: `(s0 - g) / s0` of it remains with it.
+    /// Deviation of the estimate if this prior is removed, in standard deviations of the prior. With the prior only the
+    /// fraction `(s0 - g) / s0` of it remains.
     fn times_without(&self) -> f64 {
         self.off.abs() / (self.s0 - self.g).max(REMAINING_MIN * self.s0)
     }
@@ -151,7 +157,7 @@ impl fmt::Display for ContradictedPrior {
     }
 }
 
-/// An estimated length of robot or bar; `off_m` is the estimated minus the nominal value.
+/// An estimated length of robot or bar. `off_m` is the estimate minus the nominal value.
 pub(crate) struct LengthEstimate {
     pub(crate) id: ParameterId,
     column: usize,
@@ -165,7 +171,7 @@ impl fmt::Display for LengthEstimate {
     }
 }
 
-/// The estimated lengths of robot and bar; the first columns of the solution are those of `model`.
+/// The estimated lengths of robot and bar. The first columns of the solution must be those of `model`.
 pub(crate) fn lengths(model: &Model, solution: &Solution) -> impl Iterator<Item = LengthEstimate> {
     let solved = model.columns().zip(&solution.x).enumerate();
     solved.filter_map(|(column, (parameter, x))| match parameter.id {
@@ -183,13 +189,16 @@ pub(crate) fn lengths(model: &Model, solution: &Solution) -> impl Iterator<Item 
 pub struct OtherScale {
     /// Estimated error, positive if the estimated lengths are too long.
     pub relative: f64,
-    /// Its absolute value in standard deviations.
+    /// Absolute value of the error, in standard deviations.
     pub sigmas: f64,
 }
 
-/// A common relative error `s` of all robot lengths, which is that of the scale: generalised least squares of `off = s L`
-/// with the covariance `(1 mm)^2 I + P`, from manufacturing and from the estimate. It is reported with probability
-/// [`OTHER_SCALE_BY_CHANCE`] if the scale is correct.
+/// Estimates a common relative error `s` of all robot lengths, which a wrong scale would cause. Uses generalised least
+/// squares of `off = s L`, with the nominal lengths `L`. The covariance is `(1 mm)^2 I + P`: manufacturing tolerances plus
+/// the covariance of the estimates.
+///
+/// `None` if `s` is not significant. If the scale is correct, `s` is reported with the probability
+/// [`OTHER_SCALE_BY_CHANCE`].
 fn other_scale(model: &Model, solution: &Solution) -> Option<OtherScale> {
     let covariance = &solution.covariance;
     let of_robot = |length: &LengthEstimate| {
@@ -204,7 +213,7 @@ fn other_scale(model: &Model, solution: &Solution) -> Option<OtherScale> {
         let estimated = covariance.between(lengths[row].column, lengths[column].column).unwrap_or(0.0);
         estimated + if row == column { LENGTH_SIGMA_M.powi(2) } else { 0.0 }
     });
-    // With `C` this covariance: `s = (L' C^-1 off) / (L' C^-1 L)`.
+    // With this covariance `C`: `s = (L' C^-1 off) / (L' C^-1 L)`.
     let weighted = length_covariance.cholesky()?.solve(&nominal_m);
     let (along, information) = (weighted.dot(&off_m), weighted.dot(&nominal_m));
     let sigmas = (along / information.sqrt()).abs();

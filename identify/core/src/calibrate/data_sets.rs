@@ -1,4 +1,6 @@
-//! Measurements on one robot: what a joint calibration takes, and the preparation of ball-bar runs for it.
+//! The input of a joint calibration: all measurements on one robot ([`DataSets`]). Ball-bar runs
+//! ([`RunInput`]) are prepared first, that is, their logs are aligned ([`BarRun`]). Files of rows from other
+//! instruments need no preparation here.
 
 use shared::config::{BallBarConfig, RobotConfig};
 use shared::recording::schema::{CycleRecord, EncoderInfo};
@@ -27,14 +29,15 @@ pub struct BarRun<'a> {
     pub bar: &'a BallBarConfig,
 }
 
-/// Input of one ball-bar run.
+/// Input of one ball-bar run, before the preparation.
 #[derive(Debug, Clone, Copy)]
 pub struct RunInput<'a> {
     /// Cycle records of the recording.
     pub cycles: &'a [CycleRecord],
-    /// Encoders of the recording, in its order.
+    /// Encoders of the recording, in the order of the recording.
     pub encoders: &'a [EncoderInfo],
-    /// Encoders that wrapped in a file of another program, whose records do not show it; `None` for a recording.
+    /// Encoders whose readings wrapped and were unwrapped when a file of another program was read. The cycle records do not
+    /// show this. `None` for a recording of the daemon.
     pub unwrapped: Option<&'a [Unwrapped]>,
     /// The robot's own log.
     pub log: &'a RobotLog,
@@ -43,10 +46,10 @@ pub struct RunInput<'a> {
 }
 
 impl<'a> RunInput<'a> {
-    /// Prepares each run: aligns its logs.
+    /// Prepares each run, that is, aligns its logs.
     ///
     /// # Errors
-    /// [`CalibrateError::Prepare`] with the number of the run.
+    /// [`CalibrateError::Prepare`] with the index of the run.
     pub fn prepare_all(
         inputs: &[Self],
         robot: &RobotConfig,
@@ -65,11 +68,11 @@ impl<'a> RunInput<'a> {
 }
 
 impl DataSets<'_> {
-    /// Checks that there are data and that every option which differs from its default affects them.
+    /// Checks that there are data, and that each option which differs from its default has an effect on them.
     ///
     /// # Errors
-    /// [`CalibrateError::NoRun`] without data, [`CalibrateError::Selection`] if the selection is one of studies, and
-    /// [`CalibrateError::NoEffect`] with the name of an option without effect.
+    /// [`CalibrateError::NoRun`] if there are no data. [`CalibrateError::Selection`] if there are files of rows and the
+    /// selection is only for studies. [`CalibrateError::NoEffect`] with the name of an option that has no effect.
     pub(super) fn check(&self, config: &IdentifyConfig) -> Result<(), CalibrateError> {
         if self.rows.is_empty() {
             return if self.bars.is_empty() { Err(CalibrateError::NoRun) } else { Ok(()) };

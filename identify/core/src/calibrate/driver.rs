@@ -1,5 +1,13 @@
-//! The calibration: from data sets and the nominal robot to a [`Calibration`]. All data sets share the robot; each is weighted by
-//! its own residuals. Called by the commands of `identify` and by the studies.
+//! The calibration: computes a [`Calibration`] from data sets and the nominal robot. The commands of `identify` and
+//! the studies call it.
+//!
+//! 1. Creates the model of each data set (`lay_out`).
+//! 2. Finds outliers and drifts in files of rows, with a first fit of the link parameters alone (`screen_rows`).
+//! 3. Fits the robot and chooses its error terms (`estimate`).
+//! 4. Evaluates the held-out rows, refuses implausible rows, and fits all valid rows (`fit_all_rows`).
+//! 5. Tests the solution for contradicted priors and for changes during the measurement.
+//!
+//! All data sets share the robot. The weight of each data set is determined from its own residuals.
 
 use shared::config::{BallBarConfig, RobotConfig};
 use shared::recording::schema::{CycleRecord, EncoderInfo};
@@ -19,15 +27,18 @@ use crate::kinematics::flange_chain;
 use crate::logs::RobotLog;
 use crate::solver::Watch;
 
-/// Estimates the robot from all data sets. Each link parameter has a prior at its nominal value with the configured tolerance,
-/// which is widened until left-out groups of samples are predicted best. Ball-bar runs share the bar's links; each has its own
-/// clock, position of the bar, encoder offsets and, if it differs, length. A fifth of each file of rows is predicted by a fit
-/// of all other data and then included. If the other data are too few, nothing is held out. `watch` observes each solve and may
-/// cancel it.
+/// Estimates the robot from all data sets.
+///
+/// Each link parameter has a prior at its nominal value, with the configured tolerance. The tolerance is widened until
+/// left-out groups of samples are predicted best. Ball-bar runs share the links of the bar. Each run has its own clock,
+/// position of the bar and encoder offsets. If a length of the bar differs between runs, each run has its own value.
+///
+/// A fifth of each file of rows is held out and predicted by a fit to all other data. Afterwards a last fit includes these
+/// rows. If the solve without them fails, nothing is held out. `watch` observes each solve and may cancel it.
 ///
 /// # Errors
-/// [`CalibrateError`]: a calibration that is returned has converged, and each of its free parameters is identified and has a
-/// standard deviation.
+/// [`CalibrateError`] if the data are refused or a solve fails. If a calibration is returned, it has converged, and each of
+/// its free parameters is identified and has a standard deviation.
 pub fn calibrate(
     data: &DataSets<'_>,
     robot: &RobotConfig,
@@ -39,11 +50,13 @@ pub fn calibrate(
         Err(error) if error.may_be_a_mistake() && !data.rows.is_empty() => error,
         result => return result,
     };
+    // If a mistake in a file of rows explains the error, report the mistake.
     if let Some(likely) = rows::likely_of_all(&data.rows, &flange_chain(robot)) {
-        // The remedy is that of the mistake.
+        // Only the problem is kept from the message, because the mistake has its own remedy.
         let found = error.to_string().split("; ").take(1).collect();
         return Err(CalibrateError::Implausible { found, likely: Some(likely) });
     }
+    // The data other than the held-out rows may be too few. Try again with all rows.
     if !error.is_of_solve() {
         return Err(error);
     }
@@ -52,7 +65,7 @@ pub fn calibrate(
     Ok(calibration)
 }
 
-/// Prepares and solves one ball-bar run; `encoders` are those of the recording, in its order.
+/// Prepares and solves one ball-bar run. `encoders` lists the encoders of the recording, in the order of the recording.
 ///
 /// # Errors
 /// As [`calibrate`].
@@ -81,7 +94,8 @@ pub fn calibrate_runs(
     calibrate(&DataSets { bars, rows: Vec::new() }, robot, config, watch)
 }
 
-/// The stages of a calibration; with `held_out`, a part of each file of rows is predicted before it is included.
+/// Runs the stages of a calibration. If `held_out` is true, a fifth of each file of rows is predicted
+/// before it is included.
 fn calibrate_in_stages(
     data: &DataSets<'_>,
     robot: &RobotConfig,
@@ -95,11 +109,11 @@ fn calibrate_in_stages(
     }
     let mut solved = estimate(&mut runs, &plan)?;
     if !rows.is_empty() {
-        // The runs of the files of rows follow those of the ball-bars.
+        // Ball-bar runs are first, followed by the runs of the files of rows.
         let runs_of_rows = &runs[data.bars.len()..];
         rows.iter_mut().zip(runs_of_rows).for_each(|(set, run)| set.judge_joints(&run.model));
         rows::unless_implausible(&data.rows, &rows, &runs, &flange_chain(robot))?;
-        // The errors of held-out rows are known now, so these rows can be included.
+        // The errors of the held-out rows have been recorded, so these rows can now be included.
         solved = fit_all_rows(&mut runs, &mut rows, &plan, solved)?;
     }
     solved.solution.require_sigmas()?;
@@ -109,8 +123,10 @@ fn calibrate_in_stages(
     Ok(Calibration { runs, rows, solved, contradicted, changed, loss: plan.loss })
 }
 
-/// Detects outlier rows and a drift in the residuals of the best links. The runs of the files of rows are the last ones.
+/// Detects outlier rows and drifts, in the residuals of the best link parameters without error terms. The last of the
+/// `runs` belong to the files of rows.
 fn screen_rows(runs: &mut [Run], rows: &mut [RowSet], plan: &Plan<'_>) -> Result<(), CalibrateError> {
+    // Two fits to the fitting rows: all link parameters, and only the joint offsets.
     let links_only = Plan { fix: plan.fix.clone(), watch: plan.watch, ..Plan::new(plan.loss) };
     let links = estimate(runs, &links_only)?;
     let offsets_only = fitted(runs, &links, Deployment::Offsets, plan.loss, plan.watch)?;
@@ -125,7 +141,8 @@ fn screen_rows(runs: &mut [Run], rows: &mut [RowSet], plan: &Plan<'_>) -> Result
     Ok(())
 }
 
-/// The fit to all valid rows, from the solution of a part of them.
+/// Fits all valid rows, including the held-out ones. `solved` is the solution for the fitted rows alone, which is the
+/// start of this fit.
 fn fit_all_rows(
     runs: &mut [Run],
     rows: &mut [RowSet],
@@ -138,7 +155,7 @@ fn fit_all_rows(
         run.instrument = set.everything(&run.model)?;
     }
     let mut all = refit(runs, plan.loss, plan.watch, solved)?;
-    // The covariance of the fit takes a drift of an instrument as known.
+    // This covariance assumes that the drift of an instrument is known. Widen it, because the drift was estimated.
     for ((number, set), run) in (first_of_rows..).zip(rows).zip(&runs[first_of_rows..]) {
         let factor = set.widens(&run.model, all.sigmas[number])?;
         all.solution.covariance = all.solution.covariance.widened(number, factor);

@@ -10,7 +10,7 @@ use crate::solver::{NoFreedom, NotConverged, SolveError, Unidentifiable};
 /// Reason why a calibration failed.
 #[derive(Debug, thiserror::Error)]
 pub enum CalibrateError {
-    /// The logs cannot be aligned, or are insufficient.
+    /// The logs of a run cannot be aligned, or are insufficient.
     #[error("{error}")]
     Prepare {
         /// Index of the run, from 0.
@@ -18,25 +18,25 @@ pub enum CalibrateError {
         /// Error of the preparation.
         error: Box<PrepareError>,
     },
-    /// A named parameter does not exist, or a prior is invalid.
+    /// A parameter named in the configuration does not exist, or a prior is invalid.
     #[error(transparent)]
     Model(#[from] ModelError),
-    /// The samples do not fit the cost.
+    /// The samples lack data that the cost needs.
     #[error(transparent)]
     Cost(#[from] CostError),
     /// The solve could not start, or was cancelled.
     #[error(transparent)]
     Solve(#[from] SolveError),
-    /// There are no data.
+    /// The input contains neither a ball-bar run nor a file of rows.
     #[error("there is no run to calibrate from; give at least one recording with its robot log")]
     NoRun,
-    /// The selection of free parameters is not that of calibrations.
+    /// The selection of free parameters is only available in studies, not in calibrations.
     #[error(
         "selection = \"{0}\" is only for studies (`identify study`); leave it out, and change with `free` and `fix` which \
          parameters are estimated"
     )]
     Selection(&'static str),
-    /// An option that has no effect on rows.
+    /// The configuration sets an option that only affects ball-bar runs, but the input contains none.
     #[error(
         "option `{option}` has an effect only on runs with the ball-bar, and there are none; leave it out"
     )]
@@ -50,21 +50,21 @@ pub enum CalibrateError {
          point; measure poses that differ in all three directions"
     )]
     NoPlace {
-        /// Number of the data set, from 1: ball-bars, trackers, wires, contacts, touches, each in their order.
+        /// Number of the data set, from 1. The order is: ball-bars, trackers, wires, contacts, touches.
         data_set: usize,
     },
     /// The logs of a tracker and of the robot cannot be aligned.
     #[error("data set {data_set}: {error}")]
     Align {
-        /// Number of the data set, from 1: ball-bars, trackers, wires, contacts, touches, each in their order.
+        /// Number of the data set, from 1. The order is: ball-bars, trackers, wires, contacts, touches.
         data_set: usize,
         /// Error of the alignment.
         error: Box<PrepareError>,
     },
-    /// Rows that are insufficient or invalid.
+    /// The rows of a file are insufficient or invalid.
     #[error("data set {data_set}: {error}")]
     Rows {
-        /// Number of the data set, from 1: ball-bars, trackers, wires, contacts, touches, each in their order.
+        /// Number of the data set, from 1. The order is: ball-bars, trackers, wires, contacts, touches.
         data_set: usize,
         /// Error of the rows.
         error: RowError,
@@ -75,9 +75,10 @@ pub enum CalibrateError {
         |likely| format!("most likely {likely}; correct the mapping or the robot's file"),
     ))]
     Implausible {
-        /// The observation that revealed it.
+        /// Observations that show that the rows are not plausible.
         found: String,
-        /// The most likely mistake, if any explains the rows.
+        /// Mistake in the file, its mapping or the robot's file that explains the rows best. `None` if no
+        /// known mistake explains them.
         likely: Option<Likely>,
     },
     /// The samples do not determine all free parameters.

@@ -1,5 +1,8 @@
-//! Start of a calibration: from data sets, robot and configuration to a model of each data set at the nominal robot, with the
-//! roles of its parameters (free, fixed, prior) and the pose of its instrument, and the plan of the solve.
+//! Prepares a calibration. Input: data sets, nominal robot and configuration. Output: the model of each data set and the
+//! plan of the solve ([`LaidOut`]).
+//!
+//! Each model starts at the nominal robot. The configuration sets the roles of its parameters (free, fixed, prior). The
+//! start value of the instrument's pose comes from the preparation of a ball-bar run, or from a fit to the rows of a file.
 
 use std::collections::BTreeSet;
 
@@ -21,16 +24,16 @@ use crate::solver::{LossName, Watch};
 
 /// Data sets with their models at the nominal robot, and the plan of the solve.
 pub(super) struct LaidOut<'w> {
-    /// Ball-bar runs, then files of rows with only the rows that the fit uses.
+    /// Ball-bar runs, followed by the files of rows. The latter contain only the rows that the fit uses.
     pub(super) runs: Vec<Run>,
     pub(super) rows: Vec<RowSet>,
     pub(super) plan: Plan<'w>,
 }
 
-/// Creates the models of all data sets; with `held_out`, the fit does not use a fifth of each file of rows.
+/// Creates the models of all data sets. If `held_out` is true, a fifth of each file of rows is not used by the fit.
 ///
 /// # Errors
-/// [`CalibrateError`] if names, data or positions of instruments do not fit the robot.
+/// [`CalibrateError`] if names, data or positions of instruments are not consistent with the robot.
 pub(super) fn lay_out<'w>(
     data: &DataSets<'_>,
     robot: &RobotConfig,
@@ -40,6 +43,7 @@ pub(super) fn lay_out<'w>(
 ) -> Result<LaidOut<'w>, CalibrateError> {
     let flange = flange_chain(robot);
     let mut runs = bar_runs(&data.bars, robot, config)?;
+    // The files of rows: check the rows, hold some out, and estimate the pose of the instrument for the nominal robot.
     let mut sets = Vec::new();
     let is_only_file = data.bars.is_empty() && data.rows.len() == 1;
     for file in &data.rows {
@@ -54,12 +58,13 @@ pub(super) fn lay_out<'w>(
         runs.push(run);
         sets.push(set);
     }
+    // Record the errors of the nominal robot before the link parameters are free.
     for (set, Run { model, .. }) in sets.iter_mut().zip(&mut runs[data.bars.len()..]) {
         set.judge_nominal(model)?;
         config.set_link_roles(model)?;
     }
-    // Without a known length, the scale of robot and face distances is free: fix the length of the longest link. Its tolerance
-    // remains in the covariance.
+    // Without a known length, the scale of the robot and of the distances between faces is undetermined. In this case fix
+    // the length of the longest link. The covariance still includes the tolerance of this length.
     if !runs.is_empty() && runs.iter().all(|run| run.instrument.scale() == ScaleFrom::Robot) {
         let longest = longest_length(&runs[0].model);
         for Run { model, .. } in &mut runs {
@@ -80,7 +85,7 @@ pub(super) fn lay_out<'w>(
     Ok(LaidOut { runs, rows: sets, plan })
 }
 
-/// Estimates the pose of an instrument from its rows and the nominal robot.
+/// Estimates the pose of an instrument from its rows, with the nominal robot.
 fn place_instrument(
     run: &mut Run,
     set: &RowSet,
@@ -92,7 +97,8 @@ fn place_instrument(
     if !run.instrument.place(&mut run.model, &config.fix)? {
         return Err(CalibrateError::NoPlace { data_set });
     }
-    // Only the later fit separates errors of the nominal robot from one of the scale.
+    // The scale is fixed during this fit, because errors of the nominal robot would bias it. The later fit, which also
+    // estimates the robot, separates the two.
     let scale = run.model.role(ParameterId::Scale);
     if scale.is_some() {
         run.model.set_role(ParameterId::Scale, Role::Fixed)?;
@@ -100,7 +106,7 @@ fn place_instrument(
     if run.model.columns().len() > 0 {
         let plan = Plan { watch, ..Plan::new(LossName::Huber) };
         let placed = estimate(std::slice::from_mut(run), &plan);
-        // Lengths in a wrong unit may allow no solution; check the unit first.
+        // If lengths have a wrong unit, this fit may fail. The wrong unit is then the more useful error, so check it first.
         rows::unless_other_unit(set.whole(), &run.model, flange)?;
         placed?;
     }
@@ -110,7 +116,7 @@ fn place_instrument(
     Ok(())
 }
 
-/// The longest of the estimated link lengths.
+/// The longest link length of the robot that is estimated.
 fn longest_length(model: &Model) -> Option<ParameterId> {
     let is_length = |parameter: &&Parameter| {
         let id = parameter.id;
@@ -126,7 +132,8 @@ pub(super) fn measured<'p>(runs: impl Iterator<Item = &'p Prepared>) -> [bool; B
     runs.fold([true; BAR_JOINTS], |all, run| std::array::from_fn(|joint| all[joint] && run.measured[joint]))
 }
 
-/// Ball-bar runs, with parameters at the initial estimates of the preparation, and their roles.
+/// Creates the ball-bar runs. Sets the initial values of their parameters from the preparation, and the
+/// roles of the parameters.
 fn bar_runs(
     bars: &[BarRun<'_>],
     robot: &RobotConfig,
@@ -135,7 +142,8 @@ fn bar_runs(
     let measured = measured(bars.iter().map(|run| &run.prepared));
     let cost = config.cost.unwrap_or_else(|| CostName::for_encoders(&measured));
     let start_run = |BarRun { prepared, bar }: &BarRun<'_>| {
-        // There are hundreds of waves. A model has only those named in the configuration, and later those that are detected.
+        // There are hundreds of possible waves. The model starts with those named in the configuration. Detected
+        // waves are added later.
         let named = config.named().filter(|id| matches!(id, ParameterId::JointWave { .. }));
         let model = start_model(prepared, robot, bar)?.with(named);
         let sigmas_m = config.known_length_sigmas_m(bar, model.axes());
@@ -144,7 +152,7 @@ fn bar_runs(
         Ok(Run { instrument: bar.into(), model })
     };
     let mut runs = bars.iter().map(start_run).collect::<Result<Vec<_>, CalibrateError>>()?;
-    // Only a selection that depends on the poses needs this set.
+    // The list of identifiable parameters is needed only if the selection depends on the poses.
     let identifiable_ids = match (config.selection.fixed(), bars.first(), runs.first()) {
         (None, Some(BarRun { prepared, .. }), Some(Run { model, .. })) => {
             let Prepared { motion, observations, measured, .. } = prepared;
@@ -165,7 +173,8 @@ fn bar_runs(
     Ok(runs)
 }
 
-/// Link parameters whose tolerances are widened if the samples require it; stated standard deviations are not changed.
+/// Link parameters whose tolerances are widened if the samples require it. Standard deviations stated by the
+/// user are not changed.
 fn tolerances(runs: &[Run], config: &IdentifyConfig) -> Vec<ParameterId> {
     let known_lengths = ParameterId::known_lengths(runs.first().map_or(0, |run| run.model.axes()));
     let has_tolerance = |parameter: &&Parameter| {
@@ -179,7 +188,8 @@ fn tolerances(runs: &[Run], config: &IdentifyConfig) -> Vec<ParameterId> {
     ids.into_iter().collect()
 }
 
-/// Priors of the encoders' harmonics and of the joints' zeros; the samples determine one scale for each of the two.
+/// Priors of the encoders' harmonics and of the joints' offsets. The samples determine one common scale for each
+/// of these two groups.
 fn common_priors(runs: &[Run], tolerances: &[ParameterId], config: &IdentifyConfig) -> Vec<CommonPrior> {
     let is_offset =
         |link, parameter| runs.first().is_some_and(|run| run.model.robot().is_offset(link, parameter));
@@ -192,7 +202,8 @@ fn common_priors(runs: &[Run], tolerances: &[ParameterId], config: &IdentifyConf
     priors.into_iter().filter(|common| !common.sigmas.is_empty()).collect()
 }
 
-/// Nominal robot and bar, with the position and encoder offsets estimated by the preparation.
+/// Model of a ball-bar run before the solve: nominal robot and bar, with the bar's position, the encoder offsets and the
+/// clock skew that the preparation estimated.
 fn start_model(prepared: &Prepared, robot: &RobotConfig, bar: &BallBarConfig) -> Result<Model, ModelError> {
     let arm = robot_chain(robot, bar);
     let mut model = Model::ball_bar(&arm, &ball_bar_chain(bar))
@@ -211,7 +222,8 @@ fn start_model(prepared: &Prepared, robot: &RobotConfig, bar: &BallBarConfig) ->
     Ok(model)
 }
 
-/// Additional offsets of encoders after their counters lost their origin, if there are samples after the loss.
+/// Offset parameters for encoders whose counters lost their origin during the run. Only origins for which
+/// samples exist are included.
 fn changed_offsets(prepared: &Prepared) -> impl Iterator<Item = ParameterId> {
     let has_samples = |number: usize| prepared.observations.iter().any(|one| one.origin == number);
     let spans = prepared.origins.iter().filter(move |span| {

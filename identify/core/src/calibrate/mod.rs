@@ -1,4 +1,5 @@
-//! Calibration from measurements: models of data sets, estimation and validation.
+//! Calibration of a robot from measurements: creates the models of the data sets, estimates their parameters,
+//! and validates the result.
 
 mod calibration;
 pub mod change;

@@ -1,9 +1,15 @@
-//! The estimation: from runs with start models to the models at the solution, with covariance, for any instruments on one robot.
-//! Steps: solve until the weight of each data set agrees with its residuals, without its outliers; choose terms on left-out
-//! groups of samples; solve again; compute the covariance. Used for calibrations, their deployments and to place an instrument.
+//! The estimation. Input: the runs, each with a start model, of any instruments on one robot. Output: the models
+//! at the solution, with their covariance. Used for calibrations, for fits to a deployment, and to estimate the
+//! pose of an instrument.
 //!
-//! Ball-bars alone share one unit of residuals, that of their cost, and one sigma (standard deviation of a residual). With any
-//! other instrument each data set has its own sigma, and the residuals of the solve are in standard deviations.
+//! 1. Solves, without outliers, until the weight of each data set agrees with the size of its residuals (`solve_links`).
+//! 2. Chooses error terms and widths of priors: those that predict left-out groups of samples best (`choose`).
+//! 3. Solves again with the chosen terms (`solve_with_terms`).
+//! 4. Computes the covariance (`add_covariance`).
+//!
+//! A sigma is the standard deviation of a residual. If all data sets are ball-bar runs, they share one sigma,
+//! and their residuals have the unit of their cost. Otherwise each data set has its own sigma, and residuals
+//! are in standard deviations.
 
 use super::change;
 use super::error::CalibrateError;
@@ -18,71 +24,75 @@ use crate::solver::{
     minimise_robust, solve,
 };
 
-/// Standard deviation one: residuals as defined in the thesis, or already whitened (`pose`).
+/// Sigma of residuals that are not weighted: residuals as defined in the thesis, or residuals of `pose`,
+/// which are whitened already.
 const UNWEIGHTED: f64 = 1.0;
-/// Lower limit of the residual standard deviation against priors, in the unit of the residual.
+/// Lower limit of a sigma, in the unit of the residual. A sigma determines the weight of the samples
+/// relative to the priors.
 const SIGMA_MIN: f64 = 1e-9;
-/// Whitened residuals below this are rounding errors that no term could explain.
+/// Smaller whitened residuals are only rounding errors. No error term can explain them.
 const RESIDUAL_MIN: f64 = 1e-3;
-/// Relative cost tolerance of all solves except the last: no reported value changes by more.
+/// Relative cost tolerance of all solves except the last. Reported values change by no more than this fraction.
 const COST_TOLERANCE: f64 = 1e-6;
-/// Relative cost tolerance of the last solve. With ten thousand residuals every parameter is within a ten-thousandth of its
-/// standard deviation; a smaller tolerance is close to rounding.
+/// Relative cost tolerance of the last solve. With ten thousand residuals, every parameter is then within a ten-thousandth
+/// of its standard deviation. Rounding errors prevent a much smaller tolerance.
 const COST_TOLERANCE_LAST: f64 = 1e-12;
-/// The weights have converged when the noise decreases by less than this fraction.
+/// The weights have converged if the noise decreases by less than this fraction from one solve to the next.
 const CONVERGED: f64 = 0.02;
 /// Maximum number of solves until the weights have converged.
 const ROUNDS_MAX: usize = 20;
-/// Number of groups of each data set that are held out in turn to choose terms.
+/// Number of groups of each data set for the choice of terms. Each group is held out in turn.
 pub(super) const HELD_OUT: usize = 8;
-/// Number of groups of each data set that are left out in turn for the covariance.
+/// Number of groups of each data set for the covariance. Each group is left out in turn.
 pub(super) const LEFT_OUT: usize = 30;
 
-/// Settings of a solve, in addition to the data sets, whose models have their roles and start values.
+/// Settings of a solve. Roles and start values of the parameters are not here but in the models of the data sets.
 #[derive(Debug, Clone)]
 pub struct Plan<'a> {
     /// Robust loss, which reduces the weight of samples with large residuals.
     pub loss: LossName,
-    /// Groups of terms to try; a line spectrum without parameters is detected in the residuals.
+    /// Groups of error terms to try. If the line spectrum has no parameters, its waves are detected in the residuals.
     pub groups: Vec<CandidateGroup>,
     /// Parameters that stay fixed.
     pub fix: Vec<ParameterId>,
-    /// Parameters whose priors are widened until left-out groups are predicted best.
+    /// Link parameters whose priors are widened by a common factor. The factor is the one that
+    /// predicts left-out groups best.
     pub tolerances: Vec<ParameterId>,
-    /// Priors whose widths the samples determine.
+    /// Groups of priors whose widths are estimated from the samples.
     pub(super) common: Vec<CommonPrior>,
     /// Observes each solve and may cancel it.
     pub watch: Option<&'a dyn Watch>,
 }
 
 impl Plan<'_> {
-    /// A solve that tries no terms and no other widths of priors.
+    /// Settings without error terms to try and with unchanged widths of priors.
     pub fn new(loss: LossName) -> Self {
         let (groups, fix, tolerances, common) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         Plan { loss, groups, fix, tolerances, common, watch: None }
     }
 }
 
-/// A joint solve of all runs.
+/// Result of a joint solve of all runs.
 #[derive(Debug, Clone)]
 pub struct Solved {
     /// Map from the columns of each run to those of the solution.
     pub columns: SharedColumns,
     /// Solution of the last solve.
     pub solution: Solution,
-    /// Columns of its covariance: those of the solution, then left-out terms and considered parameters.
+    /// Columns of the covariance: first the columns of the solution, then excluded error terms, then considered parameters.
     pub covariance_columns: Vec<Column>,
     /// Models of the runs before any term was accepted.
     pub without_terms: Vec<Model>,
-    /// Groups of terms that were tried, with the results.
+    /// Groups of terms that were tried, with the result for each.
     pub candidates: Vec<Candidate>,
-    /// Scale factor of the link tolerances.
+    /// Factor by which the tolerances of link parameters were widened.
     pub prior_scale: f64,
     /// Standard deviation of a residual of each run.
     pub sigmas: Vec<f64>,
 }
 
-/// Standard deviation of a residual relative to priors; residuals of `pose` are already whitened.
+/// Sigma of the residuals after a solve, which weights them relative to the priors. Residuals of
+/// `pose` are whitened already.
 fn residual_sigma(cost: CostName, reached: &Summary) -> f64 {
     if cost == CostName::Pose { UNWEIGHTED } else { reached.residual_rms.max(SIGMA_MIN) }
 }
@@ -96,7 +106,7 @@ pub(super) fn problem<'p>(
     problem_with_models(runs, runs.iter().map(|run| &run.model), columns, sigmas)
 }
 
-/// The least-squares problem of all runs with these models, one for each run.
+/// The least-squares problem of all runs at the values of `models`, which contains one model for each run.
 pub(super) fn problem_with_models<'p>(
     runs: &'p [Run],
     models: impl IntoIterator<Item = &'p Model>,
@@ -108,9 +118,11 @@ pub(super) fn problem_with_models<'p>(
     Ok(CombinedDataSets::new(sets.collect::<Result<_, _>>()?, columns))
 }
 
-/// Factor, at least 1, that increases the `sigma` of one data set for the correlation of its errors: correlated errors carry less
-/// information than independent ones. It is the root of their [`Normals::overdispersion`]. `alone` has residuals in their own
-/// unit, so its dispersion has to be divided by `sigma^2`. `groups` are independent groups of its samples.
+/// Factor, at least 1, that increases the `sigma` of a data set because its errors are correlated. Correlated errors
+/// contain less information than independent ones. The factor is the square root of their [`Normals::overdispersion`].
+///
+/// `groups` are groups of samples with independent errors. The residuals of `alone` are not divided by `sigma`, so their
+/// dispersion is divided by `sigma^2`.
 fn correlation_factor(alone: &dyn LeastSquares, model: &Model, groups: &[Vec<usize>], sigma: f64) -> f64 {
     let loss = LossName::Cauchy.for_spread(sigma, alone.rows());
     let options = Options { loss, ..Options::default() };
@@ -119,7 +131,8 @@ fn correlation_factor(alone: &dyn LeastSquares, model: &Model, groups: &[Vec<usi
     (dispersion.unwrap_or(1.0) / sigma.powi(2)).max(1.0).sqrt()
 }
 
-/// The cost that defines the unit of the residuals of all data sets; `None` if they differ.
+/// The cost that defines the unit of the residuals, if all data sets have the same one. Otherwise `None`: residuals are
+/// then in standard deviations.
 pub(super) fn residual_unit_of(runs: &[Run]) -> Option<CostName> {
     let mut costs = runs.iter().map(|run| run.instrument.residual_unit_of());
     let first = costs.next()??;
@@ -134,18 +147,18 @@ pub(super) struct Solver<'a> {
     pub(super) sigmas: Vec<f64>,
     /// Rod and plate lengths that differ between runs.
     pub(super) own_lengths: Vec<ParameterId>,
-    /// Waves that were detected in residuals.
+    /// Waves of the line spectrum that were detected in residuals.
     pub(super) waves: DetectedWaves,
 }
 
-/// Solves, chooses terms, solves again, and sets the models to the solution.
+/// Solves, chooses error terms, solves again, and sets the models to the solution.
 ///
 /// # Errors
-/// [`CalibrateError`] if samples lack what their cost needs, or do not determine all free parameters.
+/// [`CalibrateError`] if the samples lack data that their cost needs, or do not determine all free parameters.
 pub fn estimate(runs: &mut [Run], plan: &Plan<'_>) -> Result<Solved, CalibrateError> {
     let poor_fit = change::poor_fit(runs);
     estimate_in_steps(runs, plan).map_err(|error| match poor_fit {
-        // If angles fit no geometry, that error is more informative than the failed solve.
+        // If the angles do not fit any geometry, that error is more informative than the error of the failed solve.
         Some(poor_fit) if error.is_of_solve() => poor_fit,
         _ => error,
     })
@@ -167,16 +180,16 @@ fn estimate_in_steps(runs: &mut [Run], plan: &Plan<'_>) -> Result<Solved, Calibr
     Ok(Solved { columns, solution, covariance_columns, without_terms, candidates, prior_scale, sigmas })
 }
 
-/// Terms that were tried, and the scale of the tolerances.
+/// Result of the choice of terms.
 struct TermChoice {
     candidates: Vec<Candidate>,
     prior_scale: f64,
-    /// Whether the solution without terms is no longer the minimum.
+    /// Whether another solve is needed, because the solution without terms is not the minimum any more.
     needs_solve: bool,
 }
 
-/// Solves for the free parameters from the current values, without trying other terms, and sets the models to the solution. The
-/// terms were chosen in the solve `before`.
+/// Solves for the free parameters from the current values and sets the models to the solution. No other terms are tried:
+/// the solve `before` has chosen them.
 ///
 /// # Errors
 /// As [`estimate`].
@@ -205,10 +218,11 @@ pub(super) fn differ(runs: &[Run]) -> Vec<ParameterId> {
     ParameterId::known_lengths(axes).into_iter().filter(differs).collect()
 }
 
-/// Whether each data set has its own value. The robot is shared by all and the bar by all runs with one. Instruments are set
-/// up anew, and encoders have new offsets.
+/// Whether each data set has its own value of a parameter. All data sets share the robot, and all runs with a bar share
+/// the bar, except lengths that differ. The pose of an instrument and the offsets of encoders differ, because the
+/// instrument is set up anew.
 pub(super) fn is_own(id: ParameterId, own_lengths: &[ParameterId]) -> bool {
-    // A different bar has a different compliance.
+    // If the lengths differ, the bars are different and have different compliances.
     let length = if id.group() == Group::Force { ParameterId::ROD } else { id };
     id.block().of_run || own_lengths.contains(&length)
 }
@@ -234,18 +248,18 @@ impl<'a> Solver<'a> {
         }
     }
 
-    /// The cost that defines the unit of the residuals of all data sets; `None` if they differ.
+    /// The cost that defines the unit of the residuals, if all data sets have the same one. Otherwise `None`.
     pub(super) fn residual_unit_of(&self) -> Option<CostName> {
         residual_unit_of(self.runs)
     }
 
-    /// Factor of reported residuals: the unit of the cost, if all data sets share one.
+    /// Factor that converts residuals for reports: to the unit of the cost, if all data sets share one. Otherwise 1.
     fn unit(&self) -> f64 {
         let first = self.sigmas.first().copied().unwrap_or(UNWEIGHTED);
         if self.residual_unit_of().is_some() { first } else { UNWEIGHTED }
     }
 
-    /// Solves without the terms to choose from, with play or compliance of the bar.
+    /// Solves without the terms to choose from. The bar has either compliance or play, whichever fits better.
     fn solve_links(&mut self) -> Result<(SharedColumns, Solution), CalibrateError> {
         let (columns, solution) = self.solve_with_weights()?;
         if self.replaces_compliance_by_play(solution.loss)? {
@@ -254,8 +268,8 @@ impl<'a> Solver<'a> {
         Ok((columns, solution))
     }
 
-    /// Chooses terms and widths of priors at the solution without terms, and sets roles and sigmas accordingly. The solution
-    /// receives the loss of the improved models.
+    /// Chooses terms and widths of priors at the solution without terms. Sets the roles of terms, the sigmas, and the loss
+    /// of `solution`, which depends on the improved models.
     fn choose(&mut self, solution: &mut Solution) -> Result<TermChoice, CalibrateError> {
         let plan = self.plan;
         let mut candidates = Vec::new();
@@ -265,9 +279,10 @@ impl<'a> Solver<'a> {
         if !(has_choices && has_residuals) {
             return Ok(TermChoice { candidates, prior_scale, needs_solve: false });
         }
-        // Of the costs of the ball-bar only `pose` has a noise model.
+        // Among the costs of the ball-bar, only `pose` has a noise model.
         let estimates_noise = self.residual_unit_of().is_none_or(|cost| cost == CostName::Pose);
-        // Accepted terms reduce the noise: the second selection weights their priors with it.
+        // Accepted terms reduce the noise, which changes the weight of the samples relative to the priors of the terms. The
+        // second round chooses again with this weight.
         let rounds = if estimates_noise { 2 } else { 1 };
         for _ in 0..rounds {
             let further_scale;
@@ -292,12 +307,12 @@ impl<'a> Solver<'a> {
         if self.residual_unit_of().is_none() {
             return self.solve_with_weights();
         }
-        // Accepted terms reduce the residuals, so the scale of the loss is estimated again.
+        // Accepted terms reduce the residuals, so estimate the scale of the loss again.
         self.minimise_bars()?;
         self.last_solve()
     }
 
-    /// Solves repeatedly until the weights of the residuals agree with their size.
+    /// Solves repeatedly until the weight of the residuals agrees with their size.
     fn solve_with_weights(&mut self) -> Result<(SharedColumns, Solution), CalibrateError> {
         match self.residual_unit_of() {
             Some(cost) => self.solve_bars(cost),
@@ -309,9 +324,11 @@ impl<'a> Solver<'a> {
         self.sigmas.fill(UNWEIGHTED);
         let first = self.minimise_bars()?;
         self.learn_noise();
-        // Whitening, angles without encoder, and the weight of residuals against priors were computed at the nominal
-        // geometry; now they are computed at the solution. A weight that is too small keeps the solution near its priors,
-        // where residuals are large. Repeat until the weight no longer increases.
+        // The first solve used whitening, angles of joints without encoder, and a weight of residuals against priors that
+        // were computed at the nominal geometry. Now compute them at the solution.
+        //
+        // If this weight is too small, the priors keep the solution near the nominal geometry, where residuals are large.
+        // Therefore repeat until the weight no longer increases.
         let mut sigma = residual_sigma(cost, &first);
         for _ in 0..ROUNDS_MAX {
             self.sigmas.fill(sigma);
@@ -322,8 +339,9 @@ impl<'a> Solver<'a> {
             sigma = (sigma * remaining).max(SIGMA_MIN);
         }
         let (columns, mut solution) = self.last_solve()?;
-        // The first solve was whitened with the noise before this estimate. The last starts near the same solution, so the
-        // ratio of the rms there converts that of the first start.
+        // The first solve was whitened with the noise before it was estimated here, the last solve with the
+        // estimate. The last solve starts near the first solution. The ratio of the two rms values there converts
+        // the rms at the first start.
         let unit = solution.summary.residual_rms_start / first.residual_rms.max(SIGMA_MIN);
         let unit = if cost == CostName::Pose { unit } else { UNWEIGHTED };
         solution.summary.residual_rms_start = unit * first.residual_rms_start;
@@ -333,7 +351,7 @@ impl<'a> Solver<'a> {
     fn solve_any_instruments(&mut self) -> Result<(SharedColumns, Solution), CalibrateError> {
         let mut noise = self.estimate_sigmas()?;
         for _ in 0..ROUNDS_MAX {
-            // The Cauchy loss suppresses outliers during these iterations.
+            // The Cauchy loss reduces the influence of outliers in these iterations.
             self.minimise_whitened(LossName::Cauchy)?;
             self.learn_noise();
             let screened = self.screen();
@@ -352,15 +370,16 @@ impl<'a> Solver<'a> {
         }
     }
 
-    /// Excludes the outliers of each data set; true if the set of used samples changed.
+    /// Determines the outliers of each data set and excludes them. Returns whether the set of samples in use has changed.
     fn screen(&mut self) -> bool {
         let runs = self.runs.iter_mut();
         runs.fold(false, |others, Run { instrument, model }| instrument.screen(model) || others)
     }
 
-    /// Factor by which the errors of each data set exceed its residuals, because the fit adapts to them: `sqrt(n / (n - p))`,
-    /// with `p` effective parameters for its `n` residuals. Without the factor, if there are as many terms as residuals, these
-    /// would decrease with each fit, down to zero.
+    /// Factor by which the errors of each data set exceed its residuals. Residuals are smaller, because the fit adapts to
+    /// the errors. The factor is `sqrt(n / (n - p))` for `n` residuals and `p` effective parameters.
+    ///
+    /// Without the factor, a fit with as many terms as residuals would reduce the estimated noise each time, down to zero.
     fn errors_per_residual(&self) -> Result<Vec<f64>, CostError> {
         let columns = self.columns();
         let all = problem(self.runs, &columns, &self.sigmas)?;
@@ -374,8 +393,8 @@ impl<'a> Solver<'a> {
         Ok(factors.unwrap_or_else(|| vec![UNWEIGHTED; self.runs.len()]))
     }
 
-    /// Estimates the sigma of each data set from its own residuals (variance components). Returns the noise of each in its own
-    /// unit.
+    /// Estimates the sigma of each data set from its own residuals (variance components). Returns the noise of each data
+    /// set in its own unit.
     fn estimate_sigmas(&mut self) -> Result<Vec<f64>, CostError> {
         let is_joint = self.runs.len() > 1;
         let mut noise = Vec::new();
@@ -383,7 +402,7 @@ impl<'a> Solver<'a> {
         for ((Run { instrument, model }, sigma), factor) in
             self.runs.iter_mut().zip(&mut self.sigmas).zip(factors)
         {
-            // An instrument that estimates its noise gives residuals in standard deviations.
+            // If an instrument estimates its own noise, its residuals are in standard deviations.
             let own_noise = instrument.adapt(model);
             let alone = instrument.data_set(model, UNWEIGHTED)?;
             *sigma = factor
@@ -399,8 +418,8 @@ impl<'a> Solver<'a> {
         Ok(noise)
     }
 
-    /// Improves the models, with residuals in standard deviations, without rank analysis and covariance: for hundreds of
-    /// columns and for all solves except the last. Returns the loss.
+    /// Improves the models, with residuals in standard deviations. Omits the rank analysis and the covariance, which are
+    /// slow for hundreds of columns and are needed only in the last solve. Returns the loss.
     fn minimise_whitened(&mut self, loss: LossName) -> Result<Loss, CalibrateError> {
         let columns = self.columns();
         let problem = problem(self.runs, &columns, &self.sigmas)?;
@@ -413,7 +432,7 @@ impl<'a> Solver<'a> {
         Ok(loss)
     }
 
-    /// Adapts each instrument to its current model, such as the angles of bar joints without encoder.
+    /// Updates quantities of the instruments that depend on the models, such as the angles of bar joints without encoder.
     fn adapt_instruments(&mut self) {
         for Run { instrument, model } in &mut *self.runs {
             instrument.adapt(model);
@@ -426,8 +445,8 @@ impl<'a> Solver<'a> {
         }
     }
 
-    /// Moves the models of ball-bar runs near their solution, where the residuals determine the weights. The scale of the loss is
-    /// estimated at the same time.
+    /// Moves the models of ball-bar runs near their solution, where their residuals determine the weights. Also estimates
+    /// the scale of the loss.
     fn minimise_bars(&mut self) -> Result<Summary, CalibrateError> {
         self.adapt_instruments();
         let columns = self.columns();
@@ -440,7 +459,7 @@ impl<'a> Solver<'a> {
         Ok(reached)
     }
 
-    /// The last solve, from near the solution; sets the models to the solution.
+    /// The last solve, which starts near the solution. Sets the models to the solution.
     fn last_solve(&mut self) -> Result<(SharedColumns, Solution), CalibrateError> {
         let of_bars = self.residual_unit_of().is_some();
         if of_bars {
@@ -451,7 +470,8 @@ impl<'a> Solver<'a> {
         let Plan { loss, watch, .. } = *self.plan;
         let options = Options { cost_tolerance: COST_TOLERANCE_LAST, watch, ..Options::default() };
         let problem = problem(self.runs, &columns, &self.sigmas)?;
-        // The noise has converged. Residuals are in standard deviations, except those of the ball-bar alone.
+        // The noise has converged, so the loss is constant. Residuals are in standard deviations, except if all
+        // runs are ball-bar runs.
         let loss =
             if of_bars { loss.for_spread_at(&problem, &start) } else { loss.for_spread(1.0, problem.rows()) };
         let solution = solve(&problem, &start, &Options { loss, ..options });

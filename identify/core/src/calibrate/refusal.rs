@@ -1,4 +1,5 @@
-//! Refusals in structured form, from a [`CalibrateError`], for reports that show more than the message on a terminal.
+//! Converts a [`CalibrateError`] to a refusal in structured form. A refusal is an error that is due to the data. Reports
+//! use it if they show more than the message for the terminal.
 
 use super::error::CalibrateError;
 use crate::cost::CostError;
@@ -6,7 +7,7 @@ use crate::instrument::RowError;
 use crate::prepare::{Deviations, Place};
 use crate::solver::SolveError;
 
-/// Reason why the data gave no calibration.
+/// A refusal: the reason why the data do not give a calibration.
 #[derive(Debug, Clone)]
 pub struct CalibrationRefusal<'e> {
     /// Message as on the terminal: the problem, then the remedy.
@@ -15,12 +16,13 @@ pub struct CalibrationRefusal<'e> {
     pub run: Option<usize>,
     /// Location of the problem within that run.
     pub place: Place,
-    /// Deviations on which the refusal is based, if the logs of the run were aligned before it.
+    /// Residuals on which the refusal is based. `None` if the logs of the run could not be aligned.
     pub deviations: Option<&'e Deviations>,
 }
 
 impl CalibrateError {
-    /// The refusal; `None` for errors that are not due to the data, such as an invalid option or a cancelled solve.
+    /// Converts the error to a refusal. Returns `None` if the error is not due to the data, such as an invalid option
+    /// or a cancelled solve.
     pub fn refusal(&self) -> Option<CalibrationRefusal<'_>> {
         let of_data = match self {
             Self::Model(_) | Self::NoRun | Self::Selection(_) | Self::NoEffect { .. } => false,
@@ -38,12 +40,12 @@ impl CalibrateError {
         of_data.then(|| CalibrationRefusal { message: self.to_string(), run, place, deviations })
     }
 
-    /// Whether a mistake in a file of rows may be the cause.
+    /// Whether a mistake in a file of rows may be the cause of this error.
     pub(super) fn may_be_a_mistake(&self) -> bool {
         matches!(self, Self::Rows { error: RowError::OtherRobot { .. }, .. }) || self.is_of_solve()
     }
 
-    /// Whether a solve failed because of the samples.
+    /// Whether this error means that a solve failed because of the samples.
     pub(super) fn is_of_solve(&self) -> bool {
         match self {
             Self::Solve(error) => solve_is_of_data(error),
@@ -53,7 +55,7 @@ impl CalibrateError {
     }
 }
 
-/// False if no parameter was free or the solve was cancelled.
+/// Whether the samples caused this error of a solve. False if no parameter was free or the solve was cancelled.
 fn solve_is_of_data(error: &SolveError) -> bool {
     !matches!(error, SolveError::NothingFree | SolveError::Cancelled { .. })
 }

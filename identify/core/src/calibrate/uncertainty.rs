@@ -1,5 +1,5 @@
-//! Normal equations of the runs at their models, and the covariance of a solution. Steps of `pipeline::estimate`; `selection` tests
-//! terms with the same normal equations.
+//! Normal equations of the runs at the values of their models, and the covariance of a solution. Both are steps of
+//! `pipeline::estimate`. `selection` uses the same normal equations to test error terms.
 
 use nalgebra::DMatrix;
 
@@ -10,25 +10,28 @@ use crate::instrument::Run;
 use crate::model::{Column, Model, Parameter, ParameterId, Role};
 use crate::solver::{Considered, Loss, Normals, Options, Solution, UncertaintySource, influence};
 
-/// Models of all runs, which may estimate more parameters than those of the solve, and the map of their columns.
+/// Models of all runs, with the map from their columns to the columns of the joint problem. They may estimate more
+/// parameters than the models of the solve.
 struct Models {
     of_runs: Vec<Model>,
     columns: SharedColumns,
 }
 
 impl Models {
-    /// Values of the columns.
+    /// Current values of all columns.
     fn start(&self) -> Vec<f64> {
         self.columns.gather(&self.of_runs.iter().map(Model::start).collect::<Vec<_>>())
     }
 }
 
-/// Prior with which a considered error term is estimated; `None` for other parameters, which stay fixed.
+/// Prior with which a considered error term is estimated. `None` if the parameter is not an error term:
+/// it then stays fixed.
 fn prior_of_term(parameter: &Parameter, sigma: f64) -> Option<Role> {
     parameter.id.term().map(|_| Role::Prior { value: parameter.value, sigma })
 }
 
-/// For each column of `model` the standard deviation of its parameter, if the run has it as [`Role::Considered`]; otherwise zero.
+/// Standard deviations of the parameters that belong to the columns of `model`. An entry is zero if the parameter is not
+/// [`Role::Considered`] in the run.
 fn considered_sigmas(model: &Model, run: &Run) -> Vec<f64> {
     let sigma = |column: &Parameter| match run.model.role(column.id) {
         Some(Role::Considered { sigma }) => sigma,
@@ -38,14 +41,15 @@ fn considered_sigmas(model: &Model, run: &Run) -> Vec<f64> {
 }
 
 impl Solver<'_> {
-    /// The models of the runs, each changed by `change`.
+    /// Copies the models of the runs and changes each copy by `change`.
     fn models(&self, change: impl Fn(&Model) -> Model) -> Models {
         let of_runs: Vec<Model> = self.runs.iter().map(|run| change(&run.model)).collect();
         let columns = SharedColumns::new(&of_runs, |id| is_own(id, &self.own_lengths));
         Models { of_runs, columns }
     }
 
-    /// Normal equations of the independent groups of all runs at the models' values, and the run of each group; `None` if
+    /// Normal equations of all runs at the values of `models`, for each independent group of samples. Also
+    /// returns the index of the run of each group. `count` is the maximum number of groups of a run. `None` if
     /// residuals are not finite.
     fn normals(
         &self,
@@ -66,7 +70,7 @@ impl Solver<'_> {
         Ok(normals.map(|normals| (normals, of_run)))
     }
 
-    /// The free columns, their parameters, and [`Self::normals`] at the current models.
+    /// The columns of the current models, the parameter of each column, and [`Self::normals`] at the current models.
     pub(super) fn normals_here(
         &self,
         loss: Loss,
@@ -78,17 +82,20 @@ impl Solver<'_> {
         Ok((models.columns, ids, normals))
     }
 
-    /// Sets the covariance of the solution, by the jackknife if there are enough groups, with the contribution of parameters that
-    /// are fixed at uncertain values. Returns its columns.
+    /// Sets the covariance of the solution and returns its columns. The covariance is computed by the jackknife if there
+    /// are enough groups. It includes the errors of parameters that are fixed at uncertain values.
     ///
-    /// It is unknown whether excluded terms exist. With these terms and their priors, both the covariance and the solution
-    /// differ, and both differences are included (the mean squared error of a solution without them, if they are as expected).
+    /// Whether excluded error terms exist is unknown. If they are estimated with their priors, the covariance and the
+    /// solution both change. The result includes both changes. It is the mean squared error of a solution without these
+    /// terms, provided that the priors are correct.
     pub(super) fn add_covariance(
         &self,
         columns: &SharedColumns,
         solution: &mut Solution,
     ) -> Result<Vec<Column>, CalibrateError> {
         self.begins("uncertainty");
+        // `all`: the columns including excluded error terms. `estimated` are the columns of the solution among
+        // them, `left_out` the others.
         let mut of_covariance = columns.all().to_vec();
         let models = self.models(|model| model.with_considered(prior_of_term));
         let all = models.columns.all();
@@ -114,13 +121,14 @@ impl Solver<'_> {
         Ok(of_covariance)
     }
 
-    /// Effect of the errors of [`Role::Considered`] parameters on the solution, and their columns; `None` if there are none.
+    /// Effect of the errors of [`Role::Considered`] parameters on the solution, with the columns of these parameters.
+    /// `None` if there are no such parameters.
     fn considered(
         &self,
         columns: &SharedColumns,
         loss: Loss,
     ) -> Result<Option<(Considered, Vec<Column>)>, CalibrateError> {
-        // `Self::add_covariance` includes considered terms with their priors.
+        // Error terms are not included here, because `Self::add_covariance` includes them with their priors.
         let free = |parameter: &Parameter, _| parameter.id.term().is_none().then_some(Role::Free);
         let models = self.models(|model| model.with_considered(free));
         let all = models.columns.all();
@@ -134,7 +142,8 @@ impl Solver<'_> {
         let problem = problem_with_models(self.runs, &models.of_runs, &models.columns, &self.sigmas)?;
         let options = Options { loss, ..Options::default() };
         let found = influence(&problem, &models.start(), &considered, &options)?;
-        // `found.change` has a row for each column that is not considered; the solution may have these in another order.
+        // `found.change` has one row for each estimated column. The rows of the result are in the order of the
+        // solution, which may differ.
         let mut change = DMatrix::zeros(columns.all().len(), considered.len());
         for (row, column) in (0..all.len()).filter_map(estimated).enumerate() {
             change.row_mut(column).copy_from(&found.change.row(row));

@@ -1,13 +1,18 @@
 //! Drift of an instrument's offset over the rows of a file.
 //!
-//! A wire that is rewound, slips or warms up changes its offset, so neighbouring rows have correlated errors. The drift is
-//! modelled as a stationary random walk (Ornstein and Uhlenbeck 1930) over the row number, with a standard deviation and a
-//! correlation length. The residuals (model minus measured length) are `r = g + e` with `g` drift and `e` white noise. The
-//! inverse of the covariance `K` of `g` is tridiagonal. The best drift for given residuals therefore costs one sweep, and
-//! generalised least squares of the robot with the drift removed costs little more than without.
+//! If a wire is rewound, slips or warms up, its offset changes. The errors of neighbouring rows are then correlated. The
+//! drift is modelled as a stationary random walk (Ornstein and Uhlenbeck 1930) over the row number, with a standard
+//! deviation (size) and a correlation length (memory). The residuals (model minus measured length) are `r = g + e` with the
+//! drift `g` and white noise `e`.
 //!
-//! Existence, size and memory of a drift are chosen by cross-validation over the fitting rows. [`super::RowSet`] removes the
-//! drift from the rows of the fit and widens the covariance of the robot.
+//! The inverse of the covariance `K` of `g` is tridiagonal. Therefore the best drift for given residuals is computed in one
+//! sweep over the rows. A fit of the robot by generalised least squares, which includes the drift, takes little more time
+//! than a fit without.
+//!
+//! 1. Cross-validation over the fitting rows decides whether there is a drift, and chooses its size and memory (`choose`).
+//! 2. Size and white noise are scaled to the residuals (`scaled`).
+//! 3. A fit gives the drift of each row (`fit`). [`super::RowSet`] corrects the lengths by it.
+//! 4. The covariance of the robot is widened, because the drift is not known exactly (`widens`).
 
 use nalgebra::{DMatrix, DVector};
 
@@ -18,28 +23,29 @@ use crate::model::{Model, ParameterId};
 use crate::solver::{Loss, LossName, Normal, Prior, ScaledCholesky, stacked};
 use crate::statistics::mean;
 
-/// Size and memory of a drift, with the errors of the cross-validation.
+/// Parameters of a drift, with the errors of the cross-validation that chose it.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Drift {
     /// Standard deviation of the offset \[m\].
     pub size_m: f64,
-    /// Correlation length in rows: the correlation has fallen to 1/e.
+    /// Correlation length in rows. Over this number of rows the correlation decreases to 1/e.
     pub memory_rows: f64,
-    /// Standard deviation of a single length without drift \[m\]; if rows state their noise, that of the median row.
+    /// Standard deviation of a single length without the drift \[m\]. If rows state their noise, that of the median row.
     pub white_m: f64,
-    /// Root mean square error of cross-validated fitting rows, without a drift \[m\].
+    /// Root mean square error of the rows in the cross-validation, without a drift \[m\].
     pub rms_without_m: f64,
-    /// Root mean square error of cross-validated fitting rows, with the drift \[m\].
+    /// Root mean square error of the rows in the cross-validation, with this drift \[m\].
     pub rms_with_m: f64,
 }
 
 /// Number of folds of the cross-validation.
 const FOLDS: usize = 8;
-/// Size of a negligible drift, in standard deviations of a length.
+/// Size of a drift that is negligible, relative to the standard deviation of a length.
 const NO_DRIFT: f64 = 1e-6;
-/// Number of reweighted steps of generalised least squares, with a margin: the third changes no printed digit.
+/// Number of reweighted steps of generalised least squares. Includes a margin: the third step already
+/// changes no printed digit.
 const STEPS: usize = 8;
-/// Residuals beyond this number of standard deviations have a constant influence.
+/// Loss of the residuals, in standard deviations. The influence of a residual is constant beyond the scale.
 const HUBER: Loss = Loss { name: LossName::Huber, scale: 3.0 };
 
 impl Drift {
@@ -49,7 +55,8 @@ impl Drift {
     }
 }
 
-/// Candidate sizes and memories; standard deviations are relative to `sigma_m`, that of a length in the fit without a drift.
+/// Drifts to try. Their standard deviations are multiples of `sigma_m`, the standard deviation of a length in the
+/// fit without a drift.
 fn candidates(sigma_m: f64) -> impl Iterator<Item = Drift> {
     const WHITE: [f64; 3] = [0.3, 0.6, 1.0];
     const SIZES: [f64; 4] = [0.5, 1.5, 5.0, 15.0];
@@ -66,13 +73,17 @@ fn candidates(sigma_m: f64) -> impl Iterator<Item = Drift> {
     })
 }
 
-/// Solves for the drift of all rows: `(K^-1 + W / s^2) g = W r / s^2`, factored once (Thomas 1949), with white noise `s` and
-/// weights `W`. `K^-1` has `1 + rho^2` on the diagonal, 1 at its ends and `-rho` beside it, all divided by
-/// `size^2 (1 - rho^2)`; `rho` is the correlation of neighbouring rows.
+/// Solves for the drift of all rows, with a matrix that is factored once (Thomas 1949). The equations are
+/// `(K^-1 + W / s^2) g = W r / s^2` with white noise `s` and weights `W`.
+///
+/// `K^-1` is divided by `size^2 (1 - rho^2)`, where `rho` is the correlation of neighbouring rows. Its entries are then
+/// `1 + rho^2` on the diagonal, 1 at both ends of the diagonal, and `-rho` next to the diagonal.
 struct Sweep {
     /// `W / s^2` of each row; zero for rows that are not used.
     weights: Vec<f64>,
+    /// Entries next to the diagonal, all equal.
     off_diagonal: f64,
+    /// Diagonal after the elimination.
     pivots: Vec<f64>,
 }
 
@@ -92,7 +103,7 @@ impl Sweep {
         Self { weights, off_diagonal, pivots }
     }
 
-    /// The estimated drift for residuals of all rows \[m\].
+    /// The estimated drift of all rows for these residuals \[m\].
     fn drift(&self, residuals: &[f64]) -> Vec<f64> {
         let mut g: Vec<f64> = residuals.iter().zip(&self.weights).map(|(r, w)| r * w).collect();
         for row in 1..g.len() {
@@ -105,21 +116,22 @@ impl Sweep {
         g
     }
 
-    /// Product of the inverse covariance of `g + e` and the residuals: `(K + s^2 W^-1)^-1 r = W (r - g) / s^2`.
+    /// Product of the inverse covariance of `g + e` with the residuals: `(K + s^2 W^-1)^-1 r = W (r - g) / s^2`.
     fn by_inverse_covariance(&self, residuals: &[f64]) -> Vec<f64> {
         let drift = self.drift(residuals);
         residuals.iter().zip(drift).zip(&self.weights).map(|((r, g), w)| w * (r - g)).collect()
     }
 }
 
-/// Residuals and Jacobian of the rows used \[m\], as vectors over all rows of the file; zero for other rows.
+/// Residuals and Jacobian of the model at the used rows \[m\]. Vectors have an entry for each row of the file, which is
+/// zero for rows that are not used.
 struct Linear {
     residuals: Vec<f64>,
-    /// Noise of each row relative to that of the median row.
+    /// Noise of each row of the file, relative to the median row.
     relative_noise: Vec<f64>,
-    /// Jacobian: one column for each free parameter.
+    /// Jacobian, with one column for each free parameter.
     columns: Vec<Vec<f64>>,
-    /// Priors relative to the start of the step.
+    /// Priors of the change of the parameters in a step, instead of their values.
     priors: Vec<Prior>,
 }
 
@@ -128,7 +140,7 @@ impl Linear {
         let part = all.part(used);
         let problem = part.data_set(model, 1.0)?;
         let Some((residual, jacobian)) = stacked(&*problem, &model.start()) else { return Ok(None) };
-        // The problem divides by the relative noise.
+        // The problem divides residuals by the relative noise. Multiply again, so that they are in metres.
         let divided_by = part.relative_noise();
         let over_file = |values: &mut dyn Iterator<Item = f64>| {
             let mut of_rows = vec![0.0; all.samples()];
@@ -147,7 +159,7 @@ impl Linear {
         }))
     }
 
-    /// The sweep with weights divided by the squared relative noise.
+    /// The sweep with these weights, divided by the squared relative noise.
     fn sweep(&self, drift: &Drift, weights: &[f64]) -> Sweep {
         let by_noise = weights.iter().zip(&self.relative_noise).map(|(weight, noise)| weight / noise.powi(2));
         Sweep::new(drift, &by_noise.collect::<Vec<_>>())
@@ -170,18 +182,18 @@ impl Linear {
         normal
     }
 
-    /// A step of generalised least squares.
+    /// Computes one step of generalised least squares. `None` if the rows do not determine all parameters.
     fn step(&self, sweep: &Sweep) -> Option<DVector<f64>> {
         let normal = self.normal(sweep);
         Some(-ScaledCholesky::new(normal.matrix)?.solve(&normal.gradient))
     }
 
-    /// Variances of the columns; `None` if they are not determined.
+    /// Variances of the estimated parameters. `None` if the rows do not determine all of them.
     fn variances(&self, sweep: &Sweep) -> Option<DVector<f64>> {
         Some(ScaledCholesky::new(self.normal(sweep).matrix)?.inverse().diagonal())
     }
 
-    /// Predicted residuals after a step.
+    /// Residuals after a step, predicted by the linearisation.
     fn after(&self, step: &DVector<f64>) -> Vec<f64> {
         let mut after = self.residuals.clone();
         for (column, by) in self.columns.iter().zip(step.iter()) {
@@ -190,7 +202,8 @@ impl Linear {
         after
     }
 
-    /// Mean squared error of each left-out fold \[m^2\]; errors are divided by the relative noise of their rows.
+    /// Mean squared error of each fold, predicted from the other folds \[m^2\]. The errors are divided by the relative
+    /// noise of their rows.
     fn left_out(&self, drift: &Drift, folds: &[Vec<usize>]) -> Option<Vec<f64>> {
         let of_fold = |fold: &Vec<usize>| {
             let mut weights = vec![0.0; self.residuals.len()];
@@ -207,12 +220,14 @@ impl Linear {
     }
 }
 
-/// Chooses a drift if it improves the prediction of left-out fitting rows. Returns it with its value at every row \[m\]; rows
-/// that were not used receive the value predicted from their neighbours. The model must be at its fit without drift, in which a
-/// length has the standard deviation `sigma_m`; afterwards it is at the fit with drift.
+/// Finds a drift that improves the prediction of left-out fitting rows. Returns the drift and its value at every row \[m\].
+/// Rows that were not used receive the value predicted from their neighbours.
+///
+/// At the call the model must be at its fit without drift. `sigma_m` is the standard deviation of a length in this fit. If
+/// a drift is found, the model is at the fit with drift afterwards.
 ///
 /// # Errors
-/// [`CalibrateError::Cost`] if the data do not fit the cost.
+/// [`CalibrateError::Cost`] if the rows lack data that the cost needs.
 pub(super) fn find(
     model: &mut Model,
     all: &Instrument,
@@ -226,8 +241,8 @@ pub(super) fn find(
     Ok(Some((drift, drift_m)))
 }
 
-/// The drift that predicts left-out fitting rows best; `None` if it is not significantly better than no drift. The model is at
-/// its fit without drift; `folds` are indices into the fitting rows.
+/// The drift that predicts left-out fitting rows best. `None` if it is not significantly better than no drift. The model is
+/// at its fit without drift. `folds` contains indices into `fitting`.
 fn choose(
     model: &Model,
     all: &Instrument,
@@ -248,8 +263,9 @@ fn choose(
     Ok(best.filter(|(_, with)| falls(&without, with)).map(|(best, _)| best))
 }
 
-/// The drift with the size and the white noise that its residuals have: `r^T C^-1 r` is the number of rows minus that of columns
-/// for their covariance `C`. Predictions depend on the ratio of both only, so the choice does not determine them.
+/// Scales the size and the white noise of the drift to its residuals. If `C` is their covariance, `r^T C^-1 r` is then the
+/// number of rows minus the number of columns. Predictions depend only on the ratio of size to white noise, so the
+/// cross-validation cannot determine this scale.
 fn scaled(drift: Drift, model: &Model, all: &Instrument, fitting: &[usize]) -> Result<Drift, CalibrateError> {
     let Some(linear) = Linear::at(model, all, fitting)? else { return Ok(drift) };
     let mut weights = vec![0.0; all.samples()];
@@ -265,7 +281,7 @@ fn scaled(drift: Drift, model: &Model, all: &Instrument, fitting: &[usize]) -> R
     Ok(if is_usable { scaled } else { drift })
 }
 
-/// Fits the model with the drift removed from its residuals; returns the drift of every row \[m\].
+/// Fits the model and the drift together. Returns the drift of every row \[m\].
 pub(super) fn fit(
     model: &mut Model,
     all: &Instrument,
@@ -291,8 +307,9 @@ pub(super) fn fit(
     Ok(drift_m)
 }
 
-/// Ratio of the robot's standard deviations (root mean square over its columns, at least 1): with the drift, to those for white
-/// noise `sigma_m` alone. The drift absorbs a part of the information, and neighbouring lengths are correlated.
+/// Factor by which the drift increases the standard deviations of the robot, compared with white noise `sigma_m` alone.
+/// Root mean square over the columns of the robot, at least 1. The drift absorbs some of the information, and errors of
+/// neighbouring lengths are correlated.
 pub(super) fn widens(
     model: &Model,
     all: &Instrument,
@@ -317,7 +334,7 @@ pub(super) fn widens(
 mod tests {
     use super::*;
 
-    /// The sweep against the dense formula `K (K + S)^-1 r`, with one row not used.
+    /// Compares the sweep with the dense formula `K (K + S)^-1 r`, with one row not used.
     #[test]
     fn the_sweep_is_the_best_prediction_of_the_random_walk() {
         let drift =

@@ -1,12 +1,13 @@
-//! Possible causes of a run (consecutive rows with a common error): hints in the report for the repair of the data, from the
-//! rejected rows and their residuals at the solution. A cause is tried by undoing it. The data are not changed here.
+//! Possible causes of faulty runs: consecutive rows with a common error. Input: the rejected rows and the residuals at the
+//! solution. A cause is tried by correcting it in the rows of the run. The report lists the result as a hint for the repair
+//! of the file. The data are not changed.
 
 use crate::instrument::{Instrument, Mistake, RejectedRow, Rejection};
 use crate::logs::JointMistake;
 use crate::model::Model;
 use crate::statistics::{median_size, quantile};
 
-/// Possible cause of the errors of a run.
+/// Possible cause of the errors of a faulty run.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum RunCause {
     /// The offset of the instrument changed.
@@ -30,11 +31,11 @@ pub struct FaultyRun {
     pub last: usize,
     /// Median of the absolute residuals \[m\].
     pub median_m: f64,
-    /// The best of the causes that reduce the median to a third or less; `None` if there is none.
+    /// The cause whose correction reduces the median most, if to a third or less. `None` if there is no such cause.
     pub cause: Option<RunCause>,
 }
 
-/// Faulty runs among rejected rows (in ascending order).
+/// Finds the faulty runs among the rejected rows, which are in ascending order.
 pub(super) fn runs(model: &Model, all: &Instrument, rejected: &[RejectedRow]) -> Vec<FaultyRun> {
     let faulty: Vec<usize> =
         rejected.iter().filter(|r| matches!(r.why, Rejection::FaultyRun { .. })).map(|r| r.row).collect();
@@ -50,7 +51,8 @@ pub(super) fn runs(model: &Model, all: &Instrument, rejected: &[RejectedRow]) ->
     consecutive.filter_map(run).collect()
 }
 
-/// The cause of a run of `rows` whose correction reduces the median of the absolute residuals, `median_m`, most.
+/// The cause whose correction reduces the residuals of a run most. `rows` contains only the run. `median_m` is the median
+/// of its absolute residuals.
 fn explain(model: &Model, rows: &Instrument, residuals_m: &[f64], median_m: f64) -> Option<RunCause> {
     /// A cause must reduce the residuals to this fraction or less.
     const PART_LEFT: f64 = 1.0 / 3.0;
@@ -62,7 +64,7 @@ fn explain(model: &Model, rows: &Instrument, residuals_m: &[f64], median_m: f64)
         .map(|(_, cause)| cause)
 }
 
-/// Median of the absolute residuals \[m\] with the opposite sign of a joint.
+/// Median of the absolute residuals \[m\] if the sign of a joint is reversed.
 fn sign_reversed(model: &Model, rows: &Instrument, joint: usize) -> Option<(f64, RunCause)> {
     let reversed = Mistake::Joints(JointMistake::Reversed(joint));
     let corrected = rows.undone(reversed, model.robot()).into_iter().next()?;
@@ -70,8 +72,8 @@ fn sign_reversed(model: &Model, rows: &Instrument, joint: usize) -> Option<(f64,
     Some((median_m, RunCause::SignReversed { joint: joint + 1 }))
 }
 
-/// Median of the absolute residuals \[m\] if the offset of the instrument changed. Residuals are robot minus measurement, so
-/// their median is minus the change.
+/// Median of the absolute residuals \[m\] after correction of a changed offset. Residuals are robot minus measurement, so
+/// the change of the offset is their median with the opposite sign.
 fn zero_moved(residuals_m: &[f64]) -> (f64, RunCause) {
     let median_m = quantile(&mut residuals_m.to_vec(), 0.5);
     (median_size(residuals_m.iter().map(|r| r - median_m)), RunCause::ZeroMoved { by_m: -median_m })

@@ -1,5 +1,5 @@
-//! Statistics of pose errors of any instrument, tests whether a calibrated robot is better or worse than the nominal one for the
-//! same samples, and the errors of rows in each stage of a calibration.
+//! Statistics of pose errors of any instrument. Tests whether a calibrated robot is better or worse than the nominal one
+//! for the same samples. Defines the stages of a calibration after which the errors of rows are recorded ([`Stages`]).
 
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, Normal};
@@ -20,7 +20,7 @@ pub struct PoseFigures {
 }
 
 impl PoseFigures {
-    /// Statistics of these errors.
+    /// Computes the statistics of these errors.
     pub fn of(errors: impl IntoIterator<Item = PoseError>) -> Self {
         let errors: Vec<PoseError> = errors.into_iter().collect();
         let angles: Option<Vec<f64>> = errors.iter().map(|error| error.rotation_rad).collect();
@@ -38,22 +38,23 @@ impl PoseFigures {
     }
 }
 
-/// Number of independent errors of samples that share theirs, such as those of a segment: one along each axis.
+/// Number of independent errors of samples that share their errors, such as the samples of a segment: one along each axis.
 pub const INDEPENDENT_OF_GROUP: usize = 3;
-/// Probability that a geometry no better than the nominal one is classified as better.
+/// Probability that a calibrated robot is classified as better although it is not.
 const BETTER_BY_CHANCE: f64 = 0.05;
-/// Probability that a calibration no worse than the nominal robot is classified as worse.
+/// Probability that a calibrated robot is classified as worse although it is not.
 const WORSE_BY_CHANCE: f64 = 1e-3;
 
-/// Quantile, at this probability, of the ratio of two root mean squares of `n` errors each if the robots are equal. The
-/// difference of their logarithms has a variance of at most `1 / n`, since they are of the same samples.
+/// Quantile of the ratio of two root mean squares, at this probability, if both robots have equal errors. Each root mean
+/// square is that of `n` errors. The variance of the difference of their logarithms is at most `1 / n`, because both are
+/// for the same samples.
 fn ratio_by_chance(n: usize, probability: f64) -> f64 {
     let sigma = (n.max(1) as f64).sqrt().recip();
     (Normal::standard().inverse_cdf(probability) * sigma).exp()
 }
 
-/// Whether the second of two root mean squares of `n` errors each is smaller: in position significantly, in rotation by any
-/// amount.
+/// Whether the calibrated robot is significantly better, from two root mean squares of `n` errors each. The position must
+/// be significantly better. The rotation must be better by any amount.
 pub fn is_surely_better(n: usize, [nominal, calibrated]: [PoseError; 2]) -> bool {
     let limit_m = ratio_by_chance(n, BETTER_BY_CHANCE) * nominal.position_m;
     let rotations = nominal.rotation_rad.zip(calibrated.rotation_rad);
@@ -61,21 +62,22 @@ pub fn is_surely_better(n: usize, [nominal, calibrated]: [PoseError; 2]) -> bool
     n > 0 && calibrated.position_m < limit_m && rotation_is_better
 }
 
-/// Whether the second of two root mean squares of `n` errors each is significantly larger.
+/// Whether the calibrated robot is significantly worse, from two root mean squares of `n` errors each.
 pub fn is_surely_worse(n: usize, [nominal, calibrated]: [f64; 2]) -> bool {
     calibrated > nominal * ratio_by_chance(n, 1.0 - WORSE_BY_CHANCE)
 }
 
-/// Results for the same rows after successive fits to the fitting rows. A drift of the instrument's offset is removed from each.
+/// Results for the same rows after each of four fits to the fitting rows. A drift of the instrument's offset is
+/// removed from each result.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct Stages<T = PoseFigures> {
-    /// Fit of tracker and probe, or wire; robot nominal.
+    /// Fit of the instrument alone, with the nominal robot.
     pub nominal: T,
-    /// Fit that adds the robot's joint offsets.
+    /// Fit that also estimates the robot's joint offsets.
     #[serde(default)]
     pub offsets: T,
-    /// Fit that adds the other link parameters.
+    /// Fit that also estimates the other link parameters.
     pub links: T,
-    /// Fit that adds joint errors.
+    /// Fit that also estimates error terms of the joints.
     pub joints: T,
 }

@@ -1,8 +1,9 @@
-//! Refusal of rows that are not plausible for the configured robot, with the most likely mistake.
+//! Refuses rows that are not plausible for the configured robot, and reports the most likely mistake.
 //!
-//! A fit with priors always has a solution. A mistake is detected from the solution: corrections beyond the links' tolerances,
-//! no improvement on held-out rows, residuals beyond usual joint errors, or a step in time. The driver calls this after the
-//! last stage of [`super::Stages`], before the fit to all rows; `likely` finds the mistake.
+//! A fit with priors always has a solution, even if the rows contain a mistake. The mistake is visible in the solution:
+//! corrections beyond the tolerances of the links, no improvement on held-out rows, residuals larger than usual joint
+//! errors, or a step in time. The driver tests this after the last stage of [`super::Stages`], before the fit to all rows.
+//! `likely` finds the mistake.
 
 use std::fmt;
 
@@ -17,7 +18,7 @@ use crate::kinematics::Chain;
 use crate::model::{Model, ParameterId, Role, Unit};
 use crate::statistics::{median_size, quantile};
 
-/// A step of the observed positions.
+/// A step in time of the measured positions.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Step {
     /// First row after the step, from 1.
@@ -27,8 +28,8 @@ pub struct Step {
 }
 
 impl Step {
-    /// Whether the nominal robot fits the rows before and after the step much better separately than together. Errors of the
-    /// robot itself may also step, by less, where the path continues at another place.
+    /// Whether the nominal robot fits the rows before and after the step much better separately than together. The robot's
+    /// own errors may also cause a step, where its path continues in another region, but a smaller one.
     fn explains(&self, instrument: &Instrument, robot: &Chain) -> bool {
         likely(instrument, robot, &[Mistake::Moved(self.row - 1)]).is_some()
     }
@@ -46,8 +47,8 @@ impl fmt::Display for Step {
     }
 }
 
-/// Refuses a calibration that is not plausible for a robot like the nominal one; `sets` belong to `files`, and `runs` are at
-/// their solution.
+/// Refuses a calibration that is not plausible for a robot like the nominal one. `sets` contains the set of each file, in
+/// the order of `files`. `runs` are at their solution.
 ///
 /// # Errors
 /// [`CalibrateError::Implausible`] with the most likely mistake.
@@ -59,7 +60,7 @@ pub(in crate::calibrate) fn unless_implausible(
 ) -> Result<(), CalibrateError> {
     let link = runs.first().and_then(|run| furthest_link(&run.model));
     let mut found: Vec<String> = link.into_iter().collect();
-    // Runs of ball-bars are first.
+    // Ball-bar runs are first in `runs`.
     let bars = runs.len() - sets.len();
     for ((number, run), (file, set)) in runs.iter().enumerate().skip(bars).zip(files.iter().zip(sets)) {
         let place = if runs.len() > 1 { format!("data set {}: ", number + 1) } else { String::new() };
@@ -72,7 +73,7 @@ pub(in crate::calibrate) fn unless_implausible(
     Err(CalibrateError::Implausible { found: found.join("; "), likely: likely_of_all(files, robot) })
 }
 
-/// Reasons why the rows of a set are not plausible.
+/// Reasons why the rows of a set are not plausible. Empty if they are plausible.
 fn reasons_of_set(set: &RowSet, instrument: &Instrument, model: &Model, robot: &Chain) -> Vec<String> {
     let steps = [step(set.whole(), model), set.step];
     let step = steps.into_iter().flatten().find(|step| step.explains(instrument, robot));
@@ -81,14 +82,15 @@ fn reasons_of_set(set: &RowSet, instrument: &Instrument, model: &Model, robot: &
     reasons.into_iter().flatten().collect()
 }
 
-/// Limit in standard deviations: one of 30 parameters exceeds it by chance once in 50 000 robots.
+/// Limit in standard deviations. By chance, one of 30 parameters exceeds it for one in 50 000 robots.
 const SIGMAS_MAX: f64 = 5.0;
-/// Standard deviation of length errors, large enough for robot files typed by hand \[m\].
+/// Standard deviation of length errors \[m\]. Large enough for robot files that were typed by hand.
 const LINK_M: f64 = 1e-2;
 /// Standard deviation of angle errors, including joint offsets \[rad\].
 const LINK_RAD: f64 = 2e-2;
 
-/// A link parameter is further from nominal than tolerances allow: the one with the largest correction in standard deviations.
+/// Describes the link parameter with the largest correction, in standard deviations. `None` if the correction
+/// is within the tolerances.
 fn furthest_link(model: &Model) -> Option<String> {
     let link = |id: ParameterId| {
         let parameter = model.parameter(id)?;
@@ -111,11 +113,13 @@ fn furthest_link(model: &Model) -> Option<String> {
     })
 }
 
-/// Positions fit, but orientations differ more than those of any real robot.
+/// Describes orientations that differ more than those of any real robot, although the positions fit. `None`
+/// if they are plausible.
 fn turned(set: &RowSet) -> Option<String> {
-    /// The nominal robot's orientation errors are smaller, those of a wrong angle convention are larger \[rad\].
+    /// Limit of the orientation errors \[rad\]. Those of the nominal robot are smaller. Those of a wrong
+    /// angle convention are larger.
     const WRONG_RAD: f64 = 0.1;
-    /// Quantile of the orientation errors: one row in five may be an outlier.
+    /// Quantile of the orientation errors that is compared with the limit. It allows one row in five to be an outlier.
     const PART: f64 = 0.78;
     let nominal = || set.fitted_rows.iter().filter_map(|row| set.errors.nominal.get(*row));
     let mut turned_rad: Vec<f64> = nominal().map(|error| error.rotation_rad).collect::<Option<_>>()?;
@@ -129,11 +133,11 @@ fn turned(set: &RowSet) -> Option<String> {
     })
 }
 
-/// Maximum joint errors of industrial arms with known links: gears, resolvers, and commanded angles rounded to a tenth of a
-/// degree \[rad\].
+/// Maximum joint errors of industrial arms with known links \[rad\]. They include errors of gears and resolvers, and
+/// commanded angles that were rounded to a tenth of a degree.
 const JOINT_ERROR_RAD_MAX: f64 = 2e-3;
 
-/// The residuals of the robot are larger than joint errors can cause.
+/// Describes residuals of the calibrated robot that are larger than joint errors can cause. `None` if they are plausible.
 fn too_far(errors: &[PoseError], robot: &Chain) -> Option<String> {
     let limit_m = JOINT_ERROR_RAD_MAX * robot.reach_m();
     let median_m = median_size(errors.iter().map(|error| error.position_m));
@@ -146,7 +150,8 @@ fn too_far(errors: &[PoseError], robot: &Chain) -> Option<String> {
     })
 }
 
-/// Held-out rows have larger errors with the calibrated robot than with the nominal one.
+/// Describes held-out rows that have larger errors with the calibrated than with the nominal robot. `None` if
+/// they are not larger.
 fn worse_than_nominal(set: &RowSet) -> Option<String> {
     let held_out = set.held_out();
     let [nominal_m, calibrated_m] = [held_out.nominal.position_m.rms, held_out.joints.position_m.rms];
@@ -163,7 +168,7 @@ fn worse_than_nominal(set: &RowSet) -> Option<String> {
 /// Number of blocks of consecutive rows.
 const BLOCKS: usize = 40;
 
-/// Median error of each block of rows, by axis, with its first row.
+/// Median error of each block of consecutive rows along each axis, with the first row of the block.
 fn blocks(errors_m: &[Vector3<f64>]) -> Vec<(usize, Vector3<f64>)> {
     let size = errors_m.len().div_ceil(BLOCKS).max(1);
     let median = |(number, block): (usize, &[Vector3<f64>])| {
@@ -176,20 +181,20 @@ fn blocks(errors_m: &[Vector3<f64>]) -> Vec<(usize, Vector3<f64>)> {
     errors_m.chunks(size).enumerate().map(median).collect()
 }
 
-/// Columns of the regression in [`step_before`]: mean, drift, step.
+/// Number of columns of the regression in [`step_before`]: mean, drift and step.
 const COEFFICIENTS: usize = 3;
 
-/// The most significant step in time of the position errors beside a linear drift, if it is significant.
+/// Finds the most significant step in time of the position errors. `None` if no step is significant.
 ///
-/// Medians of blocks are used, so that single outliers cause no step. The test is Student's t for the three coordinates of a
-/// step in a linear regression, over all positions of the step (Bonferroni). The scatter of the blocks includes correlated
-/// errors.
+/// Uses medians of blocks of rows, so that single outliers cause no step. A linear regression of these medians has a mean,
+/// a linear drift and a step. Student's t of the step is tested along each of the three axes and for each possible position
+/// of the step (Bonferroni). The scatter of the blocks includes correlated errors.
 pub(super) fn step(instrument: &Instrument, model: &Model) -> Option<Step> {
     /// Probability of a false alarm in a file without a step.
     const FALSE_ALARMS: f64 = 1e-4;
     /// Minimum number of blocks before and after a step.
     const BESIDE: usize = 3;
-    // Only a tracker, which measures positions, can have this mistake.
+    // Only a tracker measures positions and can therefore have this mistake.
     if !instrument.mistakes(0).iter().any(|mistake| matches!(mistake, Mistake::Moved(_))) {
         return None;
     }
@@ -202,7 +207,7 @@ pub(super) fn step(instrument: &Instrument, model: &Model) -> Option<Step> {
     let count = blocks.len();
     let freedom = count.checked_sub(COEFFICIENTS).filter(|freedom| *freedom > 2 * BESIDE)? as f64;
     let first_after = BESIDE..=count - BESIDE;
-    // Both signs of three coordinates.
+    // Both signs of the three coordinates, for each position of the step.
     let tests = 2.0 * 3.0 * first_after.clone().count() as f64;
     let limit = StudentsT::new(0.0, 1.0, freedom).ok()?.inverse_cdf(1.0 - FALSE_ALARMS / tests);
     let steps = first_after.filter_map(|block| step_before(&blocks, block, freedom));
@@ -210,8 +215,8 @@ pub(super) fn step(instrument: &Instrument, model: &Model) -> Option<Step> {
     (student > limit).then_some(step)
 }
 
-/// The step before the block `first_after` by a linear regression of the medians of the blocks, with the largest Student's t of
-/// its coordinates; `freedom` is the number of blocks minus [`COEFFICIENTS`].
+/// The step before the block `first_after`, by a linear regression of the medians of the blocks. Also returns the largest
+/// Student's t of its coordinates. `freedom` is the number of blocks minus [`COEFFICIENTS`].
 fn step_before(blocks: &[(usize, Vector3<f64>)], first_after: usize, freedom: f64) -> Option<(f64, Step)> {
     let count = blocks.len();
     let design = DMatrix::from_fn(count, COEFFICIENTS, |block, column| match column {

@@ -1,5 +1,6 @@
-//! The mistake that explains rows that do not fit the nominal robot: each possible mistake is undone, the instrument is placed
-//! again, and the errors are compared. Used for refusals of calibrations and by `identify inspect`.
+//! Finds the mistake that explains why rows do not fit the nominal robot. Each possible mistake is corrected in the
+//! rows, the instrument is placed again, and the errors before and after are compared. Used for refusals of
+//! calibrations and by `identify inspect`.
 
 use std::fmt;
 
@@ -17,8 +18,8 @@ use crate::statistics::{mean, median_size, rms};
 pub struct Likely {
     /// The mistake that explains the rows.
     pub mistake: Mistake,
-    /// Error of the nominal robot for the rows as read \[m\]: root mean square, for lengths the median; infinite if the
-    /// instrument cannot be placed.
+    /// Error of the nominal robot for the rows as read \[m\]. A root mean square, or a median if the unit of lengths was
+    /// tested. Infinite if the instrument cannot be placed.
     pub as_read_m: f64,
     /// Error after correction of the mistake \[m\].
     pub undone_m: f64,
@@ -36,7 +37,7 @@ impl fmt::Display for Likely {
     }
 }
 
-/// The model with the instrument placed; its robot is not changed. `None` if the instrument cannot be placed.
+/// Estimates the pose of an instrument for a robot, which is not changed. `None` if the rows do not determine the pose.
 pub(super) fn placed(instrument: Instrument, model: Model) -> Result<Option<Model>, CalibrateError> {
     let model = instrument.fitted_out(model);
     let mut run = Run { instrument, model };
@@ -47,14 +48,15 @@ pub(super) fn placed(instrument: Instrument, model: Model) -> Result<Option<Mode
     Ok(Some(run.model))
 }
 
-/// Root mean square errors of a robot for samples, with the instrument placed by the same samples; `None` if it cannot be placed.
+/// Root mean square errors of a robot for samples. The same samples determine the pose of the instrument. `None`
+/// if they do not.
 pub fn misfit(instrument: &Instrument, robot: &Chain) -> Option<PoseError> {
     instrument.contradicting(robot).ok().filter(|_| instrument.samples() >= instrument.samples_min())?;
     let model = placed(instrument.clone(), Model::alone(robot)).ok()??;
     Some(PoseFigures::of(instrument.errors(&model.geometry(&[]))).rms())
 }
 
-/// An evenly thinned part of the samples, large enough to distinguish robots, since a mistake affects all samples.
+/// Thins the samples evenly. The rest is sufficient to compare robots and mistakes, because a mistake affects all samples.
 pub fn some_of(instrument: &Instrument) -> Instrument {
     const TRIED: usize = 60;
     let (samples, wanted) = (instrument.samples(), TRIED.max(instrument.samples_min()));
@@ -62,7 +64,7 @@ pub fn some_of(instrument: &Instrument) -> Instrument {
     instrument.part(&(0..samples).step_by(every).collect::<Vec<_>>())
 }
 
-/// Root mean square error of a robot at the end of a tool, for some of the samples \[m\].
+/// Root mean square error of a robot at the end of a tool, for a thinned set of the samples \[m\].
 fn misfit_m(instrument: &Instrument, robot: &Chain) -> Option<f64> {
     /// Length of the tool, which converts orientation errors to positions \[m\].
     const TOOL_M: f64 = 0.1;
@@ -74,7 +76,7 @@ fn misfit_m(instrument: &Instrument, robot: &Chain) -> Option<f64> {
 fn corrected_misfit_m(mistake: Mistake, instrument: &Instrument, robot: &Chain) -> Option<f64> {
     match mistake {
         Mistake::Moved(row) => {
-            // The instrument is placed separately for the samples before and after the displacement.
+            // Place the instrument separately for the samples before and after the displacement.
             let count = instrument.samples();
             let sum_of_squares = |samples: std::ops::Range<usize>| {
                 let (rows, samples) = (samples.len() as f64, samples.collect::<Vec<_>>());
@@ -84,7 +86,7 @@ fn corrected_misfit_m(mistake: Mistake, instrument: &Instrument, robot: &Chain) 
             Some(((sum_of_squares(0..row)? + sum_of_squares(row..count)?) / count as f64).sqrt())
         }
         Mistake::ModifiedTable => {
-            // In a table of modified DH parameters `a` and `alpha` are one row later.
+            // In a table of modified DH parameters, `a` and `alpha` of a link are in the row of the next link.
             let mut read = robot.clone();
             let next = robot.links.iter().skip(1).map(|link| (link.a_m, link.alpha_rad));
             for (link, (a_m, alpha_rad)) in read.links.iter_mut().zip(next.chain([(0.0, 0.0)])) {
@@ -99,46 +101,49 @@ fn corrected_misfit_m(mistake: Mistake, instrument: &Instrument, robot: &Chain) 
     }
 }
 
-/// Upper limit of the nominal robot's error for rows without a mistake \[m\].
+/// Upper limit of the nominal robot's error for rows that contain no mistake \[m\].
 const NEAR_M: f64 = 0.05;
 
-/// The one of these mistakes whose correction makes the samples fit the nominal robot; `None` if there is none.
+/// Finds the mistake whose correction makes the samples fit the nominal robot best. `None` if no correction is sufficient.
 pub fn likely(instrument: &Instrument, robot: &Chain, mistakes: &[Mistake]) -> Option<Likely> {
-    /// Maximum remaining fraction of the error after correction: the robot's own errors are millimetres, those of mistakes are
-    /// centimetres.
+    /// A correction must reduce the error to less than this fraction. The robot's own errors are millimetres, those
+    /// of mistakes are centimetres.
     const REMAINING_MAX: f64 = 0.3;
-    // If the instrument cannot be placed at all, any placement is an improvement.
+    // If the instrument cannot be placed at all with the rows as read, any placement is an improvement.
     let as_read_m = misfit_m(instrument, robot).unwrap_or(f64::INFINITY);
     let corrected = |&mistake: &Mistake| {
         Some(Likely { mistake, as_read_m, undone_m: corrected_misfit_m(mistake, instrument, robot)? })
     };
-    // Shorter lengths have smaller errors, also where the unit is right.
+    // A correction to shorter lengths also makes the errors smaller, even if the unit was right. Compare the errors at
+    // the lengths as read.
     let at_length_read_m = |likely: &Likely| likely.undone_m / likely.mistake.shortening();
     let found = mistakes.iter().filter_map(corrected);
     let best = found.min_by(|a, b| at_length_read_m(a).total_cmp(&at_length_read_m(b)))?;
     (best.undone_m < NEAR_M && at_length_read_m(&best) < REMAINING_MAX * as_read_m).then_some(best)
 }
 
-/// The most likely of all mistakes, in the first of these files that has one.
+/// Finds the most likely mistake in the first of the files that has one.
 pub(in crate::calibrate) fn likely_of_all(files: &[Rows], robot: &Chain) -> Option<Likely> {
     let likely_of =
         |Rows { instrument, .. }: &Rows| likely(instrument, robot, &instrument.mistakes(robot.links.len()));
     files.iter().find_map(likely_of)
 }
 
-/// Refuses lengths in a different unit from that of the mapping. `nominal` has the nominal robot, with the instrument fitted to
-/// it.
+/// Refuses lengths whose unit differs from that of the mapping. `nominal` is the nominal robot with the
+/// instrument fitted to it.
 ///
-/// The unit is wrong if the nominal robot does not explain the variation of the lengths, but does in another usual unit.
+/// The unit is wrong if the nominal robot does not explain the variation of the lengths as read, but does explain it
+/// in another usual unit.
 ///
 /// # Errors
-/// [`CalibrateError::Implausible`] with the unit.
+/// [`CalibrateError::Implausible`] with the correct unit.
 pub(in crate::calibrate) fn unless_other_unit(
     whole: &Instrument,
     nominal: &Model,
     robot: &Chain,
 ) -> Result<(), CalibrateError> {
-    /// Maximum unexplained fraction of the variation of lengths in the right unit: errors of millimetres against decimetres.
+    /// Maximum unexplained fraction of the variation of lengths in the right unit. The errors are
+    /// millimetres, the variation decimetres.
     const UNEXPLAINED: f64 = 0.3;
     if whole.lengths_m().is_empty() {
         return Ok(());

@@ -1,8 +1,11 @@
-//! The parts of a calibration that are specific to files of rows. Each row is a pose of the robot at rest with its measurement.
+//! The parts of a calibration that are specific to files of rows. A row is a measurement and the joints of the robot, which
+//! is usually at rest in this pose.
 //!
-//! A fifth of each file is held out. It is used neither for the choice of joint errors nor for the detection of outliers, and
-//! its errors are the result of the validation. The final result is a fit to all rows. The driver calls the methods of
-//! [`RowSet`] in the order of its stages ([`Stages`]); each records the errors of all rows.
+//! A fifth of the rows of each file is held out. These rows are used neither to choose error terms nor to detect outliers,
+//! so their errors validate the calibration. The final result is a fit to all rows.
+//!
+//! The driver calls the methods of [`RowSet`] in the order of its stages ([`Stages`]). Each stage fits more parameters than
+//! the previous one, and the errors of all rows are recorded after it.
 
 mod drift;
 mod faulty_runs;
@@ -29,18 +32,19 @@ pub use likely::{Likely, likely, misfit, some_of};
 pub(super) use likely::{likely_of_all, unless_other_unit};
 pub use validate::{Validated, validate};
 
-/// Default maximum order of joint waves: strain wave gears have no finer teeth near their output.
+/// Default maximum order of joint waves. Strain wave gears have no finer teeth near their output.
 pub const WAVES_PER_TURN_MAX: u8 = 64;
 
-/// Number of parts of a file, of which one is held out, in a validation each in turn.
+/// Number of equal parts of a file. A calibration holds one of them out. A validation holds each of them out in turn.
 const PARTS: usize = 5;
 
-/// Fewest rows of a file from which a robot can be calibrated without other data, of which a part is held out.
+/// Minimum number of rows of a file from which a robot can be calibrated without other data. Includes the held-out rows.
 pub(crate) fn rows_min(instrument: &Instrument) -> usize {
     (instrument.samples_min() * PARTS).div_ceil(PARTS - 1)
 }
 
-/// Rows with contradictory data; all others are used. If the file is `alone`, the others must be sufficient for a fit.
+/// Returns the rows whose own data contradict each other. If the file is the only input (`alone`), the remaining rows must
+/// be sufficient for a fit.
 pub(super) fn checked(
     instrument: &Instrument,
     alone: bool,
@@ -55,39 +59,40 @@ pub(super) fn checked(
     Ok(contradicting)
 }
 
-/// A file of rows, its held-out rows, and the results of each stage of the calibration.
+/// A file of rows, with its split into fitted and held-out rows and the results of each stage of the calibration.
 #[derive(Debug, Clone)]
 pub struct RowSet {
     /// All rows of the file.
     whole: Instrument,
-    /// Errors of all rows, including rejected ones.
+    /// Errors of all rows after each stage, including rejected rows.
     pub errors: Stages<Vec<PoseError>>,
-    /// Rows that the fit of the stages uses.
+    /// Rows that the fits of the stages use.
     pub fitted_rows: Vec<usize>,
     /// Rows that are held out.
     pub held_out_rows: Vec<usize>,
-    /// Rejected rows, with the reason.
+    /// Rejected rows with the reason, in ascending order.
     pub rejected: Vec<RejectedRow>,
-    /// Faulty runs of rows, with possible causes.
+    /// Faulty runs, which are consecutive rows with a common error, with possible causes.
     pub runs: Vec<FaultyRun>,
-    /// Drift of the instrument's offset, if left-out rows require it at the best links. It is removed in the last two stages of
-    /// all statistics; the nominal robot and the joint offsets have drifts of their own.
+    /// Drift of the instrument's offset. `None` if the drift does not improve the prediction of left-out rows at the best
+    /// link parameters. The errors of all stages are without a drift: this one for the last two stages, and a separate one
+    /// for each of the first two.
     pub drift: Option<Drift>,
     /// Drift of each row \[m\]; empty without a drift.
     drift_m: Vec<f64>,
-    /// Rows given to the last solve, before its own screening.
+    /// Rows that the last solve received, before it detected outliers of its own.
     given: Vec<usize>,
-    /// A step of the observed positions, relative to the nominal robot.
+    /// A significant step of the measured positions relative to the nominal robot.
     step: Option<Step>,
-    /// The nominal robot with the instrument fitted to it.
+    /// Model with the nominal robot, to which the instrument was fitted.
     nominal: Option<Model>,
 }
 
 impl RowSet {
-    /// All rows of a file except those `rejected`; with `hold_out`, a part is held out.
+    /// Splits a file of rows, without the `rejected` ones. If `hold_out` is true, one part is held out.
     pub(super) fn new(whole: Instrument, rejected: Vec<RejectedRow>, hold_out: bool) -> Self {
         let parts = if hold_out { whole.independent(PARTS) } else { Vec::new() };
-        // With a single group of similar rows nothing can be held out.
+        // If all rows are in a single group of similar rows, nothing can be held out.
         let can_hold_out = parts.len() > 1;
         let mut held_out_rows = parts.into_iter().next().filter(|_| can_hold_out).unwrap_or_default();
         held_out_rows.sort_unstable();
@@ -107,7 +112,7 @@ impl RowSet {
         }
     }
 
-    /// The instrument with all rows, rejected and held-out ones included.
+    /// The instrument with all rows, including rejected and held-out ones.
     pub(super) fn whole(&self) -> &Instrument {
         &self.whole
     }
@@ -117,15 +122,15 @@ impl RowSet {
         self.whole.part(&without(&self.fitted_rows, &self.rejected))
     }
 
-    /// Records the errors of the nominal robot, with the instrument fitted to it.
+    /// Records the errors of the nominal robot. `model` contains the nominal robot, to which the instrument was fitted.
     ///
     /// # Errors
-    /// [`CalibrateError::Model`] if the scale has no role.
+    /// [`CalibrateError::Model`] if the role of the scale cannot be set.
     pub(super) fn judge_nominal(&mut self, model: &Model) -> Result<(), CalibrateError> {
         self.errors.nominal = self.errors_with(model);
         self.step = implausible::step(&self.whole, model);
         let mut nominal = model.clone();
-        // As where the instrument was placed: the nominal robot has no scale of its own.
+        // Fix the scale, as it was when the instrument was placed. The nominal robot has no scale of its own.
         if nominal.role(ParameterId::Scale).is_some() {
             nominal.set_role(ParameterId::Scale, Role::Fixed)?;
         }
@@ -133,13 +138,13 @@ impl RowSet {
         Ok(())
     }
 
-    /// Records the errors with the best joint offsets, and with the best links.
+    /// Records the errors with the best joint offsets alone, and with the best link parameters.
     pub(super) fn judge_links(&mut self, offsets: Option<&Model>, links: &Model) {
         self.errors.offsets = offsets.map_or_else(Vec::new, |model| self.errors_with(model));
         self.errors.links = self.errors_with(links);
     }
 
-    /// Records the errors with all accepted joint errors; rejects misplaced rows.
+    /// Records the errors with all accepted error terms, and rejects misplaced rows.
     pub(super) fn judge_joints(&mut self, model: &Model) {
         self.errors.joints = self.without_drift().errors(&model.geometry(&[]));
         self.runs = faulty_runs::runs(model, &self.whole, &self.rejected);
@@ -154,9 +159,12 @@ impl RowSet {
         self.rejected.sort_by_key(|rejected| rejected.row);
     }
 
-    /// Rejects rows that are far from both the nominal and the calibrated robot, fitted or held out: a broken beam, a wrong
-    /// target, a misread length. If a calibration predicts poorly, its held-out rows are still near the nominal robot and are
-    /// kept. The nominal robot has no drift here: the drift of a held-out segment is unknown, so its rows would be far from both.
+    /// Rejects rows that are far from both the nominal and the calibrated robot, whether they were fitted or held out.
+    /// Examples are a broken beam, a wrong target or a misread length. If the calibration predicts held-out rows poorly,
+    /// they are still near the nominal robot and are kept.
+    ///
+    /// The errors of the nominal robot are computed without a drift. The drift of a held-out segment is unknown, so its
+    /// rows would be far from both robots.
     pub(super) fn leave_out_gross(&mut self, model: &Model) {
         let mut whole = self.whole.clone();
         whole.adapt(model);
@@ -175,10 +183,12 @@ impl RowSet {
         self.whole.errors(&model.geometry(&[]))
     }
 
-    /// Errors with the drift that predicts left-out ones of these rows best at this model, if any does. With the drift of another
-    /// model, or none, the comparison of both would contain the drift.
+    /// Errors of all rows at this model, with a drift of its own. The drift is the one that predicts left-out rows
+    /// among `rows` best, if any does. With the drift of another model, or without one, a comparison of the two models
+    /// would include the drift.
     fn errors_with_own_drift(&self, model: &Model, rows: &[usize]) -> Result<Vec<PoseError>, CalibrateError> {
         let mut model = model.clone();
+        // `sigma_m` is only the scale of the candidate drifts.
         let without = self.errors_with(&model);
         let sigma_m = rms(rows.iter().filter_map(|&row| Some(without.get(row)?.position_m)));
         let found = drift::find(&mut model, &self.whole, rows, sigma_m)?;
@@ -186,19 +196,19 @@ impl RowSet {
         Ok(corrected.map_or(without, |whole| whole.errors(&model.geometry(&[]))))
     }
 
-    /// The instrument with the drift of its offset removed.
+    /// The instrument, with its lengths corrected for the drift if there is one.
     fn without_drift(&self) -> Instrument {
         let corrected = self.drift.as_ref().and_then(|_| self.whole.longer_by(&self.drift_m));
         corrected.unwrap_or_else(|| self.whole.clone())
     }
 
-    /// Detects outliers among rows of lengths, and a drift of their offset, in a run at its best links with the fitting rows.
-    /// The drift is known in later stages; the errors of the stages so far then exclude a drift, too. The fit of joint offsets
-    /// alone is `offsets`.
+    /// Detects outliers and a drift of the offset in the lengths of a run. The model of the run contains the best link
+    /// parameters for the fitting rows, and `offsets` the best joint offsets alone. Later stages assume this drift. It is
+    /// also removed from the errors of the previous stages.
     ///
-    /// Single gross residuals are rejected from the fit only. Faulty runs are rejected everywhere, but detected from their
-    /// fitting rows only. With a drift, faulty runs are used again: the drift includes the change of their offset. Lengths of
-    /// held-out rows have no influence.
+    /// Single gross residuals are rejected from the fit only. Faulty runs are rejected from fit and statistics, but only
+    /// fitting rows decide where they are. If a drift is found, faulty runs are used again, because the drift includes the
+    /// change of their offset. Lengths of held-out rows have no influence.
     pub(super) fn screen(
         &mut self,
         data_set: usize,
@@ -222,10 +232,10 @@ impl RowSet {
         self.remove_drift(run, offsets, &self.usable_with_drift(&fitting), sigma_m)
     }
 
-    /// Rows that contradict the others at the model of the run, whose rows are the `fitting` ones. Weights all rows by the noise of
-    /// those that its fit kept.
+    /// Rows that contradict the others at the model of the run. The run contains only the `fitting` rows. The noise of all
+    /// rows is estimated from the rows that its fit did not reject.
     fn faulty_rows(&mut self, run: &Run, fitting: &[usize]) -> Vec<RejectedRow> {
-        // The run counts its rows among the fitting ones.
+        // The run counts rows within `fitting`. Convert to row numbers of the file.
         let in_file = |rejected: &RejectedRow| RejectedRow { row: fitting[rejected.row], ..*rejected };
         let rejected_by_fit = run.instrument.rejected().iter().map(in_file).collect::<Vec<_>>();
         let kept = without(fitting, &rejected_by_fit);
@@ -234,7 +244,7 @@ impl RowSet {
         faulty(&residuals_m, &self.whole.relative_noise(), fitting, &kept)
     }
 
-    /// Removes a drift from the lengths of the run, if these rows show one; they are then its rows.
+    /// Removes a drift from the lengths, if these `rows` show one. In this case the run contains these rows afterwards.
     fn remove_drift(
         &mut self,
         run: &mut Run,
@@ -258,7 +268,7 @@ impl RowSet {
         Ok(())
     }
 
-    /// Rows without those that are outliers even with a drift.
+    /// Removes the rows that are outliers even if there is a drift, that is, all rejected rows except faulty runs.
     fn usable_with_drift(&self, rows: &[usize]) -> Vec<usize> {
         without(rows, &self.rejected_where(|why| !matches!(why, Rejection::FaultyRun { .. })))
     }
@@ -267,7 +277,8 @@ impl RowSet {
         self.rejected.iter().filter(|rejected| wanted(rejected.why)).copied().collect()
     }
 
-    /// The instrument with all valid rows, including held-out ones, for the last fit.
+    /// The instrument with all valid rows, including held-out ones, for the last fit. `model` is at the solution
+    /// of the fitted rows.
     pub(super) fn everything(&mut self, model: &Model) -> Result<Instrument, CalibrateError> {
         let all: Vec<usize> = (0..self.whole.samples()).collect();
         if let Some(drift) = &self.drift {
@@ -275,7 +286,7 @@ impl RowSet {
             self.drift_m = drift::fit(&mut model.clone(), &self.whole, &self.given, drift)?;
             return Ok(self.without_drift().part(&self.given));
         }
-        // The last fit may use rows again that did not fit the best links, if it detects outliers itself.
+        // If the fit detects outliers itself, it may use rows again that did not fit the best link parameters.
         let fit_detects_gross = self.whole.judges_gross();
         let unusable = self.rejected_where(|why| match why {
             Rejection::FlangeContradicts { .. } => true,
@@ -286,8 +297,8 @@ impl RowSet {
         Ok(self.whole.part(&self.given))
     }
 
-    /// Robot minus measurement in every row at the last solution, with the reason if the row was excluded; `run` is its data
-    /// set.
+    /// Robot minus measurement of every row at the last solution. If the row was excluded, also the reason. `run` is the
+    /// data set of these rows.
     pub fn deviations(&self, run: &Run) -> Vec<(Deviation, Option<Rejection>)> {
         let geometry = run.model.geometry(&[]);
         let deviations = self.without_drift().deviations(&geometry);
@@ -302,13 +313,14 @@ impl RowSet {
         all
     }
 
-    /// Factor by which the robot's standard deviations from all rows exceed those for a known drift.
+    /// Factor that corrects standard deviations of the robot from a fit that assumed the drift to be known. At least 1.
+    /// `sigma_m` is the residual standard deviation of that fit \[m\].
     pub(super) fn widens(&self, model: &Model, sigma_m: f64) -> Result<f64, CalibrateError> {
         let Some(drift) = &self.drift else { return Ok(1.0) };
         drift::widens(model, &self.whole, &self.given, drift, sigma_m)
     }
 
-    /// Statistics of the chosen rows, per stage.
+    /// Statistics of the errors of the chosen rows after each stage.
     fn figures(&self, chosen: &[usize]) -> Stages {
         let of =
             |errors: &[PoseError]| PoseFigures::of(chosen.iter().filter_map(|&row| errors.get(row).copied()));
@@ -316,18 +328,19 @@ impl RowSet {
         Stages { nominal: of(nominal), offsets: of(offsets), links: of(links), joints: of(joints) }
     }
 
-    /// Errors of the rows that the fit used, without rejected ones.
+    /// Statistics of the rows that the fit used, without rejected rows.
     pub fn fitted(&self) -> Stages {
         self.figures(&without(&self.fitted_rows, &self.rejected))
     }
 
-    /// Errors of held-out rows, without rejected ones (contradictory data, faulty runs, gross or misplaced rows).
+    /// Statistics of the held-out rows, without rejected rows (contradictory data, faulty runs,
+    /// gross residuals, misplaced rows).
     pub fn held_out(&self) -> Stages {
         self.figures(&without(&self.held_out_rows, &self.rejected))
     }
 
-    /// Number of independent errors among all held-out rows: those of one pose, segment or region share theirs along each measured
-    /// direction.
+    /// Number of independent errors among all held-out rows. Rows of the same pose, segment or region share one error
+    /// along each measured direction.
     pub fn independent_held_out(&self) -> usize {
         let rows = self.whole.part(&self.held_out_rows);
         let of_group = if rows.lengths_m().is_empty() { INDEPENDENT_OF_GROUP } else { 1 };
@@ -335,7 +348,7 @@ impl RowSet {
         (of_group * groups.len()).min(rows.samples())
     }
 
-    /// Errors of all held-out rows.
+    /// Statistics of all held-out rows, including rejected ones.
     pub fn held_out_with_rejected(&self) -> Stages {
         self.figures(&self.held_out_rows)
     }

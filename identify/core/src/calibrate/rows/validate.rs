@@ -1,4 +1,4 @@
-//! Validation of a calibrated robot with rows that were not used for the calibration.
+//! Validation of a calibrated robot with rows that were not used in its calibration.
 
 use shared::config::RobotConfig;
 
@@ -9,22 +9,22 @@ use crate::instrument::{HoldOut, Instrument, PoseError, RowError, Rows, gross_ro
 use crate::kinematics::flange_chain;
 use crate::model::Model;
 
-/// Errors of a nominal and a calibrated robot for validation rows.
+/// Errors of the nominal and of the calibrated robot for validation rows.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Validated {
     /// Statistics with the nominal robot, then with the calibrated one.
     pub figures: [PoseFigures; 2],
-    /// Outliers for both robots, which are excluded from the statistics.
+    /// Rows that are outliers for both robots. They are excluded from the statistics.
     pub gross: Vec<usize>,
 }
 
-/// Compares validation rows with the nominal and with a calibrated robot. The model must be that of a file of rows.
+/// Compares validation rows with the nominal and with a calibrated robot. `calibrated` must be a model for a file of rows.
 ///
-/// The instrument has a new pose and mounting. Its parameters are estimated from four fifths of the rows, and errors are
-/// computed for the last fifth, in turn. The robot is not changed.
+/// The robot is not changed, but the instrument has a new pose and mounting. These are estimated from four fifths of the
+/// rows, and the errors of the last fifth are computed. This is repeated for each fifth.
 ///
 /// # Errors
-/// [`CalibrateError`] if the rows are too few, or do not determine the pose of the instrument.
+/// [`CalibrateError`] if there are too few rows, or if they do not determine the pose of the instrument.
 pub fn validate(
     instrument: &Instrument,
     robot: &RobotConfig,
@@ -49,7 +49,7 @@ pub fn validate(
     Ok(Validated { figures, gross })
 }
 
-/// Errors of each row for a robot, with the instrument placed by the other parts.
+/// Errors of each row for a robot. The rows of the other parts determine the pose of the instrument.
 fn predicted(instrument: &Instrument, robot: &Model) -> Result<Vec<PoseError>, CalibrateError> {
     let mut errors = vec![PoseError::default(); instrument.samples()];
     for left_out in instrument.independent(PARTS) {
