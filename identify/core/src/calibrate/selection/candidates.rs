@@ -1,5 +1,5 @@
-//! The groups of optional terms that a calibration tries: with a ball-bar those of the configuration, with files of rows, in which
-//! the robot is at rest in each pose, those of this file. `choose` tries them.
+//! The groups of optional error terms that a calibration tries. With a ball-bar, the configuration defines them. With files
+//! of rows, in which the robot is at rest in each pose, this file defines them. `choose` tries the groups.
 
 use super::terms::CandidateGroup;
 use crate::calibrate::rows::WAVES_PER_TURN_MAX;
@@ -7,8 +7,8 @@ use crate::calibrate::{CalibrateError, DataSets, IdentifyConfig, SelectionName};
 use crate::instrument::Run;
 use crate::model::{Model, ParameterId, Phase, Role, TermGroup, Waves};
 
-/// Groups of terms to try. Without a ball-bar the models receive waves of the robot's axes, up to an order limited by the
-/// number of rows.
+/// Groups of terms to try. Without a ball-bar, waves of the robot's axes are added to the models. The number of
+/// rows limits their order.
 pub(in crate::calibrate) fn candidate_groups(
     data: &DataSets<'_>,
     runs: &mut [Run],
@@ -33,8 +33,8 @@ pub(in crate::calibrate) fn candidate_groups(
     Ok(groups)
 }
 
-/// Highest order of joint waves to try: left-out groups could not support more than one amplitude per four measured values of
-/// each axis.
+/// Highest order of joint waves to try. It leaves at least four measured values for each amplitude of each axis, because
+/// left-out groups could not confirm more amplitudes.
 fn waves_per_turn(measured: usize, axes: usize) -> u8 {
     const MEASURED_PER_WAVE: usize = 4;
     let orders = measured / (MEASURED_PER_WAVE * Phase::ALL.len() * axes.max(1));
@@ -42,7 +42,7 @@ fn waves_per_turn(measured: usize, axes: usize) -> u8 {
 }
 
 impl IdentifyConfig {
-    /// Groups of terms that are tried in addition to the selection.
+    /// Groups of terms to try in addition to the parameters of the selection.
     pub fn candidates(&self) -> Vec<TermGroup> {
         if self.selection == SelectionName::Thesis {
             return Vec::new();
@@ -54,7 +54,8 @@ impl IdentifyConfig {
         groups
     }
 
-    /// [`Self::candidates`] with the model's parameters that its samples determine and that are not freed or fixed by name.
+    /// [`Self::candidates`] with their parameters in the model. Parameters that the samples do not determine, or that the
+    /// configuration frees or fixes by name, are omitted.
     pub fn groups(&self, model: &Model, identifies: impl Fn(ParameterId) -> bool) -> Vec<CandidateGroup> {
         let group = |group: TermGroup| {
             let open = model
@@ -77,8 +78,8 @@ fn joint_terms(wanted: &[TermGroup]) -> Vec<ParameterId> {
     ParameterId::all().filter(|id| id.term().is_some_and(|group| wanted.contains(&group))).collect()
 }
 
-/// Groups of joint errors without a ball-bar, restricted to the parameters for which `offered` is true. Each group has candidate
-/// standard deviations of its prior.
+/// Groups of joint error terms for files of rows. They contain only the parameters for which `offered` is true, and waves
+/// up to the order `waves_last`. For each group several standard deviations of its prior are tried.
 pub(crate) fn groups(waves_last: u8, offered: impl Fn(&ParameterId) -> bool) -> Vec<CandidateGroup> {
     const ANGLES_RAD: &[f64] = &[20e-6, 100e-6, 500e-6];
     const RATIOS: &[f64] = &[20e-6, 100e-6, 500e-6];
@@ -99,11 +100,11 @@ pub(crate) fn groups(waves_last: u8, offered: impl Fn(&ParameterId) -> bool) -> 
     groups
 }
 
-/// Bands of waves per turn that are tried together: eccentric gears, encoders and flexsplines, fine teeth.
+/// Bands of waves that are tried together, in waves per turn: eccentric gears; encoders and flexsplines; fine teeth.
 const BANDS: [std::ops::RangeInclusive<u8>; 3] =
     [*Waves::OF_AXIS.start()..=10, 11..=30, 31..=*Waves::OF_AXIS.end()];
 
-/// The waves of a band up to order `last`; `None` if there are none.
+/// The waves of a band up to the order `last`. `None` if the band begins above `last`.
 fn waves_of_band(band: &std::ops::RangeInclusive<u8>, last: u8) -> Option<CandidateGroup> {
     const SIGMAS_RAD: &[f64] = &[10e-6, 20e-6, 50e-6, 100e-6];
     let (first, last) = (*band.start(), last.min(*band.end()));

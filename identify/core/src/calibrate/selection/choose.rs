@@ -1,5 +1,9 @@
-//! Choice of the error terms that a calibration contains, and of the widths of its priors. From the models near their solution it
-//! sets the roles of terms and the sigmas of priors; the tests on left-out data are in `terms`. Steps of `pipeline::estimate`.
+//! Chooses the error terms that a calibration contains, and the widths of its priors. Input: models near their solution.
+//! The functions set the roles of the terms and the sigmas of the priors. `terms` contains the tests on left-out data.
+//! `pipeline::estimate` calls these functions as its steps.
+//!
+//! A group of terms is offered if it is tried: its terms have priors while the normal equations are computed. An offer is
+//! accepted or rejected as a whole.
 
 use std::collections::BTreeMap;
 
@@ -12,22 +16,23 @@ use crate::model::{ModelError, ParameterId, Role, TermGroup};
 use crate::solver::{Loss, Normals, Prior, Solution};
 use crate::statistics::mean;
 
-/// Parameters whose priors have a common scale, which the samples determine.
+/// Parameters whose priors are multiplied by a common factor, which is estimated from the samples.
 #[derive(Debug, Clone)]
 pub(in crate::calibrate) struct CommonPrior {
-    /// Configured standard deviations.
+    /// Configured standard deviation of the prior of each parameter.
     pub sigmas: BTreeMap<ParameterId, f64>,
-    /// Candidate factors of all of them.
+    /// Factors to try, common to all these standard deviations.
     pub scales: &'static [f64],
 }
 
 impl CommonPrior {
-    /// Factors for the harmonics of the bar's encoders.
+    /// Factors to try for the harmonics of the bar's encoders.
     pub const HARMONICS: &'static [f64] = &[2.0, 1.0, 0.5, 0.2, 0.1, 0.05, 0.02];
-    /// Factors for the offsets of joints: within the tolerance of links, or set by hand with errors up to a degree (cobots).
+    /// Factors to try for the offsets of joints. They are within the tolerance of links, or were set by hand with errors of
+    /// up to a degree (cobots).
     pub const ZEROS: &'static [f64] = &[1.0, 2.0, 5.0, 10.0, 20.0];
 
-    /// The prior of those of these parameters that have one in any model.
+    /// The common prior of those of the parameters `ids` that have a prior in any model.
     pub fn new(runs: &[Run], ids: impl Iterator<Item = ParameterId>, scales: &'static [f64]) -> Self {
         let sigma = |id: ParameterId| {
             runs.iter().find_map(|run| match run.model.role(id)? {
@@ -39,14 +44,15 @@ impl CommonPrior {
     }
 }
 
-/// Normal equations without any of the offered terms, and the groups of terms to try.
+/// Groups of terms to try, with the normal equations for a solution that contains none of these terms.
 struct Offered {
-    /// Identifiers of the columns.
+    /// Parameter of each column.
     ids: Vec<ParameterId>,
-    /// Columns that are always included.
+    /// Columns that are included in each solution.
     always: Vec<usize>,
+    /// The groups of terms, as columns.
     offers: Vec<Offer>,
-    /// `None` if residuals are not finite.
+    /// Normal equations of the held-out groups. `None` if residuals are not finite.
     normals: Option<Normals>,
 }
 
@@ -55,7 +61,7 @@ impl Offered {
         (0..self.ids.len()).filter(|column| wanted.contains(&self.ids[*column]))
     }
 
-    /// Results for the offers; empty if residuals are not finite.
+    /// Selects among the offers and returns their results. Empty if residuals are not finite.
     fn results(&self, select: fn(&Normals, &[usize], &[Offer]) -> Vec<OfferResult>) -> Vec<OfferResult> {
         let normals = self.normals.as_ref();
         normals.map_or_else(Vec::new, |normals| select(normals, &self.always, &self.offers))
@@ -63,8 +69,8 @@ impl Offered {
 }
 
 impl Solver<'_> {
-    /// Tries each group of terms on held-out groups of samples, then single axes of the rejected ones; sets the priors of
-    /// accepted terms, and chooses the scale of tolerances.
+    /// Tries each group of terms on held-out groups of samples, then the single axes of rejected groups. Sets the priors of
+    /// accepted terms. Also chooses the factor of the tolerances, which is returned together with the results.
     pub(in crate::calibrate) fn choose_terms(
         &mut self,
         solution: &Solution,
@@ -77,7 +83,8 @@ impl Solver<'_> {
         self.leave_out(&self.waves.only_without_a_fold())?;
         let mut report = Vec::new();
         let mut accepted = self.apply(&groups, &offered, &results, &mut report)?;
-        // The orders of a line spectrum were detected in these samples: no test of the same samples can confirm them.
+        // A rejected line spectrum is not tried by axis. Its orders were detected in the same samples, so a test of these
+        // samples cannot confirm them.
         let rejected: Vec<&CandidateGroup> = results
             .iter()
             .filter(|result| !result.accepted)
@@ -90,7 +97,7 @@ impl Solver<'_> {
         Ok((report, scale))
     }
 
-    /// Detects the waves of a line spectrum that is to be tried without parameters, and adds them to its group.
+    /// If the line spectrum is to be tried but has no parameters, detects its waves and adds them to its group.
     fn add_detected_waves(
         &mut self,
         groups: &mut [CandidateGroup],
@@ -102,7 +109,7 @@ impl Solver<'_> {
         self.detect_line_spectrum(weights)?;
         spectrum.ids.clone_from(&self.waves.in_all);
         if !spectrum.ids.is_empty() {
-            // Waves that are detected in only a part of the samples are used only to predict single folds.
+            // Waves that were detected only without some fold are used only to predict that fold.
             self.set_roles(
                 &self.waves.only_without_a_fold(),
                 Role::Prior { value: 0.0, sigma: spectrum.sigma },
@@ -111,7 +118,7 @@ impl Solver<'_> {
         Ok(())
     }
 
-    /// Tries the terms of each rejected group axis by axis. Returns the accepted terms.
+    /// Tries the terms of rejected groups separately for each axis. Returns the terms that are accepted.
     fn choose_axes(
         &mut self,
         rejected: &[&CandidateGroup],
@@ -126,11 +133,11 @@ impl Solver<'_> {
         self.apply(&axes, &offered, &offered.results(select_axes), report)
     }
 
-    /// Includes rejected terms in the uncertainty of solves with other instruments than ball-bars.
+    /// Considers rejected terms as a source of uncertainty, unless all data sets are ball-bar runs.
     ///
-    /// Rejected terms except waves of high order resemble link errors. They are assumed to have the smallest usual size, since
-    /// left-out groups did not require more. Encoders of a bar separate terms from links: the stated uncertainty of ball-bar runs
-    /// is correct without rejected terms (for 95 % of 185 simulated runs).
+    /// Except waves of high order, rejected terms resemble errors of links. They are assumed to have the smallest size that
+    /// was tried, because left-out groups did not require more. With a ball-bar, the encoders separate error terms from
+    /// links. The stated uncertainty is then correct without rejected terms (for 95 % of 185 simulated runs).
     fn consider_rejected(
         &mut self,
         rejected: &[&CandidateGroup],
@@ -147,8 +154,8 @@ impl Solver<'_> {
         Ok(())
     }
 
-    /// Scales the priors of tolerances by the factor at which left-out groups are predicted best, and returns it. The scales of
-    /// terms are chosen before; priors stated by the user are not changed.
+    /// Multiplies the priors of the tolerances by the factor that predicts left-out groups best. Returns the factor. The
+    /// factors of terms have been chosen before. Priors stated by the user are not changed.
     fn widen_tolerances(&mut self, offered: &Offered, accepted: &[ParameterId]) -> Result<f64, ModelError> {
         let Plan { tolerances, .. } = self.plan;
         let Some(normals) = offered.normals.as_ref().filter(|_| !tolerances.is_empty()) else {
@@ -160,8 +167,8 @@ impl Solver<'_> {
         Ok(scale)
     }
 
-    /// An axial force elongates the bar as a spring, or takes up its play. If play predicts left-out groups better, it is freed
-    /// instead of compliance.
+    /// Chooses between play and compliance of the bar: an axial force either takes up the play or elongates the bar as a
+    /// spring. If play predicts left-out groups better, it is free instead of compliance. Returns whether this is so.
     pub(in crate::calibrate) fn replaces_compliance_by_play(
         &mut self,
         loss: Loss,
@@ -177,7 +184,7 @@ impl Solver<'_> {
         let (columns, ids, normals) = self.normals_here(loss, HELD_OUT)?;
         let error_without = |excluded: ParameterId| {
             let kept: Vec<usize> = (0..ids.len()).filter(|column| ids[*column] != excluded).collect();
-            // Compliance has its estimated value; without compliance it is zero.
+            // `about` has the estimated value of the compliance if it is included. Without it, its value is zero.
             let mut about = self.start(&columns);
             about.iter_mut().zip(&ids).filter(|(_, id)| **id == excluded).for_each(|(value, _)| *value = 0.0);
             let normals = normals.as_ref()?.about(&about);
@@ -192,8 +199,8 @@ impl Solver<'_> {
         Ok(play_is_better)
     }
 
-    /// Gives the terms of all groups their priors, and linearises at the models without any of them, at the current weights.
-    /// Groups without columns are removed.
+    /// Sets the priors of the terms of all groups. Then linearises at the current weights, at the models with all these
+    /// terms set to zero. Groups without columns are removed. `count` is the number of folds.
     fn offer(
         &mut self,
         groups: &mut Vec<CandidateGroup>,
@@ -207,7 +214,7 @@ impl Solver<'_> {
         let mut offered = Offered { ids, always: Vec::new(), offers: Vec::new(), normals: None };
         groups.retain(|group| offered.columns_of(&group.ids).next().is_some());
         let offer_of = |group: &CandidateGroup| {
-            // The waves of each fold's prediction.
+            // The waves of a line spectrum with which each fold is predicted.
             let without = self.waves.without_fold.iter().filter(|_| group.group == TermGroup::LineSpectrum);
             Offer {
                 columns: offered.columns_of(&group.ids).collect(),
@@ -225,7 +232,8 @@ impl Solver<'_> {
         Ok(offered)
     }
 
-    /// Gives accepted terms their priors and leaves out the others. Returns the accepted ones.
+    /// Sets the priors of accepted terms and excludes the others. Adds a line for each result to `report`.
+    /// Returns the accepted terms.
     fn apply(
         &mut self,
         groups: &[CandidateGroup],
@@ -263,7 +271,7 @@ impl Solver<'_> {
         Ok(self.set_to_zero(ids)?)
     }
 
-    /// Adds to all models the axis waves that are detected in the residuals.
+    /// Adds the waves that are detected in the residuals to all models.
     fn detect_line_spectrum(&mut self, weights: &[f64]) -> Result<(), CalibrateError> {
         let mut spectrum = LineSpectrum::default();
         let columns = self.columns();
@@ -284,9 +292,11 @@ impl Solver<'_> {
         Ok(())
     }
 
-    /// Sets each common prior to the width under which the samples are most probable (empirical Bayes: type-II maximum
-    /// likelihood, Berger 1985); correlated errors are counted once. Then harmonics of encoders without eccentricity do not
-    /// increase the uncertainty, and a configured width that is too small does not bias them.
+    /// Sets each common prior to the width for which the samples are most probable (empirical Bayes: type-II maximum
+    /// likelihood, Berger 1985). Accounts for correlated errors.
+    ///
+    /// If encoders have no eccentricity, their harmonics then do not increase the uncertainty. If the configured width is
+    /// too small, it does not bias them.
     pub(in crate::calibrate) fn fit_common_priors(&mut self, loss: Loss) -> Result<(), CalibrateError> {
         let plan = self.plan;
         if plan.common.is_empty() {
@@ -313,7 +323,8 @@ impl Solver<'_> {
         Ok(())
     }
 
-    /// Changes the standard deviations of priors; `sigma` is given the present one and returns the new one, or `None`.
+    /// Changes the standard deviations of priors. `sigma` receives the present standard deviation and returns the new one,
+    /// or `None` for no change.
     fn set_sigmas(&mut self, sigma: impl Fn(ParameterId, f64) -> Option<f64>) -> Result<(), ModelError> {
         for Run { model, .. } in &mut *self.runs {
             let priors: Vec<(ParameterId, Role)> =

@@ -1,15 +1,16 @@
-//! Detects waves of the robot's axes in the residuals of a solution: errors of gears whose numbers of teeth or lobes are
-//! unknown. `choose` tries the detected orders as terms.
+//! Detects waves of the robot's axes in the residuals of a solution. They are errors of gears whose numbers of teeth or
+//! lobes are unknown. `choose` tries the detected orders as error terms. An order is a number of waves per turn of a drive.
 //!
-//! An error `a sin(n g) + b cos(n g)` of a drive at angle `g` adds `(a sin(n g) + b cos(n g)) J` to a residual `r`; `J` is the
-//! derivative of the residual by the drive's angle. The decrease of the sum of squares for the best `a` and `b`, over all
-//! orders `n`, is a periodogram of the residuals over the drive's angle (Lomb 1976, weighted with `J`). The strongest wave is
-//! fitted and subtracted, then the next one is detected (orthogonal matching pursuit, Pati 1993), because axes that move
-//! together show each other's waves. The residuals are orthogonal to the solved parameters. Parameters that resemble a wave can
-//! therefore hide it but not create it.
+//! An error `a sin(n g) + b cos(n g)` of a drive at angle `g` adds `(a sin(n g) + b cos(n g)) J` to a residual `r`. `J` is
+//! the derivative of the residual by the drive's angle. The best `a` and `b` decrease the sum of squares. This decrease, as
+//! a function of the order `n`, is a periodogram of the residuals over the drive's angle (Lomb 1976, weighted with `J`).
 //!
-//! Orders are detected in all samples, and again without each fold of the samples, so that no fold confirms an order that was
-//! detected in it. All detections use sums over the samples of each fold, which are computed once.
+//! Axes that move together show each other's waves. Therefore the strongest wave is fitted and subtracted before the next
+//! one is detected (orthogonal matching pursuit, Pati 1993). The residuals are orthogonal to the parameters of the
+//! solution. Parameters that resemble a wave can therefore hide it, but they cannot create one.
+//!
+//! Orders are detected in all samples, and again without each fold of the samples. In this way a fold never confirms an
+//! order that was detected in it. All detections use the same sums over the samples of each fold, which are computed once.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::TAU;
@@ -23,36 +24,39 @@ use crate::model::{DriveTrain, JointState, JointTerm, Model, ParameterId, Period
 use crate::solver::{Subset, stacked};
 use crate::statistics::extremes;
 
-/// Maximum number of samples of a run: a wave that needs more samples is too small to matter.
+/// Maximum number of samples of a run. A wave that is significant only with more samples is too small to matter.
 const SAMPLES_MAX: usize = 3000;
 const ORDER_MIN: u8 = *Waves::OF_AXIS.start();
 const ORDERS: usize = (*Waves::OF_AXIS.end() - ORDER_MIN + 1) as usize;
-/// Detection limit, relative to the noise variance. The decrease due to one wave in white noise is chi-squared with two
-/// degrees of freedom. Some 700 tries exceed the limit by chance with a probability of one in ten thousand.
+/// Minimum decrease of the sum of squares, relative to the noise variance. In white noise, the decrease due to one wave
+/// is chi-squared with two degrees of freedom. The probability that any of about 700 waves exceeds the limit by chance is
+/// one in ten thousand.
 const DETECTION_LIMIT: f64 = 32.0;
 /// Median of the chi-squared distribution with two degrees of freedom.
 const CHI_SQUARED_MEDIAN: f64 = 1.386;
-/// Highest order of the waves once and twice per turn, which are terms of every axis.
+/// Highest order of the waves that are other error terms of every axis: once and twice per turn.
 const SLOW_ORDER_MAX: f64 = 2.0;
-/// Maximum number of waves of one axis: the order itself, twice that, and another stage of the gear.
+/// Maximum number of waves of one axis: an order, twice this order, and the order of another gear stage.
 const WAVES_MAX: usize = 3;
 
-/// A wave of an axis: axis from 0, order (waves per turn).
+/// A wave: index of its axis from 0, and its order.
 type AxisWave = (usize, u8);
 
 /// Sums of `J^T J` times `sin^2`, `sin cos` and `cos^2` of one wave.
 type WaveNormal = [f64; 3];
 
-/// Products of one wave of axis `b` with all waves: sums of `J_a^T J_b` times a sine or cosine of each, by axis `a`, order and
-/// phase of the other wave, and phase of this wave.
+/// Products of one wave with all waves: sums of `J_a^T J_b` times the sine or cosine of each of the two. `b` is the
+/// axis of this wave.
+///
+/// Indices: axis `a` of the other wave, its order, its phase, and the phase of this wave.
 type Cross = Vec<[[[f64; 2]; 2]; ORDERS]>;
 
-/// Detected waves, with sine and cosine parameters of each.
+/// Detected waves. Each has a sine and a cosine parameter.
 #[derive(Debug, Clone, Default)]
 pub(in crate::calibrate) struct DetectedWaves {
     /// Waves detected in all samples together.
     pub in_all: Vec<ParameterId>,
-    /// For each fold, the waves detected in the other folds. This fold may confirm them.
+    /// For each fold, the waves detected in the other folds. Only these waves are used to predict the fold.
     pub without_fold: Vec<Vec<ParameterId>>,
 }
 
@@ -64,7 +68,7 @@ impl DetectedWaves {
         all.into_iter().collect()
     }
 
-    /// Waves detected without some fold, but not in all samples together.
+    /// Waves that were detected without some fold, but not in all samples together.
     pub fn only_without_a_fold(&self) -> Vec<ParameterId> {
         self.ids().into_iter().filter(|id| !self.in_all.contains(id)).collect()
     }
@@ -74,7 +78,8 @@ impl DetectedWaves {
         self.without_fold.iter_mut().chain([&mut self.in_all]).for_each(|ids| ids.retain(&wanted));
     }
 
-    /// Adds waves that were detected later. The present ones stay: they were fitted, so the residuals no longer contain them.
+    /// Adds waves that were detected later. Waves detected before are kept: they were fitted, so the residuals
+    /// no longer contain them.
     pub fn extend(&mut self, others: Self) {
         let add = |own: &mut Vec<ParameterId>, new: Vec<ParameterId>| {
             own.retain(|id| !new.contains(id));
@@ -86,7 +91,8 @@ impl DetectedWaves {
     }
 }
 
-/// Products of one sample's residuals `r` and their derivatives `J` by the drives' angles, multiplied by its weight.
+/// Products of the residuals `r` of one sample with their derivatives `J` by the drives' angles, multiplied
+/// by the sample's weight.
 #[derive(Debug)]
 struct SampleProducts {
     fold: usize,
@@ -96,19 +102,22 @@ struct SampleProducts {
     jtj: Vec<Joints>,
     /// The vector `J^T r`.
     jtr: Joints,
-    /// The square `r^T r`.
+    /// The squared norm `r^T r`.
     squared: f64,
     /// Number of entries of `r`.
     rows: f64,
 }
 
-/// Sums over the samples of some folds, for all waves (axis, order).
+/// Sums over the samples of some folds, for each axis and order.
 #[derive(Debug, Clone)]
 struct Sums {
+    /// Sum of `r^T r`.
     squared: f64,
+    /// Number of residuals in these samples.
     rows: f64,
     /// Sums of `J^T r` times sine and cosine.
     gradients: Vec<[[f64; 2]; ORDERS]>,
+    /// Sums of `J^T J` times products of sine and cosine.
     normals: Vec<[WaveNormal; ORDERS]>,
 }
 
@@ -152,21 +161,22 @@ fn add_each(sums: &mut [f64], values: &[f64]) {
     sums.iter_mut().zip(values).for_each(|(sum, value)| *sum += value);
 }
 
-/// Samples of all runs, with their folds.
+/// Products of the samples of all runs, with their folds.
 #[derive(Debug, Default)]
 pub(in crate::calibrate) struct LineSpectrum {
     samples: Vec<SampleProducts>,
+    /// Number of folds of all runs.
     folds: usize,
-    /// Orders that are separate terms of the model.
+    /// Waves that are already other terms of the model.
     separate: BTreeSet<AxisWave>,
 }
 
 impl LineSpectrum {
-    /// Adds the samples of a run at its model's values, with their weights; `folds` are groups of samples that are left out in
-    /// turn.
+    /// Adds the samples of a run at the values of its model. `sigma` is the standard deviation of its residuals, and
+    /// `weights` contains the weight of each sample. `folds` are the groups of samples that are left out in turn.
     ///
     /// # Errors
-    /// [`CostError`] if the samples do not fit the cost.
+    /// [`CostError`] if the samples lack data that the cost needs.
     pub fn add(
         &mut self,
         Run { instrument, model }: &Run,
@@ -182,7 +192,7 @@ impl LineSpectrum {
         let Some(joint_model) = joints_only(model) else { return Ok(()) };
         let problem = instrument.data_set(&joint_model, sigma)?;
         let every = problem.samples().div_ceil(SAMPLES_MAX).max(1);
-        // Sample, fold, weight and reported joints. Samples without a value have weight zero.
+        // Sample, fold, weight and reported joints. Samples without a value have weight zero and are omitted.
         let mut present: Vec<(usize, usize, f64, JointState)> = folds
             .iter()
             .enumerate()
@@ -202,7 +212,7 @@ impl LineSpectrum {
         }
         for (number, (_, fold, weight, state)) in present.into_iter().enumerate() {
             let rows = number * per_sample..(number + 1) * per_sample;
-            // `J`, from the derivatives by the joints.
+            // An entry of `J`: the derivative of a residual by a drive's angle, from its derivatives by the joints.
             let by_drive = |row: usize, axis: usize| -> f64 {
                 let by_joints = jacobian.row(row);
                 let joint_from_drive = drives.joint_from_drive[axis].iter();
@@ -227,7 +237,7 @@ impl LineSpectrum {
         Ok(())
     }
 
-    /// Detects the waves that exceed the noise and the other waves of their axis.
+    /// Detects the waves that exceed both the noise and the median wave of their axis.
     pub fn detect(&self) -> DetectedWaves {
         let axes = self.samples.first().map_or(0, |sample| sample.angles_rad.len());
         let mut folds = vec![Sums::zeros(axes); self.folds];
@@ -241,13 +251,13 @@ impl LineSpectrum {
         }
     }
 
-    /// Minimum difference of orders that can be distinguished over the travel of a drive.
+    /// Minimum difference of two orders that can be distinguished over the travel of the drive.
     fn order_distance_min(&self, axis: usize) -> f64 {
         let [low, high] = extremes(self.samples.iter().map(|sample| sample.angles_rad[axis]));
         (TAU / (high - low)).ceil()
     }
 
-    /// Cross products of a wave with all waves, in each fold.
+    /// Cross products of one wave with all waves, for each fold.
     fn crosses(&self, (axis, order): AxisWave) -> Vec<Cross> {
         let axes = self.samples.first().map_or(0, |sample| sample.angles_rad.len());
         let mut crosses = vec![vec![[[[0.0; 2]; 2]; ORDERS]; axes]; self.folds];
@@ -267,18 +277,20 @@ impl LineSpectrum {
     }
 }
 
-/// The detection in all folds, and in all folds except one.
+/// State of the detections with all folds and without each fold.
 struct WaveDetection<'a> {
     spectrum: &'a LineSpectrum,
+    /// Sums of each fold.
     folds: Vec<Sums>,
-    /// Minimum difference of distinguishable orders on each axis.
+    /// For each axis, the minimum difference of orders that can be distinguished.
     order_distances_min: Vec<f64>,
-    /// Cross products of waves that were detected in some folds.
+    /// Cross products of the waves that any detection has found so far.
     crosses: BTreeMap<AxisWave, Vec<Cross>>,
 }
 
 impl WaveDetection<'_> {
-    /// The waves detected in all folds, or in all folds except `without`.
+    /// Detects waves in all folds except `without`, or in all folds. Returns the parameters of waves that are
+    /// not other terms already.
     fn detect(&mut self, without: Option<usize>) -> Vec<ParameterId> {
         let is_used = |fold: &usize| Some(*fold) != without;
         let folds: Vec<usize> = (0..self.folds.len()).filter(is_used).collect();
@@ -297,12 +309,13 @@ impl WaveDetection<'_> {
             .collect()
     }
 
-    /// The strongest wave in the residuals, if it is significant.
+    /// The strongest wave in the residuals, if it is significant. `None` otherwise.
     fn strongest(&self, residual: &Sums, found: &[AxisWave]) -> Option<AxisWave> {
         let is_new = |&(_, (axis, order)): &(f64, AxisWave)| {
             let of_axis = found.iter().filter(|wave| wave.0 == axis);
-            // Over a part of a turn a wave resembles waves of neighbouring orders. The neighbours of detected waves are therefore
-            // excluded, and those of one and two waves per turn, which are other terms and may not have been fitted yet.
+            // Over less than a turn, a wave resembles waves of neighbouring orders. Therefore exclude the neighbours of
+            // waves that were detected. Also exclude the neighbours of one and two waves per turn: these are other terms,
+            // which may not have been fitted yet.
             let mut distances = of_axis.clone().map(|wave| f64::from(wave.1.abs_diff(order)));
             let distance_min = self.order_distances_min[axis];
             let is_slow = f64::from(order) <= SLOW_ORDER_MAX + distance_min;
@@ -312,7 +325,7 @@ impl WaveDetection<'_> {
         };
         let variance = residual.squared / residual.rows.max(1.0);
         let of_axes = residual.gradients.iter().zip(&residual.normals).enumerate();
-        // Ratio to the noise, and wave.
+        // Significant waves, each with its ratio to the noise.
         let significant = of_axes.flat_map(|(axis, (gradients, normals))| {
             let orders = significant_orders(gradients, normals, variance).into_iter();
             orders.map(move |(ratio, order)| (ratio, (axis, order)))
@@ -320,7 +333,7 @@ impl WaveDetection<'_> {
         significant.filter(is_new).max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, wave)| wave)
     }
 
-    /// Sums after a joint fit of these waves to the residuals of some folds; `None` if the waves are not separable.
+    /// Sums after a joint fit of the `waves` to the residuals of the `folds`. `None` if the waves cannot be separated.
     fn subtract(&self, all: &Sums, waves: &[AxisWave], folds: &[usize]) -> Option<Sums> {
         let crosses: Vec<Cross> = waves.iter().map(|wave| sum_over(&self.crosses[wave], folds)).collect();
         let index = |order: u8| usize::from(order - ORDER_MIN);
@@ -357,7 +370,7 @@ fn sum_over(crosses: &[Cross], folds: &[usize]) -> Cross {
     sum
 }
 
-/// Orders of an axis that are significant in residuals of this variance, with the ratio to the noise.
+/// Orders of an axis that are significant for this variance of the residuals, each with its ratio to the noise.
 fn significant_orders(
     gradients: &[[f64; 2]; ORDERS],
     normals: &[WaveNormal; ORDERS],
@@ -366,7 +379,8 @@ fn significant_orders(
     let decreases: [f64; ORDERS] = std::array::from_fn(|order| decrease(gradients[order], normals[order]));
     let mut sorted = decreases;
     sorted.sort_unstable_by(f64::total_cmp);
-    // Other errors increase all orders; peaks must exceed this floor, too.
+    // Other errors increase the decreases of all orders to a common floor. A significant order must exceed this floor as
+    // well as the noise.
     let floor = sorted[ORDERS / 2] / CHI_SQUARED_MEDIAN;
     let noise = floor.max(variance);
     let orders = decreases.into_iter().zip(ORDER_MIN..);
@@ -374,17 +388,18 @@ fn significant_orders(
     significant.map(|(decrease, order)| (decrease / noise, order)).collect()
 }
 
-/// Decrease of the sum of squares with one wave: `v^T N^-1 v` with gradient `v = (s, c)` and normal equations `N`.
+/// Decrease of the sum of squares if one wave is fitted: `v^T N^-1 v` with the gradient `v = (s, c)` and
+/// the normal equations `N`.
 fn decrease([s, c]: [f64; 2], [ss, sc, cc]: WaveNormal) -> f64 {
     let determinant = ss * cc - sc * sc;
-    // The axis did not move, or sine and cosine are proportional over its travel.
+    // The axis did not move, or its travel is so short that sine and cosine are proportional.
     if determinant <= 1e-6 * ss * cc {
         return 0.0;
     }
     (s * s * cc - 2.0 * s * c * sc + c * c * ss) / determinant
 }
 
-/// Orders of cycloid lobes and motor turns, which other terms of the axes contain.
+/// Waves of cycloid lobes and motor turns, which are other error terms of the axes.
 fn separate_terms(drives: &DriveTrain) -> impl Iterator<Item = AxisWave> + '_ {
     let turns = [(Period::Cycloid, &drives.cycloid_lobes), (Period::Motor, &drives.motor_turns)];
     turns.into_iter().flat_map(move |(period, numbers)| {
@@ -396,7 +411,7 @@ fn separate_terms(drives: &DriveTrain) -> impl Iterator<Item = AxisWave> + '_ {
     })
 }
 
-/// The model with only the `theta` of each joint free; `None` if one is missing.
+/// The model with only the `theta` of each joint free. `None` if it lacks the `theta` of any joint.
 fn joints_only(model: &Model) -> Option<Model> {
     let mut model = model.clone();
     model.free_only(|id| matches!(id, ParameterId::Robot { parameter: LinkParameter::Theta, .. }));
@@ -404,7 +419,7 @@ fn joints_only(model: &Model) -> Option<Model> {
     complete.then_some(model)
 }
 
-/// Sine and cosine of all orders at a drive's angle.
+/// Sine and cosine of each order at a drive's angle, from the lowest order.
 fn sin_cos_of_orders(angle_rad: f64) -> impl Iterator<Item = [f64; 2]> {
     let step = Turn::of(angle_rad);
     let turns = std::iter::successors(Some(step.times(ORDER_MIN)), move |turn| Some(turn.and(step)));
@@ -421,8 +436,8 @@ mod tests {
 
     const FOLDS: usize = 8;
 
-    /// Two axes that make full turns, each observed by its own residual with unit noise, and waves with the given amplitude in
-    /// each fold.
+    /// Spectrum of two axes that make full turns. Each axis is observed by a residual of its own with unit noise. Each wave
+    /// has an amplitude for each fold.
     fn spectrum(waves: &[(AxisWave, [f64; FOLDS])]) -> LineSpectrum {
         let mut random = StdRng::seed_from_u64(5);
         let sample = |number: usize| {

@@ -1,5 +1,5 @@
-//! The link parameters of a robot that are free in a calibration, from the directions of its nominal axes, independent of the
-//! instrument at its end. Also the offsets of which only a sum is observable.
+//! Chooses the link parameters of a robot that are free in a calibration. The choice depends on the directions of its
+//! nominal axes, but not on the instrument at its end. Also finds groups of offsets of which only the sum is observable.
 
 use nalgebra::Vector3;
 use shared::config::JointKind;
@@ -7,18 +7,22 @@ use shared::config::JointKind;
 use crate::kinematics::{Chain, LinkParameter, Trace, Tracer};
 use crate::model::ParameterId;
 
-/// Free parameters of a link: four for each, depending on the two axes that it connects.
+/// The free parameters of one link. A link between two revolute axes has four of them. Which ones depends on the two
+/// axes that it connects.
 ///
-/// `d` and `theta` of the first link are part of the instrument's pose; the last link is part of the mounting. Between nearly
-/// parallel axes `d` is not defined, and Hayati's `beta` replaces it. A length along such axes is represented once, by the `d`
-/// of the link after them.
+/// `d` and `theta` of the first link are part of the instrument's pose. The last link is part of the mounting. If two axes
+/// are nearly parallel, `d` is not defined, and Hayati's `beta` replaces it. A length along parallel axes is represented
+/// only once, by the `d` of the link after them.
 ///
-/// A prismatic axis has a direction but no position: its lateral position is arbitrary. Its link therefore has no length and
-/// the next one no offset, which leaves two parameters. An offset along axes that are all parallel, from the base on or up to
-/// the flange, is part of the tracker's pose or the probe's. The total with these two is `4 revolute + 2 prismatic + 6`.
+/// A prismatic axis has a direction but no position, because its lateral position is arbitrary. Therefore its link has no
+/// length, and the next link has no offset, which leaves two parameters.
+///
+/// If all axes from the base to a link are parallel, an offset along them is part of the tracker's pose. If all axes
+/// from a link to the flange are parallel, it is part of the probe's pose. The number of free parameters plus those of
+/// the two poses is `4 revolute + 2 prismatic + 6`.
 fn link_parameters(robot: &Chain, directions: &[Vector3<f64>], link: usize) -> Vec<LinkParameter> {
     use LinkParameter::{A, Alpha, Beta, D, Theta};
-    /// Limit of the sine of the angle between axes that are taken as parallel.
+    /// Axes are treated as parallel if the sine of the angle between them is less than this.
     const PARALLEL: f64 = 0.1;
     let prismatic = |link: usize| robot.links.get(link).is_some_and(|at| at.joint == JointKind::Prismatic);
     let parallel = robot.links.get(link).is_some_and(|at| at.alpha_rad.sin().abs() < PARALLEL);
@@ -28,7 +32,8 @@ fn link_parameters(robot: &Chain, directions: &[Vector3<f64>], link: usize) -> V
     let first: &[LinkParameter] = match (link, prismatic(link)) {
         (0, true) => &[],
         (0, false) => &[A],
-        // A rotation about a prismatic axis is equal to one about a parallel next axis, which has its own `theta`.
+        // If the next axis is parallel, a rotation about this prismatic axis equals a rotation about the next axis, whose
+        // link has its own `theta`.
         (_, true) if parallel => &[D],
         (_, true) => &[D, Theta],
         (_, false) if parallel => &[A, Theta],
@@ -36,7 +41,7 @@ fn link_parameters(robot: &Chain, directions: &[Vector3<f64>], link: usize) -> V
     };
     let mut free = [first, &[Alpha]].concat();
     free.extend(parallel.then_some(Beta));
-    // `d` is observable if axes before and after it turn its direction.
+    // `d` is observable if an axis before it and an axis after it change its direction.
     let turns_direction =
         |axis: usize| !prismatic(axis) && directions[axis].cross(&directions[link]).norm() > PARALLEL;
     let d_is_observable = (0..link).any(turns_direction) && (link..directions.len()).any(turns_direction);
@@ -51,7 +56,7 @@ fn directions(robot: &Chain) -> Vec<Vector3<f64>> {
     trace.joint_axes().map(|(_, direction)| direction).collect()
 }
 
-/// The free parameters of all links.
+/// The free parameters of all links of a robot.
 pub(in crate::calibrate) fn link_ids(robot: &Chain) -> Vec<ParameterId> {
     let directions = directions(robot);
     let ids_of = |link: usize| {
@@ -61,12 +66,12 @@ pub(in crate::calibrate) fn link_ids(robot: &Chain) -> Vec<ParameterId> {
     (0..robot.links.len()).flat_map(ids_of).collect()
 }
 
-/// Offsets along parallel axes, of which only the sum is observable. The last of each group represents the sum: it is free, or
-/// part of the mounting.
+/// Groups of offsets along parallel axes, of which only the sum is observable. The last offset of each group represents the
+/// sum. It is either free or part of the mounting.
 pub(crate) fn inseparable_offsets(robot: &Chain) -> Vec<Vec<ParameterId>> {
     let free = link_ids(robot);
     let offset = |link: usize| ParameterId::Robot { link, parameter: LinkParameter::D };
-    // A link with `beta` and without `d`: its offset is part of that of a later link.
+    // A link with `beta` and without `d`. Its offset is included in the offset of a later link.
     let is_part_of_later = |link: &usize| {
         let beta = ParameterId::Robot { link: *link, parameter: LinkParameter::Beta };
         free.contains(&beta) && !free.contains(&offset(*link))

@@ -1,4 +1,5 @@
-//! Selection of free parameters: links that the poses determine, and terms that improve the prediction of left-out data.
+//! Selection of the free parameters: link parameters that the poses determine, and error terms that improve the
+//! prediction of left-out data.
 
 pub(in crate::calibrate) mod candidates;
 pub(in crate::calibrate) mod choose;

@@ -1,5 +1,6 @@
-//! The parameters that the poses of a run can identify, independent of noise: rank analysis of the cost's Jacobian at poses that
-//! fit the nominal geometry exactly. Used for the selection `all_identifiable`; `identify examine` uses the same order of fixing.
+//! Finds the parameters that the poses of a run can identify, independent of noise. Computes the rank of the cost's
+//! Jacobian, at poses that fit the nominal geometry exactly. Used for the selection `all_identifiable`. `identify examine`
+//! uses the same order to fix dependent parameters.
 
 use crate::calibrate::CalibrateError;
 use crate::cost::{Length, LoopProblem, Position, PositionAngles, Residual, Transform, fill_in};
@@ -8,11 +9,11 @@ use crate::kinematics::{LinkParameter, robot_inverse};
 use crate::model::{Model, Observation, ParameterId, PerObservation, RobotMotion, Role, thesis_fixed};
 use crate::solver::{Identifiability, Options, identifiability};
 
-/// Maximum number of poses: a rank analysis does not need more.
+/// Maximum number of poses. A rank analysis does not need more.
 const POSES_MAX: usize = 300;
 
-/// Order in which one of several dependent parameters is fixed: first the choice of the thesis (TFRT-6017 section 3.3), then
-/// the bar, whose parameters are not needed afterwards, then the robot, last the bar's base.
+/// Order in which dependent parameters are fixed, lowest first: the choice of the thesis (TFRT-6017 section 3.3), then the
+/// parameters of the bar, which are not needed afterwards, then those of the robot, and last the bar's base.
 fn preference(id: ParameterId, axes: usize) -> usize {
     let of_thesis = thesis_fixed(axes);
     of_thesis.iter().position(|fixed| *fixed == id).unwrap_or(match id {
@@ -22,8 +23,9 @@ fn preference(id: ParameterId, axes: usize) -> usize {
     })
 }
 
-/// Poses in which robot and bar coincide exactly on the nominal geometry. With gaps of millimetres, dependent parameters would
-/// appear independent, with singular values that are due to these errors only.
+/// Poses in which the ends of robot and bar coincide exactly on the nominal geometry, with the robot's joints in
+/// these poses. If the ends differed by millimetres, dependent parameters would have small nonzero singular
+/// values and appear independent.
 fn consistent_poses(
     model: &Model,
     motion: &impl RobotMotion,
@@ -31,6 +33,7 @@ fn consistent_poses(
 ) -> (Vec<Observation>, PerObservation) {
     let geometry = model.geometry(&[]);
     let every = observations.len().div_ceil(POSES_MAX).max(1);
+    // Set the bar angles without encoder. Then compute the robot's joints that reach the bar's end.
     let mut poses: Vec<Observation> = observations.iter().step_by(every).copied().collect();
     fill_in(&geometry, motion, &mut poses);
     let bar = geometry.bar_chain();
@@ -56,11 +59,11 @@ pub fn is_geometry(id: ParameterId) -> bool {
     }
 }
 
-/// The largest set of parameters that the poses determine. Of each dependent group the most suitable parameter is fixed. Clocks
-/// are excluded.
+/// The largest set of parameters that the poses determine, without the clocks. In each group of dependent parameters, the
+/// one that comes first in `preference` is fixed.
 ///
 /// # Errors
-/// [`CalibrateError`] if a parameter does not exist, or the poses cannot be used.
+/// [`CalibrateError`] if a parameter does not exist, or if the poses lack data that the cost needs.
 pub fn identifiable(
     model: &Model,
     motion: &impl RobotMotion,
@@ -81,7 +84,7 @@ pub fn identifiable(
     }
 }
 
-/// Fixes redundant parameters until the poses determine all free ones, which are returned.
+/// Fixes redundant parameters until the poses determine all others. Returns these others.
 fn reduce<R: Residual + Copy>(
     mut model: Model,
     joints: &PerObservation,
@@ -102,8 +105,8 @@ fn reduce<R: Residual + Copy>(
     }
 }
 
-/// The parameters to fix: those without effect, and the most suitable one of each dependent group of the `free` ones of a robot
-/// with `axes` axes.
+/// The parameters to fix among the `free` ones: those without effect, and in each dependent group the first one in
+/// `preference`. The robot has `axes` axes.
 pub fn redundant(found: &Identifiability, free: &[ParameterId], axes: usize) -> Vec<ParameterId> {
     let ids_of = |columns: &[usize]| -> Vec<ParameterId> {
         columns.iter().filter_map(|column| free.get(*column).copied()).collect()

@@ -1,5 +1,6 @@
-//! Selection of optional terms: a group is accepted only if it improves the prediction of left-out folds. It works on the
-//! normal equations of the folds, without a new solve: from the columns of each offer to its result. `choose` applies these.
+//! Selects optional error terms. A group of terms is accepted only if it improves the prediction of left-out folds. The
+//! input are the normal equations of the folds and the columns of each group ([`Offer`]). The output is a result for each
+//! group ([`OfferResult`]). No new solve is needed. `choose` applies the results.
 
 use std::collections::BTreeSet;
 
@@ -10,7 +11,7 @@ use crate::model::{ParameterId, TermGroup};
 use crate::solver::{Normals, Prior, Scores};
 use crate::statistics::mean;
 
-/// Terms that are tried together: those of all axes, or of one.
+/// Terms that are tried together, for all axes or for a single axis.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CandidateGroup {
     /// Group of error terms.
@@ -19,14 +20,14 @@ pub struct CandidateGroup {
     pub name: String,
     /// Parameters of the group.
     pub ids: Vec<ParameterId>,
-    /// Standard deviation of their prior at zero, SI.
+    /// Standard deviation of the prior of each parameter, SI. Its expected value is zero.
     pub sigma: f64,
-    /// Candidate factors of `sigma`.
+    /// Factors of `sigma` to try.
     pub scales: Vec<f64>,
 }
 
 impl CandidateGroup {
-    /// The terms of each axis as a group of its own; none if all belong to one axis.
+    /// Splits the group into one group for each axis. Empty if all terms belong to one axis.
     pub(super) fn by_axis(&self) -> Vec<Self> {
         let axes: BTreeSet<usize> = self.ids.iter().filter_map(|id| id.axis()).collect();
         let of_axis = |axis: usize| Self {
@@ -38,7 +39,7 @@ impl CandidateGroup {
     }
 }
 
-/// Result for one group of terms.
+/// Result for one group of terms, for reports.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Candidate {
     /// Group of error terms.
@@ -46,44 +47,44 @@ pub struct Candidate {
     /// Name of the group in reports.
     #[serde(default)]
     pub name: String,
-    /// Standard deviation of its prior at zero, in the parameters' SI unit; absent if the group was rejected.
+    /// Standard deviation of the prior at zero, in the SI unit of the parameters. Absent if the group was rejected.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sigma: Option<f64>,
     /// Number of parameters in the group.
     pub parameters: usize,
-    /// Root mean square of the weighted residuals of held-out segments, without the group.
+    /// Root mean square of the weighted residuals of held-out segments, predicted without the group.
     pub held_out_before: f64,
-    /// The same with the group.
+    /// Root mean square of the weighted residuals of held-out segments, predicted with the group.
     pub held_out_after: f64,
     /// Whether the group improves the prediction of held-out segments significantly.
     pub accepted: bool,
 }
 
 impl Candidate {
-    /// Name of the group for the report.
+    /// Name of the group in reports.
     pub fn name(&self) -> &str {
         if self.name.is_empty() { self.group.name() } else { &self.name }
     }
 }
 
-/// Terms that are accepted or rejected together.
+/// Terms that are accepted or rejected together, as columns of the normal equations.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Offer {
     /// Columns of the terms.
     pub columns: Vec<usize>,
-    /// For each fold, the columns detected in the other folds; empty if they are the same for all folds.
+    /// For each fold, the columns that were detected in the other folds. Empty if the columns are the same for all folds.
     pub without: Vec<Vec<usize>>,
-    /// Candidate factors of the standard deviations of their priors.
+    /// Factors of the standard deviations of their priors to try.
     pub scales: Vec<f64>,
 }
 
 impl Offer {
-    /// Columns that are used to predict a fold.
+    /// Columns with which a fold is predicted.
     fn columns(&self, fold: usize) -> &[usize] {
         self.without.get(fold).unwrap_or(&self.columns)
     }
 
-    /// Whether the column is used for any fold or for all samples.
+    /// Whether the column is used to predict any fold, or in a fit to all samples.
     pub(in crate::calibrate) fn has(&self, column: usize) -> bool {
         self.without.iter().chain([&self.columns]).any(|columns| columns.contains(&column))
     }
@@ -94,27 +95,28 @@ impl Offer {
 pub struct OfferResult {
     /// Index of the offer.
     pub offer: usize,
-    /// Scale of the priors at which left-out folds are predicted best.
+    /// Factor of the standard deviations of the priors at which left-out folds are predicted best.
     pub scale: f64,
-    /// Mean squared residual of left-out folds without the offer, with all offers accepted before.
+    /// Mean squared residual of left-out folds, predicted without the offer but with all offers accepted before.
     pub before: f64,
-    /// Mean squared residual of left-out folds with the offer.
+    /// Mean squared residual of left-out folds, predicted with the offer in addition.
     pub after: f64,
     /// Whether the offer is accepted.
     pub accepted: bool,
 }
 
-/// One-sided level of the test whether left-out folds are predicted better. Terms that fit only noise make predictions worse,
-/// so far fewer terms without real effect are accepted: in simulations 3 to 4 of 100 groups of one parameter and 1 to 4 of
-/// groups of twelve, for white noise and for noise correlated over ten samples.
+/// One-sided significance level of the test whether left-out folds are predicted better. Terms that only fit noise make
+/// predictions worse. Therefore fewer terms without a real effect are accepted than the level suggests. Simulations with
+/// white noise and with noise correlated over ten samples accepted 3 to 4 % of the groups of one parameter, and 1 to 4 % of
+/// the groups of twelve.
 const SIGNIFICANCE_LEVEL: f64 = 0.15;
-/// A smaller relative decrease of the mean squared residual does not change any reported value.
+/// Minimum relative decrease of the mean squared residual. A smaller decrease does not change any reported value.
 const DECREASE_MIN: f64 = 1e-3;
-/// Probability that in a calibration any axis of the rejected groups is accepted by chance.
+/// Probability that any axis of the rejected groups is accepted by chance in a calibration.
 const AXIS_BY_CHANCE: f64 = 0.02;
 
-/// Whether the errors of the folds decrease significantly (one-sided Student's t of the logarithms, since errors may differ
-/// much between folds), and their mean by more than `DECREASE_MIN`.
+/// Whether the errors of the folds decrease significantly, and their mean by more than the fraction `DECREASE_MIN`. The
+/// test is a one-sided Student's t test of the logarithms, because the errors of the folds may differ by large factors.
 pub(in crate::calibrate) fn falls(before: &[f64], after: &[f64]) -> bool {
     let logarithm = |squared: f64| squared.max(f64::MIN_POSITIVE).ln();
     let decreases: Vec<f64> =
@@ -129,9 +131,11 @@ pub(in crate::calibrate) fn falls(before: &[f64], after: &[f64]) -> bool {
         && mean(after) < (1.0 - DECREASE_MIN) * mean(before)
 }
 
-/// Forward selection: accept the offer with which left-out folds are predicted best, then the best of the others in addition,
-/// until none improves the prediction. Then choose the scales of the accepted offers once more. The columns `always` are
-/// always included. The result contains accepted offers in the order of acceptance, then the rejected ones.
+/// Forward selection. Accepts the offer with which left-out folds are predicted best. Then accepts the best of the others
+/// in addition, until none improves the prediction. At the end chooses the scales of the accepted offers once more.
+///
+/// The columns `always` are included in all predictions. The result contains the accepted offers in the order of
+/// acceptance, followed by the rejected ones.
 pub fn select(normals: &Normals, always: &[usize], offers: &[Offer]) -> Vec<OfferResult> {
     let mut selection = ForwardSelection { normals, always, offers, accepted: Vec::new() };
     let Some(mut before) = selection.predicted() else { return Vec::new() };
@@ -153,10 +157,12 @@ pub fn select(normals: &Normals, always: &[usize], offers: &[Offer]) -> Vec<Offe
     }
 }
 
-/// Forward selection of single axes: the errors of one drive disappear among those of the others. The prediction of left-out
-/// folds improves only if a term is larger than its uncertainty, so the gradients of the folds are tested instead. The offer
-/// that is least probable by chance is accepted first, until none is left below its part of [`AXIS_BY_CHANCE`] (Bonferroni).
-/// The result contains the accepted offers.
+/// Forward selection of single axes. The prediction of left-out folds improves only if a term is larger than its
+/// uncertainty, and the error of one drive is small among the errors of the others. Therefore the gradients of the folds
+/// are tested instead of the predictions.
+///
+/// Accepts the offer whose gradients are least probable by chance, then the next one, until none is below
+/// [`AXIS_BY_CHANCE`] divided by the number of offers (Bonferroni). The result contains only the accepted offers.
 pub fn select_axes(normals: &Normals, always: &[usize], offers: &[Offer]) -> Vec<OfferResult> {
     let mut selection = ForwardSelection { normals, always, offers, accepted: Vec::new() };
     let level = AXIS_BY_CHANCE / offers.len().max(1) as f64;
@@ -174,31 +180,32 @@ pub fn select_axes(normals: &Normals, always: &[usize], offers: &[Offer]) -> Vec
     selection.accepted
 }
 
-/// Offers that are accepted so far; while an offer is tried, it is the last of them.
+/// State of a forward selection. While an offer is tried, it is the last element of `accepted`.
 struct ForwardSelection<'a> {
     normals: &'a Normals,
-    /// Columns that are always included.
+    /// Columns that are included in all predictions.
     always: &'a [usize],
     offers: &'a [Offer],
     accepted: Vec<OfferResult>,
 }
 
 impl ForwardSelection<'_> {
-    /// Offers that are not accepted.
+    /// Offers that have not been accepted.
     fn open(&self) -> Vec<usize> {
         let is_open = |offer: &usize| self.accepted.iter().all(|result| result.offer != *offer);
         (0..self.offers.len()).filter(is_open).collect()
     }
 
-    /// Gradients of the folds at the solution with all accepted offers.
+    /// Gradients of the folds at the solution with all accepted offers. `None` if the columns are linearly dependent.
     fn scores(&self) -> Option<Scores> {
         let accepted = self.accepted.iter().flat_map(|result| &self.offers[result.offer].columns);
         let kept: Vec<usize> = self.always.iter().chain(accepted).copied().collect();
         self.normals.scores(&kept, &self.priors())
     }
 
-    /// The offer in addition, at the scale that predicts best, with the mean squared residual of each left-out fold. `None` if
-    /// the folds do not determine the columns.
+    /// Tries an offer in addition to the accepted ones. Returns its result, at the scale that predicts best, and the mean
+    /// squared residual of each left-out fold. `before` contains these residuals without the offer. `None` if the folds do
+    /// not determine the columns.
     fn try_offer(&mut self, offer: usize, before: &[f64]) -> Option<(OfferResult, Vec<f64>)> {
         self.accepted.push(OfferResult {
             offer,
@@ -211,11 +218,11 @@ impl ForwardSelection<'_> {
         Some((self.accepted.pop()?, errors?))
     }
 
-    /// Chooses the scale of each accepted offer again.
+    /// Chooses the scale of each accepted offer again, with all others accepted.
     fn rescale(&mut self) {
         if self.accepted.iter().any(|result| self.offers[result.offer].scales.len() > 1) {
             for _ in 0..self.accepted.len() {
-                // `choose_scale` acts on the last offer: after all rotations the order is the same.
+                // `choose_scale` acts on the last offer. After the loop the order of the offers is as before.
                 let first = self.accepted.remove(0);
                 self.accepted.push(first);
                 self.choose_scale();
@@ -223,8 +230,8 @@ impl ForwardSelection<'_> {
         }
     }
 
-    /// Sets the scale of the last offer that predicts best; returns the squared residuals with it. `None` if the folds do not
-    /// determine the columns.
+    /// Sets the scale of the last offer to the one that predicts best. Returns the mean squared residual of each left-out
+    /// fold at this scale. `None` if the folds do not determine the columns.
     fn choose_scale(&mut self) -> Option<Vec<f64>> {
         let (last, offers) = (self.accepted.len().checked_sub(1)?, self.offers);
         let scales = &offers[self.accepted[last].offer].scales;
@@ -237,7 +244,7 @@ impl ForwardSelection<'_> {
         Some(errors)
     }
 
-    /// Mean squared residual of each left-out fold.
+    /// Mean squared residual of each left-out fold, predicted with the accepted offers.
     fn predicted(&self) -> Option<Vec<f64>> {
         let columns = |fold: usize| -> Vec<usize> {
             let of_offer = |result: &OfferResult| self.offers[result.offer].columns(fold).iter().copied();
@@ -246,7 +253,7 @@ impl ForwardSelection<'_> {
         self.normals.held_out_each(columns, &self.priors())
     }
 
-    /// Priors at the scales of the accepted offers.
+    /// Priors of all columns, with the scales of the accepted offers.
     fn priors(&self) -> Vec<Prior> {
         let result_on =
             |column: usize| self.accepted.iter().find(|result| self.offers[result.offer].has(column));
@@ -258,9 +265,11 @@ fn scaled(priors: &[Prior], scale: impl Fn(usize) -> f64) -> Vec<Prior> {
     priors.iter().map(|prior| Prior { sigma: prior.sigma * scale(prior.column), ..*prior }).collect()
 }
 
-/// Factor that widens the prior standard deviations of some columns: the value on a grid that predicts left-out folds best, if
-/// the improvement is significant, otherwise one. It is never less than one: parameters that the samples hardly determine are
-/// predicted best with narrow priors; this does not show that they are near nominal.
+/// Factor that widens the prior standard deviations of some columns. It is the factor on a grid that predicts left-out
+/// folds best, if the improvement is significant. Otherwise it is one.
+///
+/// The factor is never less than one. Parameters that the samples hardly determine are predicted best with narrow priors,
+/// but this does not show that their true values are near nominal.
 pub fn prior_scale(normals: &Normals, columns: &[usize], of_scale: impl Fn(usize) -> bool) -> f64 {
     const GRID: [f64; 5] = [2.0, 5.0, 10.0, 30.0, 100.0];
     let errors_at = |scale: f64| {
@@ -284,7 +293,8 @@ mod tests {
     use super::*;
     use crate::solver::{LeastSquares, Linearisation, Options};
 
-    /// Rows on a straight line plus a wave, which may be zero; a second wave is never present.
+    /// Rows on a straight line plus a wave, whose amplitude may be zero. A second wave is offered to the fit, but is
+    /// never in the rows.
     struct WaveRows {
         t: Vec<f64>,
         noise: Vec<f64>,
@@ -301,7 +311,7 @@ mod tests {
             Self { t, noise, wave, priors }
         }
 
-        /// Results for the absent wave and the other one.
+        /// Results for the absent wave and for the other one.
         fn results(&self) -> Vec<OfferResult> {
             self.selected(8, select)
         }

@@ -1,10 +1,13 @@
-//! Test whether data sets that were solved together agree about the robot, for the limitations in the report.
+//! Test whether data sets that were solved together agree about the robot. The report lists disagreements as limitations.
 //!
-//! The solution of a single data set differs from the joint solution. Let `H` and `g` be its normal equations and their
-//! gradient at the joint solution, both with the priors. Its own solution reduces the sum of squares by `g' H^-1 g`. If all
-//! data sets are of one robot in one unit, this reduction is noise, at most that of the `p` effective parameters that it shares
-//! with the others (specification test, Hausman 1978): `g' H^-1 g / (p s^2)` follows at most Fisher's F. Here `s^2` is the
-//! error variance of the data set at its own solution, with correlated errors counted once.
+//! The solution of a single data set alone differs from the joint solution. Let `H` be its normal equations and `g`
+//! their gradient, both at the joint solution and with the priors. Its own solution then has a sum of squares that
+//! is smaller by `g' H^-1 g`.
+//!
+//! If all data sets are of one robot and in one unit, this reduction is due to noise in the `p` effective parameters that
+//! the data set shares with the others (specification test, Hausman 1978). Then `g' H^-1 g / (p s^2)` is not larger than
+//! a variable with Fisher's F distribution. `s^2` is the error variance of the data set at its own solution, which
+//! accounts for correlated errors.
 
 use nalgebra::DVector;
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
@@ -13,7 +16,7 @@ use crate::calibrate::pipeline::{LEFT_OUT, differ, is_own};
 use crate::instrument::Run;
 use crate::solver::{Loss, Normals, Options};
 
-/// Probability of a false report if all data sets agree.
+/// Probability that any data set is reported although all agree.
 const DISAGREES_BY_CHANCE: f64 = 1e-3;
 
 /// A data set that contradicts the others.
@@ -21,12 +24,13 @@ const DISAGREES_BY_CHANCE: f64 = 1e-3;
 pub struct Disagreement {
     /// Index of the data set, from 0.
     pub data_set: usize,
-    /// Ratio of its residuals in the joint solution to those of its own solution.
+    /// Ratio of the root mean square residual of this data set in the joint solution to that in its own solution.
     pub times: f64,
 }
 
-/// Data sets that contradict the others at the joint solution, which the models have as values; `sigmas` are the residual
-/// standard deviations of each, `loss` that of the solve. The result is empty for a single data set.
+/// Finds the data sets that contradict the others. The values of the models must be the joint solution. `sigmas`
+/// contains the residual standard deviation of each data set, and `loss` is the loss of the solve. Empty if there is
+/// only one data set.
 pub fn disagreeing(runs: &[Run], sigmas: &[f64], loss: Loss) -> Vec<Disagreement> {
     if runs.len() < 2 {
         return Vec::new();
@@ -35,12 +39,14 @@ pub fn disagreeing(runs: &[Run], sigmas: &[f64], loss: Loss) -> Vec<Disagreement
     let test = |(data_set, (run, sigma)): (usize, (&Run, &f64))| {
         let Run { instrument, model } = run;
         let alone = instrument.data_set(model, *sigma).ok()?;
+        // The normal equations of the data set alone, at the joint solution and at its own solution.
         let (x, groups) = (model.start(), instrument.independent(LEFT_OUT));
         let at_joint = Normals::new(&*alone, &x, &Options { loss, ..Options::default() }, &groups).ok()?;
-        // `-H^-1 g`, and the reduction `g' H^-1 g`.
+        // `step` is `-H^-1 g`, and `reduction` is `g' H^-1 g`.
         let step = at_joint.step()?;
         let reduction = -at_joint.whole().gradient.dot(&step);
         let at_own = at_joint.about((DVector::from_vec(x) + step).as_slice());
+        // The number `p` of effective parameters that are shared, and the error variance `s^2`.
         let rows: f64 = at_own.of_folds().iter().map(|fold| fold.rows).sum();
         let effective: f64 = at_own.taken()?.iter().sum();
         let not_shared = model.columns().filter(|parameter| is_own(parameter.id, &own_lengths)).count();

@@ -1,8 +1,9 @@
-//! Calibration for deployment: the best geometry for a controller that applies only part of the model.
+//! Calibration for deployment: the best geometry for a controller that applies only some of the estimated parameters.
 //!
-//! Errors of one axis are correlated: an offset, a ratio, a compliance and a slow gear wave partly replace each other. If only
-//! part of the model is applied, a geometry estimated together with the other terms is not the best one, and can be worse than
-//! the nominal one. Therefore each deployment has its own fit, of the robot parameters that it applies and no others.
+//! Errors of the same axis are correlated: an offset, a ratio, a compliance and a slow gear wave can partly replace each
+//! other. Therefore a geometry that was estimated together with the other terms is not the best one if the controller
+//! ignores these terms. It can be worse than the nominal geometry. For each deployment, a fit of its own estimates only
+//! those robot parameters that the controller applies.
 
 use serde::{Deserialize, Serialize};
 
@@ -13,22 +14,23 @@ use crate::kinematics::Chain;
 use crate::model::{Model, ModelError, Owner, ParameterId, Role};
 use crate::solver::{LossName, Solution, Watch};
 
-/// The part of the model that a controller applies.
+/// The parameters that a controller applies.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Deployment {
-    /// The offset of each joint only.
+    /// The offset of each joint.
     Offsets,
     /// All parameters of all links.
     Dh,
-    /// Links and joint errors, with compensation outside the controller.
+    /// All link parameters and error terms of joints. A program outside the controller applies the error terms.
     Full,
 }
 
 impl Deployment {
-    /// The deployments that apply only part of the model.
+    /// The deployments that do not apply all parameters.
     pub const PARTIAL: [Self; 2] = [Self::Offsets, Self::Dh];
 
+    /// Whether the controller does not apply this parameter of the robot.
     fn leaves_out(self, id: ParameterId, robot: &Chain) -> bool {
         match id {
             ParameterId::Robot { link, parameter } => {
@@ -38,7 +40,7 @@ impl Deployment {
         }
     }
 
-    /// Sets the parameters that the deployment does not apply to nominal and fixes them.
+    /// Sets the parameters that the controller does not apply to their nominal values and fixes them.
     fn restrict(self, model: &mut Model) -> Result<(), ModelError> {
         let robot = model.robot().clone();
         model.reset_to_nominal(|id| self.leaves_out(id, &robot));
@@ -46,26 +48,27 @@ impl Deployment {
     }
 }
 
-/// The best fit of the parameters that a deployment applies.
+/// Result of the fit for one deployment.
 #[derive(Debug, Clone)]
 pub struct Deployed {
-    /// The part of the model that is applied.
+    /// The parameters that the controller applies.
     pub deployment: Deployment,
-    /// Model of the first run at the fit.
+    /// Model of the first data set at the solution of the fit.
     pub model: Model,
     /// Solution of the fit.
     pub solution: Solution,
 }
 
 impl Deployed {
-    /// The fit for a deployment, from its calibration.
+    /// Takes model and solution from the calibration for this deployment.
     pub fn new(deployment: Deployment, found: Calibration) -> Self {
         Self { deployment, model: found.model().clone(), solution: found.solved.solution }
     }
 }
 
 impl Calibration {
-    /// The calibration for a deployment: its best fit to the same samples; `None` if the solve does not converge.
+    /// Returns the calibration for a deployment, which is the best fit to the same samples. `None` if the
+    /// solve does not converge.
     ///
     /// # Errors
     /// [`CalibrateError`] if the solve fails for another reason.
@@ -82,8 +85,8 @@ impl Calibration {
     }
 }
 
-/// The runs at the best fit of the parameters that a deployment applies, from their solution with all; `None` if the solve does
-/// not converge.
+/// Fits the parameters that a deployment applies. `runs` and `solved` are the solution with all parameters. `None` if the
+/// solve does not converge.
 ///
 /// # Errors
 /// [`CalibrateError`] if the solve fails for another reason.

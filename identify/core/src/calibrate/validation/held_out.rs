@@ -1,5 +1,6 @@
-//! Prediction of held-out segments of time of ball-bar runs: a validation on data that the fit did not use. Gives the models;
-//! `evaluate::held_out` computes their errors.
+//! Predicts held-out segments of time of ball-bar runs. This validates the calibration with data that the fit did not
+//! use. Each segment is returned with the parameters from the fit without it. `evaluate::held_out` computes the
+//! errors of these predictions.
 
 use std::ops::Range;
 
@@ -10,32 +11,34 @@ use crate::instrument::{Run, segments};
 use crate::model::{Model, Observation, ParameterId};
 use crate::solver::{Normals, Options, Watch};
 
-/// Maximum number of samples of all runs.
+/// Maximum number of samples in the fits, over all runs.
 const SAMPLES_MAX: usize = 3000;
-/// Maximum number of segments of a run.
+/// Maximum number of segments of one run.
 const SEGMENTS: usize = 8;
-/// Maximum number of segments of all runs, except that each run has at least two.
+/// Maximum number of segments of all runs together. Nevertheless each run has at least two.
 const SEGMENTS_OF_ALL: usize = 16;
 
-/// A held-out segment of one run, with the run's parameters from a fit to all other data.
+/// A held-out segment of one run. The model has the parameters from the fit to all other data.
 #[derive(Debug, Clone)]
 pub struct Segment {
     /// Index of the run, from 0.
     pub run: usize,
-    /// Samples of the held-out segment.
+    /// Samples in the segment.
     pub seen_by_none: Vec<Observation>,
-    /// The other samples of its run.
+    /// The other samples of the run.
     pub others: Vec<Observation>,
-    /// Model from the fit to all other data; `None` if they do not determine all parameters.
+    /// Model from the fit to all other data. `None` if these data do not determine all parameters.
     pub model: Option<Model>,
 }
 
-/// The calibration's parameters without each segment of time of a ball-bar run, by one step on the normal equations of the
-/// other segments, starting at the calibration. One step reaches the minimum, because residuals are linear over the influence
-/// of one segment. The terms of the model were chosen with the whole runs.
+/// Computes the parameters of the calibration without each segment of time of the ball-bar runs. Each fit is one step on
+/// the normal equations of the other segments, which starts at the calibration. The step reaches the minimum, because one
+/// segment has so little influence that residuals are linear.
+///
+/// Only the parameters are estimated again. The error terms were chosen with the whole runs.
 ///
 /// # Errors
-/// [`CalibrateError`] if `watch` cancelled it or the samples do not fit the cost.
+/// [`CalibrateError`] if `watch` cancelled the computation or the samples lack data that the cost needs.
 pub fn without_each_segment(
     calibration: &Calibration,
     watch: Option<&dyn Watch>,
@@ -55,8 +58,8 @@ pub fn without_each_segment(
     Ok(segments.iter().zip(without_each).filter_map(with_model).collect())
 }
 
-/// The segment with these indices among the samples of all runs; `starts` are the first indices of the runs, and `x` is the
-/// solution without the segment.
+/// The segment with the indices `left_out`, which count the samples of all runs. `starts` contains the first index of each
+/// run. `x` is the solution without the segment.
 fn segment(
     runs: &[Run],
     columns: &SharedColumns,
@@ -79,8 +82,8 @@ fn segment(
     Some(Segment { run: number, seen_by_none: observations.get(samples)?.to_vec(), others, model })
 }
 
-/// Keeps the offsets of encoders that lost their origin, if no other sample determines them, at the values of the full fit:
-/// no fit could predict them.
+/// Keeps the values of the full fit for those encoder offsets that only samples of the segment determine. These offsets
+/// follow the loss of a counter's origin, so no other data could predict them.
 fn keep_undetermined_offsets(model: &mut Model, whole: &Model, others: &[Observation]) {
     for parameter in whole.columns() {
         if let ParameterId::EncoderOffset { origin, .. } = parameter.id

@@ -1,5 +1,9 @@
-//! Validation of a calibration: held-out samples, unseen parts of an instrument, agreement of data sets, and partial
-//! deployments.
+//! Validation of a calibration:
+//!
+//! - `held_out`: models that predict held-out segments of ball-bar runs,
+//! - `unseen`: prediction of the rows at each part of an instrument, such as a socket,
+//! - `agreement`: test whether data sets agree about the robot,
+//! - `deployment`: fits for controllers that apply only some of the parameters.
 
 pub mod agreement;
 pub mod deployment;

@@ -1,6 +1,6 @@
-//! Prediction of the rows at each part of an instrument, such as a socket, by a fit to all other rows: a validation at places that
-//! no fit has seen. It needs parts whose places follow from the other parts and their known geometry, such as the sockets of a
-//! plate.
+//! Predicts the rows at each part of an instrument, such as a socket, with a fit to all other rows. This validates the
+//! calibration at places without any fitted row. The place of the part must follow from the other parts and their known
+//! geometry, as for the sockets of a plate.
 
 use serde::{Deserialize, Serialize};
 
@@ -11,30 +11,30 @@ use crate::instrument::{Run, Section, without};
 use crate::model::Model;
 use crate::solver::{LeastSquares, Normals, Options};
 
-/// Rows at one part of an instrument, predicted by the fit to all other data.
+/// Result for the rows at one part of an instrument, which the fit to all other data predicts.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct UnseenPart {
     /// Number of the data set, from 1.
     pub data_set: usize,
     /// Name of the part.
     pub name: String,
-    /// Errors by the fit to all other data.
+    /// Errors of the prediction from all other data.
     pub predicted: PoseFigures,
-    /// Errors by the calibration, which includes these rows.
+    /// Errors of the calibration, whose fit includes these rows.
     pub fitted: PoseFigures,
 }
 
-/// Rows in use that are left out together.
+/// The rows in use at one part of an instrument. They are left out together.
 struct LeftOutRows {
     data_set: usize,
     name: String,
     /// Numbers of the rows in their file.
     rows: Vec<usize>,
-    /// Their samples in the problem of all data sets.
+    /// Indices of the same rows among the samples of all data sets.
     samples: Vec<usize>,
 }
 
-/// The parts of one data set, whose first sample in the problem of all data sets is `first`.
+/// The parts of one data set. `first` is the index of the data set's first sample among the samples of all data sets.
 fn parts((data_set, run): (usize, &Run), first: usize) -> Vec<LeftOutRows> {
     let sections = run.instrument.sections();
     let mut all: Vec<usize> = sections.iter().flat_map(|section| section.samples.iter().copied()).collect();
@@ -49,8 +49,8 @@ fn parts((data_set, run): (usize, &Run), first: usize) -> Vec<LeftOutRows> {
     sections.into_iter().map(part).collect()
 }
 
-/// Predicts the rows at each part of each instrument by one step on the normal equations of all other data, starting at the
-/// calibration. Parts that the other data do not determine are omitted.
+/// Predicts the rows at each part of each instrument. The prediction uses one step on the normal equations of all other
+/// data, which starts at the calibration. Parts that the other data do not determine are omitted.
 pub fn unseen_parts(calibration: &Calibration) -> Vec<UnseenPart> {
     let Calibration { runs, solved: Solved { columns, solution, sigmas, .. }, .. } = calibration;
     if runs.iter().all(|run| run.instrument.sections().is_empty()) {
@@ -60,7 +60,7 @@ pub fn unseen_parts(calibration: &Calibration) -> Vec<UnseenPart> {
     let parts: Vec<LeftOutRows> =
         runs.iter().enumerate().zip(problem.starts()).flat_map(|(run, first)| parts(run, *first)).collect();
     let mut folds: Vec<Vec<usize>> = parts.iter().map(|part| part.samples.clone()).collect();
-    // The rest is one more fold, which is always part of the fit.
+    // The samples that belong to no part form an additional fold. It is included in each prediction.
     let mut is_rest: Vec<bool> = (0..problem.samples()).map(|sample| !problem.is_known(sample)).collect();
     folds.iter().flatten().for_each(|sample| is_rest[*sample] = false);
     folds.push((0..is_rest.len()).filter(|sample| is_rest[*sample]).collect());
