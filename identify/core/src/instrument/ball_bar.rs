@@ -1,5 +1,6 @@
-//! The sensed double ball-bar: the aligned logs of a run with one of five costs. The residuals (`cost/bar`) are the difference
-//! of robot's end and bar's end at each sample, as far as the cost's encoders determine it.
+//! The sensed double ball-bar: the aligned logs of a run, with one of five costs. The residuals of each sample (`cost/bar`)
+//! are the difference between the end of the robot and the end of the bar. A cost uses only those coordinates of this
+//! difference that its encoders determine.
 
 use super::repetition::independent_segments;
 use super::{Cause, Deviation, Doubt, Instrument, Measures, Noise, ScaleFrom};
@@ -36,7 +37,7 @@ pub enum CostName {
 }
 
 impl CostName {
-    /// All costs, in decreasing order of the parameters that they identify.
+    /// All costs, in decreasing order of the number of parameters that they identify.
     pub const ALL: [Self; 5] =
         [Self::Pose, Self::Transform, Self::PositionAngles, Self::Position, Self::Length];
 
@@ -51,7 +52,8 @@ impl CostName {
         }
     }
 
-    /// The cost of the thesis with the same residuals, but without weights: for the parameters that a set of poses can identify.
+    /// The cost of the thesis with the same residuals, but without weights. Used to find the parameters that a set
+    /// of poses can identify.
     pub(crate) fn unweighted(self, measured: &[bool; BAR_JOINTS]) -> Self {
         match self {
             Self::Pose if lacks_rod_encoder(measured) => Self::PositionAngles,
@@ -69,7 +71,7 @@ impl CostName {
         }
     }
 
-    /// Default loss: none for the costs of the thesis, which are sums of squares.
+    /// Default loss. The costs of the thesis have none, because they are sums of squares.
     pub const fn usual_loss(self) -> LossName {
         match self {
             Self::Pose => LossName::Huber,
@@ -88,7 +90,7 @@ impl CostName {
         }
     }
 
-    /// [`Residual::identifies`] of the cost's residual, with the available encoders.
+    /// [`Residual::identifies`] of the cost's residual. `measured` contains whether each bar joint has an encoder.
     pub fn identifies(self, measured: &[bool; BAR_JOINTS], id: ParameterId, robot: &Chain) -> bool {
         match self {
             Self::Pose if lacks_rod_encoder(measured) => WhitenedPoseOfFour::identifies(id, robot),
@@ -101,7 +103,7 @@ impl CostName {
     }
 }
 
-/// Whether encoder 3, of the rotation about the rod, is missing; the whitened pose does not require it.
+/// Whether encoder 3, which measures the rotation about the rod, is missing. The cost `pose` does not require it.
 const fn lacks_rod_encoder(measured: &[bool; BAR_JOINTS]) -> bool {
     !measured[ROD_JOINT]
 }
@@ -128,7 +130,7 @@ impl From<NoiseConfig> for AngleNoise {
     }
 }
 
-/// One run of the ball-bar, with the cost to minimise.
+/// One run of the ball-bar, with the cost that is minimised.
 #[derive(Debug, Clone)]
 pub struct BallBar {
     /// Aligned logs of robot and bar.
@@ -137,16 +139,16 @@ pub struct BallBar {
     pub cost: CostName,
     /// Configured noise of the angles, for the cost `pose`.
     pub configured: NoiseConfig,
-    /// Noise estimated from the residuals; `None` before the first estimate.
+    /// Noise estimated from the residuals. `None` before the first estimate.
     pub estimated: Option<FoundNoise>,
-    /// Whether each bar joint has an encoder, in all runs that are solved together.
+    /// For each bar joint, whether it has an encoder in all runs that are solved together.
     pub measured: [bool; BAR_JOINTS],
-    /// Standard uncertainty of each known length of the bar; these lengths fix the scale \[m\].
+    /// Standard uncertainty of each known length of the bar \[m\]. These lengths determine the scale.
     pub sigmas_m: Vec<(ParameterId, f64)>,
 }
 
 impl BallBar {
-    /// Noise of the angles: the estimate if there is one, else the configured value.
+    /// Noise of the angles: the estimated one, or the configured one before the first estimate.
     pub fn angle_noise(&self) -> AngleNoise {
         self.estimated.map_or_else(|| self.configured.into(), |estimate| estimate.noise)
     }
@@ -184,13 +186,13 @@ impl Measures for BallBar {
         Noise::Angles(self.angle_noise())
     }
 
-    /// Robot's end minus bar's end: position, and for the costs `pose` and `transform` also rotation. For the cost `length`: the
-    /// distance of the robot's end from the gimbal minus the bar's length.
+    /// The robot's end minus the bar's end: the position, and for the costs `pose` and `transform` also the rotation. For
+    /// the cost `length`, the distance of the robot's end from the gimbal minus the bar's length.
     fn deviations(&self, geometry: &Geometry) -> Vec<Deviation> {
         let Prepared { motion, observations, .. } = &self.prepared;
         let mut closures = loop_closures(geometry, motion, observations).into_iter().peekable();
         let deviation = |observation: &Observation| {
-            // Samples outside the robot's log have no closure.
+            // Samples outside the robot's log have no loop closure. Their deviation is NaN.
             let closure = closures.next_if(|closure| closure.t_s == observation.t_s);
             let Some(closure) = closure else { return Deviation::of_place(Vector3::repeat(f64::NAN)) };
             let position = Deviation::of_place(closure.position_error_m);
@@ -241,9 +243,11 @@ impl Measures for BallBar {
         self.prepared.observations.len()
     }
 
-    /// Sets the roles of known lengths only: the preparation sets the start values, the configuration the other roles. With the
-    /// cost `pose` a known length gets a prior. The other costs would decrease if all lengths shrank: with them a known length
-    /// stays fixed, and its uncertainty is considered.
+    /// Sets the roles of the known lengths only. The preparation sets the start values, and the configuration
+    /// sets the other roles.
+    ///
+    /// With the cost `pose`, a known length gets a prior. The other costs become smaller if all lengths become shorter.
+    /// With these costs a known length stays fixed, and its uncertainty is considered.
     fn place(&self, model: &mut Model, fix: &[ParameterId]) -> Result<bool, ModelError> {
         for &(id, sigma) in &self.sigmas_m {
             let Some(&Parameter { nominal: value, role, .. }) = model.parameter(id) else { continue };
@@ -284,7 +288,8 @@ impl Measures for BallBar {
         self.cost.identifies(&self.measured, id, robot)
     }
 
-    /// Sets the angles of joints without encoder to those that the robot's pose implies. The noise is estimated elsewhere: `None`.
+    /// Sets the angles of joints without encoder to the values that the robot's pose implies. Returns `None`, because
+    /// [`Measures::learn_noise`] estimates the noise.
     fn adapt(&mut self, model: &Model) -> Option<f64> {
         if !self.cost.encoders().is_empty() {
             fill_in(&model.geometry(&[]), &self.prepared.motion, &mut self.prepared.observations);

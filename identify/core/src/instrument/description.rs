@@ -1,26 +1,26 @@
-//! Descriptions of an instrument for reports: sources of its scale, its noise, groups of its samples, and reasons why its figures
-//! may be wrong.
+//! Descriptions of an instrument for reports: the source of its scale, its noise, groups of its samples, and reasons why
+//! its results may be wrong.
 
 use super::Contradiction;
 use crate::cost::AngleNoise;
 use crate::model::{Model, ModelError, ParameterId, Role};
 use crate::prepare::EncoderMap;
 
-/// Samples that share a part of the instrument, such as a station.
+/// Samples that were measured with the same part of the instrument, such as a station.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Section {
     /// Name of the section in reports.
     pub name: String,
-    /// Prefix of the names of its parameters.
+    /// Prefix of the names of the parameters of this part.
     pub parameters: String,
-    /// Its samples, used or not.
+    /// Samples of the section, whether they are used in the fit or not.
     pub samples: Vec<usize>,
 }
 
-/// Reason why the figures of a data set may be wrong.
+/// Reason why the results of a data set may be wrong.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Doubt {
-    /// The encoder map or a counting direction differs from that of the recording.
+    /// The assignment of encoders to joints, or a counting direction, differs from that of the recording.
     OtherEncoders(EncoderMap),
     /// Another time alignment fits nearly as well, because the motion repeats.
     MotionRepeats,
@@ -28,7 +28,7 @@ pub enum Doubt {
     OtherTable(Vec<Contradiction>),
 }
 
-/// Source of the scale of all lengths.
+/// Quantity that determines the scale of all lengths.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ScaleFrom {
     /// Dimensions of the ball-bar.
@@ -41,17 +41,17 @@ pub enum ScaleFrom {
     Sockets,
     /// Known distances between faces.
     Faces,
-    /// The robot's file alone: nothing measured has a scale.
+    /// The robot's file alone, because no measured quantity determines the scale.
     Robot,
 }
 
 impl ScaleFrom {
-    /// Standard uncertainty of the scale of a usual instrument of this kind \[ppm\]; zero for instruments whose known lengths have
-    /// uncertainties of their own.
+    /// Standard uncertainty of the scale for a typical instrument of this type \[ppm\]. Zero if the known lengths of the
+    /// instrument have uncertainties of their own.
     ///
-    /// Laser trackers have an error limit of 15 um + 6 um/m (k = 2), that is 3 ppm, and the air changes the wavelength by
-    /// 1 ppm/K and 0.27 ppm/hPa. Draw-wires have an error limit of 0.1 % of their range: 577 ppm if all errors within it are
-    /// equally probable, and 100 to 200 ppm if they were calibrated.
+    /// Laser trackers have an error limit of 15 um + 6 um/m (k = 2), which is 3 ppm of the length. The air changes the
+    /// wavelength by 1 ppm/K and 0.27 ppm/hPa. Draw-wires have an error limit of 0.1 % of their range. If all errors within
+    /// the limit are equally probable, this is 577 ppm. Calibrated draw-wires have 100 to 200 ppm.
     pub const fn usual_u_ppm(self) -> f64 {
         match self {
             Self::Tracker => 5.0,
@@ -61,24 +61,26 @@ impl ScaleFrom {
     }
 }
 
-/// Gives the scale of an instrument its standard uncertainty as prior; with zero, and in `fix`, it is exact.
+/// Sets the prior of the scale to its standard uncertainty. If the uncertainty is zero or the scale is in `fix`, the scale
+/// is exact and fixed.
 pub(super) fn set_scale_prior(model: &mut Model, u_ppm: f64, fix: &[ParameterId]) -> Result<(), ModelError> {
     let is_exact = u_ppm == 0.0 || fix.contains(&ParameterId::Scale);
     let role = if is_exact { Role::Fixed } else { Role::Prior { value: 0.0, sigma: u_ppm * 1e-6 } };
     model.set_role(ParameterId::Scale, role)
 }
 
-/// Standard deviation of a reading.
+/// Standard deviation of one reading.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Noise {
-    /// Bar encoders and robot joints.
+    /// Angles of bar encoders and robot joints.
     Angles(AngleNoise),
     /// A coordinate or a length \[m\].
     Length(f64),
 }
 
 impl Section {
-    /// One section for each named part, with parameters numbered from 1; `part_of` yields the part of each sample, from 0.
+    /// Creates a section for each named part. `parameters` is the common prefix of the parameters' names, to which the
+    /// number of the part is added, from 1. `part_of` yields the part of each sample, from 0.
     pub(super) fn each(
         names: &[String],
         parameters: &str,
@@ -101,8 +103,8 @@ impl Section {
     }
 }
 
-/// Text that names the other part which a sample fits best; `off_m` returns its distance from each part. Empty if its own is
-/// nearest.
+/// If another part than its own fits a sample best, text with the name of this part. Empty otherwise. `off_m` returns the
+/// distance of the sample from a part \[m\].
 pub(super) fn nearest(names: &[String], own: usize, off_m: impl Fn(usize) -> f64) -> String {
     let nearest = (0..names.len()).min_by(|a, b| off_m(*a).total_cmp(&off_m(*b)));
     nearest.filter(|part| *part != own).map_or_else(String::new, |part| {

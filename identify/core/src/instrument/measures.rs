@@ -1,5 +1,5 @@
-//! [`Measures`]: what the estimator, its checks and the reports need of an instrument. Most methods have a default, which is that
-//! of an instrument without this part.
+//! The trait [`Measures`]: the functions of an instrument that the estimator, its checks and the reports use. Most
+//! functions have a default for instruments without the feature.
 
 use std::fmt;
 
@@ -14,7 +14,7 @@ use crate::prepare::Prepared;
 
 /// The interface of an instrument to the estimator.
 pub trait Measures: Boxed + fmt::Debug + Send + Sync {
-    // What it is.
+    // Description of the instrument.
 
     /// Name in messages and files.
     fn name(&self) -> &'static str;
@@ -22,19 +22,19 @@ pub trait Measures: Boxed + fmt::Debug + Send + Sync {
     /// Name of the minimised cost.
     fn cost(&self) -> &'static str;
 
-    /// The cost in whose unit the residuals are until their noise is estimated; `None` if they are in standard deviations from
-    /// the start.
+    /// The cost that defines the unit of the residuals. `None` for instruments other than the ball-bar: the solver then
+    /// estimates a noise for each data set, and residuals are in standard deviations.
     fn residual_unit_of(&self) -> Option<CostName> {
         None
     }
 
-    /// Source of the scale of all lengths.
+    /// Quantity that determines the scale of all lengths.
     fn scale(&self) -> ScaleFrom;
 
-    /// Standard deviation of a reading of the median sample at the last solution, relative to the sigma of the data set.
+    /// Standard deviation of a reading of the median sample at the last solution. Multiply by the sigma of the data set.
     fn noise(&self) -> Noise;
 
-    /// Name in tables of what is fitted besides the robot.
+    /// Name, in tables, of the parts that are fitted in addition to the robot.
     fn parts(&self) -> &'static str {
         self.name()
     }
@@ -44,7 +44,7 @@ pub trait Measures: Boxed + fmt::Debug + Send + Sync {
         Vec::new()
     }
 
-    // Its samples.
+    // The samples.
 
     /// Number of samples in use.
     fn samples(&self) -> usize;
@@ -52,159 +52,164 @@ pub trait Measures: Boxed + fmt::Debug + Send + Sync {
     /// State that the robot reports at a sample; `None` outside its log.
     fn reported(&self, sample: usize, clock: &Clock) -> Option<JointState>;
 
-    /// Joints of the robot at each sample, as known when it was read.
+    /// Joints of the robot at each sample, with clocks as they were when the samples were read.
     fn joints(&self) -> Vec<Joints> {
         let clock = Clock::default();
         (0..self.samples()).map(|sample| self.reported(sample, &clock).unwrap_or_default().q).collect()
     }
 
-    /// Time of a sample on the instrument's clock, since its reference time \[s\]; `None` for rows of a robot at rest.
+    /// Time of a sample on the instrument's clock, relative to the reference time \[s\]. `None` for rows of
+    /// a robot at rest.
     fn time_s(&self, _sample: usize) -> Option<f64> {
         None
     }
 
-    /// Time of the first sample that was measured, used or not, on the same clock \[s\]: times in messages count from it.
+    /// Time of the first measured sample, whether it is used or not, on the same clock \[s\]. Times in messages
+    /// are relative to it.
     fn first_s(&self) -> Option<f64> {
         self.time_s(0)
     }
 
-    /// The alignment of the instrument's log with the robot's; `None` for an instrument that does not measure continuously.
+    /// Alignment of the instrument's log with the robot's. `None` for instruments that do not measure continuously.
     fn prepared(&self) -> Option<&Prepared> {
         None
     }
 
-    /// The instrument with a part of its samples.
+    /// Copies the instrument with only these samples.
     fn part(&self, samples: &[usize]) -> Instrument;
 
-    /// At most `count` groups of samples with independent errors.
+    /// Divides the samples into at most `count` groups whose errors are independent of each other.
     fn independent(&self, count: usize) -> Vec<Vec<usize>>;
 
-    /// Sets the group of each sample, held out together, and the `seed` of the assignment of groups to folds.
+    /// Sets the group of each sample. Samples of a group are held out together. `seed` is that of the random assignment
+    /// of groups to folds.
     fn group(&mut self, _groups: &[usize], _seed: u64) {}
 
-    /// Default way to hold samples out.
+    /// How samples are held out by default.
     fn hold_out(&self) -> HoldOut {
         HoldOut::Rows
     }
 
-    /// Fewest samples of a fit with this instrument alone.
+    /// Minimum number of samples for a fit with this instrument alone.
     fn samples_min(&self) -> usize {
         0
     }
 
-    // Its parameters and residuals.
+    // Parameters and residuals.
 
-    /// Adds the parameters of the instrument to the model of a robot, with value zero.
+    /// Adds the parameters of the instrument to the model of a robot. Their values are zero.
     fn fitted_out(&self, robot: Model) -> Model {
         robot
     }
 
-    /// Sets start values of the instrument's parameters for the robot of the model, and frees those that are not in `fix`.
-    /// Returns false if the samples do not determine a start.
+    /// Estimates start values of the instrument's parameters, for the robot of the model. Frees those that are not in
+    /// `fix`. Returns false if the samples do not determine start values.
     ///
     /// # Errors
-    /// [`ModelError`] if the model is of another instrument.
+    /// [`ModelError`] if the model was made for another instrument.
     fn place(&self, model: &mut Model, fix: &[ParameterId]) -> Result<bool, ModelError>;
 
-    /// Whether the samples separate the parameter from the others that are usually free.
+    /// Whether the samples can separate this parameter from the other parameters that are usually free.
     fn identifies(&self, id: ParameterId, robot: &Chain) -> bool;
 
-    /// The samples as residuals at the parameters of the model, divided by `sigma`.
+    /// The residuals of the samples, divided by `sigma`, as a function of the free parameters of the model.
     ///
     /// # Errors
-    /// [`CostError`] if the residual cannot be computed from the samples.
+    /// [`CostError`] if the samples lack data that the residuals need.
     fn data_set<'a>(&'a self, model: &'a Model, sigma: f64) -> Result<Box<dyn DataSet + 'a>, CostError>;
 
-    /// Robot minus measurement in every sample, used or not; NaN outside the robot's log and for set-ups that the geometry
-    /// lacks.
+    /// Robot minus measurement of every sample, whether it is used or not. NaN outside the robot's log, and for stations or
+    /// targets that the geometry does not contain.
     fn deviations(&self, geometry: &Geometry) -> Vec<Deviation>;
 
-    /// Sizes of [`Measures::deviations`].
+    /// Absolute sizes of [`Measures::deviations`].
     fn errors(&self, geometry: &Geometry) -> Vec<PoseError> {
         self.deviations(geometry).into_iter().map(PoseError::from).collect()
     }
 
-    /// [`Measures::deviations`] as numbers: signed differences of lengths, or distances of positions \[m\].
+    /// [`Measures::deviations`] as one number each: signed difference of lengths, or distance of positions \[m\].
     fn residuals_m(&self, geometry: &Geometry) -> Vec<f64> {
         self.deviations(geometry).iter().map(Deviation::signed_m).collect()
     }
 
-    // The weights of its samples.
+    // Weights of the samples.
 
-    /// Updates quantities that depend on the geometry, before a solve that starts at the model. Returns the noise of a
-    /// measurement, in its unit, if the instrument estimates it: its residuals are then in standard deviations.
+    /// Updates quantities that depend on the geometry. Called before a solve, which starts at the model. If the
+    /// instrument estimates its noise, returns the noise of a measurement in its unit. Residuals are in standard
+    /// deviations in this case.
     fn adapt(&mut self, model: &Model) -> Option<f64>;
 
-    /// Estimates the noise of the readings from the residuals at a solution, and weights them by it.
+    /// Estimates the noise of the readings from the residuals at a solution. Later residuals are weighted with this noise.
     fn learn_noise(&mut self, _model: &Model) {}
 
-    /// Noise of each sample relative to the median one, from uncertainties that files state, as of the last
-    /// [`Measures::adapt`].
+    /// Noise of each sample relative to the median sample, from uncertainties that the file states. Computed
+    /// by the last [`Measures::adapt`].
     fn relative_noise(&self) -> Vec<f64> {
         vec![1.0; self.samples()]
     }
 
-    /// Estimates the relative noise from these samples alone, at the model.
+    /// Estimates the relative noise at the model, from these samples alone.
     fn weigh_by(&mut self, _model: &Model, _samples: &[usize]) {}
 
-    /// Lag-one autocorrelation of the residuals, as of the last [`Measures::learn_noise`], and its standard deviation for white
-    /// noise: approximately the part of the variance that is correlated.
+    /// Lag-one autocorrelation of the residuals, and its standard deviation for white noise. Computed by the last
+    /// [`Measures::learn_noise`]. The autocorrelation is approximately the correlated fraction of the variance.
     fn autocorrelation(&self) -> Option<[f64; 2]> {
         None
     }
 
-    // Samples that are left out.
+    // Samples that are excluded.
 
-    /// Samples whose own data contradict each other.
+    /// Finds samples whose own data contradict each other.
     ///
     /// # Errors
-    /// [`RowError`] if samples are invalid, or too few to locate the instrument.
+    /// [`RowError`] if samples are invalid, or too few to determine the pose of the instrument.
     fn contradicting(&self, _robot: &Chain) -> Result<Vec<RejectedRow>, RowError> {
         Ok(Vec::new())
     }
 
-    /// Leaves out samples that are outliers at the model, and includes those that no longer are. Returns whether the set of
-    /// samples in use has changed.
+    /// Excludes samples that are outliers at the model. Uses samples again that are not outliers any more. Returns whether
+    /// the set of used samples has changed.
     fn screen(&mut self, _model: &Model) -> bool {
         false
     }
 
-    /// Whether outliers are determined again at each solve ([`Measures::screen`]).
+    /// Whether outliers are determined again after each solve, by [`Measures::screen`].
     fn judges_gross(&self) -> bool {
         false
     }
 
-    /// Samples that are left out of the fit.
+    /// Samples that are excluded from the fit.
     fn rejected(&self) -> &[RejectedRow] {
         &[]
     }
 
-    /// Samples that cannot be measurements at the model, whether they were fitted or held out.
+    /// Samples that cannot be measurements of this model, whether they were fitted or held out.
     fn misplaced(&self, _model: &Model) -> Vec<RejectedRow> {
         Vec::new()
     }
 
-    /// Possible reasons, as text, why samples are left out, with the number of each sample.
+    /// Possible reasons why samples are excluded, as text, with the number of each sample.
     fn remarks(&self, _geometry: &Geometry) -> Vec<(usize, String)> {
         Vec::new()
     }
 
-    // What may be wrong with the measurement or its file.
+    // Possible errors of the measurement or its file.
 
-    /// Changes at one instant that can occur during a measurement.
+    /// Parts that can change at one instant during a measurement.
     fn causes(&self, geometry: &Geometry) -> Vec<Cause>;
 
-    /// Reasons why the figures at a solution may be wrong.
+    /// Reasons why the results at a solution may be wrong.
     fn doubts(&self, _geometry: &Geometry) -> Vec<Doubt> {
         Vec::new()
     }
 
-    /// Mistakes that a file of this instrument can contain, for an arm with this number of axes.
+    /// Mistakes that a file of this instrument can contain. `axes` is the number of axes of the robot.
     fn mistakes(&self, _axes: usize) -> Vec<Mistake> {
         Vec::new()
     }
 
-    /// The samples with a mistake undone, one result for each direction that it can have; empty if it cannot be undone.
+    /// The samples with a mistake corrected. If the mistake can have two directions, a result for each. Empty if it cannot
+    /// be corrected in the samples.
     fn undone(&self, _mistake: Mistake, _robot: &Chain) -> Vec<Instrument> {
         Vec::new()
     }
@@ -214,7 +219,7 @@ pub trait Measures: Boxed + fmt::Debug + Send + Sync {
         Vec::new()
     }
 
-    /// The same with each length increased by `by_m` \[m\]; `None` for an instrument without lengths.
+    /// The instrument with each length increased by its entry of `by_m` \[m\]. `None` for instruments without lengths.
     fn longer_by(&self, _by_m: &[f64]) -> Option<Instrument> {
         None
     }

@@ -1,6 +1,7 @@
-//! Instruments that measure the robot (ball-bar, tracker, wire, and a tip in sockets or on faces), one file each with its
-//! residuals, start values and outliers; their rows are those of `logs`. `calibrate` uses them as [`Measures`]. The robot model
-//! does not depend on instruments, and instruments do not depend on the estimator.
+//! Instruments that measure the robot: ball-bar, tracker, wire, and a tip in sockets or on faces. Each instrument has
+//! a file with its residuals, start values and outliers. `logs` defines its rows. `calibrate` uses all instruments
+//! through the trait [`Measures`]. The model of the robot does not depend on instruments, and instruments do not
+//! depend on the estimator.
 
 mod ball_bar;
 mod cause;
@@ -33,9 +34,9 @@ pub use wire::Wire;
 use crate::kinematics::Joints;
 use crate::model::Model;
 
-/// Copies an instrument of any kind: `dyn Measures` cannot be `Clone`.
+/// Copies an instrument of any type, because `dyn Measures` cannot implement `Clone`.
 pub trait Boxed {
-    /// A copy with all its samples.
+    /// A copy of the instrument with all its samples.
     fn boxed(&self) -> Instrument;
 }
 
@@ -45,7 +46,7 @@ impl<M: Measures + Clone + 'static> Boxed for M {
     }
 }
 
-/// An instrument of any kind with its samples.
+/// An instrument of any type with its samples.
 #[derive(Debug)]
 pub struct Instrument(Box<dyn Measures>);
 
@@ -62,7 +63,8 @@ impl Clone for Instrument {
 }
 
 impl Instrument {
-    /// Joints that the robot reports at each sample, with the clock of the model.
+    /// Joints that the robot reports at each sample, with the clock of the model. Samples outside the
+    /// robot's log are omitted.
     pub fn poses(&self, model: &Model) -> impl Iterator<Item = Joints> {
         let clock = model.geometry(&[]).clock;
         (0..self.samples()).filter_map(move |sample| Some(self.reported(sample, &clock)?.q))
@@ -83,7 +85,7 @@ impl DerefMut for Instrument {
     }
 }
 
-/// One run or file of one instrument, with the parameters of its fit.
+/// A data set: one run or file of one instrument, with the parameters of its fit.
 #[derive(Debug, Clone)]
 pub struct Run {
     /// Instrument with its samples.

@@ -1,8 +1,10 @@
-//! Segments of a run whose errors are independent, also if its motion repeats; the bar's folds. Repetitions share the errors of
-//! gears and encoders, so a repetition that is held out is not independent of the fitted ones.
+//! Divides a ball-bar run into segments whose errors are independent, even if the motion repeats. The repetitions of a
+//! motion have the same errors of gears and encoders. A held-out repetition is therefore not independent of the fitted
+//! ones, and all repetitions must be in the same segment.
 //!
-//! The period is estimated from the time between each sample and the later one with the most similar joints: the shortest time
-//! that enough samples share ([`REPEATED_MIN`]), refined by Gauss-Newton.
+//! The period of the motion is estimated as follows. For each sample, the later sample with the most similar joints
+//! is found. The period is the shortest time between the two that occurs for enough samples ([`REPEATED_MIN`]). It
+//! is refined by Gauss-Newton.
 
 use std::ops::Range;
 
@@ -10,25 +12,27 @@ use super::segments;
 use crate::model::{JointState, RobotMotion};
 use crate::statistics::largest_difference;
 
-/// Highest number of samples of a run that are compared with each other.
+/// Maximum number of samples of a run that are compared with each other.
 const COMPARED_MAX: usize = 600;
-/// Samples closer in time than this are neighbours, not repetitions \[s\].
+/// Samples that are closer in time are not repetitions but neighbours \[s\].
 const APART_S: f64 = 5.0;
-/// First test: two poses are similar if no joint differs by more, because samples of two repetitions are offset in time
-/// \[rad, m\].
+/// First test: two poses are similar if no joint differs by more \[rad, m\]. The limit is large, because the samples of two
+/// repetitions are not at the same phase.
 const ALIKE_MAX: f64 = 0.1;
-/// Second test: two motions are the same if the root mean square difference of the joints is at most this \[rad, m\].
+/// Second test: two motions are equal if the root mean square difference of their joints is not larger \[rad, m\].
 const SAME_MAX: f64 = 2e-3;
-/// Bin width of the histogram of periods \[s\].
+/// Bin width of the histogram of times between similar poses \[s\].
 const BIN_S: f64 = 0.5;
-/// Lowest number of segments.
+/// Minimum number of segments.
 const SEGMENTS_MIN: usize = 8;
-/// Part of the samples that must belong to a repeated motion; half of those have a later repetition.
+/// Minimum fraction of the samples that belong to a repeated motion. Half of these samples have a later repetition.
 const REPEATED_MIN: f64 = 0.4;
 
-/// Samples of each segment of a run measured at `times_s`: at most `count` segments. All repetitions of a motion are in one
-/// segment. A repeating run has fewer segments, so that each lasts as long as in a run without repetitions: errors of gears and
-/// bearings are correlated over seconds.
+/// Divides a run, which was measured at `times_s`, into at most `count` segments. Returns the samples of each segment. All
+/// repetitions of a motion are in the same segment.
+///
+/// If the motion repeats, there are fewer segments. Each then lasts as long as in a run without repetitions, because errors
+/// of gears and bearings are correlated over seconds.
 pub fn independent_segments(motion: &impl RobotMotion, times_s: &[f64], count: usize) -> Vec<Vec<usize>> {
     let samples: Vec<usize> = (0..times_s.len()).collect();
     let span_s = times_s.last().zip(times_s.first()).map_or(0.0, |(last, first)| last - first);
@@ -49,11 +53,12 @@ fn sorted_by_phase(mut samples: Vec<usize>, times_s: &[f64], period_s: f64) -> V
     samples
 }
 
-/// Period of a motion sampled at `times_s` \[s\]; `None` if it does not repeat.
+/// Period of a motion that was sampled at `times_s` \[s\]. `None` if the motion does not repeat.
 pub fn period_s(motion: &impl RobotMotion, times_s: &[f64]) -> Option<f64> {
     let every = times_s.len().div_ceil(COMPARED_MAX).max(1);
     let states: Vec<(f64, JointState)> =
         times_s.iter().step_by(every).filter_map(|&t_s| Some((t_s, motion.at(t_s)?))).collect();
+    // Histogram of the times from each sample to the most similar later sample.
     let mut bins: Vec<usize> = Vec::new();
     for (index, (t_s, state)) in states.iter().enumerate() {
         let later = states.iter().skip(index + 1).filter(|(later_s, _)| later_s - t_s > APART_S);
@@ -66,20 +71,22 @@ pub fn period_s(motion: &impl RobotMotion, times_s: &[f64]) -> Option<f64> {
         bins.resize(bins.len().max(bin + 1), 0);
         bins[bin] += 1;
     }
-    // The period lies in one bin or between two. Fewer than ten samples could be similar by chance.
+    // Half of the repeated samples have a later repetition, with times in one bin or in two adjacent ones. At least ten are
+    // needed, because fewer could be similar by chance.
     let needed = (0.5 * REPEATED_MIN * states.len() as f64).max(10.0) as usize;
     let first_bin = bins.windows(2).position(|pair| pair[0] + pair[1] >= needed)?;
     refine(motion, &states, (first_bin + 1) as f64 * BIN_S)
 }
 
-/// Minimises `sum |q(t + period) - q(t)|^2` over the period by Gauss-Newton. `None` if the joints then still differ.
+/// Refines the period by Gauss-Newton: minimises `sum |q(t + period) - q(t)|^2`. `None` if the joints of
+/// the repetitions still differ.
 fn refine(motion: &impl RobotMotion, states: &[(f64, JointState)], start_s: f64) -> Option<f64> {
     const STEPS: usize = 8;
     let mut period_s = start_s;
     for step in 0..=STEPS {
         let pairs: Vec<(JointState, JointState)> =
             states.iter().filter_map(|(t_s, state)| Some((*state, motion.at(t_s + period_s)?))).collect();
-        // Sums of rate times difference, of squared rates (the derivatives) and of squared differences.
+        // Sums of three products: rate times difference, squared rate (the derivative), and squared difference.
         let (mut gradient, mut curvature, mut squared) = (0.0, 0.0, 0.0);
         for (state, repeated) in &pairs {
             for joint in 0..state.q.len() {
@@ -104,7 +111,7 @@ fn refine(motion: &impl RobotMotion, states: &[(f64, JointState)], start_s: f64)
 mod tests {
     use super::*;
 
-    /// Joints that oscillate at different frequencies \[Hz\].
+    /// Joints that oscillate, each at its own frequency \[Hz\].
     struct Swing([f64; 6]);
 
     impl RobotMotion for Swing {

@@ -1,6 +1,7 @@
-//! A tracker that measures positions or poses of targets on the flange, from one or several stations, while the robot stands or
-//! moves. The residual is the target's pose by the robot minus the measured one ([`MeasuredPose`], [`MeasuredPosition`]), where
-//! the poses of stations (`places`) and targets (`probes`) and the scale are estimated too.
+//! A tracker that measures positions or poses of targets on the flange, from one or more stations. The robot stands
+//! still or moves. The residual is the pose of the target predicted by the robot, minus the measured pose
+//! ([`MeasuredPose`]) or position ([`MeasuredPosition`]). The fit also estimates the poses of stations (`places`) and of
+//! targets (`probes`), and the scale.
 
 use nalgebra::{Rotation3, Vector3};
 
@@ -20,47 +21,49 @@ use crate::model::{
 use crate::prepare::{Moving, PROBE_SIGMA_M, Sighted, all_placements};
 use crate::statistics::median_size;
 
-/// Fewest rows of a fit: twice as many measured numbers as unknowns of tracker, probe and links.
+/// Minimum number of rows of a fit: gives twice as many measured numbers as tracker, probe and links have unknowns.
 const ROWS_MIN: usize = 20;
-/// Fewest rows of each of several stations: twice its six unknowns, of which a part is held out.
+/// Minimum number of rows of each station if there are several. Gives twice as many numbers as its six unknowns, even if
+/// some rows are held out.
 const STATION_ROWS_MIN: usize = 5;
-/// Fewest rows of each target.
+/// Minimum number of rows of each target if there are several.
 const TARGET_ROWS_MIN: usize = 3;
 
-/// Rows of one set-up, and the noise of each.
+/// The rows of one file, and the noise of each row.
 #[derive(Debug, Clone)]
 pub struct Tracker {
     rows: Standing<PoseRow>,
-    /// Times of the rows and the robot's log; `None` for a robot at rest.
+    /// Times of the rows, and the robot's log. `None` if the robot stood still.
     moving: Option<Moving>,
     /// Time of each row.
     observations: Vec<Observation>,
     /// Whether every row has a rotation.
     has_rotations: bool,
-    /// Noise of each measurement, from the spread of the residuals and the stated uncertainties.
+    /// Noise of each measurement, estimated from the residuals and the stated uncertainties.
     noise: Vec<PoseNoise>,
     /// Standard uncertainty of the scale \[ppm\]; zero means exact.
     scale_u_ppm: f64,
 }
 
 impl Tracker {
-    /// From rows at which the robot stood still, in the order in which it visited them.
+    /// Creates the instrument from rows at which the robot stood still, in the order in which it visited them.
     pub fn new(rows: &[PoseRow]) -> Self {
         Self::from_parts(Standing::new(rows, |row| row.joints_rad), None)
     }
 
-    /// From rows that were measured while the robot moved.
+    /// Creates the instrument from rows that were measured while the robot moved.
     pub fn of_moving(rows: &[PoseRow], moving: Moving) -> Self {
         Self::from_parts(Standing::new(rows, |row| row.joints_rad), Some(moving))
     }
 
-    /// The same with the standard uncertainty of the scale \[ppm\] that the mapping states, if any; zero means exact.
+    /// Sets the standard uncertainty of the scale \[ppm\] to the one that the mapping states. Zero means exact.
+    /// `None` keeps the default.
     #[must_use]
     pub fn with_scale_u_ppm(self, stated: Option<f64>) -> Self {
         Self { scale_u_ppm: stated.unwrap_or(self.scale_u_ppm), ..self }
     }
 
-    /// Rows as of a robot at rest, with the joints of the first alignment.
+    /// The instrument with other rows, as if the robot had stood still. The joints are those of the first alignment.
     fn at_rest(&self, rows: Standing<PoseRow>) -> Instrument {
         Self::from_parts(rows, None).with_scale_u_ppm(Some(self.scale_u_ppm)).into()
     }
@@ -80,15 +83,15 @@ impl Tracker {
         }
     }
 
-    /// State that the robot reports at each row, with the clock of `geometry`.
+    /// State that the robot reports at each row, with the clock in `geometry`.
     fn states(&self, geometry: &Geometry) -> impl Iterator<Item = JointState> {
         let clock = geometry.clock;
-        // The preparation keeps rows away from the ends of the log.
+        // The preparation keeps rows away from the ends of the log, so a reported state normally exists.
         let state = move |(row, state): (usize, &JointState)| self.reported(row, &clock).unwrap_or(*state);
         self.rows.states.iter().enumerate().map(state)
     }
 
-    /// The tracker with some of the rows.
+    /// The tracker with only these rows.
     fn chosen(&self, rows: &[usize]) -> Self {
         let moving = self.moving.as_ref().map(|moving| Moving {
             t_s: rows.iter().map(|&row| moving.t_s[row]).collect(),
@@ -98,7 +101,8 @@ impl Tracker {
         Self { noise, scale_u_ppm: self.scale_u_ppm, ..Self::from_parts(self.rows.chosen(rows), moving) }
     }
 
-    /// Pose of the tracker and pose of the probe predicted by the robot, at each row; `None` for a set-up that the geometry lacks.
+    /// For each row, the pose of the station, and the pose of the target predicted by the robot. `None` for a station or
+    /// target that the geometry does not contain.
     fn predicted(&self, geometry: &Geometry) -> impl Iterator<Item = (&PoseRow, Option<[Pose; 2]>)> {
         let tracker = &geometry.tracker;
         let stations: Vec<Pose> = tracker.places.iter().map(Placement::pose).collect();
@@ -117,7 +121,7 @@ impl Tracker {
         median_size(self.noise.iter().map(|noise| noise.position_m))
     }
 
-    /// The rows as a problem with this residual, divided by `sigma`.
+    /// The rows as a least-squares problem with this residual, which is divided by `sigma`.
     fn loop_problem<'a, R: Residual + 'a>(
         &'a self,
         model: &'a Model,
@@ -166,7 +170,8 @@ impl Measures for Tracker {
         if self.moving.is_some() { model } else { model.without_clocks() }
     }
 
-    /// Start values of stations and targets; false if the positions of a station lie on a line.
+    /// Estimates start values of stations and targets. Returns false if the positions measured from a station
+    /// lie on a line.
     fn place(&self, model: &mut Model, fix: &[ParameterId]) -> Result<bool, ModelError> {
         let geometry = model.geometry(&[]);
         let rows = self.rows.rows.iter().zip(self.states(&geometry));
@@ -232,11 +237,11 @@ impl Measures for Tracker {
         depends && (self.moving.is_some() || id.group() != Group::Clock)
     }
 
-    /// Standard deviations of a coordinate and of an angle, from the median of mostly normal errors. Returns that of a
-    /// coordinate of the median row.
+    /// Estimates the standard deviations of position coordinates and of angles, from medians, because most errors are
+    /// normal. Returns the standard deviation of a coordinate of the median row \[m\].
     fn adapt(&mut self, model: &Model) -> Option<f64> {
         let errors = self.errors(&model.geometry(&[]));
-        // Standard deviation of each row, for the position or the rotation.
+        // Standard deviation of each row, either of the position or of the rotation.
         let sigmas = |error: fn(&PoseError) -> f64, stated: fn(&PoseUncertainty) -> Option<f64>| {
             let stated = || self.rows.rows.iter().map(move |row| stated(&row.uncertainty));
             let noise = RowNoise::behind(errors.iter().map(error).zip(stated()), MEDIAN_OF_THREE);
@@ -261,7 +266,7 @@ impl Measures for Tracker {
         self.rows.group(groups, seed);
     }
 
-    /// Single poses if there are several stations, because a region could contain all rows of one.
+    /// Holds out single poses if there are several stations, because a region could contain all rows of one station.
     fn hold_out(&self) -> HoldOut {
         let several = self.moving.is_none() && self.rows.rows.iter().any(|row| row.set_up.station > 0);
         if several { HoldOut::Rows } else { HoldOut::Regions }
@@ -286,7 +291,7 @@ impl Measures for Tracker {
     }
 
     fn mistakes(&self, axes: usize) -> Vec<Mistake> {
-        /// Number of positions in the file at which a displacement is tried.
+        /// Number of segments of the file. A displacement is tried at each boundary between two segments.
         const PLACES: usize = 40;
         let others = [Mistake::RowsShifted, Mistake::Mirrored, Mistake::ModifiedTable];
         let moved = (1..PLACES).map(|place| Mistake::Moved(place * self.samples() / PLACES));
@@ -300,7 +305,7 @@ impl Measures for Tracker {
             Mistake::Joints(mistake) => vec![self.at_rest(rows.undone(mistake, robot))],
             Mistake::RowsShifted => rows.shifted().map(|rows| self.at_rest(rows)).to_vec(),
             Mistake::Mirrored => {
-                // Any mirror image is this one in another pose of the tracker.
+                // Each mirror image is equal to this one, with another pose of the tracker.
                 let mut mirrored = rows.clone();
                 for row in &mut mirrored.rows {
                     row.position_m.z = -row.position_m.z;
@@ -315,12 +320,13 @@ impl Measures for Tracker {
                 }
                 vec![self.at_rest(scaled)]
             }
-            // Displacements and other tables are not corrected in the rows.
+            // Displacements and a modified table cannot be corrected in the rows.
             _ => Vec::new(),
         }
     }
 
-    /// Position of the probe predicted by the robot minus the measured position.
+    /// Position of the target predicted by the robot minus the measured position, in the robot's base. Also the
+    /// angle between the orientations.
     fn deviations(&self, geometry: &Geometry) -> Vec<Deviation> {
         let deviation = |(row, poses): (&PoseRow, Option<[Pose; 2]>)| {
             let Some([station, probe]) = poses else { return Deviation::of_place(Vector3::repeat(f64::NAN)) };
@@ -338,8 +344,8 @@ impl Measures for Tracker {
     }
 
     fn causes(&self, Geometry { tracker, .. }: &Geometry) -> Vec<Cause> {
-        // A displacement without a rotation is a cause of its own: rotations are measured so well that a test of all six
-        // coordinates of few poses does not detect it.
+        // A displacement of the station without a rotation is tested as a separate cause. Rotations are measured so
+        // accurately that, with few poses, a test of all six coordinates does not detect it.
         let station = |station| {
             let name = format!("the place of the tracker{}", numbered(" in station", station));
             let cause = |coordinates: &[Coordinate]| {

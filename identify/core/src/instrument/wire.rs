@@ -1,7 +1,9 @@
 //! A draw-wire or telescoping bar that measures one length at each pose, from an anchor to an attachment on the flange. The
-//! residual is `(1 + scale) |attachment - anchor| + offset - length` ([`MeasuredLength`]), where anchor, attachment, offset and
-//! scale are estimated too. The errors of lengths have heavy tails (the wire sags, sticks or is read late). A step of the
-//! offset, or a joint logged with the wrong sign, shifts whole runs of rows. Rows that contradict the others are left out; they
+//! residual is `(1 + scale) |attachment - anchor| + offset - length` ([`MeasuredLength`]). The fit also estimates anchor,
+//! attachment, offset and scale.
+//!
+//! The errors of lengths have heavy tails, because the wire sags, sticks or is read too late. A step of the offset, or a
+//! joint that was logged with the wrong sign, shifts whole runs of rows. Rows that contradict the others are excluded. They
 //! are determined again after each solve.
 
 use nalgebra::{DMatrix, DVector, Vector3};
@@ -20,18 +22,19 @@ use crate::model::{
 };
 use crate::statistics::median_size;
 
-/// Fewest rows of a fit: twice the seven unknowns of the wire.
+/// Minimum number of rows of a fit: twice the seven unknowns of the wire.
 const ROWS_MIN: usize = 14;
-/// Fewest rows of each of several anchors: the equations of its start value have four unknowns, and some rows are held out.
+/// Minimum number of rows of each anchor if there are several. The equations for its start value have four unknowns, and
+/// some rows are held out.
 const ANCHOR_ROWS_MIN: usize = 8;
-/// Fewest rows of each of several attachments: twice its three coordinates.
+/// Minimum number of rows of each attachment if there are several: twice its three coordinates.
 const ATTACHMENT_ROWS_MIN: usize = 6;
 
 /// Rows of one file, and the noise of their lengths.
 #[derive(Debug, Clone)]
 pub struct Wire {
     rows: Screened<LengthRow>,
-    /// Estimated from the spread of the residuals and the stated uncertainties.
+    /// Noise of the rows, estimated from the residuals and the stated uncertainties.
     noise: RowNoise,
     /// Standard uncertainty of the scale \[ppm\]; zero means exact.
     scale_u_ppm: f64,
@@ -40,13 +43,14 @@ pub struct Wire {
 }
 
 impl Wire {
-    /// From rows at which the robot stood still, in the order in which it visited them.
+    /// Creates the instrument from rows at which the robot stood still, in the order in which it visited them.
     pub fn new(rows: &[LengthRow]) -> Self {
         let rows = Screened::new(Standing::new(rows, |row| row.joints_rad));
         Self::from_parts(rows, RowNoise::ALIKE, ScaleFrom::Wire.usual_u_ppm())
     }
 
-    /// The same with the standard uncertainty of the scale \[ppm\] that the mapping states, if any; zero means exact.
+    /// Sets the standard uncertainty of the scale \[ppm\] to the one that the mapping states. Zero means exact.
+    /// `None` keeps the default.
     #[must_use]
     pub fn with_scale_u_ppm(self, stated: Option<f64>) -> Self {
         Self { scale_u_ppm: stated.unwrap_or(self.scale_u_ppm), ..self }
@@ -62,7 +66,7 @@ impl Wire {
         Self::from_parts(Screened::new(all), self.noise, self.scale_u_ppm)
     }
 
-    /// The same with other lengths.
+    /// The same instrument with other measured lengths \[m\].
     fn with_lengths(&self, lengths_m: impl Iterator<Item = f64>) -> Instrument {
         let mut all = self.rows.all.clone();
         all.rows.iter_mut().zip(lengths_m).for_each(|(row, length_m)| row.length_m = length_m);
@@ -81,14 +85,15 @@ fn residuals_m(rows: &Standing<LengthRow>, geometry: &Geometry) -> Vec<f64> {
     rows.rows.iter().zip(&rows.states).map(residual).collect()
 }
 
-/// Noise that explains the residuals of some rows; `None` if no row states its uncertainty.
+/// Estimates the noise of some rows from their residuals. `None` if no row states its uncertainty.
 fn estimate_noise(rows: &Standing<LengthRow>, geometry: &Geometry) -> Option<RowNoise> {
     let stated = || rows.rows.iter().map(|row| row.uncertainty_m);
     let errors_m = residuals_m(rows, geometry).into_iter().map(f64::abs);
     stated().any(|stated| stated.is_some()).then(|| RowNoise::behind(errors_m.zip(stated()), MEDIAN_OF_ONE))
 }
 
-/// A few contradicting rows have wrong joints. If most rows contradict the robot's file, the file is of another robot.
+/// Checks that the rows are of this robot. If a few rows contradict the robot's file, their joints are wrong. If most rows
+/// do, the file is of another robot.
 fn ensure_this_robot(contradicting: &[RejectedRow], rows: usize) -> Result<(), RowError> {
     let rejected = contradicting.len();
     if 2 * rejected <= rows {
@@ -101,13 +106,13 @@ fn ensure_this_robot(contradicting: &[RejectedRow], rows: usize) -> Result<(), R
     Err(RowError::OtherRobot { rejected, rows, median_mm: median_size(distances_m) * 1e3 })
 }
 
-/// Start value of the anchor of a wire that is attached near the flange's origin, at `positions_m`; `None` if these lie in a
-/// plane.
+/// Start value of the anchor from the measured lengths. Assumes that the wire is attached at the flange's origin, which is
+/// at `positions_m`. `None` if the positions lie in a plane.
 ///
-/// For the anchor `c`, `|p - c|^2 = l^2` is linear in `c` and `k = |c|^2`: `2 p.c - k = |p|^2 - l^2`. `k` is estimated as a
-/// fourth number, which also takes up a part of a constant offset of the lengths.
+/// With the anchor `c`, `|p - c|^2 = l^2` is linear in `c` and `k = |c|^2`: `2 p.c - k = |p|^2 - l^2`. `k` is estimated as
+/// a fourth unknown, so it also absorbs some of a constant offset of the lengths.
 fn start_anchor(positions_m: &[Vector3<f64>], lengths_m: &[f64]) -> Option<Vector3<f64>> {
-    /// Singular values below this part of the largest mean that the positions do not span space.
+    /// If the ratio of the smallest to the largest singular value is not larger, the positions lie in a plane.
     const FLATNESS: f64 = 1e-6;
     let rows = positions_m.len();
     let matrix = DMatrix::from_fn(rows, 4, |i, j| if j < 3 { 2.0 * positions_m[i][j] } else { -1.0 });
@@ -147,7 +152,8 @@ impl Measures for Wire {
         robot.with_set_ups(Owner::Wire, SetUp::counts(set_ups)).without_clocks()
     }
 
-    /// Sets start values of the anchors; false if the positions of an anchor's rows lie in a plane.
+    /// Sets start values of the anchors and frees the parameters of the wire. Returns false if the positions of an anchor's
+    /// rows lie in a plane.
     fn place(&self, model: &mut Model, fix: &[ParameterId]) -> Result<bool, ModelError> {
         let geometry = model.geometry(&[]);
         let rows = || self.rows.at.rows.iter().zip(&self.rows.at.states);
@@ -192,8 +198,8 @@ impl Measures for Wire {
         MeasuredLength::depends_on(id, robot) && id.group() != Group::Clock
     }
 
-    /// Updates the relative noise of the rows. Returns `None`: residuals stay in metres, and the solver estimates their common
-    /// sigma.
+    /// Updates the relative noise of the rows. Returns `None`, because residuals stay in metres and the solver
+    /// estimates their common sigma.
     fn adapt(&mut self, model: &Model) -> Option<f64> {
         if let Some(noise) = estimate_noise(&self.rows.at, &model.geometry(&[])) {
             *self = Self::from_parts(self.rows.clone(), noise, self.scale_u_ppm);
@@ -207,7 +213,7 @@ impl Measures for Wire {
         }
     }
 
-    /// Leaves rows out if most rows agree with each other.
+    /// Excludes outliers, unless more than half of the rows would be excluded.
     fn screen(&mut self, model: &Model) -> bool {
         let residuals_m = self.residuals_m(&model.geometry(&[]));
         let changed = self.rows.screen(&residuals_m, &self.relative_noise(), |_| true);
@@ -231,9 +237,10 @@ impl Measures for Wire {
         ROWS_MIN
     }
 
-    /// Rows whose controller position is not where their joint angles put the flange.
+    /// Finds rows in which the flange position of the controller contradicts the joint angles.
     fn contradicting(&self, robot: &Chain) -> Result<Vec<RejectedRow>, RowError> {
-        /// Above the rounding of controllers and the error of nominal links \[m\].
+        /// Maximum distance between the two positions \[m\]. Larger than the rounding of controllers and the
+        /// error of nominal links.
         const TOLERANCE_M: f64 = 5e-3;
         let all = &self.rows.all;
         all.ensure_finite(|row| row.flange_m.into_iter().flatten())?;
@@ -292,7 +299,7 @@ impl Measures for Wire {
         &self.rows.rejected
     }
 
-    /// Position of each anchor, and the offset of the lengths.
+    /// The position of each anchor, and the offset of the lengths.
     fn causes(&self, Geometry { wire, .. }: &Geometry) -> Vec<Cause> {
         let anchor = |station| {
             let name = format!("the anchor{} of the wire", numbered("", station));
@@ -302,7 +309,7 @@ impl Measures for Wire {
         (0..wire.anchors_m.len()).map(anchor).chain([offset]).collect()
     }
 
-    /// Of all rows, in use or not, relative to their median.
+    /// Noise of all rows, whether they are in use or not, relative to the median row.
     fn relative_noise(&self) -> Vec<f64> {
         self.noise.relative(self.rows.all.rows.iter().map(|row| row.uncertainty_m))
     }

@@ -1,16 +1,16 @@
-//! Why measured rows cannot be used.
+//! Errors of rows: reasons why measured rows cannot be used.
 
-/// Why measured rows cannot be used.
+/// Reason why measured rows cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum RowError {
-    /// Too few rows for the unknowns.
+    /// There are fewer rows than the number of unknowns requires.
     #[error(
         "{rows} usable rows remain for the fit beside the held-out ones, at least {needed} are needed; measure more poses"
     )]
     TooFewRows {
-        /// Rows left for fitting.
+        /// Number of rows that remain for the fit.
         rows: usize,
-        /// Least number of rows.
+        /// Minimum number of rows.
         needed: usize,
     },
     /// The controller's flange positions contradict the robot's file.
@@ -19,66 +19,66 @@ pub enum RowError {
          {median_mm:.0} mm in the median; give the file of this robot, or correct units and signs of joints or [flange] in the mapping"
     )]
     OtherRobot {
-        /// Number of rows that contradict it.
+        /// Number of rows whose flange position contradicts the file.
         rejected: usize,
         /// Number of rows in the file.
         rows: usize,
-        /// Median distance \[mm\].
+        /// Median distance between the two flange positions \[mm\].
         median_mm: f64,
     },
-    /// Too few rows for one of several stations or targets.
+    /// One of several stations or targets has too few rows.
     #[error(
         "{what} {number} has {rows} rows, at least {needed} are needed to estimate its position; measure more with it, or remove them"
     )]
     TooFewOfSetUp {
-        /// Such as station or target.
+        /// Type of the part, such as station or target.
         what: &'static str,
-        /// From 1, in the order in which the file names them.
+        /// Number of the station or target, from 1, in the order in which the file names them.
         number: usize,
-        /// Rows of this station or target.
+        /// Number of rows of this station or target.
         rows: usize,
-        /// Least number of rows.
+        /// Minimum number of rows.
         needed: usize,
     },
-    /// More stations or targets than have parameters.
+    /// The file contains more stations or targets than a model has parameters for.
     #[error(
         "{count} {what}s, one file can have {most}; check the column of their names in the mapping, or make several \
          files"
     )]
     TooManySetUps {
-        /// Such as station or target.
+        /// Type of the part, such as station or target.
         what: &'static str,
         /// Number of stations or targets.
         count: usize,
-        /// Most that have parameters.
+        /// Maximum number for which a model has parameters.
         most: usize,
     },
-    /// A row is not a measurement.
+    /// A row contains an invalid number.
     #[error("row {row} has {what}; remove or correct it")]
     BadRow {
         /// Number of the row, from 1.
         row: usize,
-        /// What is wrong with it.
+        /// Description of the invalid number.
         what: &'static str,
     },
-    /// Most rows contradict the rest.
+    /// Most of the fitted rows contradict each other.
     #[error(
         "only {kept} of the {rows} rows of the fit agree with each other; check units, signs and zeros of the joint angles \
          and the unit of the lengths"
     )]
     TooManyRejected {
-        /// Rows that agree with the rest.
+        /// Number of fitted rows that agree with each other.
         kept: usize,
-        /// Rows that are fitted.
+        /// Number of fitted rows.
         rows: usize,
     },
-    /// The table does not contain the socket.
+    /// A row is of a socket that the table of sockets does not contain.
     #[error("row {row} is of a socket that the table of sockets does not have; correct one of them")]
     UnknownSocket {
         /// Number of the row, from 1.
         row: usize,
     },
-    /// Only one socket was visited.
+    /// All rows are of the same socket.
     #[error(
         "all rows are of socket `{socket}`: they do not determine the scale of the robot; seat the ball in at least two sockets whose \
          distance is known"
@@ -87,7 +87,7 @@ pub enum RowError {
         /// Name of the only visited socket.
         socket: String,
     },
-    /// A socket was visited only once.
+    /// A socket has only one row.
     #[error(
         "socket `{socket}` has one row, which contains no information; seat the ball in it in at least two postures, or remove the row"
     )]
@@ -95,17 +95,17 @@ pub enum RowError {
         /// Name of the socket with one row.
         socket: String,
     },
-    /// None of the visited sockets has a known distance.
+    /// No distance between the visited sockets is known.
     #[error(
         "no distance is known between the sockets of these rows ({}): they do not determine the scale of the robot; give places \
          or distances of at least two of them",
         .sockets.join(", ")
     )]
     NoDistance {
-        /// Names of the sockets that were visited.
+        /// Names of the visited sockets.
         sockets: Vec<String>,
     },
-    /// Too few rows in sockets for the unknowns.
+    /// There are fewer rows in sockets than the number of unknowns requires.
     #[error(
         "{rows} rows in {sockets} sockets are too few, at least {needed} are needed; seat the ball in more postures"
     )]
@@ -114,7 +114,7 @@ pub enum RowError {
         rows: usize,
         /// Number of visited sockets.
         sockets: usize,
-        /// Least number of rows.
+        /// Minimum number of rows.
         needed: usize,
     },
 }

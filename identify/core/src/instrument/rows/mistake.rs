@@ -1,28 +1,28 @@
-//! Mistakes in the robot's file, the mapping or the rows of an instrument.
+//! Mistakes in the robot's file, in the mapping, or in the rows of an instrument.
 
 use std::fmt;
 
 use crate::logs::JointMistake;
 
-/// One mistake in a file of rows, its mapping or the robot's file.
+/// A mistake in a file of rows, in its mapping, or in the robot's file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Mistake {
     /// A mistake in the joint columns.
     Joints(JointMistake),
-    /// Joints are one row before or after the measurement they belong to.
+    /// The joints of each measurement are in the row before or after it.
     RowsShifted,
-    /// Two axes of the positions are exchanged, or one has the other sign.
+    /// Two axes of the positions are exchanged, or one axis has the opposite sign.
     Mirrored,
-    /// The instrument, its target or the robot was displaced at this row, from 0.
+    /// The instrument, its target or the robot was displaced before this row. Index from 0.
     Moved(usize),
-    /// True length, or distance of positions, over that as read \[1/1000\].
+    /// True length (or distance between positions) divided by the length as read, times 1000.
     LengthUnit(u32),
-    /// The table of the robot's file uses Craig's modified convention and is read as the standard one.
+    /// The table in the robot's file uses Craig's modified convention, but is read in the standard convention.
     ModifiedTable,
 }
 
 impl Mistake {
-    /// Usual wrong units: m read as mm, cm as mm, inches as mm, and each the other way round.
+    /// Typical wrong units: m read as mm, cm read as mm, inches read as mm, and the reverse of each.
     pub const LENGTH_UNITS: [Self; 6] = [
         Self::LengthUnit(1_000_000),
         Self::LengthUnit(10_000),
@@ -37,7 +37,8 @@ impl Mistake {
         JointMistake::all(axes).into_iter().map(Self::Joints).collect()
     }
 
-    /// Factor by which lengths, and with them all errors, become shorter without the mistake; 1 if they do not.
+    /// Factor by which lengths, and with them all errors, become shorter when the mistake is corrected. 1 if they
+    /// do not become shorter.
     pub fn shortening(self) -> f64 {
         match self {
             Self::LengthUnit(thousandths) => (f64::from(thousandths) / 1e3).min(1.0),

@@ -1,4 +1,4 @@
-//! Rows of measurements at poses of the robot: what all instruments that measure row by row have in common.
+//! Rows of measurements at poses of the robot: the code that all instruments which measure row by row have in common.
 
 mod error;
 mod mistake;
@@ -21,19 +21,20 @@ pub use standing::standing;
 use super::{Instrument, Measures};
 use crate::kinematics::Chain;
 
-/// Default seed of the assignment of groups to folds.
+/// Default seed of the random assignment of groups to folds.
 pub const SEED: u64 = 1042;
 
-/// Rows of one set-up, in the order in which the robot visited them, and how they are validated.
+/// A file of rows, in the order in which the robot visited its poses, with settings for the validation.
 #[derive(Debug, Clone)]
 pub struct Rows {
     /// The instrument with its rows.
     pub instrument: Instrument,
-    /// Which rows are held out together; `None`: the default of the instrument.
+    /// Which rows are held out together. `None`: the default of the instrument.
     pub hold_out: Option<HoldOut>,
-    /// Seed of the assignment of groups to folds.
+    /// Seed of the random assignment of groups to folds. `None`: [`SEED`].
     pub seed: Option<u64>,
-    /// Highest harmonic order of the joint errors, per turn of a joint, in a fit without a ball-bar.
+    /// Highest order of joint waves, in waves per turn of a joint, for a fit without a ball-bar. `None`: depends on
+    /// the number of rows.
     pub joint_waves: Option<u8>,
 }
 
@@ -55,12 +56,12 @@ impl Rows {
         self.hold_out.unwrap_or_else(|| self.instrument.hold_out())
     }
 
-    /// Seed of the assignment of groups to folds.
+    /// Seed of the random assignment of groups to folds.
     pub fn seed(&self) -> u64 {
         self.seed.unwrap_or(SEED)
     }
 
-    /// The instrument with its rows in groups that are held out together; `robot` is the nominal chain.
+    /// The instrument with its rows divided into groups that are held out together. `robot` is the nominal chain.
     pub(crate) fn grouped(&self, robot: &Chain) -> Instrument {
         let mut grouped = self.instrument.clone();
         let groups = self.hold_out().groups(robot, &self.instrument.joints());

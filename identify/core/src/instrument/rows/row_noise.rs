@@ -1,5 +1,5 @@
-//! Noise of rows whose file states an uncertainty. The stated uncertainty covers the instrument; what the robot adds to every
-//! row is estimated from the residuals.
+//! Noise of rows whose file states an uncertainty. The stated uncertainty is that of the instrument. The robot adds an
+//! error to every row, whose size is estimated from the residuals.
 
 use crate::statistics::median_size;
 
@@ -7,42 +7,47 @@ use crate::statistics::median_size;
 pub(in crate::instrument) const MEDIAN_OF_ONE: f64 = 0.6745;
 /// Median norm of three independent standard normal variables.
 pub(in crate::instrument) const MEDIAN_OF_THREE: f64 = 1.538;
-/// Data without any noise still need a unit.
+/// Lower limit of a standard deviation. Data without any noise still need a unit for their residuals.
 const LEAST: f64 = 1e-9;
 
-/// Standard deviation of mostly normal errors. `median` is the median size of an error of standard deviation one.
+/// Robust standard deviation of errors, most of which are normally distributed. `median` is the median absolute size of
+/// errors with standard deviation one.
 pub(in crate::instrument) fn sigma_by_median(errors: impl Iterator<Item = f64>, median: f64) -> f64 {
     (median_size(errors) / median).max(LEAST)
 }
 
-/// Standard deviations of rows, in the unit of the stated uncertainty: `factor * sqrt(stated^2 + added^2)`.
+/// Model of the standard deviations of rows, in the unit of the stated uncertainty: `factor * sqrt(stated^2 + added^2)`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(in crate::instrument) struct RowNoise {
     factor: f64,
-    /// Contribution of the robot.
+    /// Standard deviation of the robot's contribution.
     added: f64,
 }
 
 impl RowNoise {
-    /// Equal weights, before the first solve.
+    /// Almost equal noise of all rows, because `added` is much larger than any stated uncertainty. Used
+    /// before the first solve.
     pub(in crate::instrument) const ALIKE: Self = Self { factor: 1.0, added: 1.0 };
 
-    /// Estimates the noise from errors, each with the stated uncertainty of its row. `median` is the median size of an error of
-    /// standard deviation one.
+    /// Estimates the noise from errors, each with the stated uncertainty of its row. `median` is the median absolute size
+    /// of errors with standard deviation one.
     ///
-    /// `added` is chosen such that half of the errors are within their median. If the errors are smaller than stated even
-    /// without it, `factor` scales the stated uncertainties down. Rows without a stated uncertainty have `added` alone.
+    /// `added` is chosen so that the median of the errors, relative to their standard deviations, has the expected value
+    /// `median`. If the errors are smaller than stated even with the smallest `added`, `factor` reduces the stated
+    /// uncertainties. If a row states no uncertainty, its standard deviation is `added` alone.
     pub(in crate::instrument) fn behind(
         errors: impl Iterator<Item = (f64, Option<f64>)>,
         median: f64,
     ) -> Self {
         const HALVINGS: usize = 40;
         let errors: Vec<(f64, f64)> = errors.map(|(error, stated)| (error, stated.unwrap_or(0.0))).collect();
-        // Standard deviation of the errors relative to the assumed one; decreases with `added`.
+        // Robust standard deviation of the errors divided by their assumed standard deviations. It
+        // decreases if `added` increases.
         let relative_sigma = |added: f64| {
             median_size(errors.iter().map(|(error, stated)| error / stated.hypot(added))) / median
         };
         let sigma = sigma_by_median(errors.iter().map(|(error, _)| *error), median);
+        // Bisection. If no row states an uncertainty, `added` is `sigma`.
         let (mut low, mut high) = (0.0, sigma);
         if errors.iter().all(|(_, stated)| *stated == 0.0) {
             low = sigma;
@@ -61,7 +66,7 @@ impl RowNoise {
         self.factor * stated.unwrap_or(0.0).hypot(self.added)
     }
 
-    /// Standard deviation of each row, relative to the median row.
+    /// Standard deviation of each row, divided by that of the median row.
     pub(in crate::instrument) fn relative(&self, stated: impl Iterator<Item = Option<f64>>) -> Vec<f64> {
         let sigmas: Vec<f64> = stated.map(|stated| self.of(stated)).collect();
         let median = median_size(sigmas.iter().copied());

@@ -1,68 +1,70 @@
-//! Rows without outliers, from residuals at a solution and a robust standard deviation (median). Outliers are determined again
-//! after each solve: single rows with gross residuals, and runs of consecutive rows that are off together.
+//! Detects outliers among rows, from the residuals at a solution and a robust standard deviation (by the median). The
+//! outliers are determined again after each solve. There are two types: single rows with gross residuals, and faulty runs,
+//! which are consecutive rows with a common error.
 
 use super::{MEDIAN_OF_ONE, Standing, sigma_by_median};
 use crate::instrument::PoseError;
 use crate::statistics::median_size;
 
-/// Standard deviations beyond which a single row is gross: no row of a normal distribution, and few rows of a heavy-tailed one.
+/// A single row is an outlier beyond this number of standard deviations. No row of a normal distribution exceeds it, and
+/// few rows of a heavy-tailed one.
 const GROSS: f64 = 8.0;
 
-/// Why a row is left out.
+/// Reason why a row is excluded.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Rejection {
-    /// Controller position and joint angles contradict each other.
+    /// The flange position reported by the controller contradicts the joint angles.
     FlangeContradicts {
-        /// Distance of the two positions \[m\].
+        /// Distance between the two flange positions \[m\].
         distance_m: f64,
     },
     /// The measurement is far from the prediction of all other rows.
     GrossResidual {
-        /// Predicted minus measured length, or distance of the two positions \[m\].
+        /// Predicted minus measured length, or distance between predicted and measured position \[m\].
         residual_m: f64,
     },
-    /// The row is in a run of rows that are off together.
+    /// The row is in a faulty run: consecutive rows with a common error.
     FaultyRun {
-        /// Median size of the residuals of neighbouring rows \[m\].
+        /// Median of the absolute residuals of neighbouring rows, divided by their relative noise \[m\].
         median_m: f64,
     },
 }
 
-/// A row that is left out.
+/// A row that is excluded.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RejectedRow {
     /// Number of the row, from 0.
     pub row: usize,
-    /// Reason for leaving it out.
+    /// Reason why it is excluded.
     pub why: Rejection,
 }
 
-/// Rows of one set-up, with and without outliers.
+/// Rows of one file, with and without outliers.
 #[derive(Debug, Clone)]
 pub(in crate::instrument) struct Screened<R> {
     /// All rows of the file.
     pub(in crate::instrument) all: Standing<R>,
-    /// Outliers among `all`, ascending.
+    /// Outliers among `all`, in ascending order.
     pub(in crate::instrument) rejected: Vec<RejectedRow>,
-    /// Rows of `all` in use.
+    /// The rows of `all` that are in use.
     pub(in crate::instrument) at: Standing<R>,
 }
 
 impl<R: Copy> Screened<R> {
-    /// All rows are in use.
+    /// Creates the rows without outliers: all are in use.
     pub(in crate::instrument) fn new(all: Standing<R>) -> Self {
         Self { rejected: Vec::new(), at: all.clone(), all }
     }
 
-    /// [`Standing::group`] while all rows are in use.
+    /// Sets the groups as [`Standing::group`]. Must be called while all rows are in use.
     pub(in crate::instrument) fn group(&mut self, groups: &[usize], seed: u64) {
         self.all.group(groups, seed);
         self.at.group(groups, seed);
     }
 
-    /// Determines the outliers from the residuals of all rows \[m\] and their noise relative to the median row. Nothing changes
-    /// if more than half of the rows were outliers, or if the other rows would not be sufficient. Returns whether the set of
-    /// rows in use has changed.
+    /// Determines the outliers from the residuals of all rows \[m\] and from their noise relative to the median row.
+    /// Returns whether the set of rows in use has changed. Nothing changes if more than half of the rows are outliers, or
+    /// if the remaining rows are not sufficient.
     pub(in crate::instrument) fn screen(
         &mut self,
         residuals_m: &[f64],
@@ -86,19 +88,21 @@ impl<R: Copy> Screened<R> {
     }
 }
 
-/// Rows that a fit must not use: single rows of the fit (`fitting`) with gross residuals, and every row, also a held-out one,
-/// inside a run in which most rows of the fit are off. `residuals_m` are of all rows \[m\], `relative_noise` is relative to the
-/// median row; the standard deviation is that of the `kept` rows.
+/// Finds rows that a fit must not use. One type is a single fitted row with a gross residual. The other type is every row,
+/// fitted or held out, in a run of rows in which most fitted rows have large residuals.
+///
+/// `residuals_m` contains the residuals of all rows \[m\]. `relative_noise` is relative to the median row. `fitting`
+/// contains the fitted rows. The standard deviation of the residuals is estimated from the rows `kept`.
 pub(crate) fn faulty(
     residuals_m: &[f64],
     relative_noise: &[f64],
     fitting: &[usize],
     kept: &[usize],
 ) -> Vec<RejectedRow> {
-    /// Limit of the median of neighbouring rows, in standard deviations: independent rows exceed it less than once in a
-    /// million.
+    /// A row is in a faulty run if the median of neighbouring rows exceeds this number of standard deviations. Independent
+    /// rows exceed it less than once in a million.
     const RUN: f64 = 3.0;
-    // As if all rows were as uncertain as the median one.
+    // Residuals divided by the relative noise: all rows are then as uncertain as the median row.
     let scaled_m: Vec<f64> = residuals_m.iter().zip(relative_noise).map(|(r, noise)| r / noise).collect();
     let sigma_m = sigma_by_median(kept.iter().map(|&row| scaled_m[row]), MEDIAN_OF_ONE);
     let single = |&row: &usize| {
@@ -118,23 +122,24 @@ pub(crate) fn faulty(
     rejected
 }
 
-/// Rows that are far from both the nominal and the calibrated robot, from the errors of all rows and their noise relative to
-/// the median row.
+/// Finds rows that are far from both the nominal and the calibrated robot. Uses the errors of all rows and their noise
+/// relative to the median row.
 pub(crate) fn gross_rows(
     nominal: &[PoseError],
     calibrated: &[PoseError],
     relative_noise: &[f64],
 ) -> Vec<bool> {
-    /// Limit for the nominal robot, in robust standard deviations of distances: about seven of a single coordinate.
+    /// Limit for the nominal robot, in robust standard deviations of distances. It corresponds to about seven standard
+    /// deviations of a single coordinate.
     const OF_NOMINAL: f64 = 3.0;
     let far_from_nominal = beyond(nominal, relative_noise, OF_NOMINAL);
     let far_from_calibrated = beyond(calibrated, relative_noise, GROSS);
     far_from_nominal.iter().zip(&far_from_calibrated).map(|(a, b)| *a && *b).collect()
 }
 
-/// Errors of position or rotation that exceed this number of robust standard deviations.
+/// Whether each error exceeds this number of robust standard deviations, in position or in rotation.
 fn beyond(errors: &[PoseError], relative_noise: &[f64], sigmas: f64) -> Vec<bool> {
-    // As if all rows were as uncertain as the median one.
+    // Errors divided by the relative noise: all rows are then as uncertain as the median row.
     let scaled = |(error, noise): (&PoseError, &f64)| PoseError {
         position_m: error.position_m / noise,
         rotation_rad: error.rotation_rad.map(|angle| angle / noise),
@@ -151,20 +156,20 @@ fn beyond(errors: &[PoseError], relative_noise: &[f64], sigmas: f64) -> Vec<bool
     errors.iter().map(is_beyond).collect()
 }
 
-/// Median size of the residuals of the fitting rows just before or just after a row, whichever is larger: a run ends
-/// sharply, and a row at its edge belongs to it.
+/// Median absolute residual of the fitted rows just before or just after a row, whichever is larger. A faulty run ends
+/// abruptly. At its edge, only the rows on one side have large residuals.
 fn neighbour_median_m(residuals_m: &[f64], fitting: &[usize], row: usize) -> f64 {
     const ROWS_EACH_SIDE: usize = 5;
-    // A fitting row belongs to both sides.
+    // If the row itself is fitted, it belongs to both sides.
     let begin = fitting.partition_point(|&fitting_row| fitting_row < row);
     let end = begin + usize::from(fitting.get(begin) == Some(&row));
     let sides = [end.saturating_sub(ROWS_EACH_SIDE)..end, begin..(begin + ROWS_EACH_SIDE).min(fitting.len())];
-    // A side with few rows has no median to compare.
+    // Ignore a side that has too few rows for a median.
     let complete = sides.into_iter().filter(|side| side.len() == ROWS_EACH_SIDE);
     complete.map(|side| median_size(fitting[side].iter().map(|&row| residuals_m[row]))).fold(0.0, f64::max)
 }
 
-/// Rows that are not rejected.
+/// The rows that are not in `rejected`, which is in ascending order.
 pub(crate) fn without(rows: &[usize], rejected: &[RejectedRow]) -> Vec<usize> {
     rows.iter().copied().filter(|row| rejected.binary_search_by_key(row, |one| one.row).is_err()).collect()
 }

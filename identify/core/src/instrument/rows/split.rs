@@ -1,4 +1,4 @@
-//! Assigns samples to groups that are held out together, and groups at random to folds of about equal size.
+//! Divides samples into groups that are held out together. Assigns these groups at random to folds of about equal size.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -31,7 +31,7 @@ const BLOCKS: usize = 25;
 const BOXES: f64 = 5.0;
 
 impl HoldOut {
-    /// Group of each pose; poses of one group are held out together. `robot` is the nominal chain.
+    /// Group of each row. Poses of one group are held out together. `robot` is the nominal chain.
     pub(crate) fn groups(self, robot: &Chain, joints_rad: &[Joints]) -> Vec<usize> {
         let positions_m: Vec<Vector3<f64>> =
             joints_rad.iter().map(|q| robot.forward(q).translation.vector).collect();
@@ -39,7 +39,7 @@ impl HoldOut {
     }
 }
 
-/// Group of each row, from the number of its pose (ascending) and the nominal position of the robot's end.
+/// Group of each row, from the number of its pose (ascending) and from the nominal position of the robot's end.
 fn groups(hold_out: HoldOut, poses: &[usize], positions_m: &[Vector3<f64>]) -> Vec<usize> {
     match hold_out {
         HoldOut::Rows => poses.to_vec(),
@@ -51,7 +51,7 @@ fn groups(hold_out: HoldOut, poses: &[usize], positions_m: &[Vector3<f64>]) -> V
     }
 }
 
-/// Number of each position's box among those that contain a position.
+/// Number of the box that contains each position. Only boxes that contain a position are counted.
 fn boxes(positions_m: &[Vector3<f64>]) -> Vec<usize> {
     let Some(first) = positions_m.first() else { return Vec::new() };
     let low = positions_m.iter().fold(*first, |low, p| low.inf(p));
@@ -66,8 +66,8 @@ fn boxes(positions_m: &[Vector3<f64>]) -> Vec<usize> {
     boxes.collect()
 }
 
-/// `count` segments of nearly equal length in each run; `starts` has the first sample of each run and the total number of
-/// samples.
+/// Divides each run into `count` segments of nearly equal length. `starts` contains the first sample of each run, followed
+/// by the total number of samples.
 pub(crate) fn segments(starts: &[usize], count: usize) -> Vec<Range<usize>> {
     let of_run = |run: &[usize]| {
         let (start, length) = (run[0], run[1] - run[0]);
@@ -76,8 +76,8 @@ pub(crate) fn segments(starts: &[usize], count: usize) -> Vec<Range<usize>> {
     starts.windows(2).flat_map(of_run).filter(|segment| !segment.is_empty()).collect()
 }
 
-/// Assigns the groups of rows to at most `count` folds of about equal size; returns the rows of each fold. Groups of one
-/// `class` are assigned consecutively, so that every fold has rows of each class.
+/// Assigns the groups of rows to at most `count` folds of about equal size. Returns the rows of each fold. Groups of the
+/// same `class` are assigned one after the other, so that every fold contains rows of each class.
 pub(super) fn folds(
     groups: &[usize],
     count: usize,

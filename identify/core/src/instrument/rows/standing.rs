@@ -1,5 +1,6 @@
-//! Poses at which the robot stood still during a measurement: common to tracker, wire, contact and touch. Determines from the
-//! joints of consecutive rows the last direction of each joint, for backlash, and the rows that share a pose.
+//! Rows that were measured while the robot stood still. Used by tracker, wire, contact and touch. Determines from the
+//! joints of consecutive rows which rows are of the same pose, and in which direction each joint moved last. The direction
+//! is needed for backlash.
 
 use std::collections::BTreeMap;
 
@@ -9,11 +10,11 @@ use crate::logs::JointMistake;
 use crate::model::{JointState, Observation, ParameterId, PerObservation, SetUp};
 use crate::statistics::largest_difference;
 
-/// A joint that moved less than this since the previous pose keeps its direction of motion \[rad, m\].
+/// A joint that moved by less since the previous pose keeps its last direction of motion \[rad, m\].
 const MOVED_MIN: f64 = 1e-3;
 
-/// State of the robot at each pose, in the order of the poses. The rate of a joint is the sign of its last motion, at one
-/// radian per second; 0 before its first motion.
+/// State of the robot at each pose, in the order of the poses. The rate of a joint is +1 or -1, the sign of its last motion
+/// \[rad/s, m/s\]. It is 0 before its first motion.
 pub fn standing(joints_rad: impl Iterator<Item = Joints>) -> Vec<JointState> {
     let mut directions = Joints::default();
     let mut previous: Option<Joints> = None;
@@ -27,7 +28,7 @@ pub fn standing(joints_rad: impl Iterator<Item = Joints>) -> Vec<JointState> {
                 }
             }
         } else {
-            // Zero for each joint.
+            // The first pose: set the direction of each joint to zero.
             directions = at_rest.qd;
         }
         JointState { qd: directions, ..at_rest }
@@ -35,8 +36,8 @@ pub fn standing(joints_rad: impl Iterator<Item = Joints>) -> Vec<JointState> {
     states.collect()
 }
 
-/// Pose number of each row. Consecutive rows without a motion between them, such as those of several targets, are of one pose
-/// and share the robot's error.
+/// Number of the pose of each row. Consecutive rows without a motion between them, such as rows of several targets, are of
+/// the same pose and share the robot's error.
 pub(super) fn poses(joints_rad: &[Joints]) -> Vec<usize> {
     let mut pose = 0;
     let mut first_of_pose = joints_rad.first();
@@ -51,27 +52,28 @@ pub(super) fn poses(joints_rad: &[Joints]) -> Vec<usize> {
     numbers.collect()
 }
 
-/// Observations that have the time only, see [`Standing::observations`].
+/// Observations that contain only the time of each row, see [`Standing::observations`].
 fn observations(rows: usize) -> Vec<Observation> {
     (0..rows).map(|row| Observation::time_only(PerObservation::time_s(row))).collect()
 }
 
-/// Rows of one file, in the order in which the robot visited them; row `i` has time `i`.
+/// Rows of one file, in the order in which the robot visited them. Row `i` has the time `i` seconds.
 #[derive(Debug, Clone)]
 pub(in crate::instrument) struct Standing<R> {
     /// Measurement of each row.
     pub(in crate::instrument) rows: Vec<R>,
     /// State of the robot at each row.
     pub(in crate::instrument) states: Vec<JointState>,
-    /// Observation of each row, which has the time only: the measurements are in `rows`.
+    /// Observation of each row. It contains only the time, because the measurements are in `rows`.
     pub(in crate::instrument) observations: Vec<Observation>,
-    /// Group of each row: rows of one group are held out together.
+    /// Group of each row. Rows of the same group are held out together.
     groups: Vec<usize>,
     seed: u64,
 }
 
 impl<R: Copy> Standing<R> {
-    /// From rows whose joints `joints_rad` returns; each pose is a group of its own until [`Standing::group`] is called.
+    /// Creates the rows. `joints_rad` returns the joints of a row. Each pose is a group of its own
+    /// until [`Standing::group`] is called.
     pub(in crate::instrument) fn new(rows: &[R], joints_rad: impl Fn(&R) -> Joints) -> Self {
         let joints_rad: Vec<Joints> = rows.iter().map(joints_rad).collect();
         Self {
@@ -83,7 +85,8 @@ impl<R: Copy> Standing<R> {
         }
     }
 
-    /// Sets the group of each row, held out together, and the `seed` of the assignment of groups to folds.
+    /// Sets the group of each row. Rows of a group are held out together. `seed` is that of the random assignment
+    /// of groups to folds.
     pub(in crate::instrument) fn group(&mut self, groups: &[usize], seed: u64) {
         (self.groups, self.seed) = (groups.to_vec(), seed);
     }
@@ -93,13 +96,14 @@ impl<R: Copy> Standing<R> {
         self.states.iter().map(|state| state.q).collect()
     }
 
-    /// The same rows with a mistake of their joints undone.
+    /// The same rows with a mistake in their joints corrected.
     pub(in crate::instrument) fn undone(&self, mistake: JointMistake, robot: &Chain) -> Self {
         let undone = self.states.iter().map(|state| mistake.undone(&state.q, robot.joint_kinds()));
         Self { states: standing(undone), ..self.clone() }
     }
 
-    /// The measurements with the joints of the following row, then with those of the preceding row.
+    /// Two corrections of shifted rows: each measurement with the joints of the next row, then with those
+    /// of the previous row.
     pub(in crate::instrument) fn shifted(&self) -> [Self; 2] {
         let count = self.rows.len().saturating_sub(1);
         if count == 0 {
@@ -127,8 +131,9 @@ impl<R: Copy> Standing<R> {
         Ok(())
     }
 
-    /// Checks the number of stations and targets, and, if there is more than one, that each has enough rows to be located with
-    /// any part of the file held out. `needed` has name and least number of rows of a station, then of a target.
+    /// Checks that there are not too many stations and targets. If there are several, also checks that each has enough rows
+    /// to be located with any part of the file held out. `needed` contains the name and the minimum number of rows, first
+    /// of a station and then of a target.
     pub(in crate::instrument) fn ensure_each_has_rows(
         &self,
         set_up: impl Fn(&R) -> SetUp,
@@ -149,7 +154,7 @@ impl<R: Copy> Standing<R> {
         Ok(())
     }
 
-    /// Some of the rows.
+    /// Copies only these rows.
     pub(in crate::instrument) fn chosen(&self, rows: &[usize]) -> Self {
         Self {
             rows: rows.iter().map(|&row| self.rows[row]).collect(),
@@ -160,7 +165,8 @@ impl<R: Copy> Standing<R> {
         }
     }
 
-    /// At most `count` folds of the rows by their groups, each with rows of all classes if there are enough.
+    /// Divides the rows into at most `count` folds that do not split their groups. Each fold contains rows of all classes
+    /// if there are enough.
     pub(in crate::instrument) fn independent(
         &self,
         count: usize,
@@ -174,7 +180,7 @@ impl<R: Copy> Standing<R> {
 mod tests {
     use super::*;
 
-    /// The first axis is prismatic: millimetres in place of milliradians.
+    /// The first axis is prismatic, so its values are in metres instead of radians.
     #[test]
     fn a_pose_ends_where_a_joint_moves_by_more_than_a_millimetre_or_a_milliradian() {
         let rows = [[0.5, 1.0], [0.5008, 1.0], [0.5012, 1.0], [0.5012, 1.0012]].map(Joints::of);

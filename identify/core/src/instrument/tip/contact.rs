@@ -1,6 +1,6 @@
-//! A ball on the flange that is seated in one of several sockets. Poses with the ball in the same socket close a loop: the residual
-//! is the position of the ball by the robot minus that of its socket ([`SeatedBall`]). Known distances of the sockets fix the
-//! scale.
+//! A ball on the flange that is seated in one of several sockets. Two poses with the ball in the same socket close a loop.
+//! The residual is the position of the ball predicted by the robot minus the position of its socket ([`SeatedBall`]). Known
+//! distances between the sockets determine the scale.
 
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
@@ -17,10 +17,11 @@ use crate::model::{Axis, Geometry, Owner, ParameterId, Role};
 pub type Contact = Tip<Sockets>;
 
 impl Contact {
-    /// From rows at which the ball was seated in the sockets of the table, in the order in which the robot visited them.
+    /// Creates the instrument from rows at which the ball was seated in a socket of the table, in the order in which
+    /// the robot visited them.
     ///
     /// # Errors
-    /// [`RowError`] if rows and table cannot calibrate a robot.
+    /// [`RowError`] if rows and table are not sufficient to calibrate a robot.
     pub fn new(rows: &[TipRow], table: &SocketTable) -> Result<Self, RowError> {
         let mut all = Standing::new(rows, |row| row.joints_rad);
         let names = table.names();
@@ -31,7 +32,7 @@ impl Contact {
             }
             *visits.get_mut(row.part).ok_or(RowError::UnknownSocket { row: number })? += 1;
         }
-        // Sockets of the table that no row visits are left out, so the others are numbered anew.
+        // Remove the sockets that no row visits. The others are numbered again.
         let visited: Vec<usize> = (0..names.len()).filter(|socket| visits[*socket] > 0).collect();
         for row in &mut all.rows {
             row.part = visited.partition_point(|socket| *socket < row.part);
@@ -88,8 +89,9 @@ impl Artefact for Sockets {
         Deviation::of_place(ball_m - socket_m.unwrap_or_else(|| Vector3::repeat(f64::NAN)))
     }
 
-    /// Ball and sockets by least squares: `p_k + R_k ball = socket` is linear in both, with the pose `(R_k, p_k)` of the flange at
-    /// row `k`. A weak prior of the ball at zero is effective only if the poses do not determine it.
+    /// Estimates ball and sockets by linear least squares: `p_k + R_k ball = socket` is linear in both.
+    /// `(R_k, p_k)` is the pose of the flange at row `k`. A weak prior of the ball at zero is effective only if the
+    /// poses do not determine the ball.
     fn start(&self, touches: &TouchedPoses) -> Option<Vec<(ParameterId, f64, Role)>> {
         let sockets = self.names.len();
         let size = 3 * (1 + sockets);
@@ -97,7 +99,7 @@ impl Artefact for Sockets {
         matrix.view_mut((0, 0), (3, 3)).fill_diagonal(tip_weight(touches.len()));
         for (flange, row) in touches {
             let (r, p) = (flange.rotation.matrix(), flange.translation.vector);
-            // First entries of ball and socket among the unknowns.
+            // First index of ball and socket among the unknowns.
             let (ball, socket) = (0, 3 * (1 + row.part));
             let mut add_to_matrix = |place: (usize, usize), block: &Matrix3<f64>| {
                 let mut view = matrix.fixed_view_mut::<3, 3>(place.0, place.1);

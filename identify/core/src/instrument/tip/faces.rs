@@ -1,6 +1,7 @@
-//! Flat faces that a tip touches, and their known distances and angles: the file's table, and its entries as residuals and
-//! derivatives beside the rows of [`super::Touch`]. A face is the plane `n.x = d` of the centre of the touching tip; `n` has any
-//! length.
+//! Flat faces that a tip touches, with their known distances and angles: the table of the file ([`FaceTable`]), and its
+//! entries as residuals with derivatives ([`Faces`]). The fit uses them in addition to the rows of [`super::Touch`].
+//!
+//! A face is represented by the plane `n.x = d` on which the centre of the touching tip lies. `n` may have any length.
 
 use std::collections::BTreeSet;
 
@@ -99,7 +100,7 @@ impl Default for FaceTable {
 }
 
 impl FaceTable {
-    /// Names of faces with a known distance or angle that are not in `touched`, each once.
+    /// Names of faces that have a known distance or angle but are not in `touched`. Each name occurs once.
     pub fn untouched(&self, touched: &[String]) -> BTreeSet<&str> {
         let distances = self.distances.iter().flat_map(|one| &one.between);
         let named = distances.chain(self.angles.iter().flat_map(|one| &one.between));
@@ -163,17 +164,17 @@ impl Validate for FaceTable {
 /// A known quantity of two faces.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Known {
-    /// Distance of the planes on which the centre of the tip lies: the stated distance corrected for the tip's diameter \[m\]. The
-    /// estimated planes are not exactly parallel, so the distance from the first is that of the point of the second nearest to
-    /// `at_m`, where the second is touched.
+    /// Distance between the planes on which the centre of the tip lies: the stated distance corrected for the diameter of
+    /// the tip \[m\]. The estimated planes are not exactly parallel. Therefore their distance is that of one point from the
+    /// first plane: the point of the second plane nearest to `at_m`, which is where the second face is touched.
     Distance { faces: [usize; 2], distance_m: f64, sigma_m: f64, at_m: Vector3<f64> },
-    /// Angle of two planes that are not parallel.
+    /// Angle between two planes that are not parallel.
     Angle { faces: [usize; 2], angle_rad: f64, sigma_rad: f64 },
-    /// Two planes that are parallel.
+    /// Two planes that are known to be parallel.
     Parallel { faces: [usize; 2], sigma_rad: f64 },
 }
 
-/// Faces that rows touch, numbered as their parameters, and their known geometry.
+/// The faces that the rows touch, with their known geometry. Faces have the same numbers as their parameters.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Faces {
     /// Names in the rows.
@@ -183,7 +184,7 @@ pub struct Faces {
     known: Vec<Known>,
 }
 
-/// Unit normal of a face, and its (symmetric) derivative by the normal's parameters.
+/// Unit normal of a face, and its derivative by the parameters of the normal, which is a symmetric matrix.
 fn unit_normal(face: &Face) -> (Vector3<f64>, Matrix3<f64>) {
     let length = face.normal.norm();
     let normal = face.normal / length;
@@ -191,10 +192,11 @@ fn unit_normal(face: &Face) -> (Vector3<f64>, Matrix3<f64>) {
 }
 
 impl Faces {
-    /// The faces of a table that are in `names`, in this order; `centre_m` is the approximate touched position of each, in the
-    /// robot's base.
+    /// Creates the faces `names`, in this order, with their known geometry in the table. Entries for other faces are
+    /// ignored. `centre_m` contains the approximate touched position of each face, in the robot's base.
     pub fn new(table: &FaceTable, names: &[String], centre_m: &[Vector3<f64>]) -> Self {
-        /// Below this angle planes count as parallel: the direction of their inclination is undefined \[deg\].
+        /// Planes with a smaller known angle are treated as parallel, because the direction of their
+        /// inclination is undefined \[deg\].
         const PARALLEL_DEG: f64 = 0.1;
         let number = |name: &String| names.iter().position(|other| other == name);
         let numbers = |between: &[String; 2]| {
@@ -225,7 +227,7 @@ impl Faces {
         Self { names: names.to_vec(), tip_m, known: distances.chain(angles).collect() }
     }
 
-    /// Whether a distance is known, which fixes the scale of the robot.
+    /// Whether any distance is known. A known distance determines the scale of the robot.
     pub fn has_distance(&self) -> bool {
         self.known.iter().any(|known| matches!(known, Known::Distance { .. }))
     }
@@ -271,13 +273,14 @@ impl Knowns for Faces {
         match *self.known.get(known)? {
             Known::Distance { faces: [first, second], distance_m, sigma_m, at_m } => {
                 let (face_1, face_2) = (faces.get(first)?, faces.get(second)?);
-                // Foot of the touched position on the second face, and its height above the first face.
+                // The point of the second face nearest to the touched position (`foot_m`), and its height
+                // above the first face.
                 let (length_1, squared_2) = (face_1.normal.norm(), face_2.normal.norm_squared());
                 let over_2 = face_2.normal.dot(&at_m) - face_2.distance_m;
                 let foot_m = at_m - face_2.normal * (over_2 / squared_2);
                 let height_m = (face_1.normal.dot(&foot_m) - face_1.distance_m) / length_1;
                 let (normal_1, _) = unit_normal(face_1);
-                // d foot / d n2 = -(over_2 I + n2 x^T) / n2^2 + 2 n2 n2^T over_2 / n2^4, with the touched position x.
+                // d foot / d n2 = -(over_2 I + n2 x^T) / n2^2 + 2 n2 n2^T over_2 / n2^4. `x` is the touched position.
                 let by_normal_2 = -(normal_1 * over_2 + at_m * normal_1.dot(&face_2.normal)) / squared_2
                     + face_2.normal * (2.0 * over_2 * normal_1.dot(&face_2.normal) / squared_2.powi(2));
                 let by_distance_2 = normal_1.dot(&face_2.normal) / squared_2;
@@ -307,7 +310,7 @@ impl Knowns for Faces {
             Known::Parallel { faces: [first, second], sigma_rad } => {
                 let (normal_1, by_1) = unit_normal(faces.get(first)?);
                 let (normal_2, by_2) = unit_normal(faces.get(second)?);
-                // The angle has no derivative at zero; the cross product of the normals has.
+                // The angle has no derivative at zero, but the cross product of the normals has one.
                 let cross = normal_1.cross(&normal_2) / sigma_rad;
                 let mut derivative = DMatrix::zeros(3, columns);
                 let by_first = -normal_2.cross_matrix() * by_1 / sigma_rad;
@@ -319,7 +322,7 @@ impl Knowns for Faces {
         }
     }
 
-    /// Four columns for each face.
+    /// Each face has four columns.
     fn column(&self, id: ParameterId) -> Option<usize> {
         let ParameterId::Face { face, number } = id else { return None };
         Some(FaceNumber::ALL.len() * face + number.index())
@@ -331,7 +334,7 @@ mod tests {
     use super::*;
     use crate::kinematics::Chain;
 
-    /// Each known quantity: derivatives against finite differences of its residual.
+    /// Compares the derivatives of each known quantity with finite differences of its residual.
     #[test]
     fn what_is_known_has_its_derivatives() {
         let named = |names: &[&str]| names.iter().map(ToString::to_string).collect::<Vec<_>>();

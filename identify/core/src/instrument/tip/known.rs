@@ -1,5 +1,5 @@
-//! Prior knowledge of an instrument's parts, such as distances of sockets: additional samples in the fit
-//! ([`crate::cost::LoopProblem::with_knowns`]), and a test whether the other samples contradict it.
+//! Known quantities of an instrument's parts, such as distances between sockets. They are additional samples in the fit
+//! ([`crate::cost::LoopProblem::with_knowns`]). A test shows whether the other samples contradict them.
 
 use std::fmt;
 
@@ -8,37 +8,37 @@ use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 use crate::model::{Geometry, ParameterId, Unit};
 
-/// Probability of a false alarm for a correct table.
+/// Probability that any quantity is reported although the table is correct.
 const CONTRADICTED_BY_CHANCE: f64 = 1e-3;
 
-/// Largest distance \[mm\]: a larger one has a wrong unit.
+/// Maximum distance in a table \[mm\]. A larger distance has a wrong unit.
 pub(super) const SPAN_MM_MAX: f64 = 20_000.0;
 
-/// Known lengths, places and angles.
+/// Known lengths, positions and angles of the parts of an instrument.
 pub trait Knowns: fmt::Debug + Sync {
     /// Number of known quantities.
     fn knowns(&self) -> usize;
 
-    /// Number of residuals of one known quantity.
+    /// Number of residuals of a known quantity.
     fn rows_of(&self, known: usize) -> usize;
 
     /// Name in messages, such as `the distance between faces ...`.
     fn name_of(&self, known: usize) -> String;
 
-    /// Standard uncertainty of one, in SI units, and its unit.
+    /// Standard uncertainty of a known quantity, in SI units, and the unit.
     fn sigma_of(&self, known: usize) -> (f64, Unit);
 
-    /// Estimated minus known value, in standard deviations, and its derivatives by the columns of [`Knowns::column`]; `None`
-    /// for a part that the geometry lacks.
+    /// Residual of a known quantity: estimated minus known value, in standard deviations. Also its derivatives, whose
+    /// columns are those of [`Knowns::column`]. `None` if the geometry does not contain a part.
     fn known(&self, known: usize, geometry: &Geometry) -> Option<(DVector<f64>, DMatrix<f64>)>;
 
-    /// Column of a parameter in these derivatives.
+    /// Column of a parameter in the derivatives. `None` if they do not depend on it.
     fn column(&self, id: ParameterId) -> Option<usize>;
 
-    /// Known quantities that the estimated geometry contradicts.
+    /// Finds the known quantities that the estimated geometry contradicts.
     ///
-    /// Chi-squared test of each, with a probability of [`CONTRADICTED_BY_CHANCE`] for all together. The estimates are
-    /// constrained to the known values, so the test is conservative.
+    /// Each quantity is tested by chi-squared. [`CONTRADICTED_BY_CHANCE`] is the probability of a false report for all
+    /// quantities together. The test is conservative, because the estimates are also constrained to the known values.
     fn contradicted(&self, geometry: &Geometry) -> Vec<Contradiction> {
         let chance = CONTRADICTED_BY_CHANCE / self.knowns().max(1) as f64;
         let contradiction = |known: usize| {
@@ -58,9 +58,9 @@ pub trait Knowns: fmt::Debug + Sync {
 pub struct Contradiction {
     /// Name of the quantity in messages.
     pub name: String,
-    /// Difference between estimated and known value, SI.
+    /// Absolute difference between estimated and known value, SI.
     pub off: f64,
-    /// Its standard uncertainty, SI.
+    /// Standard uncertainty of the known value, SI.
     pub sigma: f64,
     /// Unit of `off` and `sigma`.
     pub unit: Unit,

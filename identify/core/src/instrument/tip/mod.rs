@@ -1,7 +1,9 @@
-//! A tip on the flange that touches the parts of an artefact at an unknown place: a ball seated in the sockets of a plate
-//! ([`Sockets`]), a probe or a dial gauge on the faces of a block ([`Faces`]). A row contains the
-//! robot's joints and the touched part. The residual is the difference between the tip and its part, where tip and parts are
-//! estimated too. Known quantities of the parts fix the scale.
+//! A tip on the flange that touches the parts of an artefact, whose pose is unknown. The tip is a ball that is seated in
+//! the sockets of a plate ([`Sockets`]), or a probe or dial gauge on the faces of a block ([`Faces`]).
+//!
+//! A row contains the joints of the robot and the number of the touched part. The residual is the difference between the
+//! tip and this part. The fit also estimates the positions of tip and parts. Known quantities of the parts, such as
+//! distances, determine the scale.
 
 mod contact;
 mod faces;
@@ -27,81 +29,83 @@ use crate::kinematics::{Chain, Pose};
 use crate::logs::TipRow;
 use crate::model::{Clock, Geometry, JointState, Model, ModelError, Owner, ParameterId, Role, SetUp};
 
-/// Prior of the tip's distance from the flange \[m\]: effective only if the poses do not determine the tip.
+/// Standard deviation of the prior of the tip's position on the flange \[m\]. It is so weak that it is effective only if
+/// the poses do not determine the tip.
 const TIP_SIGMA_M: f64 = 1.0;
 
-/// Weight of the tip's prior in normal equations that sum this number of rows with weight one.
+/// Weight of the tip's prior in normal equations that are a sum of this number of rows with weight one.
 fn tip_weight(rows: usize) -> f64 {
-    /// Error of a position \[m\].
+    /// Assumed error of a measured position \[m\].
     const ERROR_M: f64 = 1e-3;
     rows as f64 * (ERROR_M / TIP_SIGMA_M).powi(2)
 }
 
-/// Twice the number of unknowns of tip, parts and links.
+/// Minimum number of measured numbers: twice the number of unknowns of tip, parts and links.
 fn numbers_min(parts: usize, axes: usize) -> usize {
     const NUMBERS_OF_LINK: usize = 4;
     2 * (3 * (1 + parts) + NUMBERS_OF_LINK * axes)
 }
 
-/// Poses of the flange, each with its row.
+/// Poses of the flange, each with the row that was measured there.
 type TouchedPoses = Vec<(Pose, TipRow)>;
 
-/// Parts of one rigid body that the tip touches, numbered as their parameters, and their known quantities.
+/// The touched parts of one rigid body, with their known quantities. Parts have the same numbers as their parameters.
 pub trait Artefact: Knowns + Clone + Send + 'static {
-    /// The cost of its rows.
+    /// Residual of the rows.
     type Cost<'a>: Residual + 'a;
     /// Name of the instrument.
     const NAME: &'static str;
-    /// Tip and parts, in tables.
+    /// Name of tip and parts in tables.
     const TIP_AND_PARTS: &'static str;
-    /// One part: begins the names of its parameters.
+    /// Name of one part. It begins the names of its parameters.
     const PART: &'static str;
-    /// A tip elsewhere; the name of the part follows.
+    /// Message for a tip at another part than the row states. The name of the stated part follows.
     const ELSEWHERE: &'static str;
-    /// Owner of its parameters.
+    /// Owner of the parameters of tip and parts.
     const OWNER: Owner;
-    /// Median size of an error of standard deviation one.
+    /// Median absolute size of errors with standard deviation one.
     const MEDIAN: f64;
-    /// Fewest rows of each part; zero if they were checked before.
+    /// Minimum number of rows of each part. Zero if the rows were checked before.
     const PART_ROWS_MIN: usize;
-    /// Number of rows of each part that are never left out.
+    /// Number of rows of each part that are never excluded as outliers.
     const PART_ROWS_KEPT: usize;
 
     /// Names of the parts in the rows.
     fn names(&self) -> &[String];
 
-    /// Source of the scale of all lengths.
+    /// Quantity that determines the scale of all lengths.
     fn scale(&self) -> ScaleFrom;
 
-    /// The cost of these rows.
+    /// The residual of these rows.
     fn cost(rows: &[TipRow]) -> Self::Cost<'_>;
 
     /// Position of the tip on the flange \[m\].
     fn tip_m(geometry: &Geometry) -> Vector3<f64>;
 
-    /// The tip at a position in the robot's base \[m\] minus a part; NaN for a part that the geometry lacks.
+    /// The tip minus a part. `tip_m` is the position of the tip in the robot's base \[m\]. NaN if the geometry does
+    /// not contain the part.
     fn deviation(geometry: &Geometry, part: usize, tip_m: Vector3<f64>, reading_m: f64) -> Deviation;
 
-    /// Start values and roles of all its parameters; `None` if the rows do not determine them.
+    /// Start value and role of each parameter of tip and parts. `None` if the rows do not determine them.
     fn start(&self, touches: &TouchedPoses) -> Option<Vec<(ParameterId, f64, Role)>>;
 
-    /// Changes at one instant that can occur during a measurement.
+    /// Parts that can change at one instant during a measurement.
     fn causes() -> Vec<Cause> {
         Vec::new()
     }
 
-    /// Fewest rows of an arm with this number of axes, unless they were checked before.
+    /// Minimum number of rows for an arm with this number of axes. Zero if the rows were checked before.
     fn samples_min(&self, _axes: usize) -> usize {
         0
     }
 
-    /// Whether rows contradict this mistake.
+    /// Whether the rows can reveal this mistake. If not, it is not tried.
     fn reveals(_: &Mistake) -> bool {
         true
     }
 }
 
-/// Rows of one set-up, and the noise of the tip.
+/// The rows of one file, and the noise of the tip.
 #[derive(Debug, Clone)]
 pub struct Tip<A> {
     rows: Screened<TipRow>,
@@ -157,12 +161,12 @@ impl<A: Artefact> Measures for Tip<A> {
         A::TIP_AND_PARTS
     }
 
-    /// A section for each part.
+    /// One section for each part.
     fn sections(&self) -> Vec<Section> {
         Section::each(self.artefact.names(), A::PART, self.rows.all.rows.iter().map(|row| row.part))
     }
 
-    /// Names the part that is nearest to the tip.
+    /// Names the part that is nearest to the tip of an excluded row.
     fn remarks(&self, geometry: &Geometry) -> Vec<(usize, String)> {
         let (names, all) = (self.artefact.names(), &self.rows.all);
         let remark = |rejected: &RejectedRow| {
@@ -174,7 +178,7 @@ impl<A: Artefact> Measures for Tip<A> {
         self.rows.rejected.iter().filter_map(remark).collect()
     }
 
-    /// Adds the touched parts.
+    /// Adds the parameters of tip and touched parts.
     fn fitted_out(&self, robot: Model) -> Model {
         robot.with_set_ups(A::OWNER, [self.artefact.names().len(), 1]).without_clocks()
     }
@@ -202,7 +206,7 @@ impl<A: Artefact> Measures for Tip<A> {
         self.rows.at.states.get(sample).copied()
     }
 
-    /// The parts cannot change: they are on one rigid body.
+    /// Only causes of the tip: the parts cannot change, because they are on one rigid body.
     fn causes(&self, _: &Geometry) -> Vec<Cause> {
         A::causes()
     }
@@ -211,13 +215,13 @@ impl<A: Artefact> Measures for Tip<A> {
         <A::Cost<'_>>::depends_on(id, robot) && id.owner() != Owner::Clocks
     }
 
-    /// Standard deviation, from the median of mostly normal residuals.
+    /// Estimates the standard deviation from the median, because most residuals are normal.
     fn adapt(&mut self, model: &Model) -> Option<f64> {
         self.noise_m = sigma_by_median(self.residuals_m(&model.geometry(&[])).into_iter(), A::MEDIAN);
         Some(self.noise_m)
     }
 
-    /// Leaves rows out if most rows agree with each other and each part keeps enough.
+    /// Excludes outliers, unless more than half of the rows would be excluded or a part would keep too few rows.
     fn screen(&mut self, model: &Model) -> bool {
         let residuals_m = self.residuals_m(&model.geometry(&[]));
         let parts = self.artefact.names().len();
@@ -260,7 +264,7 @@ impl<A: Artefact> Measures for Tip<A> {
         Ok(Vec::new())
     }
 
-    /// Rows with the tip on another part than stated, which no model can predict.
+    /// Rows whose tip is at another part than stated. No model can predict them.
     fn misplaced(&self, model: &Model) -> Vec<RejectedRow> {
         let mut screened = self.clone();
         screened.screen(model);

@@ -1,5 +1,5 @@
-//! Sockets that hold the ball, and their known positions or distances: the file's table, and its entries as residuals and
-//! derivatives beside the rows of [`super::Contact`].
+//! Sockets that hold the ball, with their known positions or distances: the table of the file ([`SocketTable`]), and its
+//! entries as residuals with derivatives ([`Sockets`]). The fit uses them in addition to the rows of [`super::Contact`].
 
 use std::collections::BTreeSet;
 
@@ -107,7 +107,7 @@ impl Validate for SocketTable {
 }
 
 impl SocketTable {
-    /// Names of all sockets: those of the plate in their order, then those that only distances have.
+    /// Names of all sockets: those with a position in the order of the table, then those that occur only in distances.
     pub fn names(&self) -> Vec<&str> {
         let mut names: Vec<&str> = self.sockets.iter().map(|one| one.name.as_str()).collect();
         for name in self.distances.iter().flat_map(|one| &one.between) {
@@ -119,7 +119,7 @@ impl SocketTable {
     }
 }
 
-/// A socket with its position on the plate.
+/// A socket with its known position on the plate.
 #[derive(Debug, Clone, PartialEq)]
 struct KnownPosition {
     socket: usize,
@@ -128,7 +128,7 @@ struct KnownPosition {
     sigma_m: f64,
 }
 
-/// Two sockets and their distance.
+/// Two sockets with their known distance.
 #[derive(Debug, Clone, PartialEq)]
 struct Spaced {
     sockets: [usize; 2],
@@ -136,18 +136,19 @@ struct Spaced {
     sigma_m: f64,
 }
 
-/// Sockets that rows visit, numbered as their parameters, and their known geometry.
+/// The sockets that the rows visit, with their known geometry. Sockets have the same numbers as their parameters.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Sockets {
     /// Names in the rows.
     pub(super) names: Vec<String>,
-    /// Known quantities, numbered in this order: the positions on the plate, then the distances.
+    /// Known quantities. They are numbered in this order: first the positions on the plate, then the distances.
     placed: Vec<KnownPosition>,
     distances: Vec<Spaced>,
 }
 
 impl Sockets {
-    /// The sockets of a table that are in `names`, in this order.
+    /// Creates the sockets `names`, in this order, with their known geometry in the table. Entries for
+    /// other sockets are ignored.
     pub fn new(table: &SocketTable, names: &[&str]) -> Self {
         let number = |name: &String| names.iter().position(|other| other == name);
         let sigma_m = |u_um: Option<f64>| u_um.unwrap_or(table.u_um) * 1e-6;
@@ -163,28 +164,33 @@ impl Sockets {
         });
         Self {
             names: names.iter().map(ToString::to_string).collect(),
-            // A single position on a plate contains no information.
+            // The position of a single socket on the plate contains no information.
             placed: if placed.len() > 1 { placed } else { Vec::new() },
             distances: distances.collect(),
         }
     }
 
-    /// The known quantity if it is a distance.
+    /// A known quantity, if it is a distance. Otherwise `None`.
     fn distance(&self, known: usize) -> Option<&Spaced> {
         self.distances.get(known.checked_sub(self.placed.len())?)
     }
 
-    /// `(s_j - T c_j) / u_j` of the sockets of the plate, with positions `s_j` estimated in the robot's base, known positions
-    /// `c_j`, uncertainties `u_j` and the pose `T` of the plate that fits them best, and the derivatives by `s_j`. The pose is
-    /// eliminated (variable projection, Golub and Pereyra 1973, in Kaufman's form): with `D` of the `1 / u_j` and `M` the
-    /// derivatives by the pose, the derivative is `(I - M M^+) D`.
+    /// Residuals `(s_j - T c_j) / u_j` of the sockets on the plate, with their derivatives by `s_j`. `s_j` are the
+    /// estimated positions in the robot's base, `c_j` the known positions, and `u_j` their uncertainties. `T` is the pose
+    /// of the plate that fits them best.
+    ///
+    /// The pose is eliminated (variable projection, Golub and Pereyra 1973, in Kaufman's form). Let `D` be
+    /// the diagonal matrix of the `1 / u_j`, and `M` the derivatives by the pose. The derivative of the
+    /// residuals is then `(I - M M^+) D`.
     fn plate_residual(&self, sockets_m: &[Vector3<f64>]) -> Option<(DVector<f64>, DMatrix<f64>)> {
-        /// Singular values below this part of the largest count as zero, such as a rotation about a line through all sockets.
+        /// Smaller singular values, relative to the largest, are treated as zero. An example is a rotation about a
+        /// line through all sockets.
         const RANK_TOLERANCE: f64 = 1e-9;
         let size = 3 * self.placed.len();
         let s: Vec<Vector3<f64>> =
             self.placed.iter().map(|placed| sockets_m.get(placed.socket).copied()).collect::<Option<_>>()?;
         let c: Vec<Vector3<f64>> = self.placed.iter().map(|placed| placed.position_m).collect();
+        // The pose of the plate by weighted means and the rotation that fits best.
         let weights: Vec<f64> = self.placed.iter().map(|placed| placed.sigma_m.powi(-2)).collect();
         let centre = |points: &[Vector3<f64>]| {
             let sum: Vector3<f64> = points.iter().zip(&weights).map(|(point, weight)| point * *weight).sum();
@@ -195,6 +201,7 @@ impl Sockets {
         let products: Matrix3<f64> =
             weighted.map(|((s, c), weight)| (s - s_centre) * (c - c_centre).transpose() * *weight).sum();
         let rotation: Rotation3<f64> = nearest_rotation(&products);
+        // Residuals, and the derivatives `M` by translation and rotation of the plate.
         let (mut residual, mut by_pose) = (DVector::zeros(size), DMatrix::zeros(size, 6));
         let mut per_sigma = DVector::zeros(size);
         for (place, ((s, c), weight)) in s.iter().zip(&c).zip(&weights).enumerate() {
@@ -204,6 +211,7 @@ impl Sockets {
             by_pose.view_mut((3 * place, 3), (3, 3)).copy_from(&-arm.cross_matrix());
             per_sigma.rows_mut(3 * place, 3).fill(scale);
         }
+        // `(I - M M^+) D`, from the left singular vectors of `M`.
         for (row, scale) in per_sigma.iter().enumerate() {
             by_pose.row_mut(row).scale_mut(*scale);
         }
@@ -221,7 +229,7 @@ impl Sockets {
 }
 
 impl Knowns for Sockets {
-    /// Number of positions on the plate and distances.
+    /// Number of known positions on the plate and of known distances.
     fn knowns(&self) -> usize {
         self.placed.len() + self.distances.len()
     }
@@ -267,7 +275,7 @@ impl Knowns for Sockets {
         Some((residual, derivative))
     }
 
-    /// Three columns for each socket.
+    /// Each socket has three columns.
     fn column(&self, id: ParameterId) -> Option<usize> {
         let ParameterId::Socket { socket, axis } = id else { return None };
         Some(Axis::ALL.len() * socket + axis.index())

@@ -1,6 +1,6 @@
-//! A tip on the flange that touches flat faces. The residual is the distance of the tip from the plane of its face plus the
-//! reading of a dial gauge, the travel of its plunger, or zero ([`TouchedFace`]). Faces have any orientation; known distances
-//! between them fix the scale.
+//! A tip on the flange that touches flat faces. The residual is the distance of the tip from the plane of the touched face
+//! plus the reading ([`TouchedFace`]). The reading is the travel of a dial gauge's plunger, or zero for a probe. The faces
+//! may have any orientation. Known distances between them determine the scale.
 
 use nalgebra::{DMatrix, DVector, Matrix3, SymmetricEigen, Vector3};
 
@@ -13,18 +13,19 @@ use crate::logs::{JointMistake, TipRow};
 use crate::model::{Axis, Face, FaceNumber, Geometry, JointState, Owner, ParameterId, Role};
 use crate::statistics::rms;
 
-/// Fewest rows of a face: twice the three unknowns of its plane.
+/// Minimum number of rows of a face: twice the three unknowns of its plane.
 const FACE_ROWS_MIN: usize = 6;
 
-/// A tip on faces.
+/// A tip that touches faces.
 pub type Touch = Tip<Faces>;
 
 impl Touch {
-    /// From rows in the order in which the robot visited them, the names of their faces, and the table of known geometry.
-    /// `robot` is the nominal chain up to the flange.
+    /// Creates the instrument from rows in the order in which the robot visited them. `names` contains the names of the
+    /// faces, and `table` their known geometry. `robot` is the nominal chain up to the flange.
     pub fn new(rows: &[TipRow], names: &[String], table: &FaceTable, robot: &Chain) -> Self {
         let all = Standing::new(rows, |row| row.joints_rad);
         let tip_m = Vector3::from(table.tip_mm.unwrap_or_default()) * 1e-3;
+        // The mean position of the tip on each face, with the nominal robot.
         let centre_m = |face: usize| {
             let on_face = all.rows.iter().zip(&all.states).filter(|(row, _)| row.part == face);
             let place = |state: &JointState| robot.forward(&state.q).transform_point(&tip_m.into()).coords;
@@ -37,7 +38,7 @@ impl Touch {
     }
 }
 
-/// Tip and planes that fit the rows.
+/// Result of a fit of tip and planes to the rows.
 struct TipFit {
     tip_m: Vector3<f64>,
     planes: Vec<Face>,
@@ -45,19 +46,20 @@ struct TipFit {
     rms_m: f64,
 }
 
-/// Fits tip and planes of `faces` faces to poses of a robot, from a start value of the tip.
+/// Fits the tip and the planes of `faces` faces to poses of a robot. `start_m` is the start value of the tip.
 ///
-/// Alternates two linear steps, often enough to converge: planes for a known tip by least squares, then the tip for known normals.
+/// Repeats two linear steps until they have converged: first the planes for a known tip by least squares, then the
+/// tip for known normals.
 fn fit_tip_and_planes(touches: &TouchedPoses, faces: usize, start_m: Vector3<f64>) -> Option<TipFit> {
     const ROUNDS: usize = 60;
     let mut tip_m = start_m;
     let mut planes = Vec::new();
     for _ in 0..ROUNDS {
         planes = (0..faces).map(|face| fit_plane(touches, face, tip_m)).collect::<Option<Vec<Face>>>()?;
-        // `n.(p + R t) - d + reading = 0`, linear in the tip `t` and in the `d` of all faces.
+        // `n.(p + R t) - d + reading = 0` is linear in the tip `t` and in the `d` of all faces.
         let size = 3 + faces;
         let (mut matrix, mut right) = (DMatrix::zeros(size, size), DVector::zeros(size));
-        // The tip's prior is about its last value.
+        // The expected value of the tip's prior is its last estimate.
         let prior_weight = tip_weight(touches.len());
         matrix.view_mut((0, 0), (3, 3)).fill_diagonal(prior_weight);
         right.rows_mut(0, 3).copy_from(&(tip_m * prior_weight));
@@ -81,8 +83,8 @@ fn fit_tip_and_planes(touches: &TouchedPoses, faces: usize, start_m: Vector3<f64
     Some(TipFit { tip_m, planes, rms_m })
 }
 
-/// Plane through the tips of a face, at least three. Readings determine only the sign of its normal, which points to decreasing
-/// travel of the gauge's plunger.
+/// Fits a plane through the tip positions on a face, at least three. The readings determine only the sign of its normal:
+/// the reading decreases in the direction of the normal.
 fn fit_plane(touches: &TouchedPoses, face: usize, tip_m: Vector3<f64>) -> Option<Face> {
     let on_face = || touches.iter().filter(|(_, row)| row.part == face);
     let tips_m: Vec<Vector3<f64>> =
@@ -94,7 +96,7 @@ fn fit_plane(touches: &TouchedPoses, face: usize, tip_m: Vector3<f64>) -> Option
     let eigen = SymmetricEigen::try_new(scatter, f64::EPSILON, 1000)?;
     let normal = eigen.eigenvectors.column(eigen.eigenvalues.imin()).into_owned();
     let mean_m = on_face().map(|(_, row)| row.reading_m).sum::<f64>() / count.max(1.0);
-    // Covariance of height and reading, whose sum is constant on a plane.
+    // Covariance of height and reading. Their sum is constant on a plane, so the covariance must be negative.
     let covariance: f64 = on_face()
         .zip(&tips_m)
         .map(|((_, row), tip)| normal.dot(&(tip - centre_m)) * (row.reading_m - mean_m))
@@ -130,15 +132,15 @@ impl Artefact for Faces {
         geometry.touch.tip_m
     }
 
-    /// Distance of the tip from the plane of a face, along its normal, plus the reading.
+    /// Distance of the tip from the plane of a face, along its normal, plus the reading of the gauge.
     fn deviation(geometry: &Geometry, face: usize, tip_m: Vector3<f64>, reading_m: f64) -> Deviation {
         let off_m = |face: &Face| face.normal.dot(&tip_m) - face.distance_m;
         let height_m = geometry.touch.faces.get(face).map(|face| off_m(face) / face.normal.norm());
         Deviation::of_length(height_m.unwrap_or(f64::NAN) + reading_m)
     }
 
-    /// From the tip in the table, or from the best of several tips along the flange's axis. The largest coordinate of each normal
-    /// is fixed at 1 or -1, because a plane has three parameters.
+    /// Starts at the tip in the table. Without one, tries several tips along the flange's axis and uses the best fit. A
+    /// plane has only three parameters, so the largest coordinate of each normal is fixed at 1 or -1.
     fn start(&self, touches: &TouchedPoses) -> Option<Vec<(ParameterId, f64, Role)>> {
         const STARTS_M: [f64; 5] = [0.0, 0.1, 0.2, 0.3, 0.4];
         let starts_m =
@@ -169,7 +171,7 @@ impl Artefact for Faces {
         Some(start)
     }
 
-    /// The tip alone: all faces are on one rigid body.
+    /// Only the tip can change, because all faces are on one rigid body.
     fn causes() -> Vec<Cause> {
         vec![Cause::new("the tip on the flange", Axis::ALL.map(|axis| ParameterId::Tip { axis }))]
     }
@@ -178,7 +180,8 @@ impl Artefact for Faces {
         numbers_min(self.names.len(), axes)
     }
 
-    /// Not units of the joints: an arm that hardly moves is consistent with any plane.
+    /// Wrong units of the joints are not tried. In a smaller unit the arm hardly moves, and such poses are
+    /// consistent with any plane.
     fn reveals(mistake: &Mistake) -> bool {
         !matches!(mistake, Mistake::Joints(JointMistake::InRadians | JointMistake::InDegrees))
     }
