@@ -140,8 +140,8 @@ fn time_of_step(instrument: &Instrument, samples: &[usize], first_after: usize) 
 }
 
 impl Changed {
-    /// Magnitude of the change, SI. If a cause has parameters in two units, only those in the unit of the first one are
-    /// used: for a tracker, the distance and not the rotation.
+    /// Magnitude of the change, SI. If the parameters of a cause have two units, only those with the unit of the first one
+    /// are used. For a tracker this is the distance without the rotation.
     pub fn size(&self) -> f64 {
         let components = self.by.iter().zip(&self.cause.ids);
         let of_unit = components.filter(|(_, id)| id.unit() == self.cause.unit());

@@ -1,6 +1,6 @@
-//! Options of a calibration, from `config/identify.toml`: cost, free parameters, and limits of the preparation. From these
-//! options, [`IdentifyConfig::set_roles`] sets the role of every parameter of a ball-bar model (free, fixed, prior or
-//! considered), and `set_link_roles` sets the roles of a robot's link parameters with any instrument.
+//! Options of a calibration, from `config/identify.toml`: cost, free parameters, and limits of the preparation. The options
+//! determine the role of every parameter of a model: free, fixed, prior or considered. [`IdentifyConfig::set_roles`] sets
+//! the roles of a ball-bar model. `set_link_roles` sets those of the robot's link parameters, for any instrument.
 
 use std::collections::BTreeMap;
 

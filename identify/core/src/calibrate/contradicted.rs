@@ -106,8 +106,8 @@ impl ContradictedPrior {
     ///
     /// The prior expects `x0` with the standard deviation `s0`. The estimate is `x` with the standard deviation `s`. If the
     /// prior is wrong by `s0`, the estimate changes by `g`. If the prior is correct, the variance of `x - x0` is
-    /// `(s0 - g)^2` plus the variance of `x` from all other sources: samples, other priors, errors of fixed parameters. The
-    /// fraction [`NONLINEAR`] of `g` is added as a tolerance.
+    /// `(s0 - g)^2` plus the variance of `x` from all other sources. These are the samples, other priors, and errors of
+    /// fixed parameters. The fraction [`NONLINEAR`] of `g` is added as a tolerance.
     ///
     /// If the covariance does not separate the sources, the variance from the others is `s^2 (1 - g / s0)`, as for
     /// independent noise. For a known noise the sum of the two is then `s0^2 - s^2`.

@@ -71,8 +71,8 @@ impl DataSets<'_> {
     /// Checks that there are data, and that each option which differs from its default has an effect on them.
     ///
     /// # Errors
-    /// [`CalibrateError::NoRun`] if there are no data. [`CalibrateError::Selection`] if there are files of rows and the
-    /// selection is only for studies. [`CalibrateError::NoEffect`] with the name of an option that has no effect.
+    /// [`CalibrateError::NoRun`] if there are no data. [`CalibrateError::Selection`] if there are files of rows, but the
+    /// selection is only for studies. [`CalibrateError::NoEffect`] if an option has no effect.
     pub(super) fn check(&self, config: &IdentifyConfig) -> Result<(), CalibrateError> {
         if self.rows.is_empty() {
             return if self.bars.is_empty() { Err(CalibrateError::NoRun) } else { Ok(()) };

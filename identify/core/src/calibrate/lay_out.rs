@@ -202,8 +202,8 @@ fn common_priors(runs: &[Run], tolerances: &[ParameterId], config: &IdentifyConf
     priors.into_iter().filter(|common| !common.sigmas.is_empty()).collect()
 }
 
-/// Model of a ball-bar run before the solve: nominal robot and bar, with the bar's position, the encoder offsets and the
-/// clock skew that the preparation estimated.
+/// Model of a ball-bar run before the solve, with nominal robot and bar. The position of the bar, the encoder offsets and
+/// the clock skew are those that the preparation estimated.
 fn start_model(prepared: &Prepared, robot: &RobotConfig, bar: &BallBarConfig) -> Result<Model, ModelError> {
     let arm = robot_chain(robot, bar);
     let mut model = Model::ball_bar(&arm, &ball_bar_chain(bar))

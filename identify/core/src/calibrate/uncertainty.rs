@@ -94,8 +94,8 @@ impl Solver<'_> {
         solution: &mut Solution,
     ) -> Result<Vec<Column>, CalibrateError> {
         self.begins("uncertainty");
-        // `all`: the columns including excluded error terms. `estimated` are the columns of the solution among
-        // them, `left_out` the others.
+        // `all` contains the columns of the solution and of excluded error terms. `estimated` and `left_out` are the
+        // indices of these two groups in `all`.
         let mut of_covariance = columns.all().to_vec();
         let models = self.models(|model| model.with_considered(prior_of_term));
         let all = models.columns.all();

@@ -103,8 +103,8 @@ impl Section {
     }
 }
 
-/// If another part than its own fits a sample best, text with the name of this part. Empty otherwise. `off_m` returns the
-/// distance of the sample from a part \[m\].
+/// Text that names the part which fits a sample best, unless this is the part `own` of the sample. Otherwise empty. `off_m`
+/// returns the distance of the sample from a part \[m\].
 pub(super) fn nearest(names: &[String], own: usize, off_m: impl Fn(usize) -> f64) -> String {
     let nearest = (0..names.len()).min_by(|a, b| off_m(*a).total_cmp(&off_m(*b)));
     nearest.filter(|part| *part != own).map_or_else(String::new, |part| {

@@ -52,7 +52,7 @@ pub trait Measures: Boxed + fmt::Debug + Send + Sync {
     /// State that the robot reports at a sample; `None` outside its log.
     fn reported(&self, sample: usize, clock: &Clock) -> Option<JointState>;
 
-    /// Joints of the robot at each sample, with clocks as they were when the samples were read.
+    /// Joints of the robot at each sample, before any fit changes the clock.
     fn joints(&self) -> Vec<Joints> {
         let clock = Clock::default();
         (0..self.samples()).map(|sample| self.reported(sample, &clock).unwrap_or_default().q).collect()

@@ -1,9 +1,9 @@
 //! Drift of an instrument's offset over the rows of a file.
 //!
 //! If a wire is rewound, slips or warms up, its offset changes. The errors of neighbouring rows are then correlated. The
-//! drift is modelled as a stationary random walk (Ornstein and Uhlenbeck 1930) over the row number, with a standard
-//! deviation (size) and a correlation length (memory). The residuals (model minus measured length) are `r = g + e` with the
-//! drift `g` and white noise `e`.
+//! drift is modelled as a stationary random walk over the row number (Ornstein and Uhlenbeck 1930). Its size is a standard
+//! deviation, its memory a correlation length. The residuals (model minus measured length) are `r = g + e` with the drift
+//! `g` and white noise `e`.
 //!
 //! The inverse of the covariance `K` of `g` is tridiagonal. Therefore the best drift for given residuals is computed in one
 //! sweep over the rows. A fit of the robot by generalised least squares, which includes the drift, takes little more time

@@ -54,7 +54,7 @@ fn ratio_by_chance(n: usize, probability: f64) -> f64 {
 }
 
 /// Whether the calibrated robot is significantly better, from two root mean squares of `n` errors each. The position must
-/// be significantly better. The rotation must be better by any amount.
+/// be significantly better. The rotation, if it was measured, must be better by any amount.
 pub fn is_surely_better(n: usize, [nominal, calibrated]: [PoseError; 2]) -> bool {
     let limit_m = ratio_by_chance(n, BETTER_BY_CHANCE) * nominal.position_m;
     let rotations = nominal.rotation_rad.zip(calibrated.rotation_rad);

@@ -1,8 +1,8 @@
 //! Refuses rows that are not plausible for the configured robot, and reports the most likely mistake.
 //!
 //! A fit with priors always has a solution, even if the rows contain a mistake. The mistake is visible in the solution:
-//! corrections beyond the tolerances of the links, no improvement on held-out rows, residuals larger than usual joint
-//! errors, or a step in time. The driver tests this after the last stage of [`super::Stages`], before the fit to all rows.
+//! corrections exceed the tolerances of the links, held-out rows do not improve, residuals exceed usual joint errors, or
+//! there is a step in time. The driver tests this after the last stage of [`super::Stages`], before the fit to all rows.
 //! `likely` finds the mistake.
 
 use std::fmt;

@@ -48,8 +48,8 @@ pub(super) fn placed(instrument: Instrument, model: Model) -> Result<Option<Mode
     Ok(Some(run.model))
 }
 
-/// Root mean square errors of a robot for samples. The same samples determine the pose of the instrument. `None`
-/// if they do not.
+/// Root mean square errors of a robot for samples. The same samples determine the pose of the instrument. `None` if they
+/// do not determine it.
 pub fn misfit(instrument: &Instrument, robot: &Chain) -> Option<PoseError> {
     instrument.contradicting(robot).ok().filter(|_| instrument.samples() >= instrument.samples_min())?;
     let model = placed(instrument.clone(), Model::alone(robot)).ok()??;

@@ -75,8 +75,8 @@ pub struct RowSet {
     /// Faulty runs, which are consecutive rows with a common error, with possible causes.
     pub runs: Vec<FaultyRun>,
     /// Drift of the instrument's offset. `None` if the drift does not improve the prediction of left-out rows at the best
-    /// link parameters. The errors of all stages are without a drift: this one for the last two stages, and a separate one
-    /// for each of the first two.
+    /// link parameters. A drift is removed from the errors of each stage. The last two stages use this drift. Each of the
+    /// first two stages has a drift of its own.
     pub drift: Option<Drift>,
     /// Drift of each row \[m\]; empty without a drift.
     drift_m: Vec<f64>,

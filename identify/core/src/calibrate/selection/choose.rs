@@ -32,7 +32,7 @@ impl CommonPrior {
     /// up to a degree (cobots).
     pub const ZEROS: &'static [f64] = &[1.0, 2.0, 5.0, 10.0, 20.0];
 
-    /// The common prior of those of the parameters `ids` that have a prior in any model.
+    /// Creates the common prior of the parameters `ids`. Parameters that have a prior in no model are omitted.
     pub fn new(runs: &[Run], ids: impl Iterator<Item = ParameterId>, scales: &'static [f64]) -> Self {
         let sigma = |id: ParameterId| {
             runs.iter().find_map(|run| match run.model.role(id)? {

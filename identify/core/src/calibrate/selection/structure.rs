@@ -12,8 +12,9 @@ use crate::solver::{Identifiability, Options, identifiability};
 /// Maximum number of poses. A rank analysis does not need more.
 const POSES_MAX: usize = 300;
 
-/// Order in which dependent parameters are fixed, lowest first: the choice of the thesis (TFRT-6017 section 3.3), then the
-/// parameters of the bar, which are not needed afterwards, then those of the robot, and last the bar's base.
+/// Rank of a parameter in the order in which dependent parameters are fixed, lowest first. The parameters that the thesis
+/// fixes are first (TFRT-6017 section 3.3). The bar follows, because its parameters are not needed afterwards, then the
+/// robot. The bar's base is last.
 fn preference(id: ParameterId, axes: usize) -> usize {
     let of_thesis = thesis_fixed(axes);
     of_thesis.iter().position(|fixed| *fixed == id).unwrap_or(match id {
@@ -84,7 +85,7 @@ pub fn identifiable(
     }
 }
 
-/// Fixes redundant parameters until the poses determine all others. Returns these others.
+/// Fixes redundant parameters until the poses determine all free parameters. Returns the free parameters.
 fn reduce<R: Residual + Copy>(
     mut model: Model,
     joints: &PerObservation,

@@ -106,9 +106,9 @@ pub struct OfferResult {
 }
 
 /// One-sided significance level of the test whether left-out folds are predicted better. Terms that only fit noise make
-/// predictions worse. Therefore fewer terms without a real effect are accepted than the level suggests. Simulations with
-/// white noise and with noise correlated over ten samples accepted 3 to 4 % of the groups of one parameter, and 1 to 4 % of
-/// the groups of twelve.
+/// predictions worse. Therefore fewer terms without a real effect are accepted than the level suggests. In simulations, 3
+/// to 4 % of the groups of one parameter were accepted, and 1 to 4 % of the groups of twelve. The noise was white, or
+/// correlated over ten samples.
 const SIGNIFICANCE_LEVEL: f64 = 0.15;
 /// Minimum relative decrease of the mean squared residual. A smaller decrease does not change any reported value.
 const DECREASE_MIN: f64 = 1e-3;
@@ -157,9 +157,9 @@ pub fn select(normals: &Normals, always: &[usize], offers: &[Offer]) -> Vec<Offe
     }
 }
 
-/// Forward selection of single axes. The prediction of left-out folds improves only if a term is larger than its
-/// uncertainty, and the error of one drive is small among the errors of the others. Therefore the gradients of the folds
-/// are tested instead of the predictions.
+/// Forward selection of single axes. The errors of one drive are small compared with those of all others. The prediction of
+/// left-out folds improves only if a term is larger than its uncertainty. Therefore the gradients of the folds are tested
+/// instead of the predictions.
 ///
 /// Accepts the offer whose gradients are least probable by chance, then the next one, until none is below
 /// [`AXIS_BY_CHANCE`] divided by the number of offers (Bonferroni). The result contains only the accepted offers.

@@ -4,10 +4,10 @@
 //! their gradient, both at the joint solution and with the priors. Its own solution then has a sum of squares that
 //! is smaller by `g' H^-1 g`.
 //!
-//! If all data sets are of one robot and in one unit, this reduction is due to noise in the `p` effective parameters that
-//! the data set shares with the others (specification test, Hausman 1978). Then `g' H^-1 g / (p s^2)` is not larger than
-//! a variable with Fisher's F distribution. `s^2` is the error variance of the data set at its own solution, which
-//! accounts for correlated errors.
+//! If all data sets are of one robot and in one unit, this reduction is due to noise (specification test, Hausman 1978).
+//! The noise acts on the `p` effective parameters that the data set has in common with the others. Then
+//! `g' H^-1 g / (p s^2)` is not larger than a variable with Fisher's F distribution. `s^2` is the error variance of the
+//! data set at its own solution, which accounts for correlated errors.
 
 use nalgebra::DVector;
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};

@@ -165,8 +165,8 @@ impl Validate for FaceTable {
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Known {
     /// Distance between the planes on which the centre of the tip lies: the stated distance corrected for the diameter of
-    /// the tip \[m\]. The estimated planes are not exactly parallel. Therefore their distance is that of one point from the
-    /// first plane: the point of the second plane nearest to `at_m`, which is where the second face is touched.
+    /// the tip \[m\]. The estimated planes are not exactly parallel. Therefore one point of the second plane is used: the
+    /// point nearest to `at_m`, where the second face is touched. The distance is its height above the first plane.
     Distance { faces: [usize; 2], distance_m: f64, sigma_m: f64, at_m: Vector3<f64> },
     /// Angle between two planes that are not parallel.
     Angle { faces: [usize; 2], angle_rad: f64, sigma_rad: f64 },

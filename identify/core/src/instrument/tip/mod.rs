@@ -1,5 +1,6 @@
-//! A tip on the flange that touches the parts of an artefact, whose pose is unknown. The tip is a ball that is seated in
-//! the sockets of a plate ([`Sockets`]), or a probe or dial gauge on the faces of a block ([`Faces`]).
+//! A tip on the flange that touches the parts of an artefact, whose pose is unknown. Either the tip is a ball
+//! that is seated in the sockets of a plate ([`Sockets`]). Or it is a probe or a dial gauge that touches the
+//! faces of a block ([`Faces`]).
 //!
 //! A row contains the joints of the robot and the number of the touched part. The residual is the difference between the
 //! tip and this part. The fit also estimates the positions of tip and parts. Known quantities of the parts, such as
