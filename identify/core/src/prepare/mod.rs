@@ -1,30 +1,35 @@
-//! From a recording and a robot log, each on its own clock, to samples and start values of a solve.
+//! Prepares a calibration: turns a recording and a robot log, each with its own clock, into samples and
+//! start values of a solve.
 //!
-//! At the beginning only the nominal geometry is known. Unknown are the clocks, the encoders' offsets, the bar's place and its
-//! configuration. The steps, each a plain function on values:
+//! The only prior knowledge is the nominal geometry. The clock difference, the offsets of the encoders, the position of the
+//! bar's base and the bar's configuration are unknown. Each step is a plain function on values:
 //!
-//! 1. [`bar_angles`] converts counts to angles, drops bad cycles and splits runs where counters lost their origin.
-//!    [`unwrapped_log`] makes joints continuous that wrap after a turn. A moving average of both logs is optional
-//!    ([`Stream::averages`](crate::logs::Stream::averages)).
-//! 2. [`fit_sphere`] finds the bar's base and length from the robot's own positions.
-//! 3. [`Predictor`] computes the bar's joints from the robot's log with these, by nominal inverse kinematics of the bar.
-//! 4. [`correlate`] compares predicted with measured joint *speeds*. Their magnitudes do not depend on offsets, signs or
-//!    configurations, and the root of the sum of their squares does not depend on the order of the joints. The cross-correlation
-//!    gives candidates for the clock difference, whatever its size. The relative rate of the clocks is found first, from short
-//!    parts of the run (`align::rate`).
-//! 5. At each candidate the angles are compared. [`find_encoder_map`] finds the joint and the direction of each encoder. Offsets
-//!    and configurations follow for each segment between singular poses and changes of origin (`segments`). The candidate whose
-//!    angles fit best is taken.
-//! 6. `refine` fits clocks, base and offsets to the angles, and lets all numbers of both chains move within their tolerances.
-//!    Residuals of this fit show the outliers (`samples::angle_errors`). Changes during the run are found later, with calibrated
-//!    links (`calibrate::change`), except those so large that nothing fits (`slip`, `parts`).
-//! 7. [`select`], [`spread_over_sphere`]: samples at standstill, near singular poses or beyond the wanted number are left out.
-//! 8. Where a force was measured, each sample gets its component along the bar (`forces`).
+//! 1. [`bar_angles`] converts counts to angles and drops cycles without valid counts. Where the counters lost their origin,
+//!    it starts a new origin with its own offsets. [`unwrapped_log`] makes joints continuous that wrap after a turn.
+//!    Optionally, both logs are smoothed by a moving average ([`Stream::averages`](crate::logs::Stream::averages)).
+//! 2. [`fit_sphere`] finds the position of the bar's base and the bar's length from the robot's positions.
+//! 3. [`Predictor`] places the nominal bar at this base. It computes the bar's joints from the
+//!    robot's log by inverse kinematics.
+//! 4. `align::rate` estimates the relative rate of the clocks from short sections of the run. [`correlate`] then compares
+//!    predicted with measured joint *speeds*. The magnitudes of speeds do not depend on offsets, signs or configurations.
+//!    The root of the sum of their squares does not depend on the order of the joints either. The peaks of the
+//!    cross-correlation are candidates for the clock difference, however large it is.
+//! 5. At each candidate the angles are compared. [`find_encoder_map`] finds the joint and the direction of each encoder.
+//!    `segments` then finds the offsets of each origin of the counters, and the configuration in each segment between
+//!    singular poses. The candidate whose angles fit best is used.
+//! 6. `refine` fits the clocks, the base and the offsets to the angles. All parameters of both chains may change within
+//!    their tolerances in this fit. Its residuals show the outliers (`samples::angle_errors`). Changes during the run are
+//!    normally found later, after the links have been calibrated (`calibrate::change`). Only changes so large that no fit
+//!    succeeds are found here (`slip`, `parts`).
+//! 7. [`select`] and [`spread_over_sphere`] choose the samples of the solve. Samples at standstill, near singular poses or
+//!    beyond the wanted number are left out.
+//! 8. If a force was measured, `forces` adds its component along the bar to each sample.
 //!
-//! The solve gets each sample in the configuration in which it was measured: a conversion would include the offsets of the
-//! preparation in it. Only the [`Timeline`] shows all samples in one configuration.
+//! The solve receives each sample in the configuration in which it was measured. A conversion to another
+//! configuration would depend on the offsets, which are only estimates of the preparation. Only the [`Timeline`]
+//! shows all samples in one configuration.
 //!
-//! Times stay integers until they are small differences: the clocks may be decades apart.
+//! Times stay integers until they are small differences, because the clocks may be decades apart.
 
 mod align;
 mod encoders;
@@ -73,37 +78,38 @@ use crate::model::Observation;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct PrepareOptions {
-    /// Smallest correlation of speeds at which two logs match (1 is identical). Runs of the same experiment reach 0.99;
-    /// different runs stay below 0.5.
+    /// Smallest correlation of the speeds at which two logs match (1 means identical). Logs of the same run reach 0.99; logs
+    /// of different runs stay below 0.5.
     pub correlation_min: f64,
     /// Shortest overlap of two logs \[s\].
     pub overlap_min_s: f64,
-    /// Smallest overlap as a part of the shorter log.
+    /// Smallest overlap as a fraction of the duration of the shorter log.
     pub overlap_min_part: f64,
-    /// Largest difference of measured and predicted angles (1.48 times the median deviation) \[mrad\].
+    /// Largest spread of the difference between measured and predicted angles (1.48 times the median deviation) \[mrad\].
     pub spread_max_mrad: f64,
-    /// Largest distance of the robot's positions from one sphere \[mm\].
+    /// Largest distance of a robot position from the sphere at which the position still counts as lying on it \[mm\].
     pub sphere_tolerance_mm: f64,
     /// Largest difference of the sphere's radius from the bar's configured length \[mm\].
     pub length_tolerance_mm: f64,
     /// Samples nearer to a singular pose of the bar are left out \[deg\].
     pub singular_margin_deg: f64,
-    /// Largest number of samples that are kept, spread over the sphere and, on each part of it, over the motion; 0 keeps all
-    /// that move.
+    /// Largest number of samples that are kept; 0 keeps all samples that move. The kept samples are spread over the sphere
+    /// and, in each region of the sphere, over the order of the samples.
     pub points_max: usize,
-    /// Samples are kept only where some bar joint has moved by this much since the last one \[mrad\].
+    /// A sample is kept only if some bar joint has moved by at least this angle since the last kept sample \[mrad\].
     pub motion_min_mrad: f64,
-    /// Joint and direction of each encoder: `find`, `recorded`, or stated one by one.
+    /// How joint and direction of each encoder are determined: `find`, `recorded`, or a list with the joint of each encoder.
     pub encoders: EncoderMapChoice,
-    /// Width of a centred moving average over both logs \[ms\]; 0 for none. The thesis of this method used 100 ms. An average of
-    /// this width preserves bends of the path ([`Stream::averages`](crate::logs::Stream::averages)); a much longer one does not.
+    /// Width of a centred moving average over both logs \[ms\]; 0 for none. The thesis that introduced this method used 100
+    /// ms. An average of this width preserves bends of the path ([`Stream::averages`](crate::logs::Stream::averages)); a
+    /// much longer one does not.
     pub moving_average_ms: f64,
-    /// Largest residual of angles from the refined fit (1.48 times the median deviation) \[mrad\].
+    /// Largest spread of the residuals of an encoder in the refined fit (1.48 times the median deviation) \[mrad\].
     pub fit_max_mrad: f64,
-    /// Smallest travel of every measured joint of the bar \[deg\].
+    /// Smallest required travel of every measured joint of the bar \[deg\].
     pub joint_travel_min_deg: f64,
-    /// Significant steps of an encoder or of a robot joint that are smaller than this are reported; larger ones refuse a run
-    /// \[mrad\].
+    /// Limit for significant steps of an encoder or of a robot joint. Smaller steps are only reported; a run with a
+    /// larger step is refused \[mrad\].
     pub slip_min_mrad: f64,
 }
 
@@ -114,7 +120,7 @@ pub struct EncoderOffset {
     pub joint: u8,
     /// Offset in (-pi, pi] \[rad\].
     pub offset_rad: f64,
-    /// 1.48 times the median deviation from the refined fit \[rad\]: a robust standard deviation.
+    /// Robust standard deviation of the residuals of the refined fit: 1.48 times the median deviation \[rad\].
     pub spread_rad: f64,
 }
 
@@ -146,25 +152,25 @@ pub struct SampleCounts {
     pub recorded: usize,
     /// Cycles with stale or invalid counts.
     pub invalid: usize,
-    /// With a time stamp not later than the one before.
+    /// Cycles with a time stamp that is not later than that of the cycle before.
     pub time_not_increasing: usize,
-    /// Between two changes of the counters' origin that are too close to find the offsets.
+    /// Cycles of an origin of the counters that is too short to find its offsets.
     pub other_origin: usize,
-    /// Nearer to an end or a hole than the width of the moving average, if there is one.
+    /// Cycles without a moving average: nearer to an end or a gap of the recording than the width of the average.
     pub not_averaged: usize,
-    /// At times that the robot's log does not cover.
+    /// Cycles at times that the robot's log does not cover.
     pub outside_robot_log: usize,
-    /// Near singular poses of the bar.
+    /// Cycles near singular poses of the bar.
     pub singular: usize,
-    /// Neither robot nor bar moves.
+    /// Cycles in which neither robot nor bar moves.
     pub standstill: usize,
-    /// Beyond the wanted number of samples.
+    /// Cycles that are valid but beyond the wanted number of samples.
     pub thinned: usize,
-    /// With angles that do not fit those of their neighbours.
+    /// Cycles with a joint angle that deviates much more from the fit than those of the other cycles.
     pub outliers: usize,
-    /// Without a force, if others have one.
+    /// Cycles without a force, in a run with a force log.
     pub no_force: usize,
-    /// Kept for the solve.
+    /// Cycles that are kept for the solve.
     pub kept: usize,
 }
 
@@ -198,40 +204,42 @@ pub struct Alignment {
     pub correlation: f64,
     /// Best correlation at a clearly different shift.
     pub runner_up: f64,
-    /// The angles fit as well at another shift: the motion repeats, and the shift with the longest overlap was taken. The geometry
-    /// is the same either way, the clocks are not.
+    /// The angles fit equally well at another shift, because the motion repeats. The shift with the longest overlap was
+    /// chosen. The resulting geometry is the same for all these shifts, but the clock difference is not.
     pub ambiguous: bool,
     /// Duration of the overlap of the logs \[s\].
     pub overlap_s: f64,
-    /// Robot clock minus the other clock, of bar or tracker, at the reference time \[ns\].
+    /// Robot clock minus the clock of the bar or tracker, at the reference time \[ns\].
     pub clock_difference_ns: i64,
-    /// Relative rate of the robot's clock minus one, from the angles.
+    /// Relative rate of the robot's clock minus one, estimated from the angles or positions.
     pub skew: f64,
 }
 
 impl Alignment {
-    /// Robot clock minus the other one at the reference time \[ns\], with the shift that a solve has found.
+    /// Robot clock minus the clock of the bar or tracker at the reference time \[ns\], corrected by the shift `shift_s` that
+    /// a solve has estimated \[s\].
     pub fn solved_difference_ns(&self, shift_s: f64) -> i64 {
         self.clock_difference_ns.saturating_add((shift_s * 1e9).round() as i64)
     }
 }
 
-/// Samples ready for a solve, with its start values: the centre of the gimbal, the offsets, and the skew of the alignment.
+/// Samples that are ready for a solve, and the start values of the solve: centre of the gimbal, offsets of the encoders,
+/// and skew of the clocks.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Prepared {
     /// Reference time on the bar's clock: the middle of the overlap.
     pub t_ref: UtcNs,
-    /// Times relative to `t_ref`, angles without offsets.
+    /// The samples of the solve: times since `t_ref`, and encoder angles to which the offsets have not been added.
     pub observations: Vec<Observation>,
-    /// The robot's motion; by the alignment its time is zero at `t_ref`.
+    /// The robot's motion. Its time is zero at `t_ref` according to the alignment.
     pub motion: AlignedLog,
     /// Bar joints with an encoder.
     pub measured: [bool; BAR_JOINTS],
     /// Centre of the gimbal in the robot's base \[m\].
     pub base_m: Vector3<f64>,
-    /// The clocks and how well the logs match.
+    /// The relation of the clocks, and how well the logs match.
     pub alignment: Alignment,
-    /// Offset of each encoder and how well it fits the prediction.
+    /// Offset of each encoder, and the spread of its residuals.
     pub offsets: Vec<EncoderOffset>,
     /// The sphere on which the robot moved.
     pub sphere: SphereFit,
@@ -241,18 +249,20 @@ pub struct Prepared {
     pub timeline: Timeline,
     /// Joint and direction of each encoder, and alternatives that fit.
     pub encoder_map: EncoderMapReport,
-    /// Parts of the recording between two changes of the counters' origin, in the order of time.
+    /// Sections of the recording between two changes of the counters' origin, in the order of time.
     pub origins: Vec<OriginSpan>,
-    /// How the alignment varies along the run, about every 5 s.
+    /// How the alignment varies along the run: one value for about every 5 s.
     pub local_shifts: Vec<LocalShift>,
-    /// Residuals, if the angles fit no geometry near the nominal one. The solve then looks for a change during the run.
+    /// Residuals, present only if the angles fit no geometry near the nominal one. The solve then searches for
+    /// a change during the run.
     pub poor_fit: Option<PoorFit>,
     /// The force on the bar, if it was measured.
     pub force: Option<BarForces>,
 }
 
 impl Prepared {
-    /// Samples that need no preparation: on one clock, angles from the encoders' marks, near nominal links, with the bar at `base_m`.
+    /// Wraps samples that need no preparation: all times are on one clock, the angles are measured from the encoders'
+    /// reference marks, and the links are nearly nominal. The bar's base is at `base_m`.
     pub fn aligned(
         t_ref: UtcNs,
         observations: Vec<Observation>,

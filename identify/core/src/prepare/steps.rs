@@ -1,4 +1,8 @@
-//! The steps of the preparation in their order, as [`prepare`](super) numbers them, and the checks of both logs before them.
+//! Runs the steps of the preparation in the order in which [`prepare`](super) numbers them.
+//!
+//! The input is a recording and a robot log. Both are first made continuous, and checked for motion and duration.
+//! Then come the sphere, the prediction of the bar's joints, the alignment, the selection of samples and the
+//! forces. The result is [`Prepared`].
 
 use shared::config::{BallBarConfig, RobotConfig};
 use shared::recording::schema::{CycleRecord, EncoderInfo};
@@ -22,21 +26,22 @@ use crate::logs::{RobotLog, travel};
 use crate::model::{DriveTrain, Observation};
 use crate::threads;
 
-/// Joints that travel less than this do not move \[deg\].
+/// A joint that travels less than this counts as not moving \[deg\].
 pub(super) const TRAVEL_DEG_MIN: f64 = 3.0;
 /// Longest log \[h\]: the usual cause of a longer one is a clock that was set.
 pub(super) const HOURS_MAX: f64 = 24.0;
 
-/// Largest number of changes of the counters' origin in one run: an hour of a bus that fails once a minute. Each has five parameters.
+/// Largest number of changes of the counters' origin in one run. It allows for an hour on a bus that fails once a minute.
+/// Each new origin adds five parameters to the fit.
 pub(super) const ORIGIN_CHANGES_MAX: usize = 60;
 
-/// Aligns recording and robot log and selects samples.
+/// Aligns recording and robot log, and selects the samples of the solve.
 ///
-/// `encoders` are those of the recording, in its order. Parts of the recording after a change of the counters' origin are
-/// used too, each with its own offsets.
+/// `encoders` are the encoders of the recording, in the recording's order. Sections of the recording after a change of the
+/// counters' origin are used too. Each of them has its own offsets.
 ///
 /// # Errors
-/// [`PrepareError`] of the step that failed, with its figures.
+/// [`PrepareError`] of the step that failed, with the values that caused it.
 pub fn prepare(
     cycles: &[CycleRecord],
     encoders: &[EncoderInfo],
@@ -116,7 +121,8 @@ pub fn prepare(
     })
 }
 
-/// Adds the force on the bar, if it was measured, to each sample. Samples without one are left out.
+/// Adds the measured force along the bar to each sample. Samples without a force are removed from `observations`. `None` if
+/// the run has no force log.
 fn with_force(
     observations: &mut Vec<Observation>,
     statuses: &mut [SampleStatus],
@@ -125,7 +131,7 @@ fn with_force(
 ) -> Result<Option<BarForces>, PrepareError> {
     let Some(force) = &log.force else { return Ok(None) };
     let (forces, has_force) = put_on(observations, force, context)?;
-    // Samples are in the order of their cycles.
+    // `observations` and the statuses are in the same order, so the n-th kept status belongs to the n-th sample.
     let kept = statuses.iter_mut().filter(|status| **status == SampleStatus::Kept);
     kept.zip(has_force)
         .filter(|(_, has_force)| !has_force)
@@ -133,7 +139,7 @@ fn with_force(
     Ok(Some(forces))
 }
 
-/// Offsets of the reference origin and their scatter.
+/// Offsets of the reference origin, with the spread of each encoder's residuals.
 fn encoder_offsets(found: &AlignedRecording, reference: usize, sorted: &Sorted) -> Vec<EncoderOffset> {
     let offsets = found.offset_fit.of_origin(reference);
     let measured = found.encoder_map.used.measured();
@@ -145,7 +151,8 @@ fn encoder_offsets(found: &AlignedRecording, reference: usize, sorted: &Sorted) 
     (0..BAR_JOINTS).filter(|joint| measured[*joint]).map(offset).collect()
 }
 
-/// Status of every cycle of the recording.
+/// Status of every cycle of the recording. `of_samples` has the status of each reading; other cycles
+/// keep their status from [`BarAngles`].
 fn statuses_of_cycles(angles: &BarAngles, of_samples: &[SampleStatus]) -> Vec<SampleStatus> {
     let mut statuses = angles.statuses.clone();
     for (reading, status) in angles.readings.iter().zip(of_samples) {
@@ -156,7 +163,8 @@ fn statuses_of_cycles(angles: &BarAngles, of_samples: &[SampleStatus]) -> Vec<Sa
     statuses
 }
 
-/// Checks that both logs have a motion that is long enough and not too long.
+/// Checks that both logs contain motion, that their durations are allowed, and that no encoder
+/// is constant while others move.
 fn check(angles: &BarAngles, log: &RobotLog, options: &PrepareOptions) -> Result<(), PrepareError> {
     let readings = &angles.readings;
     if readings.is_empty() {
@@ -175,13 +183,14 @@ fn check(angles: &BarAngles, log: &RobotLog, options: &PrepareOptions) -> Result
     check_length(("the recording", readings.duration_s()), log.q_rad.duration_s(), options)
 }
 
-/// Checks the largest travel of a joint in a log \[rad\].
+/// Checks `travel_rad`, the largest travel of any joint in the log `what`, against the smallest allowed travel.
 pub(super) fn require_motion(what: &'static str, travel_rad: f64) -> Result<(), PrepareError> {
     let travel_deg = travel_rad.to_degrees();
     if travel_deg < TRAVEL_DEG_MIN { Err(PrepareError::NoMotion { what, travel_deg }) } else { Ok(()) }
 }
 
-/// Checks the durations of another log, with its name, and of the robot's log \[s\].
+/// Checks the durations of two logs \[s\]: `other` is the name and duration of the log of bar or tracker, `log_s` the
+/// duration of the robot's log.
 pub(super) fn check_length(
     other: (&'static str, f64),
     log_s: f64,

@@ -1,5 +1,9 @@
-//! Overview of a run for reports, from its samples, the status of each cycle, and the angles that the robot's log implies;
-//! thinned so that ten hours have a few thousand points.
+//! Overview of a run for reports.
+//!
+//! The input is the recording, the status of each cycle, the valid samples, and the joints predicted from the robot's
+//! log. The output has at most [`Timeline::POINTS_MAX`] points, so a run of ten hours is thinned to a few thousand.
+//! Each point represents the same number of consecutive cycles. The overview also lists standstills, jitter, and the
+//! effect of a moving average.
 
 use serde::Serialize;
 use shared::recording::schema::CycleRecord;
@@ -18,60 +22,62 @@ use crate::threads::rows;
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SampleStatus {
-    /// Beyond the wanted number of samples, or hardly moved since the last one kept. Also: not yet decided.
+    /// Valid, but beyond the wanted number of samples, or hardly moved since the last kept sample. Also the status of a
+    /// valid cycle that is not classified yet.
     #[default]
     Thinned,
     /// Neither robot nor bar moves.
     Standstill,
-    /// Too near to an end or a hole for the moving average.
+    /// Too near to an end or a gap for the moving average.
     NotAveraged,
     /// The robot's log does not cover it.
     Outside,
-    /// Between two changes of the counters' origin that are too close to find the offsets.
+    /// In an origin of the counters that is too short to find its offsets.
     OtherOrigin,
     /// Near a singular pose of the bar.
     Singular,
-    /// The force on the bar was measured, but not here.
+    /// The run has a force log, but the log has no force at this time.
     NoForce,
-    /// The solve gets it.
+    /// Used by the solve.
     Kept,
     /// Not fresh, flagged, or without valid counts of all encoders.
     Invalid,
     /// Time stamp not later than the one before.
     TimeNotIncreasing,
-    /// Its angles do not fit those around it.
+    /// A joint angle deviates much more from the refined fit than those of the other samples.
     Outlier,
 }
 
-/// One of the timeline's instants.
+/// One instant of the timeline, which represents `cycles_per_point` consecutive cycles.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct TimelinePoint {
     /// Bar time since [`super::Prepared::t_ref`] \[s\].
     pub t_s: f64,
-    /// The last status, in the order of [`SampleStatus`], among the cycles of this point: a single outlier shows even if the point
-    /// covers a minute.
+    /// The status with the highest rank, in the order of [`SampleStatus`], among the cycles of this point. A single outlier
+    /// is therefore visible even if the point covers a minute.
     pub status: SampleStatus,
-    /// Largest speed of a bar joint, over 0.1 s \[rad/s\]; `None` if neighbours are missing.
+    /// Largest speed of any bar joint, over 0.1 s \[rad/s\]; `None` if the cycle is not valid
+    /// or neighbouring samples are missing.
     pub bar_speed_rad_s: Option<f64>,
-    /// Largest speed of a robot joint, over 0.1 s \[rad/s\]; none outside its log.
+    /// Largest speed of any robot joint, over 0.1 s \[rad/s\]; `None` outside the robot's log.
     pub robot_speed_rad_s: Option<f64>,
-    /// Faster than [`super::MOVING_RAD_S`].
+    /// Whether this speed is above [`super::MOVING_RAD_S`].
     pub bar_moves: Option<bool>,
-    /// Faster than [`super::MOVING_RAD_S`].
+    /// Whether this speed is above [`super::MOVING_RAD_S`].
     pub robot_moves: Option<bool>,
-    /// Bar joints by their encoders, offsets added, in one configuration of the bar, each in (-pi, pi] \[rad\].
-    /// None for invalid cycles; joints without encoder are as predicted.
+    /// Measured bar joints with offsets added, in one configuration of the bar, each in (-pi, pi] \[rad\]. Joints without
+    /// encoder have the predicted value. `None` for invalid cycles.
     pub measured_rad: Option<[f64; BAR_JOINTS]>,
-    /// Bar joints that the robot's log implies, in the same configuration \[rad\]; none outside the log.
+    /// Bar joints predicted from the robot's log, in the same configuration \[rad\]; `None` outside the log.
     pub predicted_rad: Option<[f64; BAR_JOINTS]>,
-    /// Robot joints at this instant \[rad\]; none outside its log.
+    /// Robot joints at this instant \[rad\]; `None` outside the robot's log.
     pub robot_rad: Option<Joints>,
-    /// Distance to the bar's nearest singular pose, predicted \[rad\].
+    /// Predicted distance of the bar from its nearest singular pose \[rad\].
     pub margin_rad: Option<f64>,
 }
 
 impl TimelinePoint {
-    /// Measured less predicted joints \[rad\]; 0 for joints without encoder.
+    /// Measured minus predicted joints \[rad\]; 0 for joints without encoder.
     pub fn off_rad(&self) -> Option<[f64; BAR_JOINTS]> {
         let (measured, predicted) = (self.measured_rad?, self.predicted_rad?);
         Some(std::array::from_fn(|joint| wrapped(measured[joint] - predicted[joint])))
@@ -81,11 +87,11 @@ impl TimelinePoint {
 /// Overview of the preparation for reports.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct Timeline {
-    /// In the order of time, evenly over the cycles of the recording, at most [`Timeline::POINTS_MAX`].
+    /// Points in the order of time, spread evenly over the cycles of the recording; at most [`Timeline::POINTS_MAX`].
     pub points: Vec<TimelinePoint>,
-    /// Number of cycles of each point.
+    /// Number of cycles that each point represents.
     pub cycles_per_point: usize,
-    /// Where robot and bar stand still together, bar time.
+    /// Intervals of bar time in which neither robot nor bar moves.
     pub standstills: Vec<Standstill>,
     /// Noise of the encoders at standstill (figure 5.2 of the thesis).
     pub jitter: Jitter,
@@ -102,7 +108,7 @@ impl Timeline {
     pub const POINTS_MAX: usize = 3000;
 }
 
-/// The run after the preparation.
+/// Results of the preparation from which the timeline is made.
 pub(super) struct PreparedRun<'a> {
     /// All cycles of the recording.
     pub cycles: &'a [CycleRecord],
@@ -110,17 +116,17 @@ pub(super) struct PreparedRun<'a> {
     pub both: &'a BothLogs<'a>,
     /// Reference time on the bar's clock.
     pub t_ref: UtcNs,
-    /// Bar time since then to robot time.
+    /// Converts bar time since `t_ref` to the time of the robot's log, counted from its first stamp.
     pub clock: Clock,
     /// Status of every cycle.
     pub statuses: &'a [SampleStatus],
-    /// Valid samples in the order of time.
+    /// Samples of all valid cycles, in the order of time.
     pub samples: &'a [Sample],
     /// Joint and direction of each encoder.
     pub encoder_map: &'a EncoderMap,
-    /// Configuration in which angles are shown.
+    /// Configuration of the bar in which all angles are shown.
     pub configuration: Configuration,
-    /// The robot's log and the joints that it implies.
+    /// The robot's log and the bar joints predicted from it.
     pub predictor: &'a Predictor<'a>,
 }
 
@@ -135,9 +141,10 @@ pub(super) struct Sample {
     pub bar_rad: [f64; BAR_JOINTS],
 }
 
-/// Half the time over which speeds are taken \[s\].
+/// Half the time over which speeds are averaged \[s\].
 const SPEED_REACH_S: f64 = 0.05;
-/// Samples to either side among which the one at that distance is sought.
+/// Number of samples before and after a sample among which the ones at a distance of
+/// about [`SPEED_REACH_S`] are searched for.
 const NEIGHBOURS: usize = 12;
 
 impl PreparedRun<'_> {
@@ -191,7 +198,7 @@ impl PreparedRun<'_> {
         }
     }
 
-    /// Measured joints, the others as predicted, in the configuration that is shown.
+    /// Measured joints in the configuration that is shown. Joints without encoder have the predicted value, if there is one.
     fn shown(
         &self,
         bar_rad: &[f64; BAR_JOINTS],
@@ -205,25 +212,26 @@ impl PreparedRun<'_> {
         self.in_configuration(&filled)
     }
 
-    /// The bar's joints in the configuration that is shown.
+    /// Converts bar joints to the configuration that is shown.
     fn in_configuration(&self, bar_rad: &[f64; BAR_JOINTS]) -> [f64; BAR_JOINTS] {
         self.configuration.carry(self.predictor.bar_links(), bar_rad)
     }
 
-    /// Largest speed of a bar joint about a sample; `None` without near neighbours.
+    /// Largest speed of any bar joint around sample `index` \[rad/s\]; `None` if no sample before or
+    /// after it is near enough.
     fn bar_speed_rad_s(&self, index: usize) -> Option<f64> {
         let here = self.samples.get(index)?;
         let near = |sample: &&Sample| (sample.t_s - here.t_s).abs() <= SPEED_REACH_S * 1.01;
         let from = index.saturating_sub(NEIGHBOURS);
         let to = (index + 1 + NEIGHBOURS).min(self.samples.len());
-        // The furthest ones that are near.
+        // The samples farthest from this one that are still within the reach.
         let before = self.samples.get(from..index)?.iter().find(near)?;
         let after = self.samples.get(index + 1..to)?.iter().rev().find(near)?;
         let time_s = after.t_s - before.t_s;
         Some(largest_difference(&after.bar_rad, &before.bar_rad) / time_s)
     }
 
-    /// Largest speed of a robot joint.
+    /// Largest speed of any robot joint at `tau_s`, the time since the log's first stamp \[rad/s\]; `None` outside the log.
     fn robot_speed_rad_s(&self, tau_s: f64) -> Option<f64> {
         let before = self.predictor.robot_at(tau_s - SPEED_REACH_S)?;
         let after = self.predictor.robot_at(tau_s + SPEED_REACH_S)?;

@@ -1,13 +1,14 @@
-//! The shift at which two sets of signals match best.
+//! Finds the shift at which two sets of signals match best. It is used for the clocks of recordings and trackers.
 //!
-//! Normalised cross-correlation where samples may be unknown (Padfield, "Masked object registration in the Fourier domain",
-//! IEEE Trans. Image Processing 21, 2012): at each shift only the `n` samples that both logs know are compared, with mean and
-//! variance of just these. So a log that covers ten times the other one, or holes, do not bias it. With sums over these
-//! samples, and numerator and variances added over the channels:
+//! The method is a normalised cross-correlation in which samples may be unknown (Padfield, "Masked object registration in
+//! the Fourier domain", IEEE Trans. Image Processing 21, 2012). At each shift, only the `n` samples that both logs contain
+//! are compared. Their means and variances are computed from the same `n` samples. The result is therefore not biased if one
+//! log is ten times longer than the other, or if a log has gaps. The sums below run over these samples. The numerator and
+//! the two variances are each summed over the channels:
 //!
 //! `r = (sum ab - sum a sum b / n) / sqrt((sum aa - (sum a)^2 / n) (sum bb - (sum b)^2 / n))`
 //!
-//! All sums at all shifts are products of Fourier transforms. Used for the clocks of recordings and trackers.
+//! Each sum is computed for all shifts at once, as an inverse transform of a product of Fourier transforms.
 
 use std::sync::Arc;
 
@@ -20,32 +21,33 @@ use crate::threads::each;
 /// Signals on a common uniform grid.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Channels {
-    /// Whether the signals are known, per grid point.
+    /// Whether the signals are known, for each grid point.
     pub known: Vec<bool>,
-    /// Per channel, per grid point; unknown points are ignored.
+    /// Values of each channel at each grid point. Values at unknown points are ignored.
     pub values: Vec<Vec<f64>>,
 }
 
 /// A shift at which two sets of signals match.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Match {
-    /// Sample `i` of the second set is sample `i + shift` of the first, in grid steps with a fraction.
+    /// Sample `i` of the second set corresponds to sample `i + shift` of the first set. In grid steps, with a fraction.
     pub shift: f64,
-    /// Correlation there, -1 to 1.
+    /// Correlation at this shift, -1 to 1.
     pub correlation: f64,
-    /// Grid points that were compared there.
+    /// Number of grid points that were compared at this shift.
     pub overlap: usize,
-    /// Best correlation at a clearly different shift, 0 if there is none.
+    /// Highest correlation at a clearly different shift; 0 if there is none.
     pub runner_up: f64,
 }
 
-/// Shifts at least this many grid steps apart are different ones.
+/// Shifts that differ by more than this number of grid steps count as clearly different.
 const APART: i64 = 100;
-/// Correlations this close are equally good: the motion repeats itself. Then the longer overlap decides.
+/// Correlations that differ by no more than this count as equally good, because the motion repeats.
+/// The longer overlap then decides.
 const TIE: f64 = 0.02;
 
-/// Finds the shift with the highest correlation of at least `overlap_min` points. `None` if no shift has as many, or nothing
-/// varies.
+/// Finds the shift with the highest correlation, among the shifts at which at least `overlap_min` points overlap. `None` if
+/// there is no such shift, or if the signals do not vary.
 pub fn correlate(first: &Channels, second: &Channels, overlap_min: usize) -> Option<Match> {
     let mut matches = candidates(first, second, overlap_min, usize::MAX);
     let highest = matches.first()?.correlation;
@@ -53,14 +55,15 @@ pub fn correlate(first: &Channels, second: &Channels, overlap_min: usize) -> Opt
     longest_overlap(matches, |matched| matched)
 }
 
-/// Of equally good matches that with the longest overlap: a tenth more counts as longer, otherwise the first one is taken.
+/// Returns the match with the longest overlap among equally good matches. An overlap counts as longer only if it is longer
+/// by more than a tenth; otherwise the earlier match is returned.
 pub(in crate::prepare) fn longest_overlap<T>(found: Vec<T>, matched: impl Fn(&T) -> &Match) -> Option<T> {
     found.into_iter().reduce(|best, other| {
         if matched(&other).overlap as f64 > 1.1 * matched(&best).overlap as f64 { other } else { best }
     })
 }
 
-/// The best clearly different shifts, highest correlation first, at most `count`.
+/// Returns the best matches at clearly different shifts, at most `count`, with the highest correlation first.
 pub fn candidates(first: &Channels, second: &Channels, overlap_min: usize, count: usize) -> Vec<Match> {
     let scores = scores(first, second, overlap_min);
     let mut peaks: Vec<(usize, f64)> = (0..scores.len())
@@ -74,7 +77,7 @@ pub fn candidates(first: &Channels, second: &Channels, overlap_min: usize, count
         if !distinct.iter().any(|&(other, _)| near(other)) {
             distinct.push((index, correlation));
         }
-        // One more than asked for: the runner-up of a single match.
+        // One more match than `count` is needed, as the runner-up if `count` is 1.
         if distinct.len() > count {
             break;
         }
@@ -89,11 +92,11 @@ pub fn candidates(first: &Channels, second: &Channels, overlap_min: usize, count
     matches.collect()
 }
 
-/// Correlations at all shifts of a short set of signals against a long one.
+/// Correlations of two sets of signals at all shifts.
 pub(in crate::prepare) struct Correlations(Vec<Score>);
 
 impl Correlations {
-    /// Those of at least `overlap_min` points.
+    /// Computes the correlations at shifts at which at least `overlap_min` points overlap.
     pub fn new(first: &Channels, second: &Channels, overlap_min: usize) -> Self {
         Self(scores(first, second, overlap_min))
     }
@@ -102,12 +105,13 @@ impl Correlations {
         usize::try_from(shift - self.0.first()?.shift).ok().filter(|index| *index < self.0.len())
     }
 
-    /// Correlation at a shift in grid steps; 0 if the signals do not overlap or do not vary.
+    /// Correlation at a shift in grid steps; 0 if the signals overlap too little or do not vary.
     pub fn at(&self, shift: i64) -> f64 {
         self.index(shift).and_then(|index| self.0[index].correlation).unwrap_or_default()
     }
 
-    /// The highest positive peak at most `reach` from a shift: its shift, with a fraction, and its correlation.
+    /// Returns the highest positive peak within `reach` grid steps of a shift: its shift, with
+    /// a fraction, and its correlation.
     pub fn peak_near(&self, shift: i64, reach: i64) -> Option<(f64, f64)> {
         let near = (shift - reach..=shift + reach).filter_map(|shift| self.index(shift));
         let peaks = near.filter(|index| is_peak(&self.0, *index));
@@ -117,12 +121,12 @@ impl Correlations {
     }
 }
 
-/// Correlation at a shift in grid steps, over `overlap` grid points.
+/// Correlation at a shift in grid steps, computed from `overlap` grid points.
 #[derive(Clone, Copy)]
 struct Score {
     shift: i64,
     overlap: usize,
-    /// `None` if too little overlaps or nothing varies.
+    /// `None` if the overlap is too short or the signals do not vary in it.
     correlation: Option<f64>,
 }
 
@@ -135,7 +139,8 @@ fn is_peak(scores: &[Score], index: usize) -> bool {
         && at_most_here(scores.get(index + 1))
 }
 
-/// Where the parabola through a peak and its neighbours has its top, -0.5 to 0.5 steps from the peak.
+/// Position of the maximum of the parabola through a peak and its two neighbours, relative to the peak:
+/// -0.5 to 0.5 grid steps.
 fn vertex(scores: &[Score], peak: usize) -> f64 {
     let correlation = |index: usize| scores.get(index).and_then(|score| score.correlation);
     let left = peak.checked_sub(1).and_then(correlation);
@@ -156,13 +161,14 @@ fn scores(first: &Channels, second: &Channels, overlap_min: usize) -> Vec<Score>
     let mut covariance = vec![0.0; overlaps.len()];
     let mut variances = [vec![0.0; overlaps.len()], vec![0.0; overlaps.len()]];
     for (a, b) in first.values.iter().zip(&second.values) {
-        // One scale for both: scaled each by its own, channels would disagree wherever one log covers more motion.
+        // Both signals of a channel are scaled by the same factor. With a factor for each signal, the channels would
+        // disagree wherever one log covers more motion than the other.
         let scale = inverse_deviation(b, &second.known);
         let (a, b) = (normalised(a, &first.known, scale), normalised(b, &second.known, scale));
         let squared = [&a, &b].map(|signal| signal.iter().map(|value| value * value).collect());
         let signals: [&Vec<f64>; 4] = [&a, &b, &squared[0], &squared[1]];
         let spectra = each(signals.len(), |number| transform.forward(signals[number]));
-        // A product with a mask is a sum over the points that the other log knows.
+        // A product with a mask is a sum over the points at which the other signal is known.
         let factors = [
             (&spectra[0], &spectra[1]),
             (&spectra[0], &masks[1]),
@@ -179,13 +185,13 @@ fn scores(first: &Channels, second: &Channels, overlap_min: usize) -> Vec<Score>
             variances[1][index] += sum_bb - sum_b.powi(2) / n;
         }
     }
-    // All shifts at which the sets overlap; negative ones are at the upper end of the transform.
+    // All shifts at which the two sets overlap. Negative shifts are at the upper end of the transform.
     (1 - second_len as i64..first_len as i64)
         .map(|shift| {
             let index = shift.rem_euclid(transform.length as i64) as usize;
             let overlap = overlaps[index].round().max(0.0) as usize;
             let (variance_a, variance_b) = (variances[0][index], variances[1][index]);
-            // Channels of the second set have unit variance: far less than that in the overlap is standstill.
+            // Each channel of the second set has unit variance. A much smaller variance in the overlap means standstill.
             let standstill = 1e-3 * overlap as f64;
             let usable = overlap >= overlap_min && variance_a > standstill && variance_b > standstill;
             let correlation =
@@ -195,30 +201,33 @@ fn scores(first: &Channels, second: &Channels, overlap_min: usize) -> Vec<Score>
         .collect()
 }
 
+/// 1 at known grid points, 0 at unknown ones.
 fn mask(channels: &Channels) -> Vec<f64> {
     channels.known.iter().map(|&known| f64::from(u8::from(known))).collect()
 }
 
+/// The values at known grid points.
 fn known<'a>(values: &'a [f64], known: &'a [bool]) -> impl Iterator<Item = f64> + 'a {
     values.iter().zip(known).filter(|(_, known)| **known).map(|(value, _)| *value)
 }
 
-/// One over the standard deviation of the known points: with it all channels count the same. 0 for a joint that does
-/// not move, which carries no information.
+/// One over the standard deviation of the known points. With this factor all channels have the same weight. 0 for a joint
+/// that does not move, because its channel contains no information.
 fn inverse_deviation(values: &[f64], known_points: &[bool]) -> f64 {
     let middle = mean(known(values, known_points));
     let deviation = mean(known(values, known_points).map(|value| (value - middle).powi(2))).sqrt();
     if deviation > 1e-9 { 1.0 / deviation } else { 0.0 }
 }
 
-/// Known points about their mean, scaled; 0 at the others. Taking off the mean keeps the sums accurate.
+/// Known points minus their mean, multiplied by `scale`; 0 at unknown points. Subtraction of the
+/// mean keeps the sums accurate.
 fn normalised(values: &[f64], known_points: &[bool], scale: f64) -> Vec<f64> {
     let middle = mean(known(values, known_points));
     let about = |(value, &known): (&f64, &bool)| if known { (value - middle) * scale } else { 0.0 };
     values.iter().zip(known_points).map(about).collect()
 }
 
-/// Fourier transforms of one length, long enough that nothing wraps around.
+/// Fourier transforms of one length. The length is chosen so that the correlation does not wrap around.
 struct FourierTransforms {
     length: usize,
     forward: Arc<dyn Fft<f64>>,
@@ -239,7 +248,7 @@ impl FourierTransforms {
         spectrum
     }
 
-    /// `sum over i of a[i + shift] b[i]` at every shift, from the spectra.
+    /// Computes `sum over i of a[i + shift] b[i]` at every shift, from the spectra of `a` and `b`.
     fn product(&self, a: &[Complex<f64>], b: &[Complex<f64>]) -> Vec<f64> {
         let mut product: Vec<Complex<f64>> = a.iter().zip(b).map(|(a, b)| a * b.conj()).collect();
         self.inverse.process(&mut product);

@@ -1,8 +1,12 @@
-//! The clocks, encoder map and offsets at which a recording fits a robot log: steps 4 to 6 of [`prepare`](crate::prepare).
+//! Finds the clock, encoder map and offsets at which a recording fits a robot log: steps
+//! 4 to 6 of [`prepare`](crate::prepare).
 //!
-//! Candidates for rate and shift of the clocks are the peaks of the correlation of joint speeds over the window, the part of
-//! the recording with the most motion. At each, the angles give an encoder map and offsets: a hypothesis. The likely ones are
-//! refined. The fit with the smallest residuals is extended from the window to the whole recording.
+//! 1. The *window* is the section of the recording with the most motion. The speeds of the joints in the window are
+//!    correlated with those of the robot's log. Each peak is a *candidate*: a rate and a shift of the clocks.
+//! 2. At each candidate the angles are compared. If an encoder map fits, the candidate becomes a *hypothesis*: a clock,
+//!    an encoder map, and offsets.
+//! 3. The most likely hypotheses are refined (`refine`). The result of each is a *fit*.
+//! 4. The fit with the smallest residuals is extended from the window to the whole recording.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -23,7 +27,7 @@ use crate::prepare::samples::select::{select, spaced};
 use crate::prepare::{BarReading, Channels, ComparedLog, Predictor, PrepareError, PrepareOptions};
 use crate::threads::{each, rows};
 
-/// A recording and the robot's log in which it is searched for.
+/// A recording, and the robot's log in which the motion of the recording is searched for.
 pub(in crate::prepare) struct AlignmentSearch<'a> {
     pub readings: &'a Stream<BarReading>,
     /// Joints of the recording's encoders, 1 to 5.
@@ -41,36 +45,37 @@ pub(in crate::prepare) struct AlignmentSearch<'a> {
 /// A recording aligned with a robot log.
 #[derive(Debug, Clone)]
 pub(in crate::prepare) struct AlignedRecording {
-    /// How the speeds match.
+    /// How the speeds of both logs match.
     pub matched: Match,
-    /// Another shift fits as well.
+    /// Whether another shift fits equally well.
     pub ambiguous: bool,
-    /// Which encoder is on which joint.
+    /// Joint and direction of each encoder.
     pub encoder_map: EncoderMapReport,
-    /// Offsets by origin, refined, and configurations, on all samples.
+    /// Refined offsets of each origin, and configurations, from samples of the whole recording.
     pub offset_fit: OffsetFit,
     /// The refined fit; its clock is for times since the first reading.
     pub fit: AlignmentFit,
 }
 
-/// Largest number of candidates that are fitted.
+/// Largest number of hypotheses that are refined.
 const FITTED_MAX: usize = 4;
-/// On nominal geometry, candidates within this factor of the best may turn out to be the better one.
+/// Hypotheses whose spread is within this factor of the smallest one are refined. With nominal geometry, the right one need
+/// not have the smallest spread.
 const NEAR_BEST: f64 = 2.0;
-/// Travel between samples that are compared \[rad\].
+/// Smallest travel between two samples whose angles are compared \[rad\].
 const PAIRS_APART_RAD: f64 = 0.01;
-/// Largest number of samples that are compared.
+/// Largest number of samples whose angles are compared.
 const PAIRS_MAX: usize = 3000;
-/// Samples of a refinement at most.
+/// Largest number of samples of a refinement.
 const FIT_MAX: usize = 1500;
 /// In windows longer than [`WINDOW_S`] only every `LONG_STRIDE`-th sample is used.
 const LONG_STRIDE: usize = 5;
-/// In a hole of this length the bar may pass a singular pose \[s\].
+/// Longest gap in the readings within a segment \[s\]. During a longer gap the bar may pass a singular pose.
 const HOLE_S: f64 = 1.0;
-/// Grid steps within which two shifts are the same.
+/// Shifts that differ by less than this number of grid steps count as the same.
 const SAME_STEPS: f64 = 5.0;
 
-/// A clock, with the encoder map and the offsets that the angles give at it, before refinement.
+/// A clock with the encoder map and the offsets that were found from the angles at this clock, before refinement.
 pub(in crate::prepare) struct Hypothesis {
     matched: Match,
     clock: Clock,
@@ -79,7 +84,7 @@ pub(in crate::prepare) struct Hypothesis {
 }
 
 impl Hypothesis {
-    /// Root of the sum of the squared spreads of all joints.
+    /// Root of the sum of the squared spreads of all joints \[rad\].
     fn spread_rad(&self) -> f64 {
         self.offset_fit.spread_rad.iter().map(|spread| spread * spread).sum::<f64>().sqrt()
     }
@@ -92,11 +97,11 @@ struct MappedFit {
 }
 
 impl AlignmentSearch<'_> {
-    /// The best alignment.
+    /// Finds the best alignment.
     ///
     /// # Errors
-    /// [`PrepareError::NoMatch`], [`PrepareError::NoSpeeds`], [`PrepareError::ClockJump`], [`PrepareError::EncoderSlip`] and those of
-    /// [`find_encoder_map`].
+    /// [`PrepareError::NoMatch`], [`PrepareError::NoSpeeds`], [`PrepareError::ClockJump`],
+    /// [`PrepareError::EncoderSlip`] and those of [`find_encoder_map`].
     pub fn run(&self) -> Result<AlignedRecording, PrepareError> {
         let step_s = grid_step_s(self.log_duration_s);
         let window = self.liveliest();
@@ -107,22 +112,23 @@ impl AlignmentSearch<'_> {
         Ok(AlignedRecording { matched, ambiguous, encoder_map, offset_fit, fit })
     }
 
-    /// The best fit of the window.
+    /// Returns the best fit of the window.
     fn best_fit(&self, window: &Range<usize>, step_s: f64) -> Result<Best<MappedFit>, PrepareError> {
         let (hypotheses, refusal) = self.hypotheses(window, step_s)?;
         let fits = self.fits(window, self.most_likely(window, hypotheses));
-        // By most of the samples, not by half: a wrong lap fits well wherever it is like the right one.
+        // The fits are compared by the spread of nine tenths of the samples, not of half of them. With a shift by a wrong
+        // lap, many samples still fit well, because the laps are partly alike.
         let best = best(fits, |mapped| mapped.fit.sigma_of_most_rad, |_, _| true);
         let spread_max_rad = self.options.spread_max_mrad * 1e-3;
         let fits_poorly = best.as_ref().is_none_or(|best| best.fit.fit.sigma_of_most_rad > spread_max_rad);
-        // One shift fits only one side of a large clock step.
+        // A single shift fits only one side of a large clock step, so a poor fit may be due to such a step.
         if fits_poorly && let Some(jump) = self.jump_between_parts(window, step_s) {
             return Err(jump);
         }
         best.ok_or_else(|| refusal.unwrap_or(PrepareError::NothingToFit))
     }
 
-    /// Offsets and fit of the window, extended to all samples.
+    /// Extends the offsets and the fit of the window to all samples.
     fn extended(
         &self,
         window: Range<usize>,
@@ -140,7 +146,8 @@ impl AlignmentSearch<'_> {
         extended(&self.readings.t_s, window, in_window, refit)
     }
 
-    /// A hypothesis for each candidate at which an encoder map fits, and the reason why another candidate has none.
+    /// Returns a hypothesis for each candidate at which an encoder map fits. Also returns the error of one of the other
+    /// candidates, if there are any.
     fn hypotheses(
         &self,
         window: &Range<usize>,
@@ -152,7 +159,8 @@ impl AlignmentSearch<'_> {
             match self.hypothesis(window, candidate, step_s) {
                 Ok(hypothesis) => hypotheses.push(hypothesis),
                 Err(error) => {
-                    // A slip is the cause wherever it is found.
+                    // The first error is kept, but a slip replaces any other error: it is the cause, at
+                    // whichever candidate it is found.
                     let is_slip = matches!(error, PrepareError::EncoderSlip { .. });
                     refusal = refusal.filter(|_| !is_slip).or(Some(error));
                 }
@@ -161,17 +169,18 @@ impl AlignmentSearch<'_> {
         Ok((hypotheses, refusal))
     }
 
-    /// At most [`FITTED_MAX`] hypotheses with different clocks, the most likely first.
+    /// Selects at most [`FITTED_MAX`] hypotheses with different clocks, the most likely first.
     fn most_likely(&self, window: &Range<usize>, mut hypotheses: Vec<Hypothesis>) -> Vec<Hypothesis> {
         let least_rad = hypotheses.iter().map(Hypothesis::spread_rad).fold(f64::INFINITY, f64::min);
         let highest = hypotheses.iter().map(|other| other.matched.correlation).fold(0.0, f64::max);
-        // The one whose speeds match best is always fitted: where laps are nearly alike, many fit nearly as well.
+        // The hypothesis whose speeds match best is always selected. If the laps of a motion are nearly alike, many other
+        // hypotheses have nearly the same spread.
         let has_highest = |hypothesis: &Hypothesis| hypothesis.matched.correlation >= highest;
         hypotheses.retain(|other| has_highest(other) || other.spread_rad() <= NEAR_BEST * least_rad);
         hypotheses.sort_by(|a, b| {
             has_highest(b).cmp(&has_highest(a)).then(a.spread_rad().total_cmp(&b.spread_rad()))
         });
-        // Several rates may lead to one clock.
+        // Candidates at different rates may lead to the same clock.
         let mut distinct: Vec<Hypothesis> = Vec::new();
         for hypothesis in hypotheses {
             if !distinct.iter().any(|other| self.is_same(window, other.clock, hypothesis.clock)) {
@@ -182,7 +191,7 @@ impl AlignmentSearch<'_> {
         distinct
     }
 
-    /// Refined fits of hypotheses; of those that end at the same clock only the best.
+    /// Refines the hypotheses. Of several fits that end at the same clock only the best is returned.
     fn fits(&self, window: &Range<usize>, hypotheses: Vec<Hypothesis>) -> Vec<(Match, MappedFit)> {
         let mut fits: Vec<(Match, MappedFit)> = Vec::new();
         for Hypothesis { matched, clock, encoder_map, offset_fit } in hypotheses {
@@ -203,7 +212,7 @@ impl AlignmentSearch<'_> {
         self.options.singular_margin_deg.to_radians()
     }
 
-    /// The part of the recording with the most motion.
+    /// The section of the recording with the most motion, at most [`WINDOW_S`] long.
     fn liveliest(&self) -> Range<usize> {
         let travel_rad = |pair: [usize; 2]| {
             let [a, b] = pair.map(|sample| &self.readings[sample]);
@@ -213,12 +222,13 @@ impl AlignmentSearch<'_> {
         liveliest(&self.readings.t_s, travel_rad)
     }
 
-    /// Time of a sample since the first one \[s\].
+    /// Time from the first sample to a sample \[s\].
     fn time_s(&self, sample: usize) -> f64 {
         self.readings.t_s.get(sample).copied().unwrap_or_default()
     }
 
-    /// Whether two clocks are the same throughout a window, by what the speeds resolve.
+    /// Whether two clocks differ throughout a window by less than the accuracy of
+    /// the correlation of speeds ([`SHIFT_SIGMA_S`]).
     fn is_same(&self, window: &Range<usize>, clock: Clock, other: Clock) -> bool {
         let ends_s = [window.start, window.end.saturating_sub(1)].map(|sample| self.time_s(sample));
         ends_s
@@ -226,8 +236,8 @@ impl AlignmentSearch<'_> {
             .all(|t_s| (clock.robot_time_s(t_s) - other.robot_time_s(t_s)).abs() < SHIFT_SIGMA_S)
     }
 
-    /// Candidates: rates less one at which the speeds are compared, each with a shift at which they match. Shifts are for times
-    /// since the window's first sample, in grid steps.
+    /// Returns the candidates: each is a rate minus one, and a match of the speeds at this rate. The shift of the match is
+    /// in grid steps, and holds for times since the first sample of the window.
     fn shifts(&self, window: &Range<usize>, step_s: f64) -> Result<Vec<(f64, Match)>, PrepareError> {
         let joints = self.joints();
         let speeds_of_log = |step_s| without_order(&self.predicted(step_s));
@@ -250,7 +260,9 @@ impl AlignmentSearch<'_> {
         }
     }
 
-    /// Matches at a rate: of the speeds joint by joint, and of those without order, for encoders recorded on wrong joints.
+    /// Returns the matches at a rate minus one. The speeds are correlated in two ways: joint by joint, and as
+    /// one channel that does not depend on the order of the joints. The second way finds shifts even if encoders
+    /// were recorded on wrong joints.
     fn candidates(
         &self,
         window: &Range<usize>,
@@ -263,6 +275,7 @@ impl AlignmentSearch<'_> {
         let needed_s = overlap_min_s(self.options, window_s, self.log_duration_s);
         let overlap_min = (needed_s / step_s) as usize;
         let from_bar = measured_speeds(&readings, &self.joints(), step_s, rate);
+        // The speeds of robot and bar, joint by joint and then combined into one channel.
         let by_joint = [from_robot.clone(), from_bar];
         let unordered = by_joint.each_ref().map(without_order);
         let compared = [unordered, by_joint];
@@ -286,16 +299,17 @@ impl AlignmentSearch<'_> {
         Ok(matches)
     }
 
-    /// Recorded joints from 0.
+    /// Joints of the recorded encoders, counted from 0.
     pub(in crate::prepare) fn joints(&self) -> Vec<usize> {
         self.recorded_joints.iter().map(|joint| usize::from(*joint) - 1).collect()
     }
 
+    /// Speeds of the recorded joints, predicted from the robot's log.
     pub(in crate::prepare) fn predicted(&self, step_s: f64) -> Channels {
         predicted_speeds(self.predictor, self.log_duration_s, &self.joints(), self.margin_rad(), step_s)
     }
 
-    /// Offsets, configurations and encoder map at a rate and a shift.
+    /// Finds encoder map, offsets and configurations at a candidate: the rate minus one, and the match with its shift.
     pub(in crate::prepare) fn hypothesis(
         &self,
         window: &Range<usize>,
@@ -308,7 +322,7 @@ impl AlignmentSearch<'_> {
         let slip = large_slip(&pairs, &self.readings.t_s, self.recorded_joints, self.options);
         let encoder_map = match (find_encoder_map(&pairs, self.recorded_joints, self.options), slip) {
             (Ok(_) | Err(PrepareError::NoEncoderMap { .. }), Some(slip)) => return Err(slip),
-            // The message also names the joints of the robot whose signs may be wrong instead.
+            // The message also names the robot's joints whose signs may be wrong instead of the encoders' directions.
             (Err(PrepareError::Mirrored { stated, .. }), _) => {
                 return Err(PrepareError::Mirrored { joints: mirroring_joints(self.chains[0]), stated });
             }
@@ -318,7 +332,8 @@ impl AlignmentSearch<'_> {
         Ok(Hypothesis { matched, clock, encoder_map, offset_fit })
     }
 
-    /// Samples spread over the motion with what the robot's log predicts there, in segments between singular poses.
+    /// Pairs of measured and predicted angles at samples of the window, spread over the motion. A segment ends at singular
+    /// poses of the bar, at changes of origin and at gaps.
     fn pairs(&self, window: &Range<usize>, clock: Clock) -> Vec<AnglePair> {
         let window_s = self.time_s(window.end.saturating_sub(1)) - self.time_s(window.start);
         let stride = if window_s > 1.1 * WINDOW_S { LONG_STRIDE } else { 1 };
@@ -349,14 +364,15 @@ impl AlignmentSearch<'_> {
         kept.into_iter().filter_map(|index| pairs.get(index).copied()).collect()
     }
 
-    /// Offsets and configurations from the pairs at a shift.
+    /// Finds offsets and configurations from pairs of measured and predicted angles.
     fn offset_fit(&self, pairs: &[AnglePair], encoder_map: &EncoderMap) -> OffsetFit {
-        // Wider than the limit for a whole run: a short segment may lie where the nominal geometry is worst.
+        // This limit is wider than the limit for a whole run. A short segment may lie where the errors of
+        // the nominal geometry are largest.
         let limit_rad = 4.0 * self.options.spread_max_mrad * 1e-3;
         fit_offsets(self.predictor.bar_links(), pairs, encoder_map, self.origins, limit_rad)
     }
 
-    /// [`refine`] on the samples of an offset fit, spread over the motion.
+    /// Runs [`refine`] on samples of an offset fit, spread over the motion. `start` is an earlier fit, if there is one.
     fn refined(
         &self,
         offset_fit: &OffsetFit,

@@ -1,4 +1,8 @@
-//! Aligns two logs on two clocks: coarsely by speeds, which do not depend on offsets, then by angles or positions.
+//! Aligns the robot's log with a recording of the bar (`find`) or with a tracker's log (`tracker`), each with its own clock.
+//!
+//! A first alignment compares speeds, which do not depend on offsets (`speeds`, `rate`, `correlate`). A fit of
+//! angles (`refine`) or positions (`tracker`) then improves it. The result is a [`Clock`](crate::model::Clock)
+//! and a reference time (`reference`).
 
 pub(super) mod aligned;
 pub(super) mod clock;

@@ -1,6 +1,9 @@
-//! A clock step so large that no single shift matches the whole run. The run is cut into parts, each is correlated with the
-//! robot's log, and the shifts have two levels. Used by `find` when no candidate fits, or the best one fits
-//! poorly, for the message of the refusal.
+//! Detects a clock step so large that no single shift matches the whole run.
+//!
+//! The run is cut into parts with equal numbers of samples. Each part is correlated with the robot's log,
+//! which gives one shift for each part. At a clock step the shifts have one level before some instant and
+//! another level after it. `find` uses this search if no candidate fits, or if the best one fits poorly. The
+//! result is the error [`PrepareError::ClockJump`].
 
 use std::ops::Range;
 
@@ -9,33 +12,37 @@ use super::find::AlignmentSearch;
 use super::speeds::{measured_speeds, without_order};
 use crate::prepare::PrepareError;
 
-/// Number of parts of the recording that are matched one by one.
+/// Number of parts into which the recording is cut.
 const PARTS: usize = 6;
-/// Shifts that differ by this much are different \[s\].
+/// Shifts that differ by more than this belong to different levels \[s\].
 const DIFFERENT_S: f64 = 0.05;
-/// Share of a part that must lie in the robot's log.
+/// Fraction of a part that must overlap with the robot's log.
 const OVERLAP_MIN: f64 = 0.6;
-/// Smallest ratio of a step to the largest difference of neighbouring shifts on either side of it.
+/// Smallest ratio of a step to the scatter of the shifts on its sides. The scatter is the largest difference between the
+/// shifts of neighbouring parts on one side.
 const TIMES_SCATTER: f64 = 3.0;
 
-/// A part of the recording that matches the robot's log.
+/// A part of the recording whose speeds match the robot's log.
 struct MatchedPart {
     samples: Range<usize>,
-    /// Time of its first sample since the first reading \[s\].
+    /// Time from the first reading of the recording to the first sample of this part \[s\].
     start_s: f64,
     matched: Match,
-    /// Time since the first stamp of the robot's log less time since the first reading \[s\].
+    /// Time since the first stamp of the robot's log minus time since the first reading of the recording,
+    /// at the same instant \[s\].
     shift_s: f64,
 }
 
 impl AlignmentSearch<'_> {
-    /// A clock step, if each part of `window` matches, at shifts that agree before and after some instant.
+    /// Returns a clock step if the shifts of the parts that match have one level before some instant and another level after
+    /// it. At most one of these parts may belong to neither level. `step_s` is the step of the grid \[s\].
     ///
-    /// If the robot is not the configured one parts match, too, but their shifts scatter and the angles fit on neither side.
+    /// Parts may also match if the log is of another robot than the configured one. Their shifts then scatter, and the
+    /// angles fit on neither side.
     pub(super) fn jump_between_parts(&self, window: &Range<usize>, step_s: f64) -> Option<PrepareError> {
         let parts = self.parts(window, step_s);
         let differ = |a: &MatchedPart, b: &MatchedPart| (a.shift_s - b.shift_s).abs() > DIFFERENT_S;
-        // Each side has two parts or more: a chance match of one part agrees with no other.
+        // Each side must have at least two parts, because a chance match of one part agrees with no other part.
         let mut sides = parts.chunk_by(|a, b| !differ(a, b)).filter(|side| side.len() >= 2);
         let (before, after) = (sides.next()?, sides.next()?);
         if sides.next().is_some() || before.len() + after.len() + 1 < parts.len() {
@@ -67,7 +74,7 @@ impl AlignmentSearch<'_> {
         window.clone().step_by(length).filter_map(part).collect()
     }
 
-    /// Whether the angles of a side fit at its shift, as those of a run without a step do.
+    /// Whether the angles of one side fit at the shift of its first part, as the angles of a run without a clock step do.
     fn side_fits(&self, side: &[MatchedPart], step_s: f64) -> bool {
         let (Some(first), Some(last)) = (side.first(), side.last()) else { return false };
         let window = first.samples.start..last.samples.end;
@@ -79,7 +86,7 @@ impl AlignmentSearch<'_> {
     }
 }
 
-/// Largest difference of the shifts of neighbouring parts \[s\].
+/// Largest difference between the shifts of neighbouring parts on one side \[s\].
 fn scatter_s(side: &[MatchedPart]) -> f64 {
     side.windows(2).map(|pair| (pair[1].shift_s - pair[0].shift_s).abs()).fold(0.0, f64::max)
 }

@@ -7,20 +7,22 @@ use crate::logs::RobotLog;
 use crate::model::Clock;
 use crate::prepare::Alignment;
 
-/// The middle of what both logs cover, to which all times of the result refer. The other log is the bar's or the tracker's.
+/// The reference time, to which all times of the result refer: the middle of the overlap of both logs. The *other log* is
+/// the recording of the bar or the tracker's log.
 pub(in crate::prepare) struct ReferenceTime {
-    /// Start and end of what both logs cover, counted from the other log's first sample \[s\].
+    /// Start and end of the overlap of both logs, counted from the other log's first sample \[s\].
     overlap_s: [f64; 2],
     /// Reference time, counted from the other log's first sample \[s\].
     pub t_ref_s: f64,
     /// Reference time on the other log's clock.
     pub t_ref: UtcNs,
-    /// The clock for times since the reference time.
+    /// Converts times of the other log since the reference time to times since the first stamp of the robot's log.
     pub clock: Clock,
 }
 
 impl ReferenceTime {
-    /// The samples of the other log begin at `first` and end `end_s` later; `clock` counts from `first`.
+    /// Finds the reference time. The samples of the other log begin at `first` and end `end_s`
+    /// later; `clock` counts from `first`.
     pub fn new(first: UtcNs, end_s: f64, clock: Clock, log_duration_s: f64) -> Self {
         let other_time_s = |tau_s: f64| (tau_s - clock.shift_s) / (1.0 + clock.skew);
         let from_s = other_time_s(0.0).clamp(0.0, end_s);

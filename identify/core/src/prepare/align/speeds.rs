@@ -1,5 +1,8 @@
-//! Unsigned speeds on a uniform grid, `|x(t + h) - x(t - h)| / 2 h`, from the encoders (measured) or the robot's log (predicted).
-//! They do not depend on offsets and signs: two logs can be correlated (`correlate`) before these are known.
+//! Computes unsigned speeds on a uniform time grid: `|x(t + h) - x(t - h)| / 2 h`.
+//!
+//! The input is either the encoder readings, which give the *measured* speeds, or the robot's log, which gives the
+//! *predicted* speeds. Unsigned speeds do not depend on offsets and signs. Two logs can therefore be correlated
+//! (`correlate`) before offsets and signs are known.
 
 use super::predict::Predictor;
 use crate::kinematics::{BAR_JOINTS, wrapped};
@@ -9,17 +12,19 @@ use crate::threads::rows;
 
 /// Finest step of the grid \[s\].
 const STEP_S: f64 = 0.01;
-/// Largest number of grid points of the robot's log.
+/// Largest number of grid points for the robot's log.
 const GRID_MAX: f64 = 1e6;
-/// Speeds are differences over this many steps to either side: noise of the readings is divided by their time.
+/// A speed is a difference from this number of grid steps before a point to the same number after it. A longer time reduces
+/// the effect of noise in the readings.
 pub(in crate::prepare) const REACH: usize = 2;
-/// No bar turns faster \[rad/s\]: a higher speed is a jump of the counters or of the robot's log.
+/// Largest speed of a bar joint \[rad/s\]. A higher speed means that the counters or the robot's log jump.
 const SPEED_RAD_S_MAX: f64 = 4.0;
 
-/// Angles at each grid point; `None` where they are not known.
+/// Joint angles at each grid point; `None` if they are unknown there.
 type Angles = Vec<Option<[f64; BAR_JOINTS]>>;
 
-/// Measured speeds of `joints` (from 0), from the first reading on, every `step_s` of a clock that is faster by `rate`.
+/// Measured speeds of `joints` (counted from 0), starting at the first reading. The grid step is `step_s` of a clock whose
+/// rate is `1 + rate` times that of the recording.
 pub(in crate::prepare) fn measured_speeds(
     readings: &Stream<BarReading>,
     joints: &[usize],
@@ -34,13 +39,13 @@ pub(in crate::prepare) fn measured_speeds(
     speeds_of_joints(&angles, joints, step_s)
 }
 
-/// Step of the grid for a robot's log of this length \[s\].
+/// Step of the grid for a robot's log with this duration \[s\].
 pub(in crate::prepare) fn grid_step_s(log_duration_s: f64) -> f64 {
     STEP_S.max(log_duration_s / GRID_MAX)
 }
 
-/// Predicted speeds, from the robot log's first stamp to `duration_s`. Unknown nearer to singular poses than
-/// `margin_rad`, where errors of the nominal geometry are amplified.
+/// Predicted speeds, from the first stamp of the robot's log until `duration_s`. A speed is unknown at poses nearer to a
+/// singular pose than `margin_rad`, because errors of the nominal geometry are amplified there.
 pub(in crate::prepare) fn predicted_speeds(
     predictor: &Predictor<'_>,
     duration_s: f64,
@@ -63,8 +68,9 @@ fn speeds_of_joints(angles: &Angles, joints: &[usize], step_s: f64) -> Channels 
     speeds(angles, joints.len(), REACH, step_s, SPEED_RAD_S_MAX, turned)
 }
 
-/// Speeds of points on a grid, in a number of channels, from `reach` steps before to as many after; `distance` is that of two
-/// points in a channel. A speed is unknown if one of its points is, or if it is more than `speed_max`.
+/// Speeds of points on a grid, in a number of channels. The speed at a grid point is computed from the points `reach` steps
+/// before and after it; `distance` returns the distance of two points in a channel. The speeds of all channels are unknown
+/// if one of the two points is unknown, or if a speed exceeds `speed_max`.
 pub(in crate::prepare) fn speeds<T>(
     points: &[Option<T>],
     channels: usize,
@@ -90,7 +96,8 @@ pub(in crate::prepare) fn speeds<T>(
     found
 }
 
-/// All channels as one, the root of the sum of their squares: the same whichever encoder is called which.
+/// Combines all channels into one, the root of the sum of their squares. The result does not depend on
+/// the order of the encoders.
 pub(in crate::prepare) fn without_order(channels: &Channels) -> Channels {
     let root = |step: usize| channels.values.iter().map(|values| values[step].powi(2)).sum::<f64>().sqrt();
     Channels { known: channels.known.clone(), values: vec![(0..channels.known.len()).map(root).collect()] }

@@ -1,21 +1,25 @@
-//! What the search for the clock of a recording (`find`) and that of a tracker's log (`tracker`) share: the window, the part of
-//! the log that is compared first; the selection among fits; the extension of a fit to the whole log.
+//! Functions that the search for the clock of a recording (`find`) and the search for the clock of a tracker's
+//! log (`tracker`) have in common.
+//!
+//! Both searches first compare a section of the log of limited length, the *window* ([`liveliest`]). They choose the best of
+//! several fits in the window ([`best`]), and extend this fit step by step to the whole log ([`extended`]).
 
 use std::ops::Range;
 
 use super::correlate::{Match, longest_overlap};
 use crate::prepare::{ComparedLog, PrepareError, PrepareOptions};
 
-/// Longest window \[s\]: over a longer one clocks of different rates drift apart.
+/// Longest window \[s\]. In a longer window, clocks with different rates would drift too far apart.
 pub(in crate::prepare) const WINDOW_S: f64 = 900.0;
-/// The window grows by this factor from fit to fit.
+/// Factor by which the window grows from one fit to the next.
 const GROWTH: f64 = 4.0;
-/// Number of shifts by each kind of correlation at which more than speeds are compared.
+/// Largest number of shifts from each correlation of speeds at which the angles or positions are then compared.
 pub(in crate::prepare) const CANDIDATES: usize = 6;
-/// Two fits whose residuals differ by less than this factor are equally good: the motion repeats.
+/// Two fits whose residuals differ by less than this factor count as equally good. This occurs if the motion repeats.
 const TIE: f64 = 1.2;
 
-/// The part with the most motion of samples at `t_s`; `travel` is the travel between two neighbours.
+/// Returns the window with the most motion, as a range of the samples at the times `t_s` \[s\]. `travel` returns the travel
+/// between two neighbouring samples. A log that is not longer than [`WINDOW_S`] is one window.
 pub(in crate::prepare) fn liveliest(t_s: &[f64], travel: impl Fn([usize; 2]) -> f64) -> Range<usize> {
     let duration_s = t_s.last().zip(t_s.first()).map_or(0.0, |(last, first)| last - first);
     if duration_s <= WINDOW_S {
@@ -34,7 +38,7 @@ pub(in crate::prepare) fn liveliest(t_s: &[f64], travel: impl Fn([usize; 2]) -> 
         .unwrap_or(0..t_s.len())
 }
 
-/// How long two logs of these lengths must overlap \[s\].
+/// Smallest overlap that two logs with the durations `one_s` and `other_s` must have \[s\].
 pub(in crate::prepare) fn overlap_min_s(options: &PrepareOptions, one_s: f64, other_s: f64) -> f64 {
     options.overlap_min_s.max(options.overlap_min_part * one_s.min(other_s))
 }
@@ -42,15 +46,16 @@ pub(in crate::prepare) fn overlap_min_s(options: &PrepareOptions, one_s: f64, ot
 /// The best of several fits.
 #[derive(Debug)]
 pub(in crate::prepare) struct Best<F> {
-    /// How the speeds match at its shift.
+    /// Match of the speeds at the shift of this fit.
     pub matched: Match,
-    /// Another shift fits as well.
+    /// Whether another shift fits equally well.
     pub ambiguous: bool,
     pub fit: F,
 }
 
-/// Among the fits with the smallest residuals the one whose logs overlap longest: if several fit equally well the motion
-/// repeats, and the longest overlap is the most likely. `are_apart` is true for two fits with different shifts.
+/// Chooses, among the fits with the smallest residuals, the one with the longest overlap of the logs. Several fits are
+/// equally good if the motion repeats, and the longest overlap is then the most likely. `are_apart` returns whether
+/// two fits have different shifts.
 pub(in crate::prepare) fn best<F>(
     mut fits: Vec<(Match, F)>,
     spread: impl Fn(&F) -> f64,
@@ -65,8 +70,8 @@ pub(in crate::prepare) fn best<F>(
     Some(Best { matched, ambiguous, fit })
 }
 
-/// Extends a fit from its window to the whole log, step by step: clocks that are known over a quarter of an hour are known well
-/// enough for an hour.
+/// Extends a fit from its window to the whole log, step by step. The relation of clocks that is known over a quarter of an
+/// hour is accurate enough as start value for an hour.
 ///
 /// # Errors
 /// [`PrepareError::NothingToFit`] if `refit` returns `None`.
@@ -83,7 +88,7 @@ pub(in crate::prepare) fn extended<F>(
     Ok(fit)
 }
 
-/// The window, [`GROWTH`] times as long about the same middle.
+/// Makes the window [`GROWTH`] times as long, with the same middle.
 fn wider(t_s: &[f64], window: &Range<usize>) -> Range<usize> {
     let time_s = |index: usize| t_s.get(index).copied().unwrap_or_default();
     let (from_s, to_s) = (time_s(window.start), time_s(window.end.saturating_sub(1)));
@@ -93,7 +98,8 @@ fn wider(t_s: &[f64], window: &Range<usize>) -> Range<usize> {
     from..to
 }
 
-/// The refusal of two logs whose speeds match nowhere: with the highest correlation that was found, and the overlap there \[s\].
+/// The error for two logs whose speeds match at no shift. `highest` is the highest correlation that was found and the
+/// overlap at its shift \[s\]; `None` if no shift has speeds in both logs for `overlap_min_s`.
 pub(in crate::prepare) fn no_match(
     other: ComparedLog,
     highest: Option<(f64, f64)>,
