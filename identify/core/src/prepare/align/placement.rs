@@ -1,8 +1,11 @@
-//! Start values for the places of a tracker and its probe, from observed positions at known poses of the robot. Used by the
-//! alignment of a tracker's log (`tracker`) and for the start of its solve (`instrument::tracker`).
+//! Start values for the pose of a tracker and the pose of its probe, from observed positions at known poses of the robot.
+//! They are used by the alignment of a tracker's log (`tracker`) and as start values of its solve (`instrument::tracker`).
 //!
-//! Row `k`: `T s_k = p_k + R_k y`, with the observed position `s_k`, the flange's position `p_k` and rotation `R_k`, and the
-//! unknown pose `T` of the tracker and position `y` of the probe on the flange.
+//! Each row `k` gives the equation `T s_k = p_k + R_k y`. Known are the observed position `s_k`, and position `p_k` and
+//! rotation `R_k` of the flange. Unknown are the pose `T` of the tracker and the position `y` of the probe on the flange.
+//!
+//! A tracker may be used at several *stations* and measure several *targets* (probes). [`placements`] solves for one pair of
+//! station and target, [`all_placements`] for all of them.
 
 use std::collections::BTreeMap;
 
@@ -12,19 +15,23 @@ use crate::kinematics::Pose;
 use crate::logs::PoseRow;
 use crate::model::{Placement, SetUp};
 
-/// Standard deviation of the probe's distance from the flange \[m\]: it matters only if the poses do not determine the probe.
+/// Standard deviation of the probe's distance from the flange \[m\]. It has an effect only if the poses do not
+/// determine the probe's position.
 pub const PROBE_SIGMA_M: f64 = 1.0;
-/// Rounds of the alternation; each at least halves the error.
+/// Number of rounds of the alternating solution. Each round at least halves the error.
 const ROUNDS: usize = 60;
-/// Positions that spread less than this part of their largest spread along the second axis lie on a line.
+/// Positions count as lying on a line if the second singular value of their products is at most this fraction
+/// of the first one.
 const FLATNESS: f64 = 1e-6;
 
-/// Places of tracker and probe for a robot at the poses `flanges`, without a first guess; `observed_m` is the probe in the
-/// tracker's frame at each, `turns` its `tracker_from_probe`, where that was measured. `None` if the positions lie on a line.
+/// Finds the poses of tracker and probe without start values. For each robot pose in `flanges`, `observed_m` is the position
+/// of the probe in the tracker's frame, and `turns` is the rotation of `tracker_from_probe`, if it was measured. `None` if
+/// the positions lie on a line.
 ///
-/// Alternating: for a known `y` the rotation of `T` is that between two clouds of points (Umeyama 1991), for a known rotation
-/// the position of `T` and `y` are linear. It needs no turns between the poses, where closed forms for `A X = Z B` need turns
-/// about two axes; the probe's rotation is the mean over all poses.
+/// The solution alternates between two steps. For a known `y`, the rotation of `T` is the rotation between two clouds of
+/// points (Umeyama 1991). For a known rotation, the equations are linear in the position of `T` and in `y`. The flange need
+/// not rotate between the poses; closed forms for `A X = Z B` need rotations about two axes. The rotation of the probe is
+/// the mean over all poses.
 pub fn placements(
     flanges: &[Pose],
     observed_m: &[Vector3<f64>],
@@ -45,14 +52,15 @@ pub fn placements(
     Some([Placement::of(&tracker), Placement::of(&probe)])
 }
 
-/// Rotation of the probe on the flange: the mean over poses of the robot, places of the tracker and `tracker_from_probe`.
+/// Rotation of the probe on the flange: the mean over all rows. A row is the pose of the flange, the pose of the tracker,
+/// and the rotation of `tracker_from_probe`.
 fn mean_turn<'a>(rows: impl Iterator<Item = (&'a Pose, &'a Pose, Rotation3<f64>)>) -> Rotation3<f64> {
     let flange_from_probe =
         rows.map(|(flange, tracker, turn)| *(flange.rotation.inverse() * tracker.rotation * turn).matrix());
     nearest_rotation(&flange_from_probe.sum())
 }
 
-/// A target measured by a tracker at a pose of the robot.
+/// A target that a tracker measured, and the pose of the robot's flange at that time.
 #[derive(Debug, Clone, Copy)]
 pub struct Sighted {
     /// Pose of the flange, from the robot's assumed geometry.
@@ -61,7 +69,7 @@ pub struct Sighted {
     pub seen: PoseRow,
 }
 
-/// Places of the stations and targets that have rows, by their numbers.
+/// Poses of the stations and targets that have rows. Keys are the numbers of the stations or targets.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Placements {
     /// `root_from_tracker` of each station.
@@ -70,8 +78,9 @@ pub struct Placements {
     pub probes: BTreeMap<usize, Placement>,
 }
 
-/// [`placements`] of all stations and targets, from the pair of station and target with the most rows on: a known station gives
-/// the targets that it measured, a known target the stations that measured it. `None` if the rows of a station lie on a line.
+/// Finds the poses of all stations and targets. The first pair of station and target is the pair with the most rows, which
+/// [`placements`] solves. Then a known station determines the targets that it measured, and a known target determines the
+/// stations that measured it. `None` if the rows of a station lie on a line.
 pub fn all_placements(rows: &[Sighted]) -> Option<Placements> {
     let mut by_set_up: BTreeMap<SetUp, Vec<Sighted>> = BTreeMap::new();
     rows.iter().for_each(|row| by_set_up.entry(row.seen.set_up).or_default().push(*row));
@@ -79,7 +88,7 @@ pub fn all_placements(rows: &[Sighted]) -> Option<Placements> {
     set_ups.sort_by_key(|rows| std::cmp::Reverse(rows.len()));
     let (mut places, mut probes) = (BTreeMap::<usize, Pose>::new(), BTreeMap::<usize, Pose>::new());
     loop {
-        // A row of a known station, with the pose of the tracker there.
+        // Rows of known stations, each with the pose of the tracker at this station.
         let with_tracker = |row: &Sighted| Some((*row, *places.get(&row.seen.set_up.station)?));
         let new_target = rows
             .iter()
@@ -90,7 +99,7 @@ pub fn all_placements(rows: &[Sighted]) -> Option<Placements> {
             probes.insert(target, probe(&of_target.collect::<Vec<_>>()));
             continue;
         }
-        // A row of a known target, with the pose of the probe in the robot's frame.
+        // Rows of known targets, each with the pose of the probe in the robot's frame.
         let with_probe = |row: &Sighted| Some((*row, row.flange * probes.get(&row.seen.set_up.target)?));
         let new_station = rows
             .iter()
@@ -101,7 +110,8 @@ pub fn all_placements(rows: &[Sighted]) -> Option<Placements> {
             places.insert(station, place(&of_station.collect::<Vec<_>>())?);
             continue;
         }
-        // No known station or target leads further: this is the first pair, or one without connection to those before.
+        // No known station or target determines another one. The next pair is the first of all, or one that is not connected
+        // to the pairs before it.
         let is_new = |rows: &&Vec<Sighted>| !places.contains_key(&rows[0].seen.set_up.station);
         let Some(largest) = set_ups.iter().find(is_new) else { break };
         let flanges: Vec<Pose> = largest.iter().map(|row| row.flange).collect();
@@ -116,7 +126,7 @@ pub fn all_placements(rows: &[Sighted]) -> Option<Placements> {
     Some(Placements { places: as_placements(places), probes: as_placements(probes) })
 }
 
-/// `flange_from_probe` of a target in rows from known places of the tracker: the mean over the rows.
+/// `flange_from_probe` of a target, as mean over its rows. Each row has the known pose of the tracker.
 fn probe(rows: &[(Sighted, Pose)]) -> Pose {
     let on_flange_m = |(row, tracker): &(Sighted, Pose)| {
         row.flange.inverse_transform_point(&tracker.transform_point(&row.seen.position_m.into())).coords
@@ -126,7 +136,8 @@ fn probe(rows: &[(Sighted, Pose)]) -> Pose {
     Pose::from_parts(mean(&on_flange_m).into(), mean_turn(turns))
 }
 
-/// `root_from_tracker` of a station, from rows with the pose of the probe in the robot's frame.
+/// `root_from_tracker` of a station. Each row has the pose of the probe in the robot's frame. `None` if rotations were not
+/// measured in all rows and the positions lie on a line.
 fn place(rows: &[(Sighted, Pose)]) -> Option<Pose> {
     let observed_m: Vec<Vector3<f64>> = rows.iter().map(|(row, _)| row.seen.position_m).collect();
     let probe_m: Vec<Vector3<f64>> = rows.iter().map(|(_, probe)| probe.translation.vector).collect();
@@ -140,11 +151,13 @@ fn place(rows: &[(Sighted, Pose)]) -> Option<Pose> {
     Some(Pose::from_parts((mean(&probe_m) - rotation * mean(&observed_m)).into(), rotation))
 }
 
+/// Mean position \[m\]; zero without points.
 fn mean(points: &[Vector3<f64>]) -> Vector3<f64> {
     points.iter().sum::<Vector3<f64>>() / points.len().max(1) as f64
 }
 
-/// The rotation that takes one cloud onto the other.
+/// The rotation that best maps the points `from` onto the points `to`, each about its mean. `None` if the points
+/// lie on a line.
 fn rotation_between(from: &[Vector3<f64>], to: &[Vector3<f64>]) -> Option<Rotation3<f64>> {
     let (from_mean, to_mean) = (mean(from), mean(to));
     let products = from.iter().zip(to).map(|(a, b)| (b - to_mean) * (a - from_mean).transpose());
@@ -156,7 +169,7 @@ fn rotation_between(from: &[Vector3<f64>], to: &[Vector3<f64>]) -> Option<Rotati
     Some(nearest_rotation(&sum))
 }
 
-/// The rotation nearest to a matrix, by its singular values; identity if these cannot be computed.
+/// The rotation nearest to a matrix, from its singular value decomposition; identity if the decomposition fails.
 pub(crate) fn nearest_rotation(matrix: &Matrix3<f64>) -> Rotation3<f64> {
     let svd = matrix.svd(true, true);
     let (Some(u), Some(v_t)) = (svd.u, svd.v_t) else { return Rotation3::identity() };
@@ -164,14 +177,14 @@ pub(crate) fn nearest_rotation(matrix: &Matrix3<f64>) -> Rotation3<f64> {
     Rotation3::from_matrix_unchecked(u * flip * v_t)
 }
 
-/// Positions `t` of the tracker and `y` of the probe for a known rotation `Q` of the tracker: least squares of
-/// `t - R_k y = p_k - Q s_k`.
+/// Positions `t` of the tracker and `y` of the probe for a known rotation `Q` of the tracker. They are the least-squares
+/// solution of `t - R_k y = p_k - Q s_k`.
 fn positions(
     flanges: &[Pose],
     observed_m: &[Vector3<f64>],
     rotation: &Rotation3<f64>,
 ) -> (Vector3<f64>, Vector3<f64>) {
-    /// Error of a position that gives the weight of the probe's prior \[m\].
+    /// Assumed error of a measured position, which determines the weight of the probe's prior \[m\].
     const ERROR_M: f64 = 1e-3;
     let mut normal = DMatrix::<f64>::zeros(6, 6);
     let mut right = DVector::<f64>::zeros(6);

@@ -1,4 +1,4 @@
-//! Bar joints predicted from the robot's log and nominal geometry.
+//! Predicts bar joints from the robot's log with nominal geometry.
 
 use nalgebra::{Translation3, Vector3};
 
@@ -11,18 +11,20 @@ use crate::logs::CubicSpline;
 /// The bar at one instant, predicted from the robot's log.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PredictedBar {
-    /// Joints in the first configuration, each in (-pi, pi] \[rad\]; [`Configuration::carry`] gives the others.
+    /// Joints in the first configuration, each in (-pi, pi] \[rad\]; [`Configuration::carry`] converts them
+    /// to the other configurations.
     pub joints_rad: [f64; BAR_JOINTS],
     /// Distance from the bar's nearest singular pose \[rad\].
     pub margin_rad: f64,
 }
 
 impl PredictedBar {
-    /// The configuration that predictions are in.
+    /// Configuration of all predictions.
     pub const CONFIGURATION: Configuration = Configuration::ALL[0];
 }
 
-/// Nominal robot and nominal bar on a base found from the robot's positions.
+/// Predicts the bar with the nominal robot and the nominal bar. The position of the base was found
+/// from the robot's positions.
 #[derive(Debug, Clone)]
 pub struct Predictor<'a> {
     log: &'a CubicSpline<Joints>,
@@ -31,7 +33,7 @@ pub struct Predictor<'a> {
 }
 
 impl<'a> Predictor<'a> {
-    /// Predicts from `log` with the nominal chains, the bar standing upright at `base_m`.
+    /// Creates a predictor for `log` with the nominal chains. The bar is upright at `base_m`.
     ///
     /// # Errors
     /// [`InverseError`] if `bar` does not have the structure of a ball-bar.
@@ -42,7 +44,8 @@ impl<'a> Predictor<'a> {
         base_m: Vector3<f64>,
     ) -> Result<Self, InverseError> {
         let bar = Chain::new(Translation3::from(base_m).into(), bar.links.clone());
-        // Any pose shows whether the structure is right; a prediction then cannot fail.
+        // Checks the structure of the bar at an arbitrary pose. With a valid structure, predictions at other
+        // poses do not fail.
         first_ball_bar_inverse(&bar, &bar.forward(&[0.1; BAR_JOINTS]))?;
         Ok(Self { log, robot: Tracer::new(robot), bar })
     }
@@ -57,7 +60,7 @@ impl<'a> Predictor<'a> {
         self.bar.root_from_base.translation.vector
     }
 
-    /// The bar at `tau_s` after the log's first stamp; `None` outside the log.
+    /// The bar at `tau_s`, the time since the log's first stamp \[s\]; `None` outside the log.
     pub fn at(&self, tau_s: f64) -> Option<PredictedBar> {
         let joints = self.log.at(tau_s)?;
         let mut trace = Trace::default();
@@ -67,7 +70,7 @@ impl<'a> Predictor<'a> {
         Some(PredictedBar { joints_rad, margin_rad })
     }
 
-    /// The robot's joints at `tau_s` \[rad\].
+    /// The robot's joints at `tau_s`, the time since the log's first stamp \[rad\]; `None` outside the log.
     pub fn robot_at(&self, tau_s: f64) -> Option<Joints> {
         self.log.at(tau_s).map(|joints| joints.value)
     }

@@ -1,10 +1,13 @@
-//! The rate of one clock against another, from parts of a run that are matched one by one.
+//! Estimates the rate of one clock relative to another, from parts of a run. `find` uses this rate for
+//! the correlation of speeds.
 //!
-//! Over a part of some seconds two clocks do not drift apart measurably. The shifts of the parts lie on a line
-//! `s = s0 + rate m` over their middles `m`. A part alone may match in several places, all parts together in one: the
-//! correlations are summed along lines ("slant stack") before any peak is chosen. A clock that was set in the middle of the run
-//! is another explanation of shifts that differ: two levels instead of a slope. The one that leaves smaller squares is taken.
-//! Used by `find` before the correlation.
+//! A *part* is a section of some seconds, in which two clocks do not drift apart measurably. Each part is correlated with
+//! the whole of the other log. The shifts `s` of the parts lie on a line `s = s0 + rate m`, where `m` is the middle of a
+//! part. A single part may match at several shifts, but all parts together match on one line only. The correlations are
+//! therefore summed along lines ("slant stack") before any peak is chosen.
+//!
+//! Shifts also differ if a clock was set during the run. The shifts then have two levels instead of a slope. The explanation
+//! that leaves the smaller sum of squares is used.
 
 use std::ops::Range;
 
@@ -13,42 +16,45 @@ use super::speeds::grid_step_s;
 use crate::prepare::Channels;
 use crate::threads::each;
 
-/// Largest rate less one: clocks of controllers and instruments differ by less, quartz by a hundredth of it.
+/// Largest rate minus one. The clocks of controllers and instruments differ by less than this, quartz clocks by
+/// a hundredth of it.
 const RATE_MAX: f64 = 0.0105;
-/// The fit of the angles corrects smaller differences of shifts \[s\]: a joint turns by 6 mrad in this time.
+/// Largest error of a shift that the fit of the angles corrects \[s\]. During this time a joint turns by 6 mrad.
 const BRIDGED_S: f64 = 0.02;
-/// Step of the grid on which parts are matched \[s\]; peaks are found between its points.
+/// Smallest step of the grid on which parts are matched \[s\]. Peaks are interpolated between grid points.
 const STEP_S: f64 = 0.05;
-/// Longest part \[s\]: at the largest rate its ends are shifted by 0.1 s.
+/// Longest part \[s\]. At the largest rate the ends of such a part are shifted by 0.1 s.
 const PART_S: f64 = 20.0;
-/// Number of parts of a short run, and of a long one.
+/// Smallest and largest number of parts of a run.
 const PARTS: [usize; 2] = [6, 16];
-/// Share of a part that must lie in the other log.
+/// Fraction of a part that must overlap with the other log.
 const OVERLAP_MIN: f64 = 0.6;
-/// A peak of a part belongs to the line if it is so near, in grid steps.
+/// Largest distance of a part's peak from the line to which it belongs, in grid steps.
 const NEAR: i64 = 2;
 
-/// A part of a run, compared with the whole of the other log.
+/// A part of a run, and its correlations with the whole of the other log.
 struct RunPart {
-    /// Its middle since the middle of the run, in grid steps.
+    /// Middle of the part minus the middle of the run, in grid steps.
     middle: f64,
-    /// Half of its length in grid steps.
+    /// Half the length of the part, in grid steps.
     half_length: f64,
     correlations: Correlations,
 }
 
 impl RunPart {
-    /// Place of the part's first sample in the other log, where the run's middle is at `run_middle` of that log, in grid steps.
+    /// Index of the part's first sample in the other log, in grid steps. The middle of the run is at index `run_middle` of
+    /// the other log, and the rate minus one is `rate`.
     fn shift(&self, run_middle: f64, rate: f64) -> f64 {
         run_middle + (1.0 + rate) * self.middle - self.half_length
     }
 }
 
-/// Rates, less one, at which two logs are to be compared: that of clocks that run alike, and the one on which the parts of the run
-/// agree if it is clearly another one.
+/// Returns the rates minus one at which two logs are to be compared. The first is 0, for clocks with equal rates. The second
+/// is the rate at which the parts of the run agree, if it is clearly different from 0.
 ///
-/// `window` are the samples of the run that are compared, at the times `t_s` \[s\]. `speeds_of_log` gives the speeds of the
-/// other log, which is `log_s` long, on a grid with a step \[s\]; `speeds_of_part` those of some samples of the run.
+/// `window` is the range of samples of the run that are compared, and `t_s` are the times of all samples \[s\]. The other
+/// log is `log_s` long. `speeds_of_log` returns its speeds on a grid with the given step \[s\]. `speeds_of_part` returns the
+/// speeds of a range of samples of the run on such a grid.
 pub(in crate::prepare) fn rates(
     t_s: &[f64],
     window: &Range<usize>,
@@ -60,6 +66,7 @@ pub(in crate::prepare) fn rates(
     let (Some(first_s), Some(last_s)) = (times_s.first(), times_s.last()) else { return vec![0.0] };
     let run_s = last_s - first_s;
     let step_s = STEP_S.max(grid_step_s(log_s));
+    // The parts are spread evenly over the run. In a long run there are gaps between them.
     let count = ((run_s / PART_S) as usize).clamp(PARTS[0], PARTS[1]);
     let part_s = PART_S.min(run_s / count as f64);
     let log_speeds = speeds_of_log(step_s);
@@ -79,21 +86,23 @@ pub(in crate::prepare) fn rates(
     .flatten()
     .collect();
     let rate = common_rate(&parts, log_speeds.known.len()).unwrap_or_default();
-    // The shift at the ends of the run.
+    // At the ends of the run, the shift differs from that in the middle by the rate times half the length of the run.
     if 0.5 * rate.abs() * run_s > BRIDGED_S { vec![0.0, rate] } else { vec![0.0] }
 }
 
-/// Largest sum of the parts' correlations at a rate less one, and the place of the run's middle in the other log there.
+/// The largest sum of the parts' correlations at one rate (minus one), and the index of the run's middle in the other
+/// log at this sum.
 struct StackedCorrelations {
     rate: f64,
     run_middle: f64,
     sum: f64,
 }
 
-/// The rate less one on whose line the parts match best; `log_points` is the length of the other log in grid steps.
+/// The rate minus one of the line on which the parts match best. `log_points` is the length of the other log in grid steps.
+/// `None` if the parts match nowhere, or if a clock step explains the shifts better.
 fn common_rate(parts: &[RunPart], log_points: usize) -> Option<f64> {
     let reach = parts.iter().map(|part| part.middle.abs()).fold(0.0, f64::max);
-    // From rate to rate the outermost part moves by one grid step.
+    // From one rate to the next, the outermost part moves by one grid step.
     let rates_max = (RATE_MAX * reach).ceil() as i64;
     let stacks = each((2 * rates_max + 1) as usize, |number| {
         let rate = (number as i64 - rates_max) as f64 / reach.max(1.0);
@@ -107,7 +116,7 @@ fn common_rate(parts: &[RunPart], log_points: usize) -> Option<f64> {
     });
     let matching = stacks.into_iter().flatten().filter(|stack| stack.sum > 0.0);
     let best = matching.max_by(|a, b| a.sum.total_cmp(&b.sum))?;
-    // A line through the peaks near it is finer than the steps between lines.
+    // A line fitted through the peaks near the best line is more accurate than the steps between the lines that were tried.
     let peak = |part: &RunPart| {
         let on_line = part.shift(best.run_middle, best.rate).round() as i64;
         let (shift, weight) = part.correlations.peak_near(on_line, NEAR)?;
@@ -117,27 +126,28 @@ fn common_rate(parts: &[RunPart], log_points: usize) -> Option<f64> {
     let (slope, squares) = slope_and_squares(&peaks);
     let squares_of_step =
         |index: usize| squares_about_mean(&peaks[..index]) + squares_about_mean(&peaks[index..]);
-    // A clock that is set in between runs as before on both sides.
+    // If the clock was set between two parts, its rate did not change: the shifts are constant on both sides.
     let is_clock_step = (1..peaks.len()).any(|index| squares_of_step(index) < squares);
     (slope.is_finite() && !is_clock_step).then(|| slope.clamp(-RATE_MAX, RATE_MAX))
 }
 
-/// Where a part matches best.
+/// The shift at which a part matches best.
 struct Peak {
-    /// Middle of the part since the middle of the run, in grid steps.
+    /// Middle of the part minus the middle of the run, in grid steps.
     middle: f64,
-    /// Its shift less the one at equal rates, in grid steps.
+    /// Shift of the part minus the shift that it would have with equal rates, in grid steps.
     delay: f64,
-    /// Correlation at its shift.
+    /// Correlation at the shift of the part.
     weight: f64,
 }
 
+/// Mean of a value over the peaks, weighted by their correlations.
 fn weighted_mean(peaks: &[Peak], value: impl Fn(&Peak) -> f64) -> f64 {
     let weights: f64 = peaks.iter().map(|peak| peak.weight).sum();
     peaks.iter().map(|peak| peak.weight * value(peak)).sum::<f64>() / weights
 }
 
-/// Slope of the line through peaks, and the weighted sum of their squared distances from it.
+/// Slope of the weighted least-squares line through the peaks, and the weighted sum of the squared residuals.
 fn slope_and_squares(peaks: &[Peak]) -> (f64, f64) {
     let middle = weighted_mean(peaks, |peak| peak.middle);
     let delay = weighted_mean(peaks, |peak| peak.delay);
@@ -147,7 +157,7 @@ fn slope_and_squares(peaks: &[Peak]) -> (f64, f64) {
     (slope, peaks.iter().map(|peak| peak.weight * square(peak)).sum())
 }
 
-/// Weighted sum of the squared distances of peaks from their mean.
+/// Weighted sum of the squared differences between the delays of the peaks and their mean.
 fn squares_about_mean(peaks: &[Peak]) -> f64 {
     let delay = weighted_mean(peaks, |peak| peak.delay);
     peaks.iter().map(|peak| peak.weight * (peak.delay - delay).powi(2)).sum()

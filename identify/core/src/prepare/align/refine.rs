@@ -1,9 +1,11 @@
-//! Clocks, base and offsets from the angles: finer than the correlation of speeds, and right for runs of hours.
+//! Fits clocks, base and offsets to the angles. The result is more accurate than the correlation of speeds, and is valid
+//! for runs of hours.
 //!
-//! The residual of a joint is `sin(margin) (b^ - b - offset)`: the angle `b^` that the robot's pose implies less the encoder's,
-//! weighted by the distance from singular poses. Nominal geometry is wrong by millimetres, which would hide the shift, the
-//! offsets of a new origin, or a slipped encoder. So all numbers of both chains may move within their tolerances (priors) in
-//! the same fit. Its geometry is used only to classify the samples ([`Residuals`]).
+//! The residual of a joint is `sin(margin) (b^ - b - offset)`. `b^` is the angle that follows from the robot's pose (the
+//! *implied* angle), and `b` is the angle of the encoder. `margin` is the distance from singular poses, so samples near
+//! singular poses have small weights. The nominal geometry has errors of millimetres. These errors would hide the shift of
+//! the clocks, the offsets of a new origin, or a slipped encoder. All parameters of both chains are therefore fitted too,
+//! each with a prior for its tolerance. The fitted chains are used only to classify the samples ([`Residuals`]).
 
 use std::sync::Arc;
 
@@ -25,56 +27,61 @@ use crate::solver::{
 use crate::statistics::mean;
 use crate::threads::rows;
 
-/// Standard deviation of the numbers of the nominal chains \[m, rad\].
+/// Standard deviation of the parameters of the nominal chains \[m, rad\].
 const CHAIN_SIGMA: f64 = 2e-3;
-/// Standard deviation of the base from the sphere through the robot's positions \[m\].
+/// Standard deviation of the position of the base, which was found as centre of the sphere through
+/// the robot's positions \[m\].
 const BASE_SIGMA_M: f64 = 0.01;
-/// Standard deviation of the tilt of a base \[rad\].
+/// Standard deviation of the tilt of the bar's base \[rad\].
 const TILT_SIGMA_RAD: f64 = 0.01;
-/// Standard deviation of the harmonics of the encoders \[rad\].
+/// Standard deviation of the amplitudes of the encoders' harmonics \[rad\].
 const HARMONIC_SIGMA_RAD: f64 = 50e-6;
-/// Standard deviation of offsets found on nominal geometry \[rad\].
+/// Standard deviation of the offsets that were found with nominal geometry \[rad\].
 const OFFSET_SIGMA_RAD: f64 = 0.05;
-/// Wide at first, so that nearly all samples have weight; if that converges between the two sides of a clock step, a narrower
-/// loss finds the larger side. The number of rounds suffices from a radian to a microradian.
+/// How the robust loss is narrowed from round to round. The loss is wide at first, so that nearly all samples have weight.
+/// At a clock step, the fit may then converge to a compromise between the two sides. A narrower loss is therefore tried,
+/// which finds the larger side. The number of rounds suffices to reduce the spread from a radian to a microradian.
 const SCHEDULE: Schedule = Schedule {
     good: [GoodShare::NINE_TENTHS, GoodShare::HALF],
     narrowing: 0.5,
     better_max: Some(0.8),
     rounds_max: 30,
 };
-/// A round ends if the cost falls by less than this part; the next one continues from there.
+/// A round ends if an iteration reduces the cost by less than this fraction. The next round continues
+/// from the same parameters.
 const ROUND_TOLERANCE: f64 = 1e-3;
-/// The last round ends if the remaining gain moves no parameter by a tenth of its standard deviation: the cost of some thousand
-/// samples is some thousand.
+/// The last round ends if an iteration reduces the cost by less than this fraction. The cost of a few thousand samples is a
+/// few thousand, so such a small decrease moves no parameter by more than about a tenth of its standard deviation.
 const LAST_TOLERANCE: f64 = 1e-6;
-/// Smaller residuals are rounding \[rad\].
+/// Smallest assumed standard deviation of a residual \[rad\]; smaller residuals are rounding errors.
 const SIGMA_MIN_RAD: f64 = 1e-7;
 
-/// Clock, geometry and offsets that fit the two logs.
+/// Clock, geometry and offsets that fit both logs.
 #[derive(Debug, Clone, PartialEq)]
 pub(in crate::prepare) struct AlignmentFit {
-    /// From bar times as the samples had them to times after the first stamp of the robot's log.
+    /// Converts bar times, counted as in the samples of the fit, to times since the first stamp of the robot's log.
     pub clock: Clock,
-    /// Both chains and the base of the fit.
+    /// Fitted chains and base.
     pub geometry: Geometry,
-    /// To be added to the offsets, by origin \[rad\].
+    /// Corrections to be added to the offsets, by origin \[rad\].
     pub offsets_by_rad: Vec<[f64; BAR_JOINTS]>,
-    /// Standard deviation of an angle's residual, from the median \[rad\].
+    /// Robust standard deviation of the residual of an angle, estimated from the median over the samples \[rad\].
     pub sigma_rad: f64,
-    /// The same from nine tenths of the samples: larger if more than a tenth do not fit \[rad\].
+    /// The same standard deviation, estimated from the 90 % quantile \[rad\]. It is larger than `sigma_rad` if more than a
+    /// tenth of the samples do not fit.
     pub sigma_of_most_rad: f64,
-    /// Whether the fit ended at a minimum: only then its residuals are evidence about the run.
+    /// Whether the fit converged to a minimum. Only then the residuals show errors of the run.
     pub converged: bool,
 }
 
-/// Implied less measured joints, weighed down near singular poses where errors of the geometry grow.
+/// Residuals: implied minus measured joints. Weights are small near singular poses, where errors of
+/// the geometry are amplified.
 #[derive(Debug, Clone, Copy)]
 struct ImpliedAngles {
     measured: [bool; BAR_JOINTS],
 }
 
-/// The bar that the robot's pose implies at a sample.
+/// The bar at one sample, computed from the robot's pose.
 struct Implied {
     bar: ImpliedBar,
     /// Weight of each joint.
@@ -82,7 +89,7 @@ struct Implied {
 }
 
 impl ImpliedAngles {
-    /// Weight of each joint at a posture.
+    /// Weight of each joint at the bar joints `bar_rad`; 0 for joints without encoder.
     fn weights(&self, bar_links: &[DhLink], bar_rad: &[f64; BAR_JOINTS]) -> [f64; BAR_JOINTS] {
         let weight = singularity_margin_rad(bar_links, bar_rad).sin();
         self.measured.map(|measured| if measured { weight } else { 0.0 })
@@ -140,10 +147,11 @@ impl Residual for ImpliedAngles {
     }
 }
 
-/// Standard deviation of a parameter from its start value; `None` for fixed ones.
+/// Standard deviation of a parameter about its start value; `None` for fixed parameters.
 fn prior_sigma(id: ParameterId) -> Option<f64> {
     match id {
-        // A link's theta is the same as the encoder's offset, which has its own column.
+        // The theta of a bar link has the same effect as the offset of its encoder, which has a column of its own. A
+        // robot's beta is fixed.
         ParameterId::Bar { parameter: LinkParameter::Theta, .. }
         | ParameterId::Robot { parameter: LinkParameter::Beta, .. } => None,
         ParameterId::Robot { .. } | ParameterId::Bar { .. } => Some(CHAIN_SIGMA),
@@ -156,11 +164,13 @@ fn prior_sigma(id: ParameterId) -> Option<f64> {
     }
 }
 
-/// Residuals [`ImpliedAngles`] with the columns of both chains, then one for each encoder's offset in each origin.
+/// Least-squares problem with the residuals [`ImpliedAngles`]. The first columns are the parameters of the model: clocks,
+/// base and both chains. Then follows one column for the offset of each encoder in each origin.
 struct WithOffsets<'a> {
     chains: LoopProblem<'a, ImpliedAngles, AlignedLog>,
     residual: ImpliedAngles,
-    /// Nominal: `theta` has no column.
+    /// Links of the nominal bar, from which the weights are computed. The weights depend only on `theta`,
+    /// which is not fitted.
     bar_links: &'a [DhLink],
     observations: &'a [Observation],
     chain_columns: usize,
@@ -208,10 +218,11 @@ impl LeastSquares for WithOffsets<'_> {
     }
 }
 
-/// Fits clocks, base, offsets and, within their tolerances, all numbers of the chains to `samples`.
+/// Fits clocks, base, offsets and, within their tolerances, all parameters of both chains to `samples`.
 ///
-/// `coarse` relates the clocks for the samples' times; the bar stands upright at `base_m` so far, or as in an earlier fit from
-/// which this one starts. `None` if the samples do not determine the fit.
+/// `coarse` is the clock that was found so far, for the samples' times. If `start` is given, the fit starts from the
+/// geometry of this earlier fit. Otherwise it starts from the nominal geometry, with the bar upright at `base_m`. `None` if
+/// the samples do not determine the fit.
 pub(in crate::prepare) fn refine(
     log: &Arc<CubicSpline<Joints>>,
     [robot, bar]: [&Chain; 2],
@@ -221,7 +232,7 @@ pub(in crate::prepare) fn refine(
     coarse: Clock,
     start: Option<&AlignmentFit>,
 ) -> Option<AlignmentFit> {
-    // Times about their middle: shift and skew are then nearly independent.
+    // Times are counted from the mean of the samples' times, because shift and skew are then nearly independent.
     let middle_s = mean(samples.iter().map(|sample| sample.t_s));
     let motion = AlignedLog::new(log.clone(), coarse.robot_time_s(middle_s));
     let about_middle = samples.iter().map(|sample| Observation { t_s: sample.t_s - middle_s, ..*sample });
@@ -234,7 +245,8 @@ pub(in crate::prepare) fn refine(
     let mut x = model.start();
     let ids = model.columns().map(|parameter| parameter.id);
     if let Some(mut geometry) = start.map(|fit| fit.geometry.clone()) {
-        // The clock starts from `coarse`, which counts from another instant than that of the earlier fit.
+        // The clock starts from `coarse`, not from the earlier fit, because times are counted from another
+        // instant in each fit.
         for (x, id) in x.iter_mut().zip(ids).filter(|(_, id)| id.group() != Group::Clock) {
             *x = geometry.parameter_mut(id).map_or(*x, |value| *value);
         }
@@ -273,7 +285,7 @@ pub(in crate::prepare) fn refine(
     })
 }
 
-/// Nominal robot and bar, each parameter with its prior; the bar stands upright at `base_m`.
+/// Model of nominal robot and bar in which each free parameter has its prior. The bar is upright at `base_m`.
 fn prior_model(robot: &Chain, bar: &Chain, base_m: Vector3<f64>, skew: f64) -> Result<Model, ModelError> {
     let standing = Chain { root_from_base: nalgebra::Translation3::from(base_m).into(), ..bar.clone() };
     let mut model = Model::ball_bar(robot, &standing);
@@ -289,6 +301,7 @@ fn prior_model(robot: &Chain, bar: &Chain, base_m: Vector3<f64>, skew: f64) -> R
     Ok(model)
 }
 
+/// Priors of the model's parameters and of the offsets.
 fn priors(model: &Model, origin_count: usize) -> Vec<Prior> {
     let first = model.columns().len();
     let offsets = (0..origin_count * BAR_JOINTS).map(|offset| Prior {
@@ -299,7 +312,7 @@ fn priors(model: &Model, origin_count: usize) -> Vec<Prior> {
     model.priors().into_iter().chain(offsets).collect()
 }
 
-/// Standard deviation of a residual, from the good share of the samples that have one.
+/// Robust standard deviation of a residual at the parameters `x`, estimated from the quantile `good` of the samples \[rad\].
 fn residual_sigma_rad(
     model: &Model,
     motion: &AlignedLog,
@@ -325,7 +338,7 @@ fn residual_sigma_rad(
     good.spread(squared.into_iter().flatten())
 }
 
-/// Compares single samples with a fitted geometry.
+/// Computes the residuals of single samples at a fitted geometry.
 pub(in crate::prepare) struct Residuals<'a> {
     motion: &'a AlignedLog,
     geometry: Geometry,
@@ -335,11 +348,11 @@ pub(in crate::prepare) struct Residuals<'a> {
     measured: [bool; BAR_JOINTS],
 }
 
-/// A sample against what the robot's pose implies.
+/// Comparison of the measured and the implied joints of one sample.
 struct SampleErrors {
-    /// Measured less implied joints; 0 without encoder \[rad\].
+    /// Measured minus implied joints; 0 for joints without encoder \[rad\].
     error_rad: [f64; BAR_JOINTS],
-    /// How fast the implied joints move by the robot's log \[rad/s\].
+    /// Speeds of the implied joints, from the speeds in the robot's log \[rad/s\].
     implied_rad_s: [f64; BAR_JOINTS],
     /// Distance of the bar from a singular pose \[rad\].
     margin_rad: f64,
@@ -352,7 +365,8 @@ impl<'a> Residuals<'a> {
         Self { motion, robot_tracer, bar_tracer, bar, geometry, measured }
     }
 
-    /// Weighted errors of a sample; `None` outside the robot's log or at a singular pose.
+    /// Errors and speeds of a sample, multiplied by the sine of the distance from singular poses. `None` outside the robot's
+    /// log or at a singular pose.
     pub fn of_sample(
         &self,
         sample: usize,
@@ -379,7 +393,7 @@ impl<'a> Residuals<'a> {
         self.motion.at(self.geometry.clock.robot_time_s(t_s)).is_some()
     }
 
-    /// `None` outside the robot's log, or at a singular pose.
+    /// Errors of a sample without weights. `None` outside the robot's log or at a singular pose.
     fn errors(&self, t_s: f64, bar_rad: &[f64; BAR_JOINTS]) -> Option<SampleErrors> {
         let state = self.motion.at(self.geometry.clock.robot_time_s(t_s))?;
         let mut robot = Trace::default();

@@ -1,10 +1,14 @@
-//! Aligns a tracker's log with the robot's, each on its own clock: first by the speed of the target, which does not depend on
-//! the places of tracker and target, then by its positions. They are *observed* in the tracker's frame and *predicted* on the
-//! flange of the nominal robot; with its placement the tracker's frame becomes the robot's.
+//! Aligns a tracker's log with the robot's log, each with its own clock.
 //!
-//! If the robot moved, shift and rate of the clocks are start values of a solve that has them among its parameters. If it stood
-//! still at each row (rows are seconds apart), the alignment finds the standstill of each row (`standstills`), and rows get the joints
-//! of the robot there.
+//! The positions of the target are *observed* in the tracker's frame. They are *predicted* from the robot's log with
+//! the nominal robot. The speeds of the target are compared first, because they do not depend on the poses of
+//! tracker and probe. Then the positions are compared. The poses of tracker and probe are estimated at each
+//! candidate for the clock (`placement`).
+//!
+//! There are two kinds of logs. If the robot moved while it was measured, shift and rate of the clocks are start values of a
+//! solve that estimates them again. In a *stop-and-go* log, the rows are more than half a second apart, and the robot stood
+//! still at each row. The alignment then finds the standstill of each row (`standstills`), and assigns the joints of the
+//! robot there to the row.
 
 mod standstills;
 
@@ -37,48 +41,50 @@ use crate::solver::{GoodShare, LossName, Options, minimise_robust};
 use crate::statistics::mean;
 use standstills::REST_S;
 
-/// Rows further apart are taken at standstills \[s\]: a tracker that follows a moving target measures faster than once in this
-/// time, and waits longer for one that has to come to rest.
+/// Rows farther apart than this are assumed to be measured at standstills \[s\]. A tracker that follows a moving target
+/// measures more often than this. A tracker that waits until the target is at rest measures less often.
 const STANDING_S: f64 = 0.5;
-/// Positions that spread by less do not determine a motion \[m\].
+/// Smallest extent of the positions that determines a motion \[m\].
 const EXTENT_M_MIN: f64 = 0.02;
 /// Largest number of rows of a fit.
 const FIT_MAX: usize = 500;
-/// Standard deviation of the nominal robot's position \[m\]: the unit of the residuals.
+/// Standard deviation of a position of the nominal robot \[m\]. Residuals are divided by it.
 const NOMINAL_SIGMA_M: f64 = 1e-3;
 
-/// Rows of a tracker with the robot at each.
+/// Rows of a tracker's log, and the state of the robot at each of them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct AlignedPoses {
     /// Indices of the rows that are used.
     pub rows: Vec<usize>,
-    /// State of the robot at each, by the alignment.
+    /// State of the robot at each of these rows, according to the alignment.
     pub states: Vec<JointState>,
-    /// Times of the rows, and the log, of a robot that moved.
+    /// Times of these rows and the robot's log, if the robot moved while it was measured; `None` for a stop-and-go log.
     pub moving: Option<Moving>,
-    /// How the clocks were aligned; if the robot stood still at each row, the skew is only as certain as the standstills.
+    /// How the clocks were aligned. In a stop-and-go log, the accuracy of the skew is limited by the
+    /// durations of the standstills.
     pub alignment: Alignment,
     /// Reference time of the alignment on the tracker's clock.
     pub t_ref: UtcNs,
-    /// Rows outside the robot's log, or measured while a robot moved that otherwise stood.
+    /// Number of rows that are not used: those outside the robot's log and, in a stop-and-go log, those measured
+    /// while the robot moved.
     pub left_out: usize,
 }
 
-/// A robot that moved while it was measured.
+/// Data of a robot that moved while it was measured.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Moving {
-    /// Tracker's time of each row since the middle of the overlap \[s\].
+    /// Time of each row on the tracker's clock, since the reference time \[s\].
     pub t_s: Vec<f64>,
-    /// The robot's log; by the alignment its time is zero there, too.
+    /// The robot's log. Its time is zero at the reference time according to the alignment.
     pub log: AlignedLog,
     /// Relative rate of the robot's clock minus one.
     pub skew: f64,
 }
 
-/// Aligns a tracker's rows with the robot's log; `robot` is the nominal one, up to its flange.
+/// Aligns a tracker's rows with the robot's log. `robot` is the nominal robot, from its base to its flange.
 ///
 /// # Errors
-/// [`PrepareError`] with what does not match and its figures.
+/// [`PrepareError`] of the step that failed, with the values that caused it.
 pub fn align_poses(
     poses: &TimedPoses,
     log: &RobotLog,
@@ -134,17 +140,17 @@ pub fn align_poses(
     Ok(AlignedPoses { rows, states, moving, alignment, t_ref, left_out })
 }
 
-/// A row at a time that the robot's log covers.
+/// A row of the tracker's log whose time is within the robot's log.
 #[derive(Clone, Copy)]
 struct CoveredRow {
     /// Index in the tracker's log.
     index: usize,
-    /// Tracker's time since the reference \[s\].
+    /// Time on the tracker's clock since the reference time \[s\].
     t_s: f64,
     state: JointState,
 }
 
-/// Rows that are spread over the motion of the robot.
+/// Selects rows that are spread over the motion of the robot.
 fn thinned(rows: &[CoveredRow], options: &PrepareOptions) -> Vec<CoveredRow> {
     let joints: Vec<Joints> = rows.iter().map(|row| row.state.q).collect();
     let points_max = if options.points_max == 0 { usize::MAX } else { options.points_max };
@@ -152,8 +158,8 @@ fn thinned(rows: &[CoveredRow], options: &PrepareOptions) -> Vec<CoveredRow> {
     selected.into_iter().map(|place| rows[place]).collect()
 }
 
-/// Positions of one target from one station, the pair with the most rows, in the tracker's frame \[m\]. The clock is found from
-/// them, for the rows of all pairs.
+/// Positions of one target from one station, in the tracker's frame \[m\]. The pair of target and station with the most rows
+/// is selected. The clock is found from this pair, and is valid for the rows of all pairs.
 fn longest_view_m(rows: &Stream<PoseRow>) -> Stream<Vector3<f64>> {
     let mut counts: BTreeMap<SetUp, usize> = BTreeMap::new();
     for row in rows.iter() {
@@ -162,36 +168,38 @@ fn longest_view_m(rows: &Stream<PoseRow>) -> Stream<Vector3<f64>> {
     let longest = counts.into_iter().max_by_key(|(_, count)| *count).map(|(view, _)| view);
     let position_in_longest = |_, row: &PoseRow| (Some(row.set_up) == longest).then_some(row.position_m);
     let observed_m = rows.filter_map(0..rows.len(), position_in_longest);
-    // A new stream has a gap limit of its own: rows of other targets in between make no gap.
+    // A new stream computes its own limit for gaps. Rows of other targets between two rows then do not cause a gap.
     Stream::new(observed_m.first_stamp_ns, observed_m.t_s, observed_m.rows)
 }
 
-/// A tracker's log and the robot's log in which it is searched for.
+/// A tracker's log, and the robot's log in which the motion of the target is searched for.
 struct TrackerSearch<'a> {
-    /// One target in the tracker's frame, from one station \[m\].
+    /// Positions of one target from one station, in the tracker's frame \[m\].
     observed_m: Stream<Vector3<f64>>,
-    /// Usual distance of two rows \[s\].
+    /// Usual time between two rows \[s\].
     period_s: f64,
     log: &'a Arc<CubicSpline<Joints>>,
     /// Duration of the robot's log \[s\].
     log_s: f64,
-    /// Nominal, up to the flange.
+    /// The nominal robot, from its base to its flange.
     robot: &'a Chain,
     /// Step of the grid on which speeds are compared \[s\].
     step_s: f64,
     options: &'a PrepareOptions,
 }
 
-/// Clock and target that fit the rows to the nominal robot.
+/// Clock and position of the target at which the rows fit the nominal robot.
 struct TrackerFit {
     clock: Clock,
-    /// The target in the flange frame \[m\].
+    /// Position of the target in the flange frame \[m\].
     probe_m: Vector3<f64>,
-    /// Standard deviation of a coordinate from nine tenths of the rows \[m\].
+    /// Robust standard deviation of a coordinate, estimated from the 90 % quantile of the rows \[m\].
     spread_m: f64,
 }
 
 impl TrackerSearch<'_> {
+    /// Finds the best fit in the window and extends it to the whole log. If there is none, the search is repeated with a
+    /// shorter required overlap. A clear match then shows that the overlap of the logs is too short.
     fn run(&self) -> Result<Best<TrackerFit>, PrepareError> {
         let window = if self.stop_and_go() {
             0..self.observed_m.len()
@@ -208,9 +216,10 @@ impl TrackerSearch<'_> {
                 return Ok(Best { fit: extended(&self.observed_m.t_s, window, best.fit, refit)?, ..best });
             }
         };
-        /// Part of the required overlap that is tried: shorter ones would match by chance.
+        /// Fraction of the required overlap that the repeated search requires. With an even shorter overlap, motions
+        /// would match by chance.
         const SHORTER: f64 = 0.25;
-        /// Speeds that are less alike would match by chance in a short overlap.
+        /// Smallest correlation of a clear match. In a short overlap, a lower correlation could occur by chance.
         const ALIKE: f64 = 0.95;
         match self.best_fit(&window, SHORTER * overlap_min_s) {
             Ok(Best { matched, .. }) if matched.correlation > ALIKE => Err(PrepareError::ShortOverlap {
@@ -221,11 +230,11 @@ impl TrackerSearch<'_> {
         }
     }
 
-    /// The best fit of a part of the rows.
+    /// Finds the best fit of the rows in `window`.
     fn best_fit(&self, window: &Range<usize>, overlap_min_s: f64) -> Result<Best<TrackerFit>, PrepareError> {
         let overlap_min = (overlap_min_s / self.step_s) as usize;
         let observed = self.observed_speeds(window);
-        // The place of the target on the flange is unknown so far.
+        // The position of the target on the flange is not known yet, so the speed of the flange is used.
         let of_flange = self.predicted_speeds(&Vector3::zeros());
         let shifts = candidates(&of_flange, &observed, overlap_min, CANDIDATES);
         let first_s = self.observed_m.t_s.get(window.start).copied().unwrap_or_default();
@@ -236,7 +245,7 @@ impl TrackerSearch<'_> {
         } else {
             shifts.iter().filter_map(|coarse| self.fit(window, clock(coarse.shift))).collect()
         };
-        // The speeds of the target, at the place that the fit found.
+        // The match at the clock of a fit, with the speeds of the target at the position that the fit found.
         let match_of_target = |fit: &TrackerFit| {
             if self.stop_and_go() {
                 return self.match_of_distances(window, fit);
@@ -244,7 +253,7 @@ impl TrackerSearch<'_> {
             let of_target = self.predicted_speeds(&fit.probe_m);
             let found = candidates(&of_target, &observed, overlap_min, CANDIDATES);
             let fitted_shift = fit.clock.robot_time_s(first_s) / self.step_s;
-            /// Grid steps within which a shift is the same.
+            /// Shifts that differ by less than this number of grid steps count as the same.
             const SAME: f64 = 10.0;
             found.into_iter().find(|matched| (matched.shift - fitted_shift).abs() < SAME)
         };
@@ -266,12 +275,13 @@ impl TrackerSearch<'_> {
         times_s.last().zip(times_s.first()).map_or(0.0, |(last, first)| last - first)
     }
 
-    /// Whether each row was measured at a standstill of the robot.
+    /// Whether the log is a stop-and-go log: each row was measured at a standstill of the robot.
     fn stop_and_go(&self) -> bool {
         self.period_s > STANDING_S
     }
 
-    /// The rows at which the robot is at rest, with its speeds set to zero; `log_time_s` returns a row's time in the robot's log.
+    /// Selects the rows at which the robot is at rest, and sets the robot's speeds there to zero. `log_time_s` returns the
+    /// time of a row in the robot's log.
     fn at_rest(&self, rows: Vec<CoveredRow>, log_time_s: impl Fn(&CoveredRow) -> f64) -> Vec<CoveredRow> {
         let resting = self.resting();
         let rests = |row: &CoveredRow| self.rests_at(&resting, log_time_s(row)) == Some(true);
@@ -279,7 +289,7 @@ impl TrackerSearch<'_> {
         rows.into_iter().filter(rests).map(at_rest).collect()
     }
 
-    /// Diagonal of the box that holds all positions \[m\].
+    /// Diagonal of the smallest box that contains all positions \[m\].
     fn extent_m(&self) -> f64 {
         let Some(first) = self.observed_m.first() else { return 0.0 };
         let low = self.observed_m.iter().fold(*first, |low, p| low.inf(p));
@@ -287,12 +297,13 @@ impl TrackerSearch<'_> {
         (high - low).norm()
     }
 
-    /// Measured speed of the target, from the first row of the window on: between rows of standstills the mean one.
+    /// Measured speed of the target, from the first row of the window on. In a stop-and-go log, it is the mean
+    /// speed between two rows.
     fn observed_speeds(&self, window: &Range<usize>) -> Channels {
         let observed_m = self.observed_m.slice(window.clone());
         let steps =
             if observed_m.len() < 2 { 0 } else { (observed_m.duration_s() / self.step_s) as usize + 1 };
-        // Straight lines: where stamps jitter, a smoother curve through the rows swings.
+        // The positions are interpolated linearly. If the stamps jitter, a smoother curve through the rows would oscillate.
         if !self.stop_and_go() {
             let position = |step: usize| observed_m.at(step as f64 * self.step_s);
             return self.speeds(&(0..steps).map(position).collect::<Vec<_>>(), REACH);
@@ -306,32 +317,34 @@ impl TrackerSearch<'_> {
         Channels { known: vec![true; steps], values: vec![(0..steps).map(mean_speed).collect()] }
     }
 
-    /// Speed of a target on the nominal robot, from the first stamp of its log on.
+    /// Predicted speed of a target at `probe_m` on the flange of the nominal robot, from the first stamp of
+    /// the robot's log on.
     fn predicted_speeds(&self, probe_m: &Vector3<f64>) -> Channels {
         let steps = (self.log_s / self.step_s) as usize + 1;
         let points: Vec<Option<Vector3<f64>>> =
             (0..steps).map(|step| self.predicted_m(step as f64 * self.step_s, probe_m)).collect();
-        // From row to row, as a tracker sees it.
+        // In a stop-and-go log, the speed is the mean over the usual time between two rows, like the observed speed.
         let reach = if self.stop_and_go() { (0.5 * self.period_s / self.step_s) as usize } else { REACH };
         self.speeds(&points, reach)
     }
 
+    /// Speeds from positions on the grid \[m\], in one channel.
     fn speeds(&self, points_m: &[Option<Vector3<f64>>], reach: usize) -> Channels {
         let distance_m = |before: &Vector3<f64>, after: &Vector3<f64>, _| (after - before).norm();
         speeds(points_m, 1, reach, self.step_s, SPEED_M_S_MAX, distance_m)
     }
 
-    /// Position of the target on the nominal robot \[m\]; `None` outside its log.
+    /// Predicted position of the target in the robot's frame \[m\]; `None` outside the robot's log.
     fn predicted_m(&self, tau_s: f64, probe_m: &Vector3<f64>) -> Option<Vector3<f64>> {
         Some(self.flange(tau_s)?.transform_point(&(*probe_m).into()).coords)
     }
 
-    /// Pose of the nominal robot's flange at a time of its log; `None` outside it.
+    /// Pose of the nominal robot's flange at a time of the robot's log; `None` outside the log.
     fn flange(&self, tau_s: f64) -> Option<Pose> {
         Some(self.robot.forward(&self.log.at(tau_s)?.value))
     }
 
-    /// Rows of a window that stay in the robot's log, spread over the motion.
+    /// Rows of a window that are within the robot's log, with a margin, selected so that they are spread over the motion.
     fn rows_to_fit(&self, window: &Range<usize>, clock: Clock) -> Vec<usize> {
         let log = AlignedLog::new(self.log.clone(), 0.0);
         let stays = |row: &usize| log.covers(clock.robot_time_s(self.observed_m.t_s[*row]), EDGE_S);
@@ -341,10 +354,11 @@ impl TrackerSearch<'_> {
         select(&points, 0.0, FIT_MAX).into_iter().map(|place| rows[place]).collect()
     }
 
-    /// Clock, station and target, starting from a coarse shift; `None` if the rows do not determine them.
+    /// Fits the clock, the pose of the tracker and the position of the target, starting from the clock `coarse`. `None` if
+    /// the rows do not determine them.
     fn fit(&self, window: &Range<usize>, coarse: Clock) -> Option<TrackerFit> {
         let rows = self.rows_to_fit(window, coarse);
-        // Times about their middle: shift and skew are then nearly independent.
+        // Times are counted from the mean of the rows' times, because shift and skew are then nearly independent.
         let middle_s = mean(rows.iter().map(|row| self.observed_m.t_s[*row]));
         let motion = AlignedLog::new(self.log.clone(), coarse.robot_time_s(middle_s));
         let observed_m: Vec<Vector3<f64>> = rows.iter().map(|row| self.observed_m[*row]).collect();
@@ -369,7 +383,8 @@ impl TrackerSearch<'_> {
         })
     }
 
-    /// The nominal robot with station and target at these start values.
+    /// Model of the nominal robot with one station and one target, and priors of the clocks. The poses `tracker` and
+    /// `probe` are start values.
     fn prior_model(&self, tracker: &Placement, probe: &Placement, skew: f64) -> Result<Model, ModelError> {
         let mut model = Model::alone(self.robot).with_set_ups(Owner::Tracker, [1, 1]);
         for coordinate in Coordinate::ALL {

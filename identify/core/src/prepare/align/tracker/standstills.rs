@@ -1,5 +1,8 @@
-//! Rows of a tracker that were measured while the robot stood still, seconds apart: the clock at which the robot is at rest in
-//! nearly all of them, and the places of station and target there.
+//! Aligns a stop-and-go log: the tracker's rows are seconds apart, and the robot stood still at each row.
+//!
+//! The robot's log first gives the times at which the robot is at rest. A clock is possible if the robot is at rest at
+//! nearly all rows. For each possible clock, the poses of tracker and probe are computed from the rows. The distances from
+//! row to row are then correlated with the predicted distances.
 
 use std::ops::Range;
 
@@ -15,26 +18,29 @@ use crate::prepare::{Channels, Match, correlate};
 use crate::solver::GoodShare;
 use crate::statistics::largest_difference;
 
-/// Time to either side of a row over which a robot at rest is slower than [`MOVING_RAD_S`] \[s\].
+/// A robot counts as at rest if its mean speed is below [`MOVING_RAD_S`] from this time before an instant until this
+/// time after it \[s\].
 pub(super) const REST_S: f64 = 0.05;
-/// Share of the rows of standstills at which the robot must have been at rest.
+/// Fraction of the rows within the robot's log at which the robot must be at rest.
 const AT_REST_MIN: f64 = 0.9;
-/// Rates of clocks that are tried on standstills, up to two standard deviations either way: one step moves rows an hour from the
-/// middle by less than a robot rests.
+/// Step between the rates of the clock that are tried. One step moves a row that is an hour from the middle by less time
+/// than the robot rests.
 const SKEW_STEP: f64 = 0.1 * SKEW_SIGMA;
+/// Number of steps of the rate in each direction: up to two standard deviations.
 const SKEW_STEPS: i64 = 20;
 
-/// Shifts at which nearly all rows are at rest, at one rate.
+/// The shifts at which the robot is at rest at nearly all rows, for one rate.
 #[derive(Default)]
 struct AtRest {
     skew: f64,
+    /// Shifts, as numbers of grid steps from the coarse shift.
     shift_steps: Vec<i64>,
-    /// Number of rows, summed over these shifts.
+    /// Number of rows at which the robot is at rest, summed over these shifts.
     rows: usize,
 }
 
 impl TrackerSearch<'_> {
-    /// Whether the robot stands still, on the grid of its log.
+    /// Whether the robot is at rest, at each grid point of its log.
     pub(super) fn resting(&self) -> Vec<bool> {
         let steps = (self.log_s / self.step_s) as usize + 1;
         let rests = |step: usize| {
@@ -46,25 +52,27 @@ impl TrackerSearch<'_> {
         (0..steps).map(rests).collect()
     }
 
-    /// Whether the robot is at rest at a time of its log; `None` outside the log.
+    /// Whether the robot is at rest at the time `tau_s` of its log; `None` outside the log. `resting` is
+    /// the result of [`Self::resting`].
     pub(super) fn rests_at(&self, resting: &[bool], tau_s: f64) -> Option<bool> {
         let place = (tau_s / self.step_s).round() as usize;
         resting.get(place).copied().filter(|_| tau_s >= 0.0)
     }
 
-    /// Clocks near a coarse shift at which the robot is at rest in most of the rows: the middle of each range of such shifts, at the
-    /// rate at which most rows are in standstills for most shifts.
+    /// Finds clocks near `coarse` at which the robot is at rest at nearly all rows. Several rates are tried, each with many
+    /// shifts. The rate with the largest number of rows at rest, summed over the shifts, is selected. Each range of
+    /// consecutive shifts at this rate gives one clock, with the shift in the middle of the range.
     pub(super) fn clocks_at_standstills(&self, window: &Range<usize>, coarse: Clock) -> Vec<Clock> {
         let resting = self.resting();
         let times_s = self.observed_m.t_s.get(window.clone()).unwrap_or_default();
         let middle_s = 0.5 * (times_s.first().unwrap_or(&0.0) + times_s.last().unwrap_or(&0.0));
         let reach = (0.5 * self.period_s / self.step_s) as i64;
-        // Shifts are those of the middle: there a rate changes nothing.
+        // The shift is defined at the middle of the window, so that a change of the rate does not move the rows there.
         let clock = |steps: i64, skew: f64| Clock {
             shift_s: coarse.shift_s + steps as f64 * self.step_s - skew * middle_s,
             skew,
         };
-        // Number of rows at which the robot is at rest; `None` if these are not nearly all that its log covers.
+        // Number of rows at which the robot is at rest; `None` if these are not nearly all rows within the robot's log.
         let rows_at_rest = |clock: &Clock| {
             let (mut covered, mut at_rest) = (0, 0);
             for rests in times_s.iter().filter_map(|t_s| self.rests_at(&resting, clock.robot_time_s(*t_s))) {
@@ -82,7 +90,7 @@ impl TrackerSearch<'_> {
             }
             found
         };
-        // Of equally good rates the one nearest to zero is the first.
+        // Rates are tried from zero outwards, so that the one nearest to zero is selected among equally good ones.
         let rates = (0..=SKEW_STEPS).flat_map(|number| [number, -number]);
         let mut best = AtRest::default();
         for other in rates.map(at_rate) {
@@ -94,7 +102,7 @@ impl TrackerSearch<'_> {
         best.shift_steps.chunk_by(|a, b| b - a == 1).filter_map(middle).collect()
     }
 
-    /// Station and target from rows at standstills; the clock is fixed.
+    /// Computes the poses of tracker and target from rows at standstills, for a fixed clock.
     pub(super) fn fit_at_standstills(&self, window: &Range<usize>, clock: Clock) -> Option<TrackerFit> {
         let flange_and_position = |row: usize| {
             let flange = self.flange(clock.robot_time_s(self.observed_m.t_s[row]))?;
@@ -104,7 +112,7 @@ impl TrackerSearch<'_> {
             window.clone().filter_map(flange_and_position).unzip();
         let [tracker, probe] = placements(&flanges, &observed_m, std::iter::empty())?;
         let (tracker, probe_m) = (tracker.pose(), probe.position_m);
-        // The squared distance is that of three coordinates.
+        // Each squared distance is the sum of squares of three residuals.
         let squared = flanges.iter().zip(&observed_m).map(|(flange, observed_m)| {
             let predicted = flange.transform_point(&probe_m.into());
             ((predicted - tracker.transform_point(&(*observed_m).into())).norm_squared(), 3)
@@ -112,7 +120,7 @@ impl TrackerSearch<'_> {
         Some(TrackerFit { clock, probe_m, spread_m: GoodShare::NINE_TENTHS.spread(squared) })
     }
 
-    /// Match of the measured and predicted distances from row to row.
+    /// Match between the measured and the predicted distances from row to row, without a shift.
     pub(super) fn match_of_distances(&self, window: &Range<usize>, fit: &TrackerFit) -> Option<Match> {
         let both_positions = |row: usize| {
             let tau_s = fit.clock.robot_time_s(self.observed_m.t_s[row]);
@@ -124,7 +132,7 @@ impl TrackerSearch<'_> {
             let lengths: Vec<f64> = points_m.windows(2).map(|pair| (pair[1] - pair[0]).norm()).collect();
             Channels { known: vec![true; lengths.len()], values: vec![lengths] }
         };
-        // All of them overlap only without a shift.
+        // With this smallest overlap, only shift 0 is possible.
         let overlap_min = predicted_m.len().checked_sub(1)?;
         let matched = correlate(&distances(&predicted_m), &distances(&observed_m), overlap_min)?;
         let covered_s = predicted_m.len() as f64 / window.len().max(1) as f64 * self.duration_s(window);
