@@ -1,4 +1,4 @@
-//! Errors of the alignment of recording and robot log.
+//! Errors of the preparation of a recording and a robot log.
 
 use std::fmt;
 
@@ -7,7 +7,7 @@ use super::{Deviations, ForceError};
 use crate::kinematics::InverseError;
 use crate::logs::LogError;
 
-/// The log with which the robot's is aligned.
+/// The log with which the robot's log is aligned.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ComparedLog {
     /// The recording of the ball-bar.
@@ -17,7 +17,8 @@ pub enum ComparedLog {
 }
 
 impl ComparedLog {
-    /// A cause of speeds that do not match which only this log has, as part of a list.
+    /// A possible cause of speeds that do not match, if only this log can have it. The text is a part of the list of
+    /// causes in the message.
     const fn own_cause(self) -> &'static str {
         match self {
             Self::Recording => "the bar came off during the run, ",
@@ -35,10 +36,10 @@ impl fmt::Display for ComparedLog {
     }
 }
 
-/// Why logs cannot be aligned, and what to do.
+/// Why logs cannot be aligned. Each message contains what to do.
 #[derive(Debug, thiserror::Error)]
 pub enum PrepareError {
-    /// The recording has no usable cycle.
+    /// The recording has no cycle with valid counts.
     #[error(
         "none of the recording's {cycles} cycles has valid counts of all encoders; check its gaps and events, \
          and record again"
@@ -47,16 +48,16 @@ pub enum PrepareError {
         /// Cycles in the recording.
         cycles: usize,
     },
-    /// More changes of the counters' origin than are estimated.
+    /// The recording has more changes of the counters' origin than are allowed.
     #[error(
         "the encoders' counters may have restarted at {origins} places, at most {ORIGIN_CHANGES_MAX} are allowed; repair \
          the plug, cable or supply and record again, or correct lines and interpolation_bits in the bar's configuration"
     )]
     TooManyOrigins {
-        /// Number of such places in the recording.
+        /// Number of changes of the counters' origin in the recording.
         origins: usize,
     },
-    /// A cycle's encoders are not those that the recording declares.
+    /// The encoders in a cycle differ from those that the recording declares.
     #[error(
         "cycle {cycle} has an encoder on joint {found} where joint {declared} is declared: the recording is damaged \
          or was assembled from different runs; use the original file"
@@ -64,7 +65,7 @@ pub enum PrepareError {
     EncoderOrder {
         /// Number of the cycle.
         cycle: u64,
-        /// Joint of the encoder that the recording declares there.
+        /// Joint of the encoder that the recording declares at this position.
         declared: u8,
         /// Joint of the encoder in the cycle.
         found: u8,
@@ -83,20 +84,20 @@ pub enum PrepareError {
          unit of its time stamps"
     )]
     TooShort {
-        /// The log that is meant.
+        /// Name of the log, for the message.
         what: &'static str,
         /// Its duration \[s\].
         seconds: f64,
         /// Shortest allowed duration \[s\].
         needed: f64,
     },
-    /// One of the logs is too long, or has a time stamp far from the others.
+    /// One of the logs is too long, or one of its time stamps is far from the others.
     #[error(
         "{what} covers {hours:.1} h, at most {HOURS_MAX} h can be matched; remove the rows outside the run or from before a clock \
          was set, or correct the unit of its time stamps"
     )]
     TooLong {
-        /// The log that is meant.
+        /// Name of the log, for the message.
         what: &'static str,
         /// Its duration \[h\].
         hours: f64,
@@ -107,7 +108,7 @@ pub enum PrepareError {
          of the run, or record it again"
     )]
     NoMotion {
-        /// The log that is meant.
+        /// Name of the log, for the message.
         what: &'static str,
         /// Largest travel of a joint \[deg\].
         travel_deg: f64,
@@ -121,14 +122,14 @@ pub enum PrepareError {
         )
     )]
     NotASphere {
-        /// Share of the positions on the best sphere \[%\].
+        /// Percentage of the positions that lie on the best sphere \[%\].
         inliers_percent: f64,
-        /// Largest distance of a position on the sphere \[mm\].
+        /// Largest distance from the sphere at which a position counts as lying on it \[mm\].
         tolerance_mm: f64,
-        /// What is wrong with the log's joints, where one mistake explains it.
+        /// The probable mistake in the log's joints, if a single mistake explains the error.
         likely: Option<String>,
     },
-    /// The robot moved on another sphere than the bar allows.
+    /// The radius of the robot's sphere is not the configured length of the bar.
     #[error(
         "the robot moved on a sphere of {found_mm:.0} mm, the bar is configured with {configured_mm:.0} mm; {}",
         .likely.as_deref().unwrap_or(
@@ -140,10 +141,10 @@ pub enum PrepareError {
         found_mm: f64,
         /// Configured length \[mm\].
         configured_mm: f64,
-        /// What is wrong with the log's joints, where one mistake explains it.
+        /// The probable mistake in the log's joints, if a single mistake explains the error.
         likely: Option<String>,
     },
-    /// Bar or robot of another structure.
+    /// The bar does not have the structure of a ball-bar.
     #[error("the ball-bar's configuration cannot be used: {0}")]
     Bar(#[from] InverseError),
     /// The robot's log cannot be interpolated.
@@ -158,27 +159,27 @@ pub enum PrepareError {
         other.own_cause()
     )]
     NoMatch {
-        /// The log with which the robot's was compared.
+        /// The log with which the robot's log was compared.
         other: ComparedLog,
         /// Highest correlation of the speeds.
         correlation: f64,
-        /// Overlap there \[s\].
+        /// Overlap of the logs at this correlation \[s\].
         overlap_s: f64,
         /// Smallest correlation of matching logs.
         needed: f64,
     },
-    /// Speeds cannot be compared anywhere.
+    /// The speeds cannot be compared at any clock difference.
     #[error(
         "robot log and {other} cannot be compared: at no clock difference both have speeds for {needed_s:.0} s. Stamps in bunches give \
          impossible speeds, stamps far apart give none; log the time of each sample (`identify inspect` shows their distances)"
     )]
     NoSpeeds {
-        /// The log with which the robot's was compared.
+        /// The log with which the robot's log was compared.
         other: ComparedLog,
-        /// Shortest time with speeds in both logs \[s\].
+        /// Shortest allowed time with speeds in both logs \[s\].
         needed_s: f64,
     },
-    /// The logs match, but hardly overlap.
+    /// The logs match, but their overlap is too short.
     #[error(
         "robot log and tracker's log match, but overlap by {overlap_s:.1} s only, at least {needed_s:.1} s are needed; log both over \
          the whole motion"
@@ -198,7 +199,7 @@ pub enum PrepareError {
         /// Diagonal of the box that contains the positions \[mm\].
         extent_mm: f64,
     },
-    /// The speeds match but the angles do not.
+    /// The speeds match, but the angles fit with no order and direction of the encoders.
     #[error(
         "the measured bar angles do not fit the robot's log with any order and direction of the encoders; as recorded \
          (encoder -> joint): {recorded}, at most {limit_mrad} mrad is allowed for each; {}",
@@ -208,7 +209,7 @@ pub enum PrepareError {
         )
     )]
     NoEncoderMap {
-        /// The recorded order with its spread.
+        /// The recorded order with its spread, as text.
         recorded: String,
         /// Largest allowed spread \[mrad\].
         limit_mrad: f64,
@@ -222,10 +223,10 @@ pub enum PrepareError {
          configuration), or move more joints"
     )]
     AmbiguousEncoderMap {
-        /// A line with the option of each map that fits.
+        /// For each encoder map that fits, a line with its option.
         fits: String,
     },
-    /// The encoders see the mirror image of the robot in the log.
+    /// The angles of the encoders fit only the mirror image of the robot's motion.
     #[error(
         "the encoders see the mirror image of the motion in the robot's log: either the log has reversed signs of the robot's {}, or all \
          encoders on the bar's joints 1, 3 and 5 count the other way than recorded. Check the direction of the robot's joint 1; \
@@ -234,37 +235,38 @@ pub enum PrepareError {
         of_joints(joints.as_deref())
     )]
     Mirrored {
-        /// The robot's joints that mirror it, from 0, if signs alone do.
+        /// Joints of the robot, counted from 0, whose reversed signs give the mirror image; `None` if signs alone
+        /// do not give it.
         joints: Option<Vec<usize>>,
-        /// The encoders' places as `--encoders` takes them.
+        /// Joints and directions of the encoders in the format of `--encoders`.
         stated: String,
     },
-    /// Another order or direction fits than the recording states, and only the recorded one is allowed.
+    /// Another order or direction fits than the one in the recording, and the options allow only the recorded one.
     #[error(
         "the encoders do not fit as recorded (encoder -> joint): {recorded}, but as {found}; correct order or \
          direction in the bar's configuration, or let it be found with --encoders find (`encoders = \"find\"` under \
          [prepare])"
     )]
     OtherEncoderMap {
-        /// The recorded order with its spread.
+        /// The recorded order with its spread, as text.
         recorded: String,
-        /// The one that fits.
+        /// The order that fits, with its spread, as text.
         found: String,
     },
-    /// Another order or direction fits than was stated.
+    /// Another order or direction fits than the one that the user gave.
     #[error(
         "the encoders do not fit as stated (encoder -> joint): {stated}, but as {found}; take --encoders {as_stated}, or let the \
          program find it with --encoders find (`encoders` under [prepare])"
     )]
     OtherThanStated {
-        /// The stated order with its spread.
+        /// The order that the user gave, with its spread, as text.
         stated: String,
-        /// The one that fits.
+        /// The order that fits, with its spread, as text.
         found: String,
-        /// As `--encoders` takes it.
+        /// The order that fits, in the format of `--encoders`.
         as_stated: String,
     },
-    /// The stated order is invalid.
+    /// The order that the user gave is invalid.
     #[error(
         "invalid encoders {stated} (--encoders, or `encoders` under [prepare]); give {encoders} different bar joints, 1 to 5, one \
          for each encoder of the recording; a minus sign reverses the recorded direction of the encoder"
@@ -275,7 +277,8 @@ pub enum PrepareError {
         /// Number of encoders of the recording.
         encoders: usize,
     },
-    /// A clock was set, or samples are missing without a hole in the stamps: the logs shift against each other.
+    /// The clock difference changes during the run. Either a clock was set, or samples are missing without a
+    /// gap in the stamps.
     #[error(
         "a clock jumps during the run: {at_s:.0} s after the first sample, the robot's clock minus the other one changes by \
          {by_ms:+.1} ms; find out what sets the clock and record again, or calibrate both sides with --split-at-changes"
@@ -286,7 +289,7 @@ pub enum PrepareError {
         /// Change of robot clock minus bar clock \[ms\].
         by_ms: f64,
     },
-    /// An encoder is constant while the others move.
+    /// The readings of an encoder are constant while others change.
     #[error(
         "the encoder of joint {joint} is constant from {from_s:.1} s to {to_s:.1} s after the first sample while others move; check it, its \
          cable and its terminal, and record again, or remove that part"
@@ -294,12 +297,12 @@ pub enum PrepareError {
     EncoderFrozen {
         /// Bar joint, 1 to 5, as recorded.
         joint: u8,
-        /// From when \[s\].
+        /// First constant reading, as time after the first sample \[s\].
         from_s: f64,
-        /// Until when \[s\].
+        /// Last constant reading, as time after the first sample \[s\].
         to_s: f64,
     },
-    /// An encoder lost counts or turned on its shaft.
+    /// The angle of an encoder jumps: the encoder lost counts or turned on its shaft.
     #[error(
         "the encoder of joint {joint} slips: {at_s:.2} s after the first sample its angle jumps by {by_mrad:+.2} mrad \
          relative to the robot and stays there; check its coupling and cable, and record again"
@@ -309,10 +312,10 @@ pub enum PrepareError {
         joint: u8,
         /// Time after the first sample \[s\].
         at_s: f64,
-        /// By how much \[mrad\].
+        /// Change of the encoder's angle relative to the robot \[mrad\].
         by_mrad: f64,
     },
-    /// A joint of the robot is not at the angle that its log reports.
+    /// From some instant on, a joint of the robot is not at the angle that the log reports.
     #[error(
         "the log of the robot's joint {joint} steps by {by_mrad:+.2} mrad relative to the bar, {at_s:.2} s after the first sample; \
          check for a collision, a restart of the controller or a belt that slipped, and record again"
@@ -322,7 +325,7 @@ pub enum PrepareError {
         joint: u8,
         /// Time after the first sample \[s\].
         at_s: f64,
-        /// By how much the log reports more \[mrad\].
+        /// Change of reported angle minus true angle \[mrad\].
         by_mrad: f64,
     },
     /// The base of the bar moves during the run.
@@ -332,29 +335,29 @@ pub enum PrepareError {
     BaseMoved {
         /// Time after the first sample \[s\].
         at_s: f64,
-        /// How far \[mm\].
+        /// Distance by which the base moves \[mm\].
         by_mm: f64,
     },
-    /// Even with all numbers of the geometry moved within their tolerances the angles do not fit.
+    /// The angles do not fit, although all parameters of the geometry may change within their tolerances.
     #[error(
         "the logs match, but the angles deviate by {spreads} mrad from any geometry near the nominal one, at most \
          {limit_mrad} is allowed; compare robot, tool, plate and bar in the configuration with the cell, and check the bolts"
     )]
     PoorFit {
-        /// Spread of each encoder \[mrad\].
+        /// Spread of each encoder, as text \[mrad\].
         spreads: String,
         /// Largest allowed spread \[mrad\].
         limit_mrad: f64,
     },
-    /// One of the above, found by comparing the angles with the geometry that fits best.
+    /// Another error of this type, with the residuals that show it.
     #[error("{error}")]
     WithDeviations {
-        /// The error without its residuals.
+        /// The error without the residuals.
         error: Box<PrepareError>,
-        /// The residuals behind it.
+        /// The residuals of the angles at the geometry that fits best.
         deviations: Box<Deviations>,
     },
-    /// The force on the bar cannot be used, with the reason.
+    /// The force on the bar cannot be used.
     #[error(transparent)]
     Force(#[from] ForceError),
     /// Too few samples remain for a fit.
@@ -371,12 +374,12 @@ pub enum PrepareError {
     LittleTravel {
         /// Bar joint, 1 to 5.
         joint: u8,
-        /// Its travel over the samples kept \[deg\].
+        /// Travel of this joint over the kept samples \[deg\].
         travel_deg: f64,
         /// Smallest allowed travel \[deg\].
         needed_deg: f64,
     },
-    /// The robot moved on a circle or stood.
+    /// The robot's positions determine no sphere, for example because they lie on a circle.
     #[error(
         "insufficient excitation: the robot's positions span no sphere (they lie on a line, a circle or in one place); \
          move the bar over a large part of its sphere, with all joints"
@@ -399,7 +402,7 @@ pub enum PrepareError {
     },
 }
 
-/// `joints 1, 4 and 6`, from joints counted from 0.
+/// Formats joints that are counted from 0 as text with joints counted from 1, such as `joints 1, 4 and 6`.
 fn of_joints(joints: Option<&[usize]>) -> String {
     let names: Vec<String> = joints.unwrap_or_default().iter().map(|joint| (joint + 1).to_string()).collect();
     match names.split_last() {

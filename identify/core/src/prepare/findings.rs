@@ -1,4 +1,5 @@
-//! Places and deviations behind a refusal, for reports.
+//! Describes why a run was refused, for reports: where in the run the error is ([`Place`]), and the residuals
+//! that show it ([`Deviations`]).
 
 use super::align::refine::Residuals;
 use super::samples::angle_errors::{AngleErrors, LocalShift, local_shifts};
@@ -6,33 +7,35 @@ use super::{PrepareError, Prepared};
 use crate::kinematics::BAR_JOINTS;
 use crate::model::{Clock, Geometry, Observation};
 
-/// Where in a run something is wrong, if that is known.
+/// Where in a run an error is, as far as it is known.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Place {
     /// Bar joint, 1 to 5.
     pub joint: Option<u8>,
     /// Bar time since the first valid sample \[s\].
     pub bar_s: Option<f64>,
-    /// The same instant after the first stamp of the robot's log \[s\], once the clocks are known.
+    /// The same instant, as time since the first stamp of the robot's log \[s\]. It is known only after the
+    /// alignment of the clocks.
     pub robot_s: Option<f64>,
 }
 
-/// Residuals of each encoder from the geometry that fits best: errors of the model are waves, faults of a run are steps.
+/// Residuals of each encoder at the geometry that fits best. Errors of the model appear as waves, faults of a run as steps.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Deviations {
     /// Joints with an encoder.
     pub measured: [bool; BAR_JOINTS],
-    /// In the order of time: bar time since the first valid sample \[s\], and measured less implied joints, each times the
-    /// sine of the distance from singular poses \[rad\].
+    /// Samples in the order of time. Each is a bar time since the first valid sample \[s\], and measured minus implied
+    /// joints times the sine of the distance from singular poses \[rad\].
     pub samples: Vec<(f64, [f64; BAR_JOINTS])>,
-    /// How the alignment varies along the run; times since the first valid sample.
+    /// How the alignment varies along the run. Times count from the first valid sample.
     pub local_shifts: Vec<LocalShift>,
-    /// Clock from those times to times after the first stamp of the robot's log.
+    /// Converts times since the first valid sample to times since the first stamp of the robot's log.
     pub clock: Clock,
 }
 
 impl Deviations {
-    /// `t_ref_s` is the reference time of `errors` and `local_shifts` after the first sample.
+    /// Makes times count from the first valid sample. `t_ref_s` is the time from the first valid sample to the reference
+    /// time, from which `errors` and `local_shifts` count.
     pub(super) fn new(
         errors: &[AngleErrors],
         local_shifts: &[LocalShift],
@@ -49,7 +52,7 @@ impl Deviations {
         }
     }
 
-    /// Residuals of the samples of a solve, at its geometry.
+    /// Computes the residuals of the samples of a solve at the geometry that the solve found.
     pub(crate) fn at(prepared: &Prepared, geometry: Geometry) -> Self {
         let (measured, first_s) = (prepared.measured, prepared.first_s());
         let since_reference = prepared.motion.solved(geometry.clock);
@@ -66,19 +69,19 @@ impl Deviations {
     }
 }
 
-/// Even with all numbers of the geometry moved within their tolerances the angles do not fit.
+/// The angles do not fit, although all parameters of the geometry may change within their tolerances.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PoorFit {
-    /// Scatter of each encoder about the geometry that fits best \[rad\].
+    /// Robust standard deviation of the residuals of each encoder, at the geometry that fits best \[rad\].
     pub spread_rad: [f64; BAR_JOINTS],
-    /// Largest allowed scatter \[mrad\].
+    /// Largest allowed standard deviation \[mrad\].
     pub limit_mrad: f64,
-    /// The residuals behind it.
+    /// Residuals from which the standard deviations were computed.
     pub deviations: Deviations,
 }
 
 impl PoorFit {
-    /// The refusal of a run in which nothing has changed that explains it.
+    /// The error that refuses a run in which no change was found that explains the residuals.
     pub fn refusal(&self) -> PrepareError {
         let spreads = self.spread_rad.iter().enumerate().filter(|(_, spread_rad)| **spread_rad > 0.0);
         let spreads: Vec<String> = spreads
@@ -90,12 +93,12 @@ impl PoorFit {
 }
 
 impl PrepareError {
-    /// The same error with the residuals behind it.
+    /// Adds to this error the residuals that show it.
     pub(crate) fn resting_on(self, deviations: Deviations) -> Self {
         Self::WithDeviations { error: Box::new(self), deviations: Box::new(deviations) }
     }
 
-    /// Joint and instant of the fault, if they are known.
+    /// Joint and instant of the error in the run, as far as they are known.
     pub fn place(&self) -> Place {
         match self {
             Self::ClockJump { at_s, .. } | Self::JointStep { at_s, .. } | Self::BaseMoved { at_s, .. } => {
@@ -113,8 +116,8 @@ impl PrepareError {
         }
     }
 
-    /// If clocks, base or offsets change: the instant, since the first valid sample \[s\], at which the run can be cut into two
-    /// parts, each with its own.
+    /// The instant at which clocks, base or offsets change, since the first valid sample \[s\]. The run can be cut there
+    /// into two parts, each with its own clocks, base and offsets. `None` for other errors.
     pub fn parts_at_s(&self) -> Option<f64> {
         match self {
             Self::ClockJump { at_s, .. } | Self::EncoderSlip { at_s, .. } | Self::BaseMoved { at_s, .. } => {
@@ -125,7 +128,7 @@ impl PrepareError {
         }
     }
 
-    /// The residuals behind it, if the logs were aligned before it.
+    /// The residuals that show this error, if the logs were aligned before it was found.
     pub fn deviations(&self) -> Option<&Deviations> {
         match self {
             Self::WithDeviations { deviations, .. } => Some(deviations),

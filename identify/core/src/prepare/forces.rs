@@ -1,8 +1,11 @@
-//! The force along the bar at each sample, from a force log: this force or its sign, a force in the axes of base or flange, or
-//! joint torques (`torque`). A solve estimates compliance or play of the bar from it.
+//! Computes the force along the bar at each sample, from a force log.
 //!
-//! The force is computed once, with the clocks and the base of the preparation: it changes little in the fractions of a
-//! millisecond by which a solve still moves the clocks, and nominal geometry suffices for its direction.
+//! A force log contains one of four quantities: the force along the bar, only its sign, a force vector in the frame of base
+//! or flange, or joint torques (`torque`). Each sample receives the force at its time, as component along the bar. Samples
+//! without a force are removed. A solve estimates the compliance or play of the bar from these forces.
+//!
+//! The force is computed only once, with the clocks and the base of the preparation. A solve changes the clocks by fractions
+//! of a millisecond, in which the force changes little. Nominal geometry is accurate enough for the direction of the force.
 
 use nalgebra::Vector3;
 use serde::Serialize;
@@ -15,17 +18,18 @@ use crate::logs::{ForceClock, ForceKind, ForceLog, Row};
 use crate::model::{BarForce, JointState, Observation, ParameterId, RobotMotion};
 use crate::statistics::extremes;
 
-/// Force at which the bar has changed sides of its play by three quarters \[N\].
+/// Force at which the bar has moved about three quarters of the way from the middle to one side of its play \[N\].
 const SIDE_N: f64 = 5.0;
-/// A force that varies less determines nothing \[N\].
+/// Smallest range of the force in a run that carries information \[N\].
 const RANGE_MIN_N: f64 = 2.0;
-/// No ball-bar is pulled harder than this \[N\].
+/// Largest possible force on a ball-bar \[N\].
 const FORCE_MAX_N: f64 = 20_000.0;
-/// Half the time over which the robot's rates are taken \[s\].
+/// Half the time over which the robot's speeds and accelerations are computed from differences \[s\].
 const RATE_REACH_S: f64 = 0.02;
-/// Part of the samples that must have a force.
+/// Smallest fraction of the samples that must have a force.
 const COVERED_MIN: f64 = 0.5;
-/// Part of the samples that must be under tension, and under compression, where only the sign is known.
+/// If only the sign of the force is known: smallest fraction of the samples that must be under tension, and
+/// smallest fraction under compression.
 const EITHER_SIDE_MIN: f64 = 0.02;
 
 /// The force on the bar in the samples of a run.
@@ -35,16 +39,18 @@ pub struct BarForces {
     pub kind: ForceKind,
     /// The clock of the force log's stamps.
     pub clock: ForceClock,
-    /// Samples that the force log does not cover: they are left out.
+    /// Number of samples at times that the force log does not cover. These samples are left out.
     pub uncovered: usize,
-    /// Smallest and largest along the bar, as the log counts them \[N\]; signs where only these are known.
+    /// Smallest and largest force along the bar, with the signs of the log \[N\]. If only signs are known,
+    /// smallest and largest sign.
     pub range: [f64; 2],
-    /// Root mean square of the joint torques that gravity, friction, inertia and the force do not explain \[N m\].
+    /// Root mean square of the joint torques that gravity, friction, inertia and the force do not explain \[N m\]; `None` if
+    /// the log does not contain torques.
     pub torque_rms_nm: Option<f64>,
 }
 
 impl BarForces {
-    /// The parameter that a solve can estimate with them.
+    /// The parameter that a solve can estimate from these forces.
     pub fn parameter(&self) -> ParameterId {
         match self.kind {
             ForceKind::Sign => ParameterId::BarPlay,
@@ -52,7 +58,7 @@ impl BarForces {
         }
     }
 
-    /// `N`, or nothing for signs.
+    /// Unit of the range: `N`, or an empty text for signs.
     pub const fn unit(&self) -> &'static str {
         if matches!(self.kind, ForceKind::Sign) { "" } else { "N" }
     }
@@ -61,7 +67,7 @@ impl BarForces {
 /// Why a force cannot be used.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ForceError {
-    /// Wrong clock, or another run.
+    /// The force log does not cover enough samples: its stamps are on another clock, or it is of another run.
     #[error(
         "the force log covers {covered} of {samples} samples: on the {clock}'s clock it lasts from {from_s:+.1} to \
          {to_s:+.1} s, the samples from {first_s:+.1} to {last_s:+.1} s (about the middle of the run); check that it is \
@@ -83,7 +89,7 @@ pub enum ForceError {
         /// Time of the last sample \[s\].
         last_s: f64,
     },
-    /// Nothing to correlate with.
+    /// The force does not vary enough.
     #[error(
         "the {what} hardly varies ({low:.2} to {high:.2}{unit}) and carries no information; check column and unit, or \
          calibrate without it (--ignore-force)"
@@ -98,15 +104,15 @@ pub enum ForceError {
         /// Unit with a blank before it.
         unit: &'static str,
     },
-    /// Larger than any force on a bar: the unit is wrong.
+    /// The force is larger than a bar can bear, so its unit is probably wrong.
     #[error("the {what} reaches {most:.0} N, more than a ball-bar can bear; check its unit")]
     TooLarge {
         /// Kind of force, in words.
         what: &'static str,
-        /// Largest \[N\].
+        /// Largest absolute value of the force \[N\].
         most: f64,
     },
-    /// The motion does not separate the force from gravity and friction.
+    /// The motion is not sufficient to separate the force from gravity and friction.
     #[error(
         "the joint torques do not determine the force along the bar: robot and bar moved too little to separate it from \
          gravity and friction; measure the force itself, or calibrate without it (--ignore-force)"
@@ -114,26 +120,27 @@ pub enum ForceError {
     Torques,
 }
 
-/// Robot, clocks and bar, by which a measured force becomes one along the bar.
+/// Data of robot, clocks and bar that convert a measured force to the force along the bar.
 pub(super) struct ForceContext<'a> {
     /// Reference time on the bar's clock.
     pub t_ref: UtcNs,
-    /// The robot's clock against the bar's there.
+    /// The relation of robot clock and bar clock at the reference time.
     pub alignment: &'a Alignment,
-    /// The robot's motion, in robot time since the reference.
+    /// The robot's motion as a function of robot time since the reference time.
     pub motion: &'a AlignedLog,
     /// Chain of the nominal robot.
     pub robot: &'a Chain,
     /// Centre of the gimbal in the robot's base \[m\].
     pub base_m: Vector3<f64>,
-    /// Direction of gravity in the robot's base.
+    /// Direction of gravity in the robot's base frame.
     pub gravity: Vector3<f64>,
 }
 
-/// Adds the force to each sample and removes samples without one. Also returns which of them had one.
+/// Adds the force to each sample, and removes samples without a force. Also returns, for each of the original samples,
+/// whether it had a force.
 ///
 /// # Errors
-/// [`ForceError`] where the force log is of another time or cannot be a force on a bar.
+/// [`ForceError`] if the force log is of another time or cannot be a force on a bar.
 pub(super) fn put_on(
     observations: &mut Vec<Observation>,
     log: &ForceLog,
@@ -163,7 +170,7 @@ pub(super) fn put_on(
     Ok((forces, has_force))
 }
 
-/// Smallest and largest force along the bar, if they are possible.
+/// Checks the forces along the bar, and returns the smallest and the largest one.
 fn check(kind: ForceKind, along: &[f64]) -> Result<[f64; 2], ForceError> {
     let [low, high] = extremes(along.iter().copied());
     let what = kind.describe();
@@ -185,7 +192,7 @@ fn check(kind: ForceKind, along: &[f64]) -> Result<[f64; 2], ForceError> {
 }
 
 impl ForceContext<'_> {
-    /// Time of the force log, after its first stamp, at a bar time since the reference \[s\].
+    /// Converts a bar time since the reference time to a time since the first stamp of the force log \[s\].
     fn log_time_s(&self, log: &ForceLog, t_s: f64) -> f64 {
         let (reference_ns, rate) = match log.clock {
             ForceClock::Bar => (self.t_ref.0, 1.0),
@@ -193,13 +200,14 @@ impl ForceContext<'_> {
                 (self.t_ref.0.saturating_add(self.alignment.clock_difference_ns), 1.0 + self.alignment.skew)
             }
         };
-        // Stamps have more digits than a float.
+        // Integer stamps have more digits than a float, so they are subtracted before the conversion.
         let since_first_s = (i128::from(reference_ns) - i128::from(log.values.first_stamp_ns)) as f64 * 1e-9;
         since_first_s + rate * t_s
     }
 
-    /// The robot at a bar time since the reference. Speeds are differences over a few hundredths of a second: from one row of
-    /// its log to the next they are mostly noise, and friction would change its sign with it.
+    /// State of the robot at a bar time since the reference time. Speeds and accelerations are differences over a few
+    /// hundredths of a second. From one row of the robot's log to the next, differences would be mostly noise, and the
+    /// computed friction would change its sign with the noise.
     fn state(&self, t_s: f64) -> JointState {
         let state_later = |by_s: f64| self.motion.at(t_s + self.alignment.skew * t_s + by_s);
         let here = state_later(0.0).unwrap_or_default();
@@ -211,6 +219,7 @@ impl ForceContext<'_> {
         JointState { q: here.q, qd: here.q.with_numbers(speed), qdd: here.q.with_numbers(acceleration) }
     }
 
+    /// The error for a force log that covers too few samples; times count from the reference time.
     fn not_covered(&self, log: &ForceLog, observations: &[Observation], covered: usize) -> ForceError {
         let middle_s = self.log_time_s(log, 0.0);
         ForceError::NotCovered {
@@ -224,7 +233,8 @@ impl ForceContext<'_> {
         }
     }
 
-    /// Component along the bar of each row, from the gimbal to the flange, and the unexplained torques \[N m\].
+    /// Converts each row of the force log to the component along the bar, in the direction from the gimbal to the flange.
+    /// Also returns the root mean square of the unexplained torques, if the log contains torques \[N m\].
     fn along_bar(
         &self,
         kind: ForceKind,
@@ -242,7 +252,7 @@ impl ForceContext<'_> {
             return Ok((found.along_n, Some(found.rms_nm)));
         }
         let component = |(observation, row): (&Observation, &Joints)| {
-            // A row of one number is the component itself, or its sign.
+            // A row with a single number contains the component along the bar, or its sign.
             let &[x, y, z] = row.as_ref() else { return row[0] };
             let force = Vector3::new(x, y, z);
             let end = self.robot.forward(&self.state(observation.t_s).q);

@@ -1,8 +1,10 @@
-//! The sphere that the robot's positions lie on: base (its centre `o`) and length `L` of the bar, from the robot's log alone.
+//! Finds the sphere on which the robot's positions lie, from the robot's log alone. Its centre `o` is the base of the bar,
+//! and its radius is the bar's length `L`.
 //!
-//! Random sample consensus finds a first sphere, least squares fit it to the positions near it, and the configured length is a
-//! prior of its radius. Positions on no sphere of the bar refuse the run: then likely mistakes in the joints of the log are
-//! tried, and one that puts the positions on such a sphere is named in the message.
+//! Random sample consensus finds a first sphere. A least-squares fit then uses the positions near it, and the configured
+//! length is a prior of its radius. If the positions lie on no sphere of the bar, the run is refused. For the message,
+//! likely mistakes in the joints of the log are tried. A mistake whose correction puts the positions on such a sphere is
+//! named in the message.
 
 use nalgebra::{Matrix3, Matrix4, Vector3, Vector4};
 use rand::Rng;
@@ -22,32 +24,34 @@ pub struct SphereFit {
     pub centre_m: Vector3<f64>,
     /// Radius \[m\].
     pub radius_m: f64,
-    /// Root mean square distance of the inliers from it \[m\].
+    /// Root mean square distance of the inliers from the sphere \[m\].
     pub rms_m: f64,
-    /// Part of the positions within the tolerance.
+    /// Fraction of the positions that are inliers: their distance from the sphere is within the tolerance.
     pub inliers: f64,
 }
 
-/// Largest number of rows of a long log that are used: six minutes at 250 Hz.
+/// Largest number of rows of the log that are used: six minutes at 250 Hz.
 const ROWS_MAX: usize = 100_000;
-/// Robot positions nearer to the last one are not used \[m\].
+/// A robot position is used only if it is farther than this from the last used position \[m\].
 const POSITIONS_APART_M: f64 = 0.005;
-/// Quadruples tried for a first sphere. With half of the positions bad one in sixteen is good.
+/// Number of draws of four positions for a first sphere. If half of the positions are outliers, one draw
+/// in sixteen has none.
 const DRAWS: usize = 200;
-/// Rounds of selecting inliers and fitting them.
+/// Number of rounds; each selects the inliers and fits a sphere to them.
 const ROUNDS: usize = 5;
-/// Steps of Gauss-Newton in each round.
+/// Number of Gauss-Newton steps in each fit.
 const STEPS: usize = 8;
 /// Standard deviation of the bar's configured length \[m\].
 const LENGTH_SIGMA_M: f64 = 0.002;
-/// Distances from the sphere are mostly errors of the nominal robot, similar in neighbouring postures: any number of positions
-/// counts as this number of independent ones.
+/// The weight of the prior assumes this number of independent positions, whatever the real number is. Distances from the
+/// sphere are mostly errors of the nominal robot, which are similar in neighbouring postures.
 const POSITIONS_INDEPENDENT: f64 = 50.0;
 
-/// The sphere of the bar that the robot's positions lie on.
+/// Finds the sphere of the bar on which the robot's positions lie.
 ///
 /// # Errors
-/// [`PrepareError`] if they lie on none, or on that of another bar, with the probable cause.
+/// [`PrepareError`] if the positions lie on no sphere, or on the sphere of another bar. The error
+/// contains the probable cause.
 pub(super) fn sphere_of_log(
     log: &RobotLog,
     robot: &Chain,
@@ -76,10 +80,12 @@ pub(super) fn sphere_of_log(
     Ok(sphere.with_length_prior(&positions, tolerance_mm * 1e-3, length_m))
 }
 
-/// Positions of the robot's end in the log, each further than [`POSITIONS_APART_M`] from the one before \[m\].
+/// Positions of the robot's end in the log, each farther than [`POSITIONS_APART_M`] from the one before \[m\].
 fn distinct_positions(log: &RobotLog, robot: &Chain) -> Vec<Vector3<f64>> {
     let mut positions: Vec<Vector3<f64>> = Vec::new();
-    // No joint moves the end by more than its own travel in metres, or times the reach: most rows are too near to be looked at.
+    // A row is skipped without forward kinematics if its joints have moved so little that the end cannot have
+    // moved far enough. A joint moves the end by at most its own travel, times the reach if the joint is revolute.
+    // Most rows are skipped.
     let reach_m = (robot.reach_m() + robot.last_from_end.translation.vector.norm()).max(1.0);
     let (tracer, mut trace, mut last_q) = (Tracer::new(robot), Trace::default(), None::<&Joints>);
     let is_near = |last: &Joints, q: &Joints| {
@@ -100,8 +106,10 @@ fn distinct_positions(log: &RobotLog, robot: &Chain) -> Vec<Vector3<f64>> {
     positions
 }
 
-/// Probable mistake in the joints of a log whose positions lie on no sphere of the bar's length: one whose correction, in the joints
-/// or in the columns of the robot's own log, puts them on such a sphere; otherwise a turned plate, or a joint that never moves.
+/// Describes the probable mistake in the joints of a log whose positions lie on no sphere of the bar's length. Each
+/// mistake is corrected both in the joints and in the columns of the robot's own log. The mistake whose correction
+/// puts most positions on a sphere of the bar's length is reported. If there is none, a turned plate is tried, then a
+/// joint that never moves.
 fn likely_mistake(
     log: &RobotLog,
     robot: &Chain,
@@ -109,20 +117,23 @@ fn likely_mistake(
     length_m: f64,
     options: &PrepareOptions,
 ) -> Option<String> {
-    /// Share of the positions on the sphere: with a wrong joint it is a half, by chance and at standstills.
+    /// Smallest fraction of the positions on the sphere. With a wrong joint, about half of the positions lie on it by
+    /// chance and at standstills.
     const ON_SPHERE_MIN: f64 = 0.8;
-    /// Rounding of a column that never changes.
+    /// Largest range of values in a column that counts as constant. It allows for rounding.
     const CONSTANT: f64 = 1e-9;
     let joints = tried_joints(log);
     let conversion = JointConversion::of(config).ok().filter(|conversion| conversion.axes() == log.axes());
     let columns: Option<Vec<Joints>> =
         conversion.as_ref().map(|conversion| joints.iter().map(|q| conversion.to_raw(q)).collect());
+    // The sphere of the given joints, if it has the bar's length and enough inliers.
     let sphere_of_bar = |joints: Vec<Joints>| {
         let positions: Vec<_> = joints.iter().map(|q| robot.forward(q).translation.vector).collect();
         let sphere = fit_sphere(&positions, options.sphere_tolerance_mm * 1e-3)?;
         let has_length = (sphere.radius_m - length_m).abs() * 1e3 < options.length_tolerance_mm;
         (has_length && sphere.inliers > ON_SPHERE_MIN && !is_flat(&positions)).then_some(sphere)
     };
+    // The spheres after correction of a mistake, in the joints and in the columns.
     let spheres_without = |mistake: JointMistake| {
         let corrected_joints = joints.iter().map(|q| mistake.undone(q, robot.joint_kinds())).collect();
         let corrected_columns = conversion.as_ref().zip(columns.as_ref()).map(|(conversion, columns)| {
@@ -154,26 +165,28 @@ fn likely_mistake(
     ))
 }
 
-/// Joints in enough rows to distinguish positions on one sphere from others.
+/// Joints in a limited number of rows, evenly spaced in the log. They suffice to decide whether the positions
+/// lie on one sphere.
 fn tried_joints(log: &RobotLog) -> Vec<Joints> {
     const ROWS: usize = 400;
     let stride = log.q_rad.len().div_ceil(ROWS).max(1);
     log.q_rad.iter().step_by(stride).copied().collect()
 }
 
-/// Describes a plate that is turned about the flange's axis against the configuration, if that brings the positions much nearer to
-/// one sphere of the bar's length.
+/// Describes a plate that is turned about the flange's axis against the configuration. `None` unless a turn brings the
+/// positions much nearer to a sphere of the bar's length.
 pub(super) fn turned_plate(
     log: &RobotLog,
     robot: &Chain,
     length_m: f64,
     options: &PrepareOptions,
 ) -> Option<String> {
-    /// Turns that are tried, and those that are tried first \[deg\]: half a step moves positions by no more than nominal robots err
-    /// by, and half a first step by less than the tolerance of a sphere.
+    /// Steps between the turns that are tried: `FIRST_STEP_DEG` in a coarse search, then `STEP_DEG` near its best turn
+    /// \[deg\]. Half a fine step moves positions by no more than the errors of nominal robots, and half a coarse step by
+    /// less than the tolerance of a sphere.
     const STEP_DEG: f64 = 1.0;
     const FIRST_STEP_DEG: f64 = 3.0;
-    /// The turn of a turned plate reduces the distances from the sphere to this part or less.
+    /// Largest ratio of the median distance from the sphere after the turn to the one before it.
     const REDUCED_TO: f64 = 0.4;
     let joints = tried_joints(log);
     let last = log.axes().checked_sub(1)?;
@@ -185,11 +198,11 @@ pub(super) fn turned_plate(
         };
         joints.iter().map(position).collect::<Vec<_>>()
     };
-    // The turn, the sphere after it, and the median distance of all positions from it.
+    // Returns the turn, the sphere after it, and the median distance of all positions from this sphere.
     let turned = |by_deg: f64| {
         let positions = positions_after(by_deg);
         let sphere = fit_sphere(&positions, options.sphere_tolerance_mm * 1e-3)?;
-        // Those that are not near it count as well: else a sphere through a few would be the best.
+        // Outliers are included in the median. Otherwise a sphere through a few positions would be the best.
         let mut distances_m: Vec<f64> = positions.iter().map(|p| sphere.distance(p).abs()).collect();
         Some((by_deg, sphere, median(&mut distances_m)?))
     };
@@ -214,9 +227,9 @@ pub(super) fn turned_plate(
     })
 }
 
-/// The positions lie in a plane: a circle is on many spheres.
+/// Whether the positions lie nearly in a plane. A sphere is then not determined, because a circle lies on many spheres.
 fn is_flat(positions_m: &[Vector3<f64>]) -> bool {
-    /// Smallest thickness over extent of a part of a sphere that determines its radius.
+    /// Smallest ratio of thickness to extent at which positions on a part of a sphere determine its radius.
     const THICKNESS_MIN: f64 = 0.02;
     let mean = positions_m.iter().sum::<Vector3<f64>>() / positions_m.len().max(1) as f64;
     let outer = |sum: Matrix3<f64>, p: &Vector3<f64>| sum + (p - mean) * (p - mean).transpose();
@@ -224,11 +237,12 @@ fn is_flat(positions_m: &[Vector3<f64>]) -> bool {
     extents.min() < THICKNESS_MIN * THICKNESS_MIN * extents.max()
 }
 
-/// The sphere that most of `positions_m` lie on within `tolerance_m`; `None` if they span no sphere.
+/// Finds the sphere on which most of `positions_m` lie within `tolerance_m`; `None` if the positions span no sphere.
 ///
-/// Logs also hold the way to and from the bar: a first sphere through four positions that most others agree with
-/// (random sample consensus, Fischler and Bolles 1981, fixed seed) keeps those out. Then linear least squares and
-/// Gauss-Newton on the distances, in turn with the selection of the positions near it.
+/// A log usually also contains the motion to the bar and away from it. A first sphere through four positions is chosen so
+/// that most other positions agree with it (random sample consensus, Fischler and Bolles 1981, with a fixed seed). This
+/// excludes the motion to and from the bar. Linear least squares and Gauss-Newton then minimise the distances of the
+/// positions near the sphere. These two fits alternate with the selection of the near positions.
 pub fn fit_sphere(positions_m: &[Vector3<f64>], tolerance_m: f64) -> Option<SphereFit> {
     let mut random = ChaCha8Rng::seed_from_u64(0);
     let mut best: Option<(usize, SphereFit)> = None;
@@ -253,21 +267,23 @@ pub fn fit_sphere(positions_m: &[Vector3<f64>], tolerance_m: f64) -> Option<Sphe
 }
 
 impl SphereFit {
-    /// The sphere with a prior on its radius: on a part of a sphere, centre and radius are hard to separate. Unchanged if the fit
-    /// fails.
+    /// Fits the sphere again with a prior on its radius. If the positions cover only a part of a sphere, centre and radius
+    /// are hard to separate. Returns `self` if the fit fails.
     fn with_length_prior(self, positions_m: &[Vector3<f64>], tolerance_m: f64, length_m: f64) -> Self {
         let inliers = self.near(positions_m, tolerance_m);
-        // The radius counts like `weight` positions: the ratio of variances, with the positions as fewer independent ones.
+        // The prior has the weight of `weight` positions. This is the variance of the distances over the variance of the
+        // prior, scaled from [`POSITIONS_INDEPENDENT`] to the real number of positions.
         let weight = inliers.len() as f64 / POSITIONS_INDEPENDENT * (self.rms_m / LENGTH_SIGMA_M).powi(2);
         let Some(sphere) = self.refined(&inliers, Some((length_m, weight))) else { return self };
         Self { rms_m: sphere.rms(&inliers), ..sphere }
     }
 
+    /// Signed distance of a position from the sphere, positive outside \[m\].
     fn distance(&self, position_m: &Vector3<f64>) -> f64 {
         (position_m - self.centre_m).norm() - self.radius_m
     }
 
-    /// The positions within a distance.
+    /// The positions whose distance from the sphere is less than `distance_m`.
     fn near(&self, positions_m: &[Vector3<f64>], distance_m: f64) -> Vec<Vector3<f64>> {
         positions_m.iter().filter(|p| self.distance(p).abs() < distance_m).copied().collect()
     }
@@ -304,7 +320,8 @@ impl SphereFit {
         rms(positions_m.iter().map(|p| self.distance(p)))
     }
 
-    /// Gauss-Newton on the distances, with an expected radius and its weight (one position has weight 1).
+    /// Minimises the distances by Gauss-Newton. `expected` is the expected radius \[m\] and its weight, where one
+    /// position has weight 1.
     fn refined(mut self, positions_m: &[Vector3<f64>], expected: Option<(f64, f64)>) -> Option<Self> {
         let (length_m, weight) = expected.unwrap_or_default();
         for _ in 0..STEPS {

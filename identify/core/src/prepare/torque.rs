@@ -1,47 +1,53 @@
-//! The force along the bar from the torques of the robot's joints.
+//! Computes the force along the bar from the torques of the robot's joints. `forces` uses it for force
+//! logs of joint torques.
 //!
-//! The bar exerts one unknown force `F` on the robot, along its own axis: `tau = n F + Y p`, with `n = J^T u` for the direction
-//! `u` of the bar from its base; with torques of motors `F` is positive under tension. `Y p` is linear in few numbers `p` that
-//! hold for the whole run: mass and first moments of each link (gravity), and Coulomb friction, viscous friction and inertia of
-//! each axis. A sample has a torque for each axis and one force; its component across `n` gives `p` by least squares, then each
-//! sample gives its force. The torques may be those of the motors, or external ones: then `p` is near zero. Used by `forces`
-//! for force logs of joint torques.
+//! The bar exerts one unknown force `F` on the robot, along the bar's axis. The torques of a sample are `tau = n
+//! F + Y p`. Here `n = J^T u`, and `u` is the direction of the bar, from its base. With torques of motors, `F`
+//! is positive under tension.
+//!
+//! `Y p` is linear in a small number of *terms* `p`, which are constant in the whole run. The terms of each link are its
+//! mass and first moments (gravity). The terms of each axis are Coulomb friction, viscous friction and inertia.
+//!
+//! Each sample has one torque for each axis, but only one unknown force. The component of the torques across `n` does not
+//! depend on the force, and determines `p` by least squares over all samples. Then each sample determines its own force. The
+//! torques may be motor torques or external torques; with external torques `p` is near zero.
 
 use nalgebra::{DMatrix, DVector, Vector3};
 
 use crate::kinematics::{Chain, Joints, Trace, Tracer};
 use crate::model::{BACKLASH_SPEED_RAD_S, JointState};
 
-/// Mass and three first moments of each link.
+/// Number of terms of each link: mass and three first moments.
 const TERMS_PER_LINK: usize = 4;
-/// Coulomb friction, viscous friction and inertia.
+/// Number of terms of each axis: Coulomb friction, viscous friction and inertia.
 const TERMS_PER_AXIS: usize = 3;
 /// Weight of one kilogram \[N\].
 const STANDARD_GRAVITY: f64 = 9.806_65;
-/// Combinations of terms with a smaller part of the largest squared effect are set to zero: torques do not determine them.
+/// Combinations of terms whose eigenvalue is below this fraction of the largest one are set to zero, because the torques
+/// do not determine them.
 const RANK_TOLERANCE: f64 = 1e-10;
-/// Number of times that the axes are reweighted by their residuals.
+/// Number of rounds in which the axes are weighted by their residuals.
 const ROUNDS: usize = 3;
-/// Smallest standard deviation of an axis \[N m\].
+/// Smallest assumed standard deviation of the torque of an axis \[N m\].
 const SIGMA_MIN_NM: f64 = 1e-3;
-/// Samples for each term, at least.
+/// Smallest number of samples for each term.
 const SAMPLES_PER_TERM: usize = 5;
 
-/// One sample as the solve needs it.
+/// The coefficients of the equation `tau = n F + Y p` for one sample.
 pub(super) struct TorqueSample {
-    /// `tau`.
+    /// `tau`: torque of each axis \[N m\].
     torque_nm: DVector<f64>,
-    /// `n`: torques of one newton along the bar.
+    /// `n`: torque of each axis for a force of one newton along the bar.
     by_force: DVector<f64>,
-    /// `Y`: torques of one unit of each term.
+    /// `Y`: torque of each axis (rows) for one unit of each term (columns).
     by_term: DMatrix<f64>,
 }
 
-/// Forces that torques determine.
+/// Forces along the bar that were computed from torques.
 pub(super) struct FromTorques {
     /// Force along the bar of each sample \[N\].
     pub along_n: Vec<f64>,
-    /// Root mean square of the residual torques \[N m\].
+    /// Root mean square of the residual torques over all axes \[N m\].
     pub rms_nm: f64,
 }
 
@@ -64,11 +70,11 @@ impl TorqueSample {
         let mut frame = robot.root_from_base;
         for (link, (link_parameters, joint)) in robot.joined(&state.q).enumerate() {
             frame *= link_parameters.transform(joint);
-            // Motors hold against gravity; those beyond the link do not feel it.
+            // The motors of the axes up to this link hold its weight; the axes beyond the link are not loaded by it.
             for (joint, twist) in trace.point_twists(frame.translation.vector, link + 1).enumerate() {
                 by_term[(joint, TERMS_PER_LINK * link)] = -twist.linear.dot(&weight);
                 for axis in 0..3 {
-                    // One kilogram at one metre from the frame's origin.
+                    // A first moment of one unit is one kilogram at one metre from the frame's origin.
                     let lever: Vector3<f64> = frame.rotation.matrix().column(axis).into();
                     by_term[(joint, TERMS_PER_LINK * link + 1 + axis)] =
                         -twist.angular.dot(&lever.cross(&weight));
@@ -84,19 +90,19 @@ impl TorqueSample {
         Self { torque_nm: DVector::from_iterator(axes, torque_nm), by_force, by_term }
     }
 
-    /// The force that fits best to torques, each axis with its weight: `n W tau / n W n`.
+    /// The force that fits the torques best, with a weight for each axis: `n W tau / n W n` \[N\].
     fn force(&self, torque_nm: &DVector<f64>, weights: &DVector<f64>) -> f64 {
         let weighted = self.by_force.component_mul(weights);
         weighted.dot(torque_nm) / weighted.dot(&self.by_force).max(f64::MIN_POSITIVE)
     }
 
-    /// Torques without those of the terms: `tau - Y p`.
+    /// Torques minus the torques of the terms: `tau - Y p` \[N m\].
     fn without_terms_nm(&self, terms: &DVector<f64>) -> DVector<f64> {
         &self.torque_nm - &self.by_term * terms
     }
 }
 
-/// The force of each sample; `None` if the samples are too few or not finite.
+/// Computes the force of each sample. `None` if there are too few samples, or if the solution is not finite.
 pub(super) fn forces_from_torques(samples: &[TorqueSample]) -> Option<FromTorques> {
     let (axes, term_count) = samples.first()?.by_term.shape();
     if samples.len() < SAMPLES_PER_TERM * term_count {
@@ -116,7 +122,7 @@ pub(super) fn forces_from_torques(samples: &[TorqueSample]) -> Option<FromTorque
     along_n.iter().all(|force| force.is_finite()).then_some(FromTorques { along_n, rms_nm })
 }
 
-/// Root mean square of the residual torque of each axis.
+/// Root mean square of the residual torque of each axis \[N m\].
 fn spread_nm(samples: &[TorqueSample], terms: &DVector<f64>, weights: &DVector<f64>) -> DVector<f64> {
     let axes = weights.len();
     let squares = samples.iter().fold(DVector::zeros(axes), |sum: DVector<f64>, sample| {
@@ -124,19 +130,20 @@ fn spread_nm(samples: &[TorqueSample], terms: &DVector<f64>, weights: &DVector<f
         let residual_nm = &torque_nm - &sample.by_force * sample.force(&torque_nm, weights);
         sum + residual_nm.component_mul(&residual_nm)
     });
-    // One of the torques went into the force.
+    // Each sample estimates one force from the torques of all axes, so it has `axes - 1` degrees of freedom.
     let count = samples.len() as f64 * (axes - 1) as f64 / axes as f64;
     squares.map(|sum| (sum / count).sqrt())
 }
 
-/// Least squares across the force in each sample, of smallest norm where terms are not separated: those combinations do
-/// nothing to any torque of the run.
+/// Computes the terms by least squares, from the component of the torques across `n` in each sample. If some combinations of
+/// terms have no effect on any torque of the run, they are not determined. The solution of smallest norm is then returned.
+/// `None` if the normal matrix is not finite or zero.
 fn least_squares_terms(samples: &[TorqueSample], weights: &DVector<f64>) -> Option<DVector<f64>> {
     let terms = samples.first()?.by_term.ncols();
     let mut normal = DMatrix::zeros(terms, terms);
     let mut right = DVector::zeros(terms);
     for sample in samples {
-        // Y and tau without their parts along n, in the metric of the weights.
+        // `Y` and `tau` without their components along `n`, in the metric of the weights.
         let mut across = sample.by_term.clone();
         for mut column in across.column_iter_mut() {
             let column_force = sample.force(&column.clone_owned(), weights);
@@ -150,7 +157,7 @@ fn least_squares_terms(samples: &[TorqueSample], weights: &DVector<f64>) -> Opti
         normal += weighted.tr_mul(&across);
         right += weighted.tr_mul(&torque_across);
     }
-    // Terms of different units become comparable by the root of the diagonal.
+    // Terms have different units. Scaled by the root of the diagonal, they are comparable.
     let scale = normal.diagonal().map(|entry: f64| if entry > 0.0 { entry.sqrt().recip() } else { 0.0 });
     let scaled = DMatrix::from_fn(terms, terms, |i, j| normal[(i, j)] * scale[i] * scale[j]);
     let eigen = scaled.symmetric_eigen();

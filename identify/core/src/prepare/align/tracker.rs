@@ -5,10 +5,10 @@
 //! tracker and probe. Then the positions are compared. The poses of tracker and probe are estimated at each
 //! candidate for the clock (`placement`).
 //!
-//! There are two kinds of logs. If the robot moved while it was measured, shift and rate of the clocks are start values of a
-//! solve that estimates them again. In a *stop-and-go* log, the rows are more than half a second apart, and the robot stood
-//! still at each row. The alignment then finds the standstill of each row (`standstills`), and assigns the joints of the
-//! robot there to the row.
+//! A log is measured in one of two ways. If the robot moved while it was measured, shift and rate of the clocks are start
+//! values of a solve that estimates them again. In a *stop-and-go* log, the rows are more than half a second apart, and the
+//! robot stood still at each row. The alignment then finds the standstill of each row (`standstills`), and assigns the
+//! joints of the robot there to the row.
 
 mod standstills;
 

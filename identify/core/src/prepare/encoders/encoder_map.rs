@@ -1,14 +1,18 @@
-//! Which encoder sits on which joint, and which way it counts: found from the angles.
+//! Finds the joint and the counting direction of each encoder from the angles.
 //!
-//! Each recorded encoder is compared with each predicted joint, counting either way. Where they are the same joint the
-//! difference is one constant; otherwise it varies with the motion. From a table of this spread by encoder, joint and direction
-//! all encoder maps (order and directions) follow in which every encoder fits. All are reported, one is used for the run.
+//! Each recorded encoder is compared with each predicted joint, in both directions. If encoder and joint belong together,
+//! the difference of their angles is constant; otherwise it varies with the motion. The spread of the difference is computed
+//! for each encoder, joint and direction. An *encoder map* assigns a joint and a direction to each encoder. It fits if the
+//! spread of every encoder is below a limit. All maps that fit are reported, and one is used for the run.
 //!
-//! One thing no data can determine: an encoder on joint 2 (or 4) that counts the other way is the same as the gimbal (the
-//! cardan) in its other configuration. Both describe the same robot, so the recorded direction is kept there.
+//! Two properties cannot be determined from the data:
 //!
-//! Another it cannot determine either: encoders on joints 1, 3 and 5 that all count the other way see the mirror image of the
-//! robot. If only that fits, encoders and robot log contradict each other, and the user must state which of them is wrong.
+//! - An encoder on joint 2 that counts in the reversed direction cannot be distinguished from the other configuration
+//!   of the gimbal. The same holds for joint 4 and the cardan. Both describe the same robot, so the recorded
+//!   direction is used there.
+//! - If the encoders on joints 1, 3 and 5 all count in the reversed direction, they measure the mirror image of the
+//!   robot's motion. If only such a map fits, encoders and robot log contradict each other. The user must then decide
+//!   which of them is wrong.
 
 use std::fmt;
 use std::str::FromStr;
@@ -20,17 +24,17 @@ use crate::kinematics::BAR_JOINTS;
 use crate::prepare::{PrepareError, PrepareOptions};
 use crate::statistics::rms;
 
-/// How order and directions of the encoders are determined.
+/// How joints and directions of the encoders are determined.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", expecting = "\"find\", \"recorded\" or a list such as [1, 2, -3, 5, 4]")]
 pub enum EncoderMapChoice {
-    /// Take those that the recording states if they fit, otherwise those that do, with a remark.
+    /// Use the recorded joints and directions if they fit. Otherwise use others that fit, and report this.
     #[default]
     Find,
-    /// Refuse the run if others fit better than those that the recording states.
+    /// Use the recorded joints and directions. The run is refused if they do not fit, or if others fit much better.
     Recorded,
-    /// For each encoder in the order of the recording: its bar joint, negative where it counts the other way than the
-    /// recording states. Not checked against others.
+    /// Use this list: the bar joint of each encoder in the order of the recording, negative if the encoder is reversed. The
+    /// run is refused only if the list does not fit and another map fits much better.
     #[serde(untagged)]
     Stated(Vec<i8>),
 }
@@ -54,35 +58,36 @@ impl FromStr for EncoderMapChoice {
     }
 }
 
-/// One encoder's place.
+/// Joint and direction of one encoder.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct EncoderPlace {
     /// Bar joint that the recording states, 1 to 5.
     pub recorded_joint: u8,
-    /// Bar joint that it sits on, 1 to 5.
+    /// Bar joint on which the encoder is mounted, 1 to 5.
     pub joint: u8,
-    /// It counts the other way than the recording states.
+    /// Whether the encoder counts in the direction opposite to the recorded one.
     pub reversed: bool,
-    /// How far measured and predicted angles scatter about their constant difference, on nominal geometry (1.48 times
+    /// Spread of the difference between measured and predicted angles, with nominal geometry (1.48 times
     /// the median deviation) \[mrad\].
     pub spread_mrad: f64,
 }
 
-/// Places of all encoders.
+/// Joints and directions of all encoders.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct EncoderMap {
-    /// In the order of the recording's joints.
+    /// One entry for each encoder, in the order of the recording.
     pub encoders: Vec<EncoderPlace>,
 }
 
 impl EncoderMap {
-    /// Order and directions are those that the recording states.
+    /// Whether order and directions are those of the recording.
     pub fn is_as_recorded(&self) -> bool {
         self.encoders.iter().all(|place| place.joint == place.recorded_joint && !place.reversed)
     }
 
-    /// Every encoder on joints 1, 3 and 5 counts the other way: so the bar sees the mirror image of the motion, in a plane
-    /// through the gimbal's vertical axis, in which these joints turn the other way and 2 and 4 as before.
+    /// Whether every encoder on joints 1, 3 and 5 is reversed. The bar then measures the mirror image of the motion, in a
+    /// plane through the gimbal's vertical axis. In the mirror image these joints turn in the opposite direction; joints 2
+    /// and 4 turn as before.
     fn is_mirrored(&self) -> bool {
         let mut odd = self.encoders.iter().filter(|place| place.joint % 2 == 1).peekable();
         odd.peek().is_some() && odd.all(|place| place.reversed)
@@ -97,7 +102,7 @@ impl EncoderMap {
         measured
     }
 
-    /// Angles by recorded joint to angles by true joint.
+    /// Converts angles by recorded joint to angles by true joint \[rad\].
     pub fn applied(&self, recorded_rad: &[f64; BAR_JOINTS]) -> [f64; BAR_JOINTS] {
         let mut angles_rad = [0.0; BAR_JOINTS];
         for place in &self.encoders {
@@ -108,7 +113,7 @@ impl EncoderMap {
         angles_rad
     }
 
-    /// This encoder map as `--encoders` and `prepare.encoders` take it, such as `1,2,-3,4,5`.
+    /// This encoder map in the format of `--encoders` and `prepare.encoders`, such as `1,2,-3,4,5`.
     pub fn stated(&self) -> String {
         let joints = self.encoders.iter().map(|place| {
             let sign = if place.reversed { "-" } else { "" };
@@ -135,43 +140,47 @@ impl fmt::Display for EncoderMap {
     }
 }
 
-/// Every order and set of directions that fits, the best first, and which of them is used.
+/// The encoder map that is used, and the others that fit.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct EncoderMapReport {
-    /// The one that is used.
+    /// The encoder map that is used.
     pub used: EncoderMap,
-    /// Others whose every encoder fits within the limit.
+    /// Other encoder maps in which every encoder fits within the limit, the best first.
     pub others: Vec<EncoderMap>,
 }
 
-/// Measured and predicted angles of one instant.
+/// Measured and predicted angles at one instant.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct AnglePair {
-    /// Index of the sample among all.
+    /// Index of the sample in the recording's readings.
     pub sample: usize,
     /// Number of the counters' origin.
     pub origin: usize,
-    /// Instants of one segment share configuration of the bar and offsets of the encoders.
+    /// Number of the segment. In a segment, the configuration of the bar and the offsets of the encoders do not change.
     pub segment: usize,
-    /// Encoder angles by recorded joint, offsets unknown \[rad\].
+    /// Encoder angles by recorded joint, with unknown offsets \[rad\].
     pub recorded_rad: [f64; BAR_JOINTS],
-    /// From the robot's log, in the first configuration \[rad\].
+    /// Angles predicted from the robot's log, in the first configuration \[rad\].
     pub predicted_rad: [f64; BAR_JOINTS],
 }
 
-/// Maps within this factor of the smallest spread are equally good.
+/// Encoder maps whose spread is within this factor of the smallest spread count as equally good.
 const CLEARLY_WORSE: f64 = 3.0;
-/// Segments with fewer pairs hardly distinguish joints.
+/// Smallest number of pairs of a segment that is used, because shorter segments hardly distinguish joints. If all segments
+/// are shorter, only the longest one is used.
 const PAIRS_MIN: usize = 30;
-/// Largest number of reported fits.
+/// Largest number of other encoder maps that are reported.
 const REPORTED_MAX: usize = 8;
 
-/// Finds or checks order and directions of the encoders on `recorded_joints` (1 to 5).
+/// Finds or checks the encoder map of the encoders on `recorded_joints` (1 to 5).
 ///
 /// # Errors
-/// [`PrepareError::NoEncoderMap`] where none fits, [`PrepareError::AmbiguousEncoderMap`] where several do and the recorded one is
-/// not among them, [`PrepareError::Mirrored`] where they see the robot's mirror image, [`PrepareError::OtherEncoderMap`] where only
-/// the recorded one is allowed, [`PrepareError::OtherThanStated`] where another one than the stated fits.
+/// - [`PrepareError::NoEncoderMap`] if no map fits.
+/// - [`PrepareError::AmbiguousEncoderMap`] if several maps fit and the recorded one is not among them.
+/// - [`PrepareError::Mirrored`] if only the mirror image of the robot's motion fits.
+/// - [`PrepareError::OtherEncoderMap`] if another map fits, but only the recorded one is allowed.
+/// - [`PrepareError::OtherThanStated`] if another map fits than the one that the user stated.
+/// - [`PrepareError::StatedEncoderMap`] if the stated map is invalid.
 pub fn find_encoder_map(
     pairs: &[AnglePair],
     recorded_joints: &[u8],
@@ -182,7 +191,8 @@ pub fn find_encoder_map(
     let mut fitting = table.fitting(options.spread_max_mrad);
     if let EncoderMapChoice::Stated(joints) = &options.encoders {
         let used = table.stated(joints)?;
-        // If nothing fits, singular poses of the bar or its configuration are the reason: the stated map is tried.
+        // If no map fits, the stated map is used unchecked. The cause is then probably not the map, but singular poses of
+        // the bar or its configuration.
         if let Some(best) = fitting.first().filter(|best| {
             used.spread_mrad() > options.spread_max_mrad.max(CLEARLY_WORSE * best.spread_mrad())
         }) {
@@ -228,10 +238,10 @@ pub fn find_encoder_map(
     Ok(EncoderMapReport { used, others: fitting })
 }
 
-/// Spread of each recorded encoder against each joint, counting as recorded and the other way.
+/// Spread of the difference between each recorded encoder and each predicted joint, for both directions.
 struct SpreadTable<'a> {
     recorded_joints: &'a [u8],
-    /// By encoder, joint from 0, and direction: as recorded, reversed.
+    /// Spread by encoder, joint (counted from 0) and direction (as recorded, reversed) \[mrad\].
     spread_mrad: Vec<[[f64; 2]; BAR_JOINTS]>,
 }
 
@@ -246,7 +256,7 @@ impl<'a> SpreadTable<'a> {
                 segment.iter().map(|pair| pair.predicted_rad[joint] - sign * pair.recorded_rad[recorded]);
             deviations(differences.collect())
         };
-        // Spread over all segments, each about its own median.
+        // Spread over all segments. The deviations in each segment are taken about its own median.
         let spread_mrad = |of_segment: &dyn Fn(&[AnglePair]) -> Vec<f64>| {
             1e3 * spread_of(segments.iter().flat_map(|segment| of_segment(segment)).collect())
         };
@@ -255,7 +265,9 @@ impl<'a> SpreadTable<'a> {
             std::array::from_fn(|joint| {
                 let signs = [1.0, -1.0];
                 if joint == 1 || joint == 3 {
-                    // On these the direction depends on the configuration, which may change between segments.
+                    // On joints 2 and 4 the direction depends on the configuration, which may change between segments.
+                    // The better direction of each segment is used, so that the table has only one spread, in the place
+                    // of the recorded direction.
                     let better = |segment: &[AnglePair]| {
                         let [forward, reversed] = signs.map(|sign| scatter(segment, recorded, joint, sign));
                         let forward_fits = spread_of(forward.clone()) <= spread_of(reversed.clone());
@@ -269,7 +281,7 @@ impl<'a> SpreadTable<'a> {
         Self { recorded_joints, spread_mrad: recorded_joints.iter().map(row).collect() }
     }
 
-    /// Encoder `index` on `joint` (from 0).
+    /// Entry for encoder `index` on `joint` (counted from 0).
     fn place(&self, index: usize, joint: usize, reversed: bool) -> EncoderPlace {
         let spread_mrad =
             self.spread_mrad.get(index).map_or(f64::INFINITY, |row| row[joint][usize::from(reversed)]);
@@ -277,11 +289,13 @@ impl<'a> SpreadTable<'a> {
         EncoderPlace { recorded_joint, joint: joint as u8 + 1, reversed, spread_mrad }
     }
 
+    /// The encoder map of the recording.
     fn recorded(&self) -> EncoderMap {
         let place = |(index, joint): (usize, &u8)| self.place(index, usize::from(*joint) - 1, false);
         EncoderMap { encoders: self.recorded_joints.iter().enumerate().map(place).collect() }
     }
 
+    /// The encoder map that the user stated, if it is valid.
     fn stated(&self, joints: &[i8]) -> Result<EncoderMap, PrepareError> {
         let mut taken = [false; BAR_JOINTS];
         let mut free = |joint: u8| {
@@ -299,13 +313,13 @@ impl<'a> SpreadTable<'a> {
         let places = joints.iter().enumerate().map(|(index, joint)| {
             let reversed = *joint < 0;
             let joint = usize::from(joint.unsigned_abs()) - 1;
-            // On joints 2 and 4 (1 and 3 from 0) the direction depends on the configuration: the table has one spread.
+            // On joints 2 and 4 (1 and 3 counted from 0) the table has a spread only for the recorded direction.
             EncoderPlace { reversed, ..self.place(index, joint, reversed && joint % 2 == 0) }
         });
         Ok(EncoderMap { encoders: places.collect() })
     }
 
-    /// All orders and directions in which every encoder fits, the best first.
+    /// All encoder maps in which every encoder fits, the best first.
     fn fitting(&self, limit_mrad: f64) -> Vec<EncoderMap> {
         let mut found = Vec::new();
         self.extend(&mut Vec::new(), limit_mrad, &mut found);
@@ -313,7 +327,7 @@ impl<'a> SpreadTable<'a> {
         found
     }
 
-    /// Adds to `found` every map that begins with `places`, recursively encoder by encoder.
+    /// Adds to `found` every fitting map that begins with `places`, encoder by encoder (recursively).
     fn extend(&self, places: &mut Vec<EncoderPlace>, limit_mrad: f64, found: &mut Vec<EncoderMap>) {
         if places.len() == self.recorded_joints.len() {
             found.push(EncoderMap { encoders: places.clone() });

@@ -1,16 +1,19 @@
-//! An encoder with constant readings while the others move: no geometry fits it, and a fit would blame another part.
+//! Finds an encoder whose readings are constant while others change. No geometry fits such readings, and a fit would
+//! attribute the error to another cause.
 
 use crate::kinematics::BAR_JOINTS;
 use crate::logs::Stream;
 use crate::prepare::{BarReading, PrepareError};
 
-/// Shortest time of constant readings \[s\]; shorter ones are turning points.
+/// Shortest time of constant readings that is an error \[s\]. Shorter times are turning points of the motion.
 const FROZEN_S_MIN: f64 = 1.0;
-/// Constant readings at the end of the log are not followed by a step. They are then an error only if the encoder changes in at
-/// least this share of the other readings: that of a joint that rests through a motion does not.
+/// Smallest fraction of the other readings in which an encoder must change, if its constant readings are at the end
+/// of the log. No step follows these readings that would prove an error. The encoder of a joint that often rests
+/// changes in fewer readings.
 const CHANGES_MIN: f64 = 0.9;
 
-/// The error of the first encoder whose readings are constant while others move; `None` without one.
+/// Returns the error of the first encoder whose readings are constant while others change; `None` if there
+/// is no such encoder.
 pub(in crate::prepare) fn constant_encoder(
     readings: &Stream<BarReading>,
     measured: &[bool; BAR_JOINTS],

@@ -1,4 +1,4 @@
-//! Joint, direction and offset of each encoder of the bar.
+//! Finds joint, direction and offset of each encoder of the bar, and faults of encoders.
 
 pub(super) mod circular;
 pub(super) mod encoder_map;

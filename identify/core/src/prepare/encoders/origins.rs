@@ -1,5 +1,8 @@
-//! Offsets of the encoders after a change of the counters' origin: those that did not change significantly are made equal to
-//! those of the reference, the origin with the most pairs. Used by `steps` after the alignment, and for reports.
+//! Compares the offsets of all origins of the counters. It is used by `steps` after the alignment, and for reports.
+//!
+//! The *reference* is the origin with the most pairs of measured and predicted angles. If the offset of an encoder in
+//! another origin does not differ significantly from that in the reference, both are made equal. Otherwise the difference is
+//! reported, and a solve estimates it.
 
 use serde::Serialize;
 
@@ -10,36 +13,39 @@ use crate::model::Observation;
 use crate::prepare::BarReading;
 use crate::prepare::align::find::AlignedRecording;
 
-/// A part of the recording with its own offsets, brought to those of the longest part.
+/// The samples of one origin of the counters, and the differences of their offsets from the offsets of the reference.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct OriginSpan {
-    /// First sample, bar time since the reference \[s\].
+    /// First sample, as bar time since the reference time \[s\].
     pub from_s: f64,
-    /// Last sample \[s\].
+    /// Last sample, as bar time since the reference time \[s\].
     pub to_s: f64,
     /// Number of valid samples.
     pub samples: usize,
-    /// Whether offsets were found: otherwise the samples are not used.
+    /// Whether offsets were found. Otherwise the samples of this origin are not used.
     pub used: bool,
-    /// Added to the angles of this part so that they have the offsets of the longest one \[rad\].
+    /// Offsets of this origin minus those of the reference, by joint \[rad\]. They are added to the angles of this origin,
+    /// so that all samples have the offsets of the reference.
     pub shift_rad: [f64; BAR_JOINTS],
-    /// One standard deviation of each of `shift_rad`; 0 for the longest part \[rad\].
+    /// Standard deviation of each value in `shift_rad` \[rad\]; 0 for the reference.
     pub sigma_rad: f64,
-    /// The counters continued from their last counts: `shift_rad` is exactly zero.
+    /// Whether no offset changed significantly: `shift_rad` is exactly zero.
     pub unchanged: bool,
-    /// [`Observation::origin`] of its samples: 0 with the offsets of the longest part, otherwise counted from 1.
+    /// [`Observation::origin`] of the samples: 0 if they have the offsets of the reference or are not used,
+    /// otherwise counted from 1.
     pub number: usize,
 }
 
-/// Neighbouring samples share the errors of gears and encoders: this number of samples counts as one.
+/// Number of samples that count as one independent sample. Neighbouring samples have similar errors of gears and encoders.
 const SAMPLES_ALIKE: f64 = 15.0;
-/// Differences within this number of standard deviations are not significant.
+/// Largest difference of offsets that is not significant, in standard deviations.
 const SIGMAS: f64 = 4.0;
-/// A terminal that restarts has a random offset: smaller differences are not a new origin \[rad\].
+/// Largest difference of offsets that is always considered as unchanged \[rad\]. A terminal that restarts has a random
+/// offset, which is almost always larger.
 const UNCHANGED_RAD: f64 = 200e-6;
 
-/// Describes all origins and makes offsets that did not change the same. Also returns the index of the reference origin, to whose
-/// offsets the others are brought.
+/// Describes all origins, and makes offsets equal that did not change significantly. Also returns the
+/// index of the reference.
 pub(in crate::prepare) fn join(
     readings: &Stream<BarReading>,
     found: &mut AlignedRecording,
@@ -68,7 +74,7 @@ pub(in crate::prepare) fn join(
         let mut shift_rad = [0.0; BAR_JOINTS];
         let mut offsets = found.offset_fit.of_origin_mut(origin);
         if let (Some(offsets), Some(reference)) = (&mut offsets, of_reference) {
-            // Terminals lose their origin one by one.
+            // Each offset is compared separately, because each terminal may lose its origin alone.
             for (joint, shift) in shift_rad.iter_mut().enumerate() {
                 let by_rad = wrapped(offsets.offsets_rad[joint] - reference.offsets_rad[joint]);
                 if by_rad.abs() > limit_rad {

@@ -1,8 +1,10 @@
-//! Offsets of the encoders and configurations of the bar, segment by segment.
+//! Finds the offsets of the encoders and the configurations of the bar.
 //!
-//! Between two passes of a singular pose the bar stays in one configuration, between two changes of the counters' origin
-//! the offsets stay the same. The offsets of an origin are found in its longest segment, in the configuration in which measured
-//! and predicted angles differ by constants; its other segments then need only one of four configurations each.
+//! The pairs of measured and predicted angles are divided into *segments*. A segment lies between two singular poses and
+//! within one origin of the counters. In a segment, neither the configuration nor the offsets change. The longest segment of
+//! an origin determines the first offsets: in the right configuration, measured and predicted angles differ by constants.
+//! For each other segment of this origin, the best of the four configurations is found with these offsets. The final offsets
+//! are computed from all segments that fit.
 
 use super::circular::{circular_median, spread_of};
 use super::encoder_map::{AnglePair, EncoderMap};
@@ -12,7 +14,7 @@ use crate::statistics::median;
 /// Offsets of one origin.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(in crate::prepare) struct Offsets {
-    /// Added to the encoders' angles \[rad\]; 0 for joints without encoder.
+    /// Offset of each joint, which is added to the angle of its encoder \[rad\]; 0 for joints without encoder.
     pub offsets_rad: [f64; BAR_JOINTS],
     /// Number of pairs of measured and predicted angles from which the offsets were estimated.
     pub pairs: usize,
@@ -21,14 +23,16 @@ pub(in crate::prepare) struct Offsets {
 /// Offsets of all origins.
 #[derive(Debug, Clone, PartialEq)]
 pub(in crate::prepare) struct OffsetFit {
-    /// By origin; `None` if it has too few pairs.
+    /// Offsets of each origin; `None` if its longest segment has too few pairs.
     by_origin: Vec<Option<Offsets>>,
-    /// Configuration in the longest segment of all. Without encoder on joint 2 (or 4) both signs fit, and the positive
-    /// one is named.
+    /// Configuration in the longest segment of all origins. If joint 2 (or 4) has no encoder, the data fit two
+    /// configurations equally well. The positive side is then used.
     pub configuration: Configuration,
-    /// The pairs that fit, in the order of time: sample, and joints \[rad\]; those without encoder as predicted.
+    /// Pairs of the segments that fit, in the order of time. Each is the index of the sample and its joints \[rad\]. Joints
+    /// without encoder have the predicted value.
     pub fitting: Vec<(usize, [f64; BAR_JOINTS])>,
-    /// Scatter of each joint about its offset, on nominal geometry \[rad\].
+    /// Robust standard deviation of measured minus predicted angles of each joint, with offsets added
+    /// and nominal geometry \[rad\].
     pub spread_rad: [f64; BAR_JOINTS],
 }
 
@@ -38,7 +42,7 @@ impl OffsetFit {
         self.by_origin.len()
     }
 
-    /// Offsets of an origin, where they were found.
+    /// Offsets of an origin, if they were found.
     pub fn of_origin(&self, origin: usize) -> Option<Offsets> {
         self.by_origin.get(origin).copied().flatten()
     }
@@ -57,11 +61,11 @@ impl OffsetFit {
     }
 }
 
-/// Smallest number of pairs that determine the offsets of an origin.
+/// Smallest number of pairs in the longest segment of an origin that determine its offsets.
 const PAIRS_MIN: usize = 10;
 
-/// Finds offsets and configurations of the bar with these links. Segments in which the median angle is off by more than
-/// `limit_rad` are left out.
+/// Finds offsets and configurations for a bar with the links `bar_links`. A segment is left out if the median of its errors
+/// exceeds `limit_rad`. `pairs` are in the order of time, and `origins` is the number of origins.
 pub(in crate::prepare) fn fit_offsets(
     bar_links: &[DhLink],
     pairs: &[AnglePair],
@@ -70,7 +74,7 @@ pub(in crate::prepare) fn fit_offsets(
     limit_rad: f64,
 ) -> OffsetFit {
     let measured = &encoder_map.measured();
-    // From here on `recorded_rad` is by the joints on which the encoders are.
+    // From here on, `recorded_rad` is ordered by the true joints of the encoders, not by the recorded ones.
     let by_joint =
         |pair: &AnglePair| AnglePair { recorded_rad: encoder_map.applied(&pair.recorded_rad), ..*pair };
     let pairs: Vec<AnglePair> = pairs.iter().map(by_joint).collect();
@@ -85,12 +89,13 @@ pub(in crate::prepare) fn fit_offsets(
     for of_origin in pairs.chunk_by(|a, b| a.origin == b.origin) {
         let mut segments: Vec<&[AnglePair]> = of_origin.chunk_by(|a, b| a.segment == b.segment).collect();
         segments.sort_by_key(|segment| std::cmp::Reverse(segment.len()));
+        // The longest segment of this origin gives the first offsets.
         let Some(longest) = segments.first().filter(|segment| segment.len() >= PAIRS_MIN) else { continue };
         let (configuration, offsets_rad) = configuration_and_offsets(bar_links, longest, measured);
         if longest.len() > longest_of_all {
             (longest_of_all, fit.configuration) = (longest.len(), configuration);
         }
-        // Segments in the configuration that fits these offsets.
+        // The segments that fit these offsets in some configuration, each with its best configuration.
         let mut fitting: Vec<(&[AnglePair], Configuration)> = Vec::new();
         for segment in &segments {
             let misfit_in = |configuration: &Configuration| {
@@ -99,6 +104,7 @@ pub(in crate::prepare) fn fit_offsets(
             let best = Configuration::ALL.into_iter().min_by(|a, b| misfit_in(a).total_cmp(&misfit_in(b)));
             fitting.extend(best.filter(|best| misfit_in(best) <= limit_rad).map(|best| (*segment, best)));
         }
+        // The final offsets are computed from all segments that fit.
         let offsets_rad = offsets_in(bar_links, &fitting, measured);
         let used = fitting.iter().map(|(segment, _)| segment.len()).sum();
         if let Some(offsets) = fit.by_origin.get_mut(longest[0].origin) {
@@ -125,7 +131,7 @@ pub(in crate::prepare) fn fit_offsets(
     fit
 }
 
-/// The configuration in which the differences scatter least, and their medians in it.
+/// The configuration in which the differences of a segment scatter least, and the offsets in this configuration \[rad\].
 fn configuration_and_offsets(
     bar_links: &[DhLink],
     segment: &[AnglePair],
@@ -135,7 +141,8 @@ fn configuration_and_offsets(
     for configuration in Configuration::ALL {
         let offsets_rad = offsets_in(bar_links, &[(segment, configuration)], measured);
         let misfit_rad = misfit_rad(bar_links, segment, configuration, &offsets_rad, measured);
-        // Clearly less: without some encoders two configurations fit alike, and rounding must not decide.
+        // A later configuration must have a clearly smaller error. If some joints have no encoder, two configurations fit
+        // equally well, and rounding errors must not decide.
         if best.is_none_or(|(least, _, _)| misfit_rad < 0.99 * least) {
             best = Some((misfit_rad, configuration, offsets_rad));
         }
@@ -145,7 +152,7 @@ fn configuration_and_offsets(
     })
 }
 
-/// Circular median of predicted minus measured, by joint.
+/// Offsets of segments in given configurations: circular median of predicted minus measured angles, by joint \[rad\].
 fn offsets_in(
     bar_links: &[DhLink],
     segments: &[(&[AnglePair], Configuration)],
@@ -163,7 +170,7 @@ fn offsets_in(
     differences.map(|differences| circular_median(&differences))
 }
 
-/// Median over the pairs of the largest error among the measured joints \[rad\].
+/// Error of a segment in a given configuration: the median over its pairs of the largest error of a measured joint \[rad\].
 fn misfit_rad(
     bar_links: &[DhLink],
     segment: &[AnglePair],

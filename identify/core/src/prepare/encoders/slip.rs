@@ -1,26 +1,27 @@
-//! An encoder that slipped so far that it fits no joint. It is searched for before any fit, or the refusal would blame the encoder
-//! map. Smaller slips are found against the fitted geometry (`calibrate::change`).
+//! Finds an encoder that slipped so far that it fits no joint. The search runs before any fit;
+//! otherwise the error would name the encoder map as cause. Smaller slips are found later, by
+//! comparison with the fitted geometry (`calibrate::change`).
 
 use super::circular::{circular_median, deviations, spread_of};
 use crate::kinematics::{BAR_JOINTS, wrapped};
 use crate::prepare::{AnglePair, PrepareError, PrepareOptions};
 
-/// Smallest number of pairs on either side of a slip.
+/// Smallest number of pairs on each side of a slip.
 const PAIRS_MIN: usize = 30;
-/// Before and after a slip the angles are within this part of the limit.
+/// Largest spread of the angles before a slip, and after it, as a fraction of the limit for a whole segment.
 const CLEARLY_WITHIN: f64 = 0.5;
 
-/// How one encoder fits in one segment of the run.
+/// How one encoder fits the joints in one segment of the run.
 enum EncoderFit {
-    /// It fits some joint as it is.
+    /// It fits some joint without a step.
     Whole,
-    /// It fits joint `joint` (from 0) before and after a step at pair `at`, where its readings change by `by_rad`.
+    /// It fits joint `joint` (counted from 0) before and after a step at pair `at`, where its readings change by `by_rad`.
     Stepped { joint: usize, at: usize, by_rad: f64 },
     /// It fits no joint.
     Nowhere,
 }
 
-/// The slip, if in some segment between singular poses all encoders fit but one, and that one fits before and after a step.
+/// Returns a slip, if there is a segment in which all encoders fit except one, and this one fits before and after a step.
 ///
 /// `pairs` are in the order of time; `t_s` are the times of all samples \[s\].
 pub(in crate::prepare) fn large_slip(
@@ -48,20 +49,21 @@ pub(in crate::prepare) fn large_slip(
     })
 }
 
-/// How the encoder of `recorded` (from 0) fits; its own joint is tried first.
+/// Finds how the encoder that was recorded on joint `recorded` (counted from 0) fits. This joint is tried first.
 fn encoder_fit(segment: &[AnglePair], recorded: usize, limit_rad: f64) -> EncoderFit {
     let mut stepped = EncoderFit::Nowhere;
     let joints = std::iter::once(recorded).chain((0..BAR_JOINTS).filter(|joint| *joint != recorded));
     for (joint, sign) in joints.flat_map(|joint| [(joint, 1.0), (joint, -1.0)]) {
         let difference = |pair: &AnglePair| pair.predicted_rad[joint] - sign * pair.recorded_rad[recorded];
         let differences: Vec<f64> = segment.iter().map(difference).collect();
-        // The encoder's own step has the opposite sign of that in predicted minus recorded.
+        // The differences are predicted minus recorded, so a step of the encoder has the opposite sign.
         let with_step = step(&differences, limit_rad).map(|(at, by_rad)| EncoderFit::Stepped {
             joint,
             at,
             by_rad: -sign * by_rad,
         });
-        // A step near the end leaves most samples fitting.
+        // If the step is near an end of the segment, the encoder fits as a whole, because most samples fit. The
+        // step is still reported.
         if spread_of(deviations(differences)) <= limit_rad {
             return with_step.unwrap_or(EncoderFit::Whole);
         }
@@ -72,7 +74,8 @@ fn encoder_fit(segment: &[AnglePair], recorded: usize, limit_rad: f64) -> Encode
     stepped
 }
 
-/// Where and by how much the differences step, if they are constant before and after.
+/// Finds the pair at which the differences step, and the step \[rad\]. `None` if the differences are not
+/// constant before and after.
 fn step(differences_rad: &[f64], limit_rad: f64) -> Option<(usize, f64)> {
     let change = |at: usize| wrapped(differences_rad[at] - differences_rad[at - 1]).abs();
     let at = (1..differences_rad.len()).max_by(|a, b| change(*a).total_cmp(&change(*b)))?;

@@ -1,4 +1,8 @@
-//! Effect of the moving average on both logs, for reports.
+//! Computes the effect of the moving average on both logs, for reports.
+//!
+//! The readings of both logs before the average are compared with their averages, joint by joint. The differences
+//! at standstill show the noise that the average removes. The differences in motion also show changes of the
+//! motion that it removes.
 
 use std::borrow::Cow;
 
@@ -11,19 +15,19 @@ use crate::kinematics::BAR_JOINTS;
 use crate::logs::{RobotLog, Row, Stream};
 use crate::prepare::encoders::encoder_map::EncoderMap;
 
-/// Time shown before and after the moment of the largest speed, in widths of the average.
+/// Time that is shown before and after the instant of the largest speed, in widths of the average.
 const SHOWN_WIDTHS: f64 = 5.0;
-/// Smallest such time \[s\].
+/// Smallest time that is shown before and after this instant \[s\].
 const SHOWN_S_MIN: f64 = 1.0;
 
-/// A reading and its average.
+/// One reading of one joint, compared with its average.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct AveragedPoint {
     /// Bar time since [`crate::prepare::Prepared::t_ref`] \[s\].
     pub t_s: f64,
-    /// Speed from the readings \[rad/s\].
+    /// Speed computed from the readings \[rad/s\].
     pub speed_rad_s: f64,
-    /// Speed from the averages \[rad/s\].
+    /// Speed computed from the averages \[rad/s\].
     pub averaged_rad_s: f64,
     /// Reading minus average \[rad\].
     pub removed_rad: f64,
@@ -32,29 +36,30 @@ pub struct AveragedPoint {
 /// Effect of the average on the joints of one log.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct AveragedJoints {
-    /// Root mean square of reading minus average, by joint, where robot and bar stand still \[rad\]: noise. `None` without
-    /// encoder or standstill.
+    /// Root mean square of reading minus average at standstills of robot and bar, by joint \[rad\]. It shows the noise.
+    /// `None` without encoder or standstill.
     pub still_rad: Vec<Option<f64>>,
-    /// The same in motion \[rad\]: noise, and fast changes of the motion that the average does not follow.
+    /// Root mean square of reading minus average in motion, by joint \[rad\]. It contains the noise, and fast changes of the
+    /// motion that the average does not follow. `None` without encoder or motion.
     pub moving_rad: Vec<Option<f64>>,
-    /// The joint with the largest averaged speed, from 1; 0 if none moves.
+    /// The joint with the largest averaged speed, counted from 1; 0 if no joint moves.
     pub fastest_joint: usize,
-    /// Readings of that joint around the moment of this speed.
+    /// Readings of this joint around the instant of its largest speed.
     pub fastest: Vec<AveragedPoint>,
 }
 
-/// Effect of the moving average.
+/// Effect of the moving average on both logs.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct Averaged {
     /// Width of the average \[s\].
     pub width_s: f64,
     /// Effect on the robot's log.
     pub robot: AveragedJoints,
-    /// Effect on the recording, by the bar joints that the encoders measure.
+    /// Effect on the recording, by bar joint.
     pub bar: AveragedJoints,
 }
 
-/// Both logs before they were averaged.
+/// Both logs before they were averaged, and the width of the average.
 pub(in crate::prepare) struct BeforeAverage<'a> {
     pub width_s: f64,
     pub readings: Stream<BarReading>,
@@ -62,8 +67,8 @@ pub(in crate::prepare) struct BeforeAverage<'a> {
 }
 
 impl BeforeAverage<'_> {
-    /// Compares the readings of both logs with their averages, which are formed again. `standstills` are in seconds since `t_ref`;
-    /// `bar_time_s` converts a time of the robot's log to this scale.
+    /// Compares the readings of both logs with their averages, which are computed again here. `standstills` are in seconds
+    /// since `t_ref`. `bar_time_s` converts a time since the first stamp of the robot's log to this scale.
     pub fn compare(
         &self,
         t_ref: UtcNs,
@@ -91,7 +96,7 @@ impl BeforeAverage<'_> {
     }
 }
 
-/// Sum and number of squares.
+/// Sum and number of squared values.
 #[derive(Debug, Clone, Copy, Default)]
 struct Squares {
     sum: f64,
@@ -109,7 +114,7 @@ impl Squares {
     }
 }
 
-/// Collects the differences between readings and averages of one log, part by part.
+/// Collects the differences between readings and averages of one log, one continuous part after the other.
 #[derive(Debug, Clone)]
 struct AveragingComparison {
     still: Vec<Squares>,
@@ -125,7 +130,8 @@ impl AveragingComparison {
         Self { still: none.clone(), moving: none, fastest_rad_s: 0.0, fastest_joint: 0, fastest: Vec::new() }
     }
 
-    /// Adds a part of the log; `time_s` converts its times to the scale of `standstills`, which are in order of time.
+    /// Adds a part of the log. `time_s` converts times of `rows` to the scale of `standstills`, which are in
+    /// the order of time.
     fn add<R: Row>(
         &mut self,
         rows: &Stream<R>,
@@ -144,6 +150,8 @@ impl AveragingComparison {
                 row.numbers().iter().zip(average.numbers()).map(|(logged, average)| logged - average);
             sums.iter_mut().zip(removed).for_each(|(squares, removed)| squares.add(removed));
         }
+        // Finds the largest averaged speed in this part. If it exceeds that of earlier parts, the readings
+        // around it are stored.
         let joints = self.still.len();
         let point_at = |row: usize, joint: usize| point(&t_s, rows, &averages, row, joint);
         let rows_and_joints =
@@ -173,8 +181,8 @@ impl AveragingComparison {
     }
 }
 
-/// The reading of a joint in a row that is neither the first nor the last, with speeds from the rows before and after; `None` if
-/// one of the three has no average.
+/// Compares the reading of a joint in a row with its average. Speeds are computed from the rows before and after, so the row
+/// must be neither the first nor the last. `None` if one of these three rows has no average.
 fn point<R: Row>(
     t_s: &[f64],
     rows: &[R],

@@ -1,4 +1,8 @@
 //! Converts the counts of a recording to joint angles with unknown offsets.
+//!
+//! Each cycle either becomes a reading or receives a status that excludes it. Counters are unwrapped to continuous angles.
+//! If the counters lost their origin, for example because a terminal restarted, the following readings belong to a new
+//! *origin*. Each origin has its own offsets.
 
 use std::f64::consts::TAU;
 
@@ -17,8 +21,8 @@ pub struct BarReading {
     pub cycle: usize,
     /// Number of the counters' origin, from 0 without gaps; readings with the same number have the same encoder offsets.
     pub origin: usize,
-    /// Angles by recorded joint, offsets unknown \[rad\]; continuous, and within half a turn of zero where an origin begins.
-    /// Joints without encoder are 0.
+    /// Angles by recorded joint, with unknown offsets \[rad\]. Within an origin they are continuous, and within half a turn
+    /// of zero at its first reading. 0 for joints without encoder.
     pub recorded_rad: [f64; BAR_JOINTS],
 }
 
@@ -41,14 +45,15 @@ impl Row for BarReading {
 pub struct BarAngles {
     /// Joints with an encoder.
     pub measured: [bool; BAR_JOINTS],
-    /// On the recording's clock.
+    /// Readings of all valid cycles, with times on the recording's clock.
     pub readings: Stream<BarReading>,
-    /// Status of each cycle: invalid, time not increasing, or `Thinned` if a later step of the preparation decides.
+    /// Status of each cycle. Cycles without a valid reading are invalid, or their time does not increase. Cycles with a
+    /// reading are `Thinned` until a later step of the preparation sets their status.
     pub statuses: Vec<SampleStatus>,
 }
 
 impl BarAngles {
-    /// When the first reading was taken.
+    /// Time of the first reading.
     pub fn first_time(&self) -> UtcNs {
         UtcNs(self.readings.first_stamp_ns)
     }
@@ -58,20 +63,21 @@ impl BarAngles {
         self.readings.last().map_or(0, |last| last.origin + 1)
     }
 
-    /// Replaces each reading by its average and returns the readings before that. Readings without an average are left out;
-    /// origins are numbered again, because some may have no reading left.
+    /// Replaces each reading by its average, and returns the readings from before. Readings without an average are left out.
+    /// Origins are numbered again, because some origins may have no reading left.
     pub(in crate::prepare) fn average(&mut self, width_s: f64) -> Stream<BarReading> {
         let mut averaged = self.readings.averaged(width_s);
         let by_origin = averaged.chunk_by_mut(|a, b| a.origin == b.origin);
         by_origin.enumerate().for_each(|(origin, rows)| rows.iter_mut().for_each(|row| row.origin = origin));
-        // The selection of samples sets the status of readings with an average.
+        // All valid cycles are marked as without an average. The selection of samples later sets the status
+        // of those with one.
         let valid = self.statuses.iter_mut().filter(|status| **status == SampleStatus::Thinned);
         valid.for_each(|status| *status = SampleStatus::NotAveraged);
         std::mem::replace(&mut self.readings, averaged)
     }
 }
 
-/// Unwraps the counts of all valid cycles.
+/// Unwraps the counts of all valid cycles, and converts them to angles.
 ///
 /// # Errors
 /// [`PrepareError::NoValidCycle`], and errors if cycles and declared encoders disagree.
@@ -117,12 +123,13 @@ fn measured(encoders: &[EncoderInfo]) -> Result<[bool; BAR_JOINTS], PrepareError
     Ok(measured)
 }
 
-/// Unwraps the counters of one origin.
+/// Unwraps the counters in the cycles of one origin.
 struct Counters<'a> {
     encoders: &'a [EncoderInfo],
-    /// One for each encoder, in the order of the recording.
+    /// One unwrapper for each encoder, in the order of the recording.
     unwrappers: Vec<Unwrapper>,
-    /// Whole turns that are subtracted from each joint \[rad\], chosen at the first reading; `None` before it.
+    /// Whole turns that are subtracted from each joint, chosen at the first reading of the origin \[rad\];
+    /// `None` before this reading.
     turns_rad: Option<[f64; BAR_JOINTS]>,
 }
 
@@ -137,7 +144,7 @@ impl<'a> Counters<'a> {
         self.turns_rad.is_none()
     }
 
-    /// Continuous angles of a cycle by recorded joint \[rad\].
+    /// Continuous angles of a cycle, by recorded joint \[rad\].
     fn angles_rad(&mut self, cycle: &CycleRecord) -> Result<[f64; BAR_JOINTS], PrepareError> {
         let mut raw_rad = [0.0; BAR_JOINTS];
         for (place, (encoder, unwrapper)) in self.encoders.iter().zip(&mut self.unwrappers).enumerate() {

@@ -1,4 +1,5 @@
-//! Both logs made continuous and, optionally, averaged.
+//! Makes both logs continuous and, optionally, averages them. The logs from before the average are retained,
+//! to report its effect.
 
 use std::borrow::Cow;
 
@@ -14,18 +15,18 @@ use crate::model::Clock;
 use crate::prepare::{EncoderMap, PrepareError, PrepareOptions};
 use crate::threads::both;
 
-/// Both logs, continuous and averaged.
+/// Both logs after these steps.
 pub(in crate::prepare) struct BothLogs<'a> {
     pub angles: BarAngles,
     pub log: Cow<'a, RobotLog>,
-    /// Encoders of the bar and joints of the robot that wrapped.
+    /// Encoders of the bar and joints of the robot that wrapped, in this order.
     pub unwrapped: [Vec<Unwrapped>; 2],
-    /// Both logs before the average, if there is one.
+    /// Both logs before they were averaged; `None` without an average.
     before: Option<BeforeAverage<'a>>,
 }
 
 impl<'a> BothLogs<'a> {
-    /// Unwraps both logs, and averages them if the options have a width.
+    /// Makes both logs continuous, and averages them if the options contain a width.
     ///
     /// # Errors
     /// As [`bar_angles`].
@@ -52,7 +53,8 @@ impl<'a> BothLogs<'a> {
         Ok(Self { angles, log, unwrapped: [unwrapped_encoders, unwrapped_joints], before })
     }
 
-    /// Effect of the average; `None` if there is none. `clock` and the standstills are for times since `t_ref`.
+    /// Computes the effect of the average; `None` if the logs were not averaged. `clock` and the standstills are for
+    /// bar times since `t_ref`.
     pub fn averaged(
         &self,
         t_ref: UtcNs,
@@ -61,8 +63,8 @@ impl<'a> BothLogs<'a> {
         standstills: &[Standstill],
     ) -> Option<Averaged> {
         let before = self.before.as_ref()?;
-        // Robot time counts from the first row of a log, and the averaged log, for which `clock` is, begins later: the first rows
-        // have no average.
+        // Robot time counts from the first row of a log. The first rows have no average, so the averaged log begins later
+        // than the original log. `clock` is for the averaged log.
         let first_ns = before.log.q_rad.first_stamp_ns;
         let begins_s = self.log.q_rad.first_stamp_ns.saturating_sub(first_ns) as f64 * 1e-9;
         let bar_time_s = |tau_s| (tau_s - begins_s - clock.shift_s) / (1.0 + clock.skew);

@@ -1,4 +1,4 @@
-//! Readings of both logs, made continuous.
+//! Makes the readings of both logs continuous and, optionally, averages them. Also finds standstills in them.
 
 pub(super) mod averaged;
 pub(super) mod bar_angles;

@@ -1,43 +1,46 @@
-//! Standstills, and the jitter of the encoders' readings in them, for reports.
+//! Finds standstills, and the jitter of bar and robot angles in them, for reports.
+//!
+//! The input is the readings at which neither robot nor bar moves. Readings without a gap between them form a standstill, if
+//! they last long enough. The jitter is the standard deviation about a straight line through each standstill.
 
 use serde::Serialize;
 
 use crate::kinematics::{BAR_JOINTS, Joints};
 
-/// A joint that is slower than this stands still \[rad/s\]; noise of 75 urad, differenced over 0.1 s, is slower.
+/// A joint with a lower speed is at standstill \[rad/s\]. Noise of 75 urad, differenced over 0.1 s, is below this speed.
 pub const MOVING_RAD_S: f64 = 3e-3;
-/// Shortest standstill \[s\]; shorter ones are turning points of the motion.
+/// Shortest standstill \[s\]. Shorter ones are turning points of the motion.
 const DURATION_S_MIN: f64 = 0.4;
-/// Readings at standstill that are further apart belong to two standstills \[s\].
+/// Longest time between two readings of the same standstill \[s\].
 const BREAK_S: f64 = 0.05;
-/// Time at both ends of a standstill that does not count for the jitter: the motion ends and begins there \[s\].
+/// Time at both ends of a standstill that is not used for the jitter, because the motion ends and begins there \[s\].
 const EDGE_S: f64 = 0.1;
-/// Fewest readings of a standstill that counts for the jitter.
+/// Smallest number of readings of a standstill that is used for the jitter.
 const READINGS_MIN: usize = 10;
 
-/// A time in which neither robot nor bar moves.
+/// An interval of time in which neither robot nor bar moves.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Standstill {
-    /// First instant, bar time since the reference \[s\].
+    /// First instant, as bar time since the reference time \[s\].
     pub from_s: f64,
-    /// Last instant \[s\].
+    /// Last instant, as bar time since the reference time \[s\].
     pub to_s: f64,
 }
 
 impl Standstill {
-    /// Last instant minus first \[s\].
+    /// Duration of the standstill \[s\].
     pub fn duration_s(&self) -> f64 {
         self.to_s - self.from_s
     }
 }
 
-/// Standard deviation of the readings about the straight line through each standstill, over all standstills; `None`
-/// without encoder or without a standstill that is long enough.
+/// Standard deviation of the readings at standstill. The deviations are taken about a straight line through each standstill,
+/// and combined over all standstills. `None` without encoder, or if no standstill is long enough.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct Jitter {
-    /// Each bar encoder \[urad\].
+    /// Jitter of each bar encoder \[urad\].
     pub bar_urad: [Option<f64>; BAR_JOINTS],
-    /// Each robot joint, at the bar's sample times \[urad\].
+    /// Jitter of each robot joint, at the bar's sample times \[urad\].
     pub robot_urad: Vec<Option<f64>>,
 }
 
@@ -52,7 +55,8 @@ pub(in crate::prepare) struct Readings {
     pub robot_rad: Joints,
 }
 
-/// Standstills, and the jitter in them. `still` are the readings at which neither robot nor bar moves, in the order of time.
+/// Finds the standstills and the jitter in them. `still` are the readings at which neither robot nor bar moves, in
+/// the order of time.
 pub(in crate::prepare) fn standstills(
     still: &[Readings],
     measured: &[bool; BAR_JOINTS],
@@ -89,7 +93,7 @@ pub(in crate::prepare) fn standstills(
     )
 }
 
-/// Squared deviations from straight lines, and their degrees of freedom.
+/// Sum of squared deviations from straight lines, and its degrees of freedom.
 #[derive(Debug, Clone, Copy, Default)]
 struct SquaredDeviations {
     squares: f64,
@@ -97,7 +101,8 @@ struct SquaredDeviations {
 }
 
 impl SquaredDeviations {
-    /// Adds one standstill's times and angles `x`, about their own straight line: a robot that comes to rest drifts.
+    /// Adds the times and angles `x` of one standstill. The deviations are taken about a straight line, because a robot that
+    /// comes to rest drifts. A standstill with too few readings is ignored.
     fn add(&mut self, readings: impl Iterator<Item = (f64, f64)> + Clone) {
         let count = readings.clone().count();
         if count < READINGS_MIN {
@@ -120,7 +125,7 @@ impl SquaredDeviations {
         self.degrees_of_freedom += count - 2;
     }
 
-    /// Standard deviation \[urad\]; `None` without readings.
+    /// Standard deviation \[urad\]; `None` without degrees of freedom.
     fn deviation_urad(self) -> Option<f64> {
         (self.degrees_of_freedom > 0).then(|| (self.squares / self.degrees_of_freedom as f64).sqrt() * 1e6)
     }

@@ -1,4 +1,4 @@
-//! Makes counters and joints that wrap continuous.
+//! Makes counters and robot joints that wrap continuous, and describes the wraps for reports.
 
 use std::borrow::Cow;
 use std::f64::consts::TAU;
@@ -12,7 +12,7 @@ use crate::logs::{RobotLog, Unwrapped, UnwrappedPoint};
 /// Number of values of a terminal's 32-bit counter.
 const COUNTER_VALUES: f64 = 4_294_967_296.0;
 
-/// The encoders whose counters wrapped between two samples, by recorded joint; `angles` are the result of
+/// Describes the encoders whose counters wrapped between two samples, by recorded joint. `angles` is the result of
 /// [`bar_angles`](super::bar_angles::bar_angles()) for these cycles.
 pub fn unwrapped_counters(
     cycles: &[CycleRecord],
@@ -40,8 +40,8 @@ pub fn unwrapped_counters(
     encoders.iter().enumerate().filter_map(of_encoder).collect()
 }
 
-/// The log with joints that wrap after each turn made continuous, and a description of these joints. Without this a spline or an
-/// average across a wrap would pass through the whole turn.
+/// Makes joints continuous that wrap after each turn. Returns the log and a description of these joints. Without this, a
+/// spline or an average across a wrap would pass through a whole turn.
 pub fn unwrapped_log(log: &RobotLog) -> (Cow<'_, RobotLog>, Vec<Unwrapped>) {
     let Cow::Owned(q_rad) = log.q_rad.unwrapped(TAU) else { return (Cow::Borrowed(log), Vec::new()) };
     let has_wrapped = |joint: &usize| q_rad.iter().zip(log.q_rad.iter()).any(|(a, b)| a[*joint] != b[*joint]);

@@ -1,16 +1,16 @@
-//! Residuals of the samples from the fitted geometry: outliers, and how the alignment varies along the run.
+//! Evaluates the residuals of the samples at the fitted geometry: outliers, and how the alignment varies along the run.
 
 use serde::Serialize;
 
 use crate::kinematics::BAR_JOINTS;
 use crate::prepare::encoders::circular::spread_of;
 
-/// Residual of one sample away from singular poses.
+/// Residuals of one sample.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(in crate::prepare) struct AngleErrors {
-    /// Index among all samples.
+    /// Index of the sample among all samples.
     pub sample: usize,
-    /// Bar time \[s\].
+    /// Bar time since the reference time \[s\].
     pub t_s: f64,
     /// Number of the counters' origin.
     pub origin: usize,
@@ -18,14 +18,15 @@ pub(in crate::prepare) struct AngleErrors {
     pub error_rad: [f64; BAR_JOINTS],
     /// Distance from the nearest singular pose \[rad\].
     pub margin_rad: f64,
-    /// Speed of the joints, times the same sine \[rad/s\].
+    /// Speeds of the implied joints, times the sine of `margin_rad` \[rad/s\].
     pub speed_rad_s: [f64; BAR_JOINTS],
 }
 
-/// Alignment of a short part of the run against that of the whole: figure 5.5 of the thesis over time.
+/// Alignment of a short part of the run relative to the alignment of the whole run. It corresponds to figure 5.5 of the
+/// thesis, as a function of time.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct LocalShift {
-    /// Middle of the part, bar time since the reference \[s\].
+    /// Mean time of the samples of the part, as bar time since the reference time \[s\].
     pub t_s: f64,
     /// Shift of the part alone minus that of the whole run \[s\].
     pub shift_s: f64,
@@ -33,18 +34,20 @@ pub struct LocalShift {
 
 /// Length of a part \[s\].
 const PART_S: f64 = 5.0;
-/// A part determines a shift if the standard deviation of its speeds, over all joints together, is larger \[rad/s\].
+/// Smallest standard deviation of the speeds of a part that determines a shift, over all joints together \[rad/s\].
 const SPEED_SPREAD_MIN_RAD_S: f64 = 0.05;
-/// Fewest samples of a part.
+/// Smallest number of samples of a part.
 const PART_SAMPLES_MIN: usize = 20;
 
-/// Shift of each part of the run. Offsets are free in each, so that slow errors of the geometry do not look like a shift.
+/// Computes the shift of each part of the run. Each part has free offsets, so that slowly varying errors of the geometry do
+/// not appear as a shift.
 pub(in crate::prepare) fn local_shifts(errors: &[AngleErrors]) -> Vec<LocalShift> {
     let origin_and_part = |sample: &AngleErrors| (sample.origin, (sample.t_s / PART_S).floor());
     errors.chunk_by(|a, b| origin_and_part(a) == origin_and_part(b)).filter_map(local_shift).collect()
 }
 
-/// Least squares of `error = constant + shift * speed` over all joints of a part.
+/// Fits `error = constant + shift * speed` to all joints of a part by least squares. Each joint has its own constant. `None`
+/// if the part has too few samples or hardly moves.
 fn local_shift(part: &[AngleErrors]) -> Option<LocalShift> {
     if part.len() < PART_SAMPLES_MIN {
         return None;
@@ -67,21 +70,23 @@ fn local_shift(part: &[AngleErrors]) -> Option<LocalShift> {
     })
 }
 
-/// Standard deviation of each joint's error, from the median \[rad\].
+/// Robust standard deviation of each joint's error, estimated from the median \[rad\].
 pub(in crate::prepare) fn spreads_rad(errors: &[AngleErrors]) -> [f64; BAR_JOINTS] {
     std::array::from_fn(|joint| {
         spread_of(errors.iter().map(|sample| sample.error_rad[joint].abs()).collect())
     })
 }
 
-/// Smallest error of an outlier, in standard deviations: noise exceeds it in none of a million runs.
+/// Smallest error of an outlier, in standard deviations. Noise exceeds it in fewer than one of a million runs.
 const OUTLIER_SIGMAS: f64 = 8.0;
-/// Smaller errors are never outliers \[rad\].
+/// Smallest error of an outlier \[rad\].
 const OUTLIER_RAD_MIN: f64 = 100e-6;
-/// If more than this share of the samples exceeds the limit, something has changed during the run, and the solve needs them.
+/// Largest fraction of the samples that can be outliers. If more samples exceed the limit, something changed during the run,
+/// and the solve needs these samples.
 const OUTLIER_SHARE_MAX: f64 = 0.05;
 
-/// Indices of the samples in which the error of a joint is an outlier; none if their share is above [`OUTLIER_SHARE_MAX`].
+/// Indices of the samples in which the error of a joint is an outlier; none if their
+/// fraction is above [`OUTLIER_SHARE_MAX`].
 pub(in crate::prepare) fn outliers(errors: &[AngleErrors], spreads_rad: &[f64; BAR_JOINTS]) -> Vec<usize> {
     let is_outlier = |sample: &&AngleErrors| {
         let mut errors = sample.error_rad.iter().zip(spreads_rad);

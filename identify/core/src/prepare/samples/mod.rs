@@ -1,5 +1,7 @@
-//! Status of each sample once the logs are aligned: which ones the solve uses, and why the others are left out. Residuals of the
-//! refined fit give outliers and a poor fit; of the usable samples some that move are kept, spread over the sphere.
+//! Determines the status of each sample after the alignment of the logs: whether the solve uses it, or why not.
+//!
+//! The residuals of the refined fit show outliers, and whether the fit is poor. Of the usable samples, only those that move
+//! are used. From these, a limited number is kept, spread over the sphere.
 
 pub(super) mod angle_errors;
 pub(super) mod select;
@@ -19,32 +21,36 @@ use crate::model::Observation;
 use crate::statistics::extremes;
 use crate::threads::rows;
 
-/// Samples nearer to an end or a hole of the robot's log might leave it when a solve moves the clocks \[s\].
+/// Samples nearer than this to an end or a gap of the robot's log are left out \[s\]. They might leave the log when a
+/// solve changes the clocks.
 const EDGE_S: f64 = 0.03;
 /// Smallest number of samples of a solve.
 const KEPT_MIN: usize = 50;
-/// Largest number of samples of a long recording that are checked; the others are thinned unchecked. In a recording of a day these
-/// are still four per second: fewer would not show a clock step.
+/// Largest number of samples that are checked; in a longer recording, the others are thinned unchecked. In a recording of a
+/// day, four samples per second are still checked. Fewer would not show a clock step.
 const CHECKED_MAX: usize = 400_000;
 
-/// The samples after all decisions.
+/// Status of all samples, and the data of those that the solve uses.
 pub(super) struct Sorted {
     /// Status of every sample.
     pub statuses: Vec<SampleStatus>,
-    /// Joints of every sample, offsets added; those without encoder are 0 \[rad\].
+    /// Joints of every sample, with offsets added; 0 for joints without encoder \[rad\].
     pub joints: Vec<Sample>,
-    /// For the solve, in the order of time.
+    /// Samples for the solve, in the order of time.
     pub observations: Vec<Observation>,
     /// How the alignment varies along the run.
     pub local_shifts: Vec<LocalShift>,
-    /// Scatter of each encoder about the fit \[rad\].
+    /// Robust standard deviation of the residuals of each encoder \[rad\].
     pub spread_rad: [f64; BAR_JOINTS],
-    /// Residuals, if the angles fit no geometry.
+    /// The residuals, if the angles fit no geometry; otherwise `None`.
     pub poor_fit: Option<PoorFit>,
 }
 
-/// Sorts the samples. `t_ref_s` is the reference time after the first sample. Angles of the observations are those of the encoders
-/// plus the offset of their origin minus that of the origin `reference`; `numbers` has [`Observation::origin`] of each origin.
+/// Determines the status of each sample, and converts the kept samples to observations. `t_ref_s` is the time from the first
+/// sample to the reference time. `reference` is the index of the reference origin.
+///
+/// The angle of an observation is the angle of the encoder plus a correction. The correction is the offset of the sample's
+/// origin minus the offset of the reference origin. `numbers` contains [`Observation::origin`] for each origin.
 ///
 /// # Errors
 /// [`PrepareError::NothingLeft`], [`PrepareError::LittleTravel`].
@@ -74,7 +80,7 @@ pub(super) fn sort(
     let local_shifts = local_shifts(&errors);
     let spread_rad = spreads_rad(&errors);
     let is_poor = spread_rad.iter().any(|spread_rad| spread_rad * 1e3 > options.fit_max_mrad);
-    // Residuals are evidence only if the fit has converged.
+    // The residuals show an error of the run only if the fit has converged.
     let poor_fit = (is_poor && found.fit.converged).then(|| PoorFit {
         spread_rad,
         limit_mrad: options.fit_max_mrad,
@@ -97,8 +103,8 @@ pub(super) fn sort(
     Ok(Sorted { observations: observations.collect(), statuses, joints, local_shifts, spread_rad, poor_fit })
 }
 
-/// Status of each sample from its angles, and the errors of those that are usable. These are `Standstill` so far:
-/// [`select_kept`] finds the ones that move.
+/// Determines the status of each sample from its angles, and the errors of the usable samples. Usable samples have the
+/// status `Standstill` so far; [`select_kept`] then finds those that move.
 fn check_all(
     readings: &Stream<BarReading>,
     joints: &[Sample],
@@ -107,7 +113,7 @@ fn check_all(
     options: &PrepareOptions,
 ) -> (Vec<SampleStatus>, Vec<AngleErrors>) {
     let mut geometry = found.fit.geometry.clone();
-    // The motion's own time is aligned already.
+    // Times of `motion` already count from the reference time, so the shift is zero.
     (geometry.clock.shift_s, geometry.clock.skew) = (0.0, found.fit.clock.skew);
     let measured = found.encoder_map.used.measured();
     let residuals = Residuals::new(motion, geometry, measured);
@@ -136,7 +142,7 @@ fn check_all(
     (statuses, checked.into_iter().flatten().collect())
 }
 
-/// Every measured joint must move, or its offset cannot be separated from the robot's geometry.
+/// Checks that every measured joint moves. Otherwise its offset cannot be separated from the robot's geometry.
 fn check_travel(
     joints: &[Sample],
     statuses: &[SampleStatus],
@@ -156,7 +162,7 @@ fn check_travel(
     Ok(())
 }
 
-/// Classifies the usable samples: standstill, thinned, kept.
+/// Classifies the usable samples as standstill, thinned or kept.
 fn select_kept(
     joints: &[Sample],
     statuses: &mut [SampleStatus],
@@ -189,7 +195,7 @@ fn select_kept(
     })
 }
 
-/// Direction of the rod in the bar's base, up to the signs of its axes.
+/// Direction of the rod in the frame of the bar's base, except for the signs of its components.
 fn rod_direction(bar_rad: &[f64; BAR_JOINTS]) -> Vector3<f64> {
     let ([sin1, cos1], [sin2, cos2]) =
         ([bar_rad[0].sin(), bar_rad[0].cos()], [bar_rad[1].sin(), bar_rad[1].cos()]);

@@ -1,4 +1,4 @@
-//! Selects samples that are spread over the motion, for fits of the alignment, or over the sphere, for the solve.
+//! Selects samples that are spread over the motion (for fits of the alignment) or over the sphere (for the solve).
 
 use std::f64::consts::PI;
 
@@ -6,19 +6,21 @@ use nalgebra::Vector3;
 
 use crate::statistics::largest_difference;
 
-/// Rounds of halving the interval in which the distance between samples is sought.
+/// Number of bisections in the search for the distance between samples.
 const HALVINGS: usize = 40;
 
-/// Indices of samples spread evenly over the *motion*: each kept one is at least some distance from the one before,
-/// and the distance is `motion_min_rad`, or larger if more than `points_max` would be kept. A standstill leaves one sample.
+/// Selects samples that are spread evenly over the *motion*, and returns their indices. The distance between consecutive
+/// selected samples is at least `motion_min_rad`. If this would select more than `points_max` samples, a larger distance is
+/// used. A standstill gives one sample.
 ///
-/// Distance is the largest travel of a joint. Spreading over time instead would weigh slow parts more.
+/// The distance of two samples is the largest difference of a joint. With samples spread evenly over time, slow parts of the
+/// motion would have more weight.
 pub fn select<R: AsRef<[f64]>>(angles_rad: &[R], motion_min_rad: f64, points_max: usize) -> Vec<usize> {
     let kept = spaced(angles_rad, motion_min_rad);
     if kept.len() <= points_max {
         return kept;
     }
-    // Bisection: the distance sought is at most the whole travel.
+    // The distance is found by bisection. It is at most the travel of the whole motion.
     let travel =
         angles_rad.windows(2).map(|pair| largest_difference(pair[0].as_ref(), pair[1].as_ref())).sum::<f64>();
     let (mut low, mut high) = (motion_min_rad, travel.max(motion_min_rad));
@@ -31,9 +33,12 @@ pub fn select<R: AsRef<[f64]>>(angles_rad: &[R], motion_min_rad: f64, points_max
     kept
 }
 
-/// Indices, in order, of at most `points_max` of `samples`, spread over the sphere of directions as evenly as they lie
-/// there: the sphere is cut into cells of equal area, each cell gives the same number or all it has, evenly taken in the
-/// order of the samples. A path that crosses one region ten times would otherwise weigh it tenfold.
+/// Selects at most `points_max` of `samples`, spread over the sphere of directions as evenly as the samples allow. Returns
+/// their indices in increasing order.
+///
+/// The sphere is divided into cells of equal area. Each cell contributes the same number of samples, or all if it has fewer.
+/// In a cell, the selected samples are spaced evenly in the order of the samples. Without cells, a path that crosses one
+/// region ten times would give this region ten times the weight.
 ///
 /// `directions` are unit vectors, one for each of `samples`.
 pub fn spread_over_sphere(samples: &[usize], directions: &[Vector3<f64>], points_max: usize) -> Vec<usize> {
@@ -48,24 +53,26 @@ pub fn spread_over_sphere(samples: &[usize], directions: &[Vector3<f64>], points
     }
     cells.retain(|cell| !cell.is_empty());
     cells.sort_by_key(Vec::len);
-    // From the smallest cell on: what it has less than its share is shared by the larger ones.
+    // The cells are processed from the smallest to the largest. Samples that a small cell lacks are taken
+    // from the larger cells.
     let (mut remaining, mut selected) = (points_max, Vec::with_capacity(points_max));
     let count = cells.len();
     for (number, cell) in cells.iter().enumerate() {
         let share = (remaining / (count - number)).min(cell.len());
         remaining -= share;
-        // The middles of `share` equal parts.
+        // The samples of the cell are divided into `share` equal parts. The middle sample of each part is selected.
         selected.extend((0..share).filter_map(|k| cell.get((2 * k + 1) * cell.len() / (2 * share))));
     }
     selected.sort_unstable();
     selected
 }
 
-/// Cells of equal area on the sphere: rings of equal height, each cut into the same number.
+/// The sphere is divided into cells of equal area: rings of equal height, each divided into the same number of sectors.
 const RINGS: usize = 12;
 const SECTORS: usize = 24;
 const CELLS: usize = RINGS * SECTORS;
 
+/// Index of the cell that contains a direction.
 fn cell_of(direction: &Vector3<f64>) -> usize {
     let interval = |part: f64, count: usize| ((part * count as f64) as usize).min(count - 1);
     let ring = interval(0.5 * (1.0 + direction.z), RINGS);
@@ -73,7 +80,7 @@ fn cell_of(direction: &Vector3<f64>) -> usize {
     ring * SECTORS + sector
 }
 
-/// Indices of samples at least `step_rad` from the last one kept; the first is always kept.
+/// Indices of samples whose distance from the last kept sample is at least `step_rad`. The first sample is always kept.
 pub(in crate::prepare) fn spaced<R: AsRef<[f64]>>(angles_rad: &[R], step_rad: f64) -> Vec<usize> {
     let mut kept: Vec<usize> = Vec::new();
     for (index, angles) in angles_rad.iter().enumerate() {
