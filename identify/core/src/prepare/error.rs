@@ -70,7 +70,7 @@ pub enum PrepareError {
         /// Joint of the encoder in the cycle.
         found: u8,
     },
-    /// The recording declares encoders that a bar cannot have.
+    /// The recording declares an encoder on a joint that the bar does not have, or two encoders on one joint.
     #[error(
         "the recording declares an encoder on joint {joint}, which the bar does not have, or two encoders on it; use the original file"
     )]
@@ -86,7 +86,7 @@ pub enum PrepareError {
     TooShort {
         /// Name of the log, for the message.
         what: &'static str,
-        /// Its duration \[s\].
+        /// Duration of this log \[s\].
         seconds: f64,
         /// Shortest allowed duration \[s\].
         needed: f64,
@@ -99,7 +99,7 @@ pub enum PrepareError {
     TooLong {
         /// Name of the log, for the message.
         what: &'static str,
-        /// Its duration \[h\].
+        /// Duration of this log \[h\].
         hours: f64,
     },
     /// No joint moves in one of the logs.
@@ -213,7 +213,7 @@ pub enum PrepareError {
         recorded: String,
         /// Largest allowed spread \[mrad\].
         limit_mrad: f64,
-        /// The probable cause, if a single one explains it.
+        /// The probable cause, if a single cause explains the error.
         likely: Option<String>,
     },
     /// Several orders or directions of the encoders fit.
@@ -284,7 +284,7 @@ pub enum PrepareError {
          {by_ms:+.1} ms; find out what sets the clock and record again, or calibrate both sides with --split-at-changes"
     )]
     ClockJump {
-        /// Approximate time after the first sample \[s\].
+        /// Approximate time of the change after the first sample \[s\].
         at_s: f64,
         /// Change of robot clock minus bar clock \[ms\].
         by_ms: f64,
@@ -310,7 +310,7 @@ pub enum PrepareError {
     EncoderSlip {
         /// Bar joint, 1 to 5.
         joint: u8,
-        /// Time after the first sample \[s\].
+        /// Time of the change after the first sample \[s\].
         at_s: f64,
         /// Change of the encoder's angle relative to the robot \[mrad\].
         by_mrad: f64,
@@ -323,7 +323,7 @@ pub enum PrepareError {
     JointStep {
         /// Joint of the robot, from 1.
         joint: u8,
-        /// Time after the first sample \[s\].
+        /// Time of the change after the first sample \[s\].
         at_s: f64,
         /// Change of reported angle minus true angle \[mrad\].
         by_mrad: f64,
@@ -333,7 +333,7 @@ pub enum PrepareError {
         "the base of the bar moves by {by_mm:.2} mm at {at_s:.2} s after the first sample; fasten it, and record again"
     )]
     BaseMoved {
-        /// Time after the first sample \[s\].
+        /// Time of the change after the first sample \[s\].
         at_s: f64,
         /// Distance by which the base moves \[mm\].
         by_mm: f64,

@@ -81,7 +81,7 @@ pub struct PrepareOptions {
     /// Smallest correlation of the speeds at which two logs match (1 means identical). Logs of the same run reach 0.99; logs
     /// of different runs stay below 0.5.
     pub correlation_min: f64,
-    /// Shortest overlap of two logs \[s\].
+    /// Shortest allowed overlap of two logs \[s\].
     pub overlap_min_s: f64,
     /// Smallest overlap as a fraction of the duration of the shorter log.
     pub overlap_min_part: f64,
@@ -91,7 +91,7 @@ pub struct PrepareOptions {
     pub sphere_tolerance_mm: f64,
     /// Largest difference of the sphere's radius from the bar's configured length \[mm\].
     pub length_tolerance_mm: f64,
-    /// Samples nearer to a singular pose of the bar are left out \[deg\].
+    /// Samples nearer than this to a singular pose of the bar are left out \[deg\].
     pub singular_margin_deg: f64,
     /// Largest number of samples that are kept; 0 keeps all samples that move. The kept samples are spread over the sphere
     /// and, in each region of the sphere, over the order of the samples.
@@ -113,7 +113,7 @@ pub struct PrepareOptions {
     pub slip_min_mrad: f64,
 }
 
-/// Angle of a joint minus that of its encoder.
+/// Offset of an encoder: angle of the joint minus angle of the encoder.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct EncoderOffset {
     /// Bar joint, 1 to 5.
@@ -241,7 +241,7 @@ pub struct Prepared {
     pub alignment: Alignment,
     /// Offset of each encoder, and the spread of its residuals.
     pub offsets: Vec<EncoderOffset>,
-    /// The sphere on which the robot moved.
+    /// The sphere on which the robot's positions lie.
     pub sphere: SphereFit,
     /// Number of samples by status.
     pub counts: SampleCounts,
@@ -292,7 +292,7 @@ impl Prepared {
         }
     }
 
-    /// Time of the first valid sample \[s\].
+    /// Time of the first point of the timeline since `t_ref` \[s\], which is close to the time of the first valid sample.
     pub fn first_s(&self) -> f64 {
         self.timeline.points.first().map_or(0.0, |point| point.t_s)
     }

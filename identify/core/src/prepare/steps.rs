@@ -50,15 +50,19 @@ pub fn prepare(
     bar: &BallBarConfig,
     options: &PrepareOptions,
 ) -> Result<Prepared, PrepareError> {
+    // Step 1: make both logs continuous, and check them.
     let both_logs = BothLogs::new(cycles, encoders, log, options)?;
     let (angles, log) = (&both_logs.angles, &*both_logs.log);
     check(angles, log, options)?;
+    // Step 2: find the bar's base from the sphere on which the robot's positions lie. The log is interpolated in parallel.
     let (arm, bar_chain) = (robot_chain(robot, bar), ball_bar_chain(bar));
     let gravity = DriveTrain::of(robot, &arm).gravity;
     let fit_sphere = || sphere_of_log(log, &arm, robot, bar.length_m, options);
     let (interpolated, sphere) = threads::both(|| log.spline(), fit_sphere);
     let (interpolated, sphere) = (interpolated?, sphere?);
+    // Step 3: predict the bar's joints, with the bar on this base.
     let predictor = Predictor::new(&interpolated, &arm, &bar_chain, sphere.centre_m)?;
+    // Steps 4 to 6: find clock, encoder map and offsets. If no encoder map fits, a turned plate is considered as the cause.
     let recorded_joints: Vec<u8> = encoders.iter().map(|encoder| encoder.joint).collect();
     let search = AlignmentSearch {
         readings: &angles.readings,
@@ -77,17 +81,20 @@ pub fn prepare(
         }
         error => error,
     })?;
+    // From here on, times count from the reference time.
     let (end_s, log_s) = (angles.readings.duration_s(), log.q_rad.duration_s());
     let reference_time = ReferenceTime::new(angles.first_time(), end_s, found.fit.clock, log_s);
     let alignment = reference_time.alignment(&found.matched, found.ambiguous, log);
     let ReferenceTime { t_ref_s, t_ref, clock, .. } = reference_time;
     let motion = AlignedLog::new(interpolated.clone(), clock.shift_s);
+    // Make offsets equal that did not change between origins. Then classify and select the samples (step 7).
     let (reference_origin, origins) = join(&angles.readings, &mut found, t_ref_s);
     let numbers: Vec<usize> = origins.iter().map(|span| span.number).collect();
     let mut sorted = sort(&angles.readings, &found, &motion, t_ref_s, reference_origin, &numbers, options)?;
     let offsets = encoder_offsets(&found, reference_origin, &sorted);
     let base_m = found.fit.geometry.base.origin_m;
     let mut statuses = statuses_of_cycles(angles, &sorted.statuses);
+    // Step 8: add the force on the bar.
     let context =
         ForceContext { t_ref, alignment: &alignment, motion: &motion, robot: &arm, base_m, gravity };
     let force = with_force(&mut sorted.observations, &mut statuses, log, &context)?;

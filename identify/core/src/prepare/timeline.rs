@@ -30,7 +30,7 @@ pub enum SampleStatus {
     Standstill,
     /// Too near to an end or a gap for the moving average.
     NotAveraged,
-    /// The robot's log does not cover it.
+    /// At a time that the robot's log does not cover.
     Outside,
     /// In an origin of the counters that is too short to find its offsets.
     OtherOrigin,
@@ -40,9 +40,9 @@ pub enum SampleStatus {
     NoForce,
     /// Used by the solve.
     Kept,
-    /// Not fresh, flagged, or without valid counts of all encoders.
+    /// At least one encoder has no valid sample in this cycle, for example because its data are stale or flagged.
     Invalid,
-    /// Time stamp not later than the one before.
+    /// The time stamp is not later than that of the cycle before.
     TimeNotIncreasing,
     /// A joint angle deviates much more from the refined fit than those of the other samples.
     Outlier,
@@ -104,7 +104,7 @@ pub struct Timeline {
 }
 
 impl Timeline {
-    /// Largest number of points.
+    /// Largest number of points of a timeline.
     pub const POINTS_MAX: usize = 3000;
 }
 
@@ -135,9 +135,9 @@ pub(super) struct PreparedRun<'a> {
 pub(super) struct Sample {
     /// Index of its cycle in the recording.
     pub cycle: usize,
-    /// Bar time since the reference \[s\].
+    /// Bar time since the reference time \[s\].
     pub t_s: f64,
-    /// Bar joints, offsets added \[rad\].
+    /// Bar joints with offsets added \[rad\].
     pub bar_rad: [f64; BAR_JOINTS],
 }
 

@@ -30,7 +30,8 @@ pub struct Channels {
 /// A shift at which two sets of signals match.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Match {
-    /// Sample `i` of the second set corresponds to sample `i + shift` of the first set. In grid steps, with a fraction.
+    /// Shift in grid steps, with a fraction: sample `i` of the second set corresponds to sample `i + shift`
+    /// of the first set.
     pub shift: f64,
     /// Correlation at this shift, -1 to 1.
     pub correlation: f64,
@@ -42,8 +43,8 @@ pub struct Match {
 
 /// Shifts that differ by more than this number of grid steps count as clearly different.
 const APART: i64 = 100;
-/// Correlations that differ by no more than this count as equally good, because the motion repeats.
-/// The longer overlap then decides.
+/// Correlations that differ by no more than this count as equally good. This occurs if the motion repeats. The
+/// longer overlap then decides.
 const TIE: f64 = 0.02;
 
 /// Finds the shift with the highest correlation, among the shifts at which at least `overlap_min` points overlap. `None` if

@@ -351,6 +351,7 @@ impl AlignmentSearch<'_> {
                 self.readings[last].origin != reading.origin || t_s - self.time_s(last) > HOLE_S
             });
             last_sample = Some(sample);
+            // After an interruption or a singular pose, the next pair begins a new segment.
             segment_ends |= is_interrupted || bar.is_none();
             let Some(bar) = bar else { continue };
             if std::mem::take(&mut segment_ends) {

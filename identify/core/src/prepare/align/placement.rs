@@ -25,8 +25,8 @@ const ROUNDS: usize = 60;
 const FLATNESS: f64 = 1e-6;
 
 /// Finds the poses of tracker and probe without start values. For each robot pose in `flanges`, `observed_m` is the position
-/// of the probe in the tracker's frame, and `turns` is the rotation of `tracker_from_probe`, if it was measured. `None` if
-/// the positions lie on a line.
+/// of the probe in the tracker's frame. `turns` is the rotation of `tracker_from_probe`, if it was measured. `None` if the
+/// positions lie on a line.
 ///
 /// The solution alternates between two steps. For a known `y`, the rotation of `T` is the rotation between two clouds of
 /// points (Umeyama 1991). For a known rotation, the equations are linear in the position of `T` and in `y`. The flange need

@@ -70,7 +70,7 @@ pub(in crate::prepare) struct AlignmentFit {
     /// The same standard deviation, estimated from the 90 % quantile \[rad\]. It is larger than `sigma_rad` if more than a
     /// tenth of the samples do not fit.
     pub sigma_of_most_rad: f64,
-    /// Whether the fit converged to a minimum. Only then the residuals show errors of the run.
+    /// Whether the fit converged to a minimum. Its residuals show errors of the run only if it did.
     pub converged: bool,
 }
 
@@ -252,6 +252,8 @@ pub(in crate::prepare) fn refine(
         }
     }
     x.resize(chain_columns + origin_count * BAR_JOINTS, 0.0);
+    // `spread_rad` estimates the standard deviation of a residual at the parameters `x`. `solve` improves `x` with a loss
+    // for a given standard deviation, and `round` is such a solve with the tolerance of a round.
     let spread_rad = |x: &[f64], good: GoodShare| {
         residual_sigma_rad(&model, &motion, &observations, residual, x, good).max(SIGMA_MIN_RAD)
     };

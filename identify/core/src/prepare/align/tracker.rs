@@ -65,8 +65,8 @@ pub struct AlignedPoses {
     pub alignment: Alignment,
     /// Reference time of the alignment on the tracker's clock.
     pub t_ref: UtcNs,
-    /// Number of rows that are not used: those outside the robot's log and, in a stop-and-go log, those measured
-    /// while the robot moved.
+    /// Number of rows outside the robot's log or, in a stop-and-go log, measured while the robot moved. Rows that are only
+    /// thinned are not counted.
     pub left_out: usize,
 }
 
@@ -97,6 +97,7 @@ pub fn align_poses(
     let log = &*unwrapped;
     require_motion("the robot log", travel(&log.q_rad))?;
     let interpolated = log.spline()?;
+    // The clock is found from one pair of target and station, which is called the view here.
     let observed_m = longest_view_m(&poses.rows);
     let view_begins_s =
         (i128::from(observed_m.first_stamp_ns) - i128::from(poses.rows.first_stamp_ns)) as f64 * 1e-9;
@@ -114,11 +115,14 @@ pub fn align_poses(
         return Err(PrepareError::TargetStands { extent_mm: extent_m * 1e3 });
     }
     let Best { matched, ambiguous, fit } = search.run()?;
+    // `fit.clock` counts from the first row of the view, `clock_of_rows` from the first row of the log, and `clock`
+    // from the reference time.
     let clock_of_rows = fit.clock.counted_from(-view_begins_s);
     let reference = ReferenceTime::new(UtcNs(poses.rows.first_stamp_ns), rows_s, clock_of_rows, log_s);
     let alignment = reference.alignment(&matched, ambiguous, log);
     let ReferenceTime { t_ref_s, t_ref, clock, .. } = reference;
     let log = AlignedLog::new(interpolated.clone(), clock.shift_s);
+    // Rows that the robot's log covers, with the state of the robot at each.
     let edge_s = if search.stop_and_go() { REST_S } else { EDGE_S };
     let covered_row = |index: usize| {
         let t_s = poses.rows.t_s[index] - t_ref_s;
@@ -127,6 +131,7 @@ pub fn align_poses(
         log.covers(tau_s, edge_s).then_some(CoveredRow { index, t_s, state })
     };
     let covered: Vec<CoveredRow> = (0..poses.rows.len()).filter_map(covered_row).collect();
+    // In a stop-and-go log, only rows at rest are usable. Otherwise the usable rows are thinned.
     let usable = if search.stop_and_go() {
         search.at_rest(covered, |row| clock_of_rows.robot_time_s(poses.rows.t_s[row.index]))
     } else {
@@ -238,6 +243,7 @@ impl TrackerSearch<'_> {
         let of_flange = self.predicted_speeds(&Vector3::zeros());
         let shifts = candidates(&of_flange, &observed, overlap_min, CANDIDATES);
         let first_s = self.observed_m.t_s.get(window.start).copied().unwrap_or_default();
+        // The clock for a shift between the first row of the window and the first stamp of the robot's log.
         let clock = |shift: f64| Clock { shift_s: shift * self.step_s - first_s, skew: 0.0 };
         let fits: Vec<TrackerFit> = if self.stop_and_go() {
             let clocks = shifts.iter().flat_map(|near| self.clocks_at_standstills(window, clock(near.shift)));

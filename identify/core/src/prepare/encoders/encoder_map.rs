@@ -42,7 +42,7 @@ pub enum EncoderMapChoice {
 impl FromStr for EncoderMapChoice {
     type Err = String;
 
-    /// `find`, `recorded`, or joints as `1,2,-3,4,5`.
+    /// Parses `find`, `recorded`, or a list of joints such as `1,2,-3,4,5`.
     fn from_str(text: &str) -> Result<Self, Self::Err> {
         match text.trim() {
             "find" => return Ok(Self::Find),
@@ -61,7 +61,7 @@ impl FromStr for EncoderMapChoice {
 /// Joint and direction of one encoder.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct EncoderPlace {
-    /// Bar joint that the recording states, 1 to 5.
+    /// Bar joint of the encoder according to the recording, 1 to 5.
     pub recorded_joint: u8,
     /// Bar joint on which the encoder is mounted, 1 to 5.
     pub joint: u8,
@@ -129,7 +129,7 @@ impl EncoderMap {
 }
 
 impl fmt::Display for EncoderMap {
-    /// `1 -> 1, 2 -> 4 reversed (spread 3.1 mrad)`
+    /// Formats the map as `1 -> 1, 2 -> 4 reversed (spread 3.1 mrad)`.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         for (index, place) in self.encoders.iter().enumerate() {
             let separator = if index == 0 { "" } else { ", " };

@@ -14,7 +14,7 @@ pub(in crate::prepare) struct AngleErrors {
     pub t_s: f64,
     /// Number of the counters' origin.
     pub origin: usize,
-    /// Measured joints minus those that the robot's pose implies, times the sine of `margin_rad` \[rad\].
+    /// Measured joints minus the joints that follow from the robot's pose, times the sine of `margin_rad` \[rad\].
     pub error_rad: [f64; BAR_JOINTS],
     /// Distance from the nearest singular pose \[rad\].
     pub margin_rad: f64,
@@ -28,7 +28,7 @@ pub(in crate::prepare) struct AngleErrors {
 pub struct LocalShift {
     /// Mean time of the samples of the part, as bar time since the reference time \[s\].
     pub t_s: f64,
-    /// Shift of the part alone minus that of the whole run \[s\].
+    /// Shift of the part minus the shift of the whole run \[s\].
     pub shift_s: f64,
 }
 
