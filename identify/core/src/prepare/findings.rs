@@ -19,7 +19,8 @@ pub struct Place {
     pub robot_s: Option<f64>,
 }
 
-/// Residuals of each encoder at the geometry that fits best. Errors of the model appear as waves, faults of a run as steps.
+/// Residuals of each encoder at the geometry that fits best. Errors of the model vary smoothly along the run; faults of a
+/// run appear as steps.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Deviations {
     /// Joints with an encoder.

@@ -1,10 +1,10 @@
-//! Finds the clock, encoder map and offsets at which a recording fits a robot log: steps
-//! 4 to 6 of [`prepare`](crate::prepare).
+//! Finds the clock, encoder map and offsets at which a recording fits a robot log. These are steps 4
+//! to 6 of [`prepare`](crate::prepare).
 //!
 //! 1. The *window* is the section of the recording with the most motion. The speeds of the joints in the window are
 //!    correlated with those of the robot's log. Each peak is a *candidate*: a rate and a shift of the clocks.
-//! 2. At each candidate the angles are compared. If an encoder map fits, the candidate becomes a *hypothesis*: a clock,
-//!    an encoder map, and offsets.
+//! 2. At each candidate the angles are compared. If an encoder map fits, the candidate becomes a *hypothesis*: a clock, an
+//!    encoder map, and offsets.
 //! 3. The most likely hypotheses are refined (`refine`). The result of each is a *fit*.
 //! 4. The fit with the smallest residuals is extended from the window to the whole recording.
 

@@ -221,7 +221,7 @@ impl TrackerSearch<'_> {
                 return Ok(Best { fit: extended(&self.observed_m.t_s, window, best.fit, refit)?, ..best });
             }
         };
-        /// Fraction of the required overlap that the repeated search requires. With an even shorter overlap, motions
+        /// Fraction of the required overlap that the repeated search requires. With a shorter overlap, different motions
         /// would match by chance.
         const SHORTER: f64 = 0.25;
         /// Smallest correlation of a clear match. In a short overlap, a lower correlation could occur by chance.
