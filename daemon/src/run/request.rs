@@ -47,7 +47,7 @@ pub struct About {
 /// What the runs of a bus have in common.
 #[derive(Clone)]
 pub struct Setup {
-    /// Runs the tasks.
+    /// Provides the clock, and runs steppers and futures.
     pub scheduler: Arc<dyn Scheduler>,
     /// Directories of the recordings.
     pub storage: Storage,

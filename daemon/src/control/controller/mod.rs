@@ -249,7 +249,7 @@ impl Controller {
         (answer, last)
     }
 
-    /// Begins a homing.
+    /// Begins a homing, unless a run or a fault prevents it.
     pub fn home(&mut self) -> Answer {
         self.poll_bus();
         self.handle(MachineEvent::Home).unwrap_or(Answer::Idle)
