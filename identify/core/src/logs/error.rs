@@ -1,10 +1,10 @@
-//! Errors of logs: what is wrong, where (file, line, column) and what to do.
+//! Errors when logs are read or written. Each message contains the problem, its place (file, line, column) and a remedy.
 
 use std::path::{Path, PathBuf};
 
 use super::robot::writer::seconds_text;
 
-/// Why a robot log or a table of measured lengths cannot be used.
+/// Why a log or a table cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum LogError {
     /// The file cannot be opened or read.
@@ -23,15 +23,15 @@ pub enum LogError {
         /// Text of the system's error.
         source: std::io::Error,
     },
-    /// The bytes are neither text nor a workbook with one table.
+    /// The bytes are neither text nor a workbook with exactly one table.
     #[error("{}: not a table ({problem}); save the table alone, as \"CSV UTF-8\"", path.display())]
     NotText {
         /// Path of the file concerned.
         path: PathBuf,
-        /// What was found instead.
+        /// What the bytes contain instead.
         problem: String,
     },
-    /// A row does not have the header's number of cells, or quotes are open.
+    /// A row has another number of cells than the header, or a quote is not closed.
     #[error("{} line {line}: {problem}; every row needs the header's number of cells", path.display())]
     Malformed {
         /// Path of the file concerned.
@@ -52,14 +52,14 @@ pub enum LogError {
     MissingColumn {
         /// Path of the file concerned.
         path: PathBuf,
-        /// The column looked for.
+        /// Name of the missing column.
         column: String,
-        /// The columns of the file.
+        /// Names of the columns in the file.
         found: String,
         /// What the user can do.
         remedy: String,
     },
-    /// The header's unit and the robot's configuration disagree.
+    /// The header and the robot's configuration contain different units for a column.
     #[error(
         "{}: column `{column}` is in {in_header} by its header, but in {in_config} by log.unit of {robot}'s configuration; \
          correct the wrong one (values are not converted)", path.display()
@@ -69,9 +69,9 @@ pub enum LogError {
         path: PathBuf,
         /// The column as the header names it.
         column: String,
-        /// Unit that the header states.
+        /// Unit in the header.
         in_header: &'static str,
-        /// Unit that the configuration states.
+        /// Unit in the configuration.
         in_config: &'static str,
         /// The robot's name.
         robot: String,
@@ -86,7 +86,7 @@ pub enum LogError {
         /// Smallest allowed number of rows.
         needed: usize,
     },
-    /// Time does not increase from row to row.
+    /// The stamp of a row is not later than the stamp of the row before.
     #[error(
         "{} {what} {line}: time goes from {before_s} s ({what} {before_line}) to {after_s} s; \
          sort the rows, or split the file where the clock was set", path.display()
@@ -100,9 +100,9 @@ pub enum LogError {
         line: u64,
         /// Line of the row before it.
         before_line: u64,
-        /// Its stamp as written.
+        /// The stamp of the row before \[s\], as text.
         before_s: String,
-        /// The stamp of the later row as written.
+        /// The stamp of the later row \[s\], as text.
         after_s: String,
     },
     /// The format of the file is unknown.
@@ -118,14 +118,14 @@ pub enum LogError {
     BadRecord {
         /// Path of the file concerned.
         path: PathBuf,
-        /// Which record, such as `message 12`, or which cell.
+        /// Name of the record, such as `message 12`, or of the cell.
         place: String,
         /// What is wrong with it.
         problem: String,
         /// What the user can do.
         remedy: String,
     },
-    /// The content of the file as a whole is invalid.
+    /// The problem concerns the whole file, not one record.
     #[error("{}: {problem}; {remedy}", path.display())]
     Content {
         /// Path of the file concerned.
@@ -135,19 +135,19 @@ pub enum LogError {
         /// What the user can do.
         remedy: String,
     },
-    /// The conversion of the robot's configuration cannot be inverted.
+    /// The matrix `log.raw_to_joint` of the robot's configuration cannot be inverted.
     #[error(
         "log.raw_to_joint of the robot's configuration is singular: the log does not determine all joints; \
          check its rows (log columns) and columns (joints)"
     )]
     SingularConversion,
-    /// Not enough stamps close to each other to interpolate.
+    /// The log has no segment without gaps that is long enough to interpolate.
     #[error(
         "the robot log has no {needed} consecutive samples less than {gap_limit_s} s apart; log at a higher rate, or without \
          pauses"
     )]
     NoContinuousPart {
-        /// Stamps needed in a row.
+        /// Number of consecutive rows without a gap that interpolation needs.
         needed: usize,
         /// Longest gap that is interpolated \[s\].
         gap_limit_s: f64,
@@ -160,7 +160,7 @@ impl LogError {
         if rows < needed { Err(Self::TooFewRows { path: path.to_owned(), rows, needed }) } else { Ok(()) }
     }
 
-    /// [`Self::TimeNotIncreasing`] between two rows, each with its place in the file and its stamp \[ns\].
+    /// [`Self::TimeNotIncreasing`] for two successive rows, each with its line number in the file and its stamp \[ns\].
     pub(super) fn time_not_increasing(
         path: &Path,
         what: &'static str,

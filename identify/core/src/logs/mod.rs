@@ -1,15 +1,18 @@
 //! Reads logs of robots, bars and other instruments from files.
 //!
-//! A robot log of any format becomes a [`RobotLog`]: time stamps of the robot's own clock, and joint variables of the model
-//! \[rad, m\]. [`JointConversion`] converts whatever is specific to the robot (motors or joints, units, signs, coupled axes);
-//! later steps never see it. The log names its clock, but nothing relies on that: many controllers count from their own start,
-//! so `prepare` finds the relation to the bar's clock from the motion.
+//! A robot log of any format is read into a [`RobotLog`]: time stamps on the robot's own clock, and joint variables of the
+//! model \[rad, m\]. Some properties of a log are specific to the robot: motor or joint angles, units, signs, coupled axes.
+//! [`JointConversion`] converts them, so that later steps see only joint variables of the model. The log names its clock,
+//! but no step relies on this name, because many controllers count time from their own start. `prepare` estimates the
+//! relation between this clock and the bar's clock from the motion.
 //!
-//! [`BarLog`] is the other side of a run: the bar's encoders in a recording or in the file of another program.
+//! A [`BarLog`] contains the readings of the bar's encoders during the same run, from a recording or from the file of
+//! another program.
 //!
-//! The other kinds of input are single poses of the robot with a measured length (draw-wire, telescoping bar:
-//! [`MeasuredLengths`]), with a measured position or pose (tracker: [`MeasuredPoses`]), or with a touched socket or face
-//! ([`TipRow`]). [`TimedPoses`] is a tracker's log with times instead of joints, beside a [`RobotLog`].
+//! The other inputs are tables in which each row is one pose of the robot: with a measured length (draw-wire, telescoping
+//! bar: [`MeasuredLengths`]), with a measured position or pose (tracker: [`MeasuredPoses`]), or with a touched socket or
+//! face ([`TipRow`]). [`TimedPoses`] is a tracker's log with time stamps instead of joints. It is used together with a
+//! [`RobotLog`] of the same motion.
 
 mod bar_log;
 mod error;
@@ -65,7 +68,8 @@ use crate::kinematics::Joints;
 /// Smallest number of rows of a log.
 const ROWS_MIN: usize = 50;
 
-/// Marks simulated data: a table begins with `#` and this word, and the first event of an exported simulation begins with it.
+/// Marks simulated data. A simulated table begins with `#` and this word. An exported simulation has this word at the
+/// beginning of its first event.
 pub(crate) const SIMULATED: &str = "SIMULATED";
 
 /// Whether a table is marked as simulated.
@@ -77,21 +81,22 @@ pub fn is_simulated(path: &Path) -> Result<bool, LogError> {
     Ok(LogSource::open(path)?.beginning().starts_with(comment.as_bytes()))
 }
 
-/// Whether joint values are measured by the encoders or commanded by the controller.
+/// Whether joint values were measured by the encoders or commanded by the controller.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ValueOrigin {
     /// Read from the robot's encoders.
     Measured,
-    /// Output of the interpolator. It lacks the servo lag, so that results are worse; reports state this origin.
+    /// Output of the controller's interpolator. Commanded values do not contain the servo lag, so results are less accurate.
+    /// Reports therefore mention this origin.
     Commanded,
-    /// The file states neither.
+    /// The file does not contain this information.
     #[default]
     Unstated,
 }
 
 impl ValueOrigin {
-    /// Its word in files.
+    /// The word for this origin in files.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Measured => "measured",
@@ -104,23 +109,23 @@ impl ValueOrigin {
 /// Quality of a log, for reports.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct LogQuality {
-    /// Rows with the stamp and the values of the row before; they are dropped.
+    /// Rows with the same stamp and the same values as the row before; they are dropped.
     pub duplicates_dropped: usize,
-    /// Rows with a new stamp, but the joints of the row before, in the middle of a motion; they are not used.
+    /// Rows with a new stamp, but the same joints as the row before, in the middle of a motion; they are not used.
     pub repeated_dropped: usize,
-    /// Rows that jump away and back faster than any robot moves, mostly zeros; they are not used.
+    /// Rows that jump away and back faster than any robot moves, mostly zeros in place of missing values; they are not used.
     pub excursions_dropped: usize,
     /// Rows in which a joint is missing or not a number; they are not used.
     pub incomplete_dropped: usize,
-    /// The regular clock behind the stamps; `None` if there is none.
+    /// The regular clock by which the rows were sampled, as estimated from the stamps; `None` if no such clock was found.
     pub stamps: Option<Stamps>,
-    /// Observations that are not errors, in sentences.
+    /// Observations that the user should know, as sentences. None of them prevents the use of the log.
     pub remarks: Vec<String>,
 }
 
 impl LogQuality {
-    /// Adds remarks on repeated and incomplete rows. They read "7 `noun`s repeat `values` before them ..; `done`" and "7 `noun`s
-    /// `lack`; `done`".
+    /// Adds remarks on repeated and incomplete rows. They have the form "7 `noun`s repeat `values` before them in the middle
+    /// of a motion; `done`" and "7 `noun`s `lack`; `done`".
     fn remark_counts(&mut self, noun: &str, values: &str, done: &str, lack: &str) {
         let repeat = format!("repeat {values} before them in the middle of a motion");
         for (count, what) in [(self.repeated_dropped, repeat.as_str()), (self.incomplete_dropped, lack)] {
@@ -134,19 +139,20 @@ impl LogQuality {
 /// A robot's joint log on its own clock.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct RobotLog {
-    /// Name of the robot, if the file has it.
+    /// Name of the robot, if the file contains it.
     pub robot: Option<String>,
-    /// Name of the clock that made the stamps, as the file declares it (`unstated` otherwise).
+    /// Name of the clock of the stamps, as the file declares it (`unstated` otherwise).
     pub clock: String,
     /// Whether the joints were measured or commanded.
     pub origin: ValueOrigin,
-    /// Joint variables of the model \[rad, m\]. Jitter has been removed from the stamps of the file.
+    /// Joint variables of the model \[rad, m\]. If a regular clock was found, the times are those of that clock, without the
+    /// jitter of the stamps in the file.
     pub q_rad: Shared<Stream<Joints>>,
-    /// Rates of the joint variables \[rad/s, m/s\], one row per stamp, if the log has them.
+    /// Rates of the joint variables \[rad/s, m/s\], one row per stamp, if the log contains them.
     pub speed_rad_s: Option<Vec<Joints>>,
-    /// Torques or motor currents in the unit and on the axes of the file, if the log has them.
+    /// Torques or motor currents in the unit and on the axes of the file, one row per stamp, if the log contains them.
     pub torque: Option<Vec<Joints>>,
-    /// Force on the ball-bar, from this log or from a file of its own.
+    /// Force on the ball-bar, from this log or from a separate file.
     pub force: Option<ForceLog>,
     /// Quality of the log.
     pub quality: LogQuality,
@@ -158,11 +164,10 @@ impl RobotLog {
         self.q_rad.first().map_or(0, |q| q.len())
     }
 
-    /// The joints and their rates as functions of the time since the first row. The spline is shared, and its rows with this
-    /// log: those of ten hours take a gigabyte.
+    /// The joints and their rates as functions of the time since the first row. The rows of ten hours take a gigabyte, so
+    /// the spline shares its rows with this log, and users of the spline share the spline.
     ///
-    /// # Errors
-    /// [`LogError::NoContinuousPart`] if no part can be interpolated.
+    /// [`LogError::NoContinuousPart`] if the log has no segment with enough rows without a gap.
     pub fn spline(&self) -> Result<Arc<CubicSpline<Joints>>, LogError> {
         let gap_limit_s = self.q_rad.gap_limit_s;
         CubicSpline::through(self.q_rad.clone())

@@ -1,4 +1,5 @@
-//! The bytes of a log, in a file or in memory. Its first bytes are read separately, to recognise the format.
+//! The bytes of a log, in a file or in memory. The first bytes can be examined without reading the rest, so that the format
+//! is recognised before the log is read.
 
 use std::borrow::Cow;
 use std::fs::File;
@@ -7,16 +8,16 @@ use std::path::Path;
 
 use crate::logs::LogError;
 
-/// The header of a table, after comments, begins within this number of bytes.
+/// Number of bytes that are read to recognise the format. The header of a table, after comments, must begin within them.
 const BEGINNING_BYTES: u64 = 1 << 16;
 
 /// Bytes from which a log is read.
 pub(in crate::logs) struct LogSource<'a> {
-    /// Named in errors; its ending may determine the format.
+    /// Path of the file, for error messages. Its extension may determine the format.
     pub path: &'a Path,
     /// The first [`BEGINNING_BYTES`] of a file, or all bytes in memory.
     beginning: Cow<'a, [u8]>,
-    /// The file after `beginning`.
+    /// The open file, positioned after `beginning`; `None` for bytes in memory.
     rest: Option<File>,
 }
 
@@ -26,7 +27,7 @@ impl<'a> LogSource<'a> {
         Self { path, beginning: bytes.into(), rest: None }
     }
 
-    /// The file at `path`.
+    /// Opens the file at `path` and reads its beginning.
     pub fn open(path: &'a Path) -> Result<Self, LogError> {
         let mut beginning = Vec::new();
         let mut open = || {
@@ -38,7 +39,7 @@ impl<'a> LogSource<'a> {
         Ok(Self { path, beginning: beginning.into(), rest: Some(rest) })
     }
 
-    /// The first bytes, enough to recognise the format.
+    /// The first bytes (at most [`BEGINNING_BYTES`]), enough to recognise the format.
     pub fn beginning(&self) -> &[u8] {
         let count = self.beginning.len().min(BEGINNING_BYTES as usize);
         &self.beginning[..count]
@@ -54,7 +55,7 @@ impl<'a> LogSource<'a> {
         Ok(beginning)
     }
 
-    /// Reads all bytes as a stream.
+    /// A reader of all bytes, which loads the file as it is read.
     pub fn reader(self) -> Box<dyn Read + 'a> {
         let beginning = Cursor::new(self.beginning);
         match self.rest {

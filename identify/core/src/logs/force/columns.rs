@@ -1,4 +1,7 @@
-//! Which columns of a table have the force, and in which unit.
+//! Finds the columns of a force in a table, and reads their values.
+//!
+//! The columns and their unit are those of a mapping file ([`ForceColumns`]), or those with one of the known names
+//! ([`ForceLayout::find_usual`]). The result, a [`ForceLayout`], converts each row to newtons or newton metres.
 
 use std::path::Path;
 
@@ -50,10 +53,10 @@ impl ForceUnit {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ForceFrame {
-    /// Those of the flange.
+    /// Axes of the flange.
     #[default]
     Flange,
-    /// Those of the robot's base.
+    /// Axes of the robot's base.
     Base,
 }
 
@@ -61,13 +64,14 @@ pub enum ForceFrame {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ForceColumns {
-    /// One: along the bar. Three: its components x, y, z. In Nm: torques of the joints, in their order. None: the torques
-    /// that the log has anyway (columns `torques`, or `effort` of ROS 2).
+    /// Names of the columns. One column is the force along the bar. Three are the components x, y, z. In newton metres, the
+    /// columns are the torques of the joints, in their order. Without columns, the force is computed from the torques of the
+    /// robot's log (columns `torques`, or `effort` of ROS 2).
     #[serde(default)]
     pub columns: Vec<String>,
-    /// Unit of all of them.
+    /// Unit of all columns.
     pub unit: ForceUnit,
-    /// Axes of three components.
+    /// Axes to which three components refer.
     #[serde(default)]
     pub frame: ForceFrame,
 }
@@ -85,7 +89,7 @@ impl ForceColumns {
         }
     }
 
-    /// Checks that number of columns and unit go together.
+    /// Checks that the number of columns fits the unit.
     pub(in crate::logs) fn check(&self) -> Result<(), Violation> {
         let fits = match (self.columns.len(), self.unit) {
             (columns, ForceUnit::Nm) => columns == 0 || (AXES_MIN..=AXES_MAX).contains(&columns),
@@ -103,18 +107,19 @@ impl ForceColumns {
     }
 }
 
-/// The columns of an open table.
+/// The columns of the force in an open table.
 pub(in crate::logs) struct ForceLayout {
     kind: ForceKind,
     columns: Vec<CsvColumn>,
     /// Factor to newtons or newton metres.
     to_si: f64,
-    /// Whether a comment may state that the axes are those of the base.
+    /// Whether a comment `# force_frame: base` in the table changes the axes from those of the flange to those of the base.
     frame_in_comment: bool,
 }
 
 impl ForceLayout {
-    /// Columns that a mapping names; `None` if the force is in the log's own torques.
+    /// Finds the columns that a mapping names. `None` if the mapping names no columns, because the force is then computed
+    /// from the torques of the robot's log.
     pub fn find_named(
         table: &CsvTable<'_>,
         path: &Path,
@@ -138,8 +143,9 @@ impl ForceLayout {
         Ok((!layout.columns.is_empty()).then_some(layout))
     }
 
-    /// Columns with one of the known names: `force_N`, `force_sign`, `force_x_N` .. `force_z_N` (in the axes of the
-    /// flange unless a comment states `# force_frame: base`), torques such as `joint1_Nm`, or the force of a UR.
+    /// Finds columns with one of the known names, or returns `None`. The names are: `force_N`; `force_sign`; `force_x_N` to
+    /// `force_z_N` (in the axes of the flange unless a comment is `# force_frame: base`); the estimated force of a UR
+    /// controller; torques such as `joint1_Nm`.
     pub fn find_usual(table: &CsvTable<'_>, robot: &RobotConfig) -> Result<Option<Self>, LogError> {
         let torques: Vec<String> =
             (1..=robot.axes()).map(|joint| format!("{}{joint}_Nm", robot.log.column)).collect();
@@ -161,7 +167,8 @@ impl ForceLayout {
         Ok(Some(Self { kind, columns, to_si: 1.0, frame_in_comment: kind == ForceKind::InFlange }))
     }
 
-    /// Kind of the force, once the table is read to its end: comments may be anywhere.
+    /// Meaning of the columns. Call this after the last row has been read, because the comment with the axes may
+    /// be anywhere in the table.
     pub fn kind(&self, table: &CsvTable<'_>) -> ForceKind {
         let is_base = |frame: &str| frame.eq_ignore_ascii_case("base");
         let in_base = self.frame_in_comment && table.comment("force_frame").is_some_and(is_base);
@@ -186,7 +193,7 @@ impl ForceLayout {
     }
 }
 
-/// The refusal of a table without a known column of a force.
+/// The error for a table without a known column of a force.
 pub(in crate::logs) fn unknown(table: &CsvTable<'_>, path: &Path) -> LogError {
     LogError::MissingColumn {
         path: path.to_owned(),

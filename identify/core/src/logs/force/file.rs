@@ -1,7 +1,8 @@
-//! A force in a file of its own, such as the load cell's.
+//! Reads a force from a separate file, such as the log of a load cell.
 //!
-//! The header names `t_s` and the columns of [`ForceLayout::find_usual`]; with `# clock: bar` stamps are of the ball-bar's
-//! clock (UTC), otherwise of the robot's. Other tables need a [`ForceLogMapping`].
+//! The file is a table with time stamps in the column `t_s` and the columns of [`ForceLayout::find_usual`]. With a comment
+//! `# clock: bar` the stamps are on the ball-bar's clock (UTC), otherwise on the robot's clock. A [`ForceLogMapping`]
+//! describes tables with other columns. The result is a [`ForceLog`] in newtons or newton metres.
 
 use std::path::Path;
 
@@ -18,11 +19,11 @@ use crate::logs::tables::csv_text::CsvTable;
 use crate::logs::tables::stamp::{StampColumn, TimeColumn, TimeUnit};
 use crate::logs::{JointConversion, LogError, ROWS_MIN, Stream};
 
-/// How to read a force from a table: `config/force_log.toml` explains each key.
+/// Describes how to read a force from a table. `config/force_log.toml` explains each key.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ForceLogMapping {
-    /// Which clock made the stamps.
+    /// Clock of the stamps.
     #[serde(default)]
     pub clock: ForceClock,
     /// Layout of the table.
@@ -45,7 +46,8 @@ impl Validate for ForceLogMapping {
 }
 
 impl ForceLog {
-    /// Reads the file at `path`; torques of the joints are on the axes of the robot's log.
+    /// Reads the file at `path`. Torques in the file are on the axes of the robot's log; they are
+    /// converted to the model's joints.
     ///
     /// # Errors
     /// Every way in which the file cannot be used, see [`LogError`].
@@ -57,7 +59,7 @@ impl ForceLog {
         Self::read_from(LogSource::open(path)?, robot, mapping)
     }
 
-    /// [`Self::load`] on bytes in memory; `path` is only named in errors.
+    /// Like [`Self::load`], but for bytes in memory. `path` is only used in error messages.
     ///
     /// # Errors
     /// As [`Self::load`].
@@ -103,7 +105,7 @@ impl ForceLog {
     }
 }
 
-/// The clock that comments declare; by default the robot's.
+/// The clock that a comment in the table names; without such a comment, the robot's.
 fn declared_clock(table: &CsvTable<'_>, path: &Path) -> Result<ForceClock, LogError> {
     let Some(name) = table.comment("clock") else {
         return Ok(ForceClock::default());
@@ -120,7 +122,7 @@ fn declared_clock(table: &CsvTable<'_>, path: &Path) -> Result<ForceClock, LogEr
     })
 }
 
-/// All rows of the table \[N or N m\]; a repetition of the row before is left out.
+/// All rows of the table \[N or N m\], without rows that have the same stamp and values as the row before.
 fn rows(
     table: &mut CsvTable<'_>,
     path: &Path,
@@ -133,7 +135,7 @@ fn rows(
         let stamp = stamps.next_ns(&row)?;
         let values = layout.row(&row)?;
         match before {
-            // Loggers that read faster than their source is updated give the same row again.
+            // A logger that polls faster than its source updates writes the same row several times.
             Some((last, _)) if stamp == last && forces.last() == Some(&values) => continue,
             Some((last, line)) if stamp <= last => {
                 return Err(LogError::time_not_increasing(path, "line", (line, last), (row.line, stamp)));

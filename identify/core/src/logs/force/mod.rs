@@ -1,4 +1,5 @@
-//! The force on the ball-bar over time, on the robot's clock or on the bar's: part of the robot's log or a file of its own.
+//! The force on the ball-bar over time, on the robot's clock or on the bar's clock. The values are in columns of the robot's
+//! log or in a separate file. `columns` finds and reads the columns, `file` reads a separate file.
 
 mod columns;
 mod file;
@@ -12,16 +13,16 @@ use serde::{Deserialize, Serialize};
 use crate::kinematics::Joints;
 use crate::logs::Stream;
 
-/// Column of a force along the bar \[N\].
+/// Name of the column with the force along the bar \[N\].
 pub(super) const ALONG_COLUMN: &str = "force_N";
-/// Largest force \[N\] or torque \[N m\]; a larger number means a damaged file, and would overflow later.
+/// Largest valid force \[N\] or torque \[N m\]. A larger number means that the file is damaged, and would cause an overflow.
 pub(super) const FORCE_MAX: f64 = 1e7;
 
-/// Which clock made a force's stamps.
+/// Clock of the stamps of a force.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ForceClock {
-    /// That of the robot's log.
+    /// The clock of the robot's log.
     #[default]
     Robot,
     /// The clock of the bar's recording: UTC for recordings of `ballbard`.
@@ -29,7 +30,7 @@ pub enum ForceClock {
 }
 
 impl ForceClock {
-    /// The word that files carry.
+    /// The word for this clock in files.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Robot => "robot",
@@ -42,15 +43,15 @@ impl ForceClock {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ForceKind {
-    /// Along the bar \[N\], as a load cell in it measures.
+    /// Force along the bar \[N\], as measured by a load cell in the bar.
     Along,
-    /// Only the side on which the bar is loaded: -1, 0 or 1.
+    /// Only the sign of the force along the bar: -1, 0 or 1.
     Sign,
-    /// x, y, z in the flange's axes \[N\], as a sensor between flange and bar measures.
+    /// Force x, y, z in the flange's axes \[N\], as measured by a sensor between flange and bar.
     InFlange,
-    /// x, y, z in the axes of the robot's base \[N\].
+    /// Force x, y, z in the axes of the robot's base \[N\].
     InBase,
-    /// Torques of the robot's joints \[N m\], with whatever gravity and friction add to them.
+    /// Torques of the robot's joints \[N m\]. They include the effects of gravity and friction.
     JointTorques,
 }
 
@@ -70,16 +71,17 @@ impl ForceKind {
 /// A force over time.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ForceLog {
-    /// Which clock made the stamps.
+    /// Clock of the stamps.
     pub clock: ForceClock,
     /// Quantity of the values.
     pub kind: ForceKind,
-    /// Rows of as many numbers as its kind has \[N or N m\].
+    /// Values \[N or N m\]. The number of values per row depends on `kind`.
     pub values: Stream<Joints>,
 }
 
 impl ForceLog {
-    /// A force whose rows are interpolated over gaps of up to 0.1 s, twice as long as for joints, or 3.5 periods of a slower log.
+    /// Creates a force. It is interpolated over gaps of up to 0.1 s, or up to 3.5 periods if these are longer. 0.1 s is
+    /// twice the limit for joints.
     pub fn new(clock: ForceClock, kind: ForceKind, values: Stream<Joints>) -> Self {
         let gap_limit_s = (3.5 * values.period_s()).max(0.1);
         Self { clock, kind, values: values.with_gap_limit(gap_limit_s) }
