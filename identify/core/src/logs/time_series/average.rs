@@ -4,16 +4,18 @@ use super::spline::CubicSpline;
 use super::stream::{Row, Stream};
 
 impl<R: Row> Stream<R> {
-    /// Average of each row: the mean over `width_s` around it of the spline through all rows, without the bias from the
-    /// curvature of the motion. `None` for rows nearer than `width_s` to an end or to a gap: a shorter average is another filter.
+    /// Average of each row over the time `width_s` around it, without the bias from the curvature of the motion. `None` for
+    /// rows nearer than `width_s` to an end or a gap, because an average over a shorter time would be another filter.
     ///
-    /// A plain mean of a curved motion is biased by `width^2 / 24` times its acceleration. The bias is in both logs, but the
-    /// bar's joints are not a linear function of the robot's: for a fast robot the means of both contradict each other by a
-    /// tenth of a millimetre. The mean over twice the width has four times the bias, so `(4 mean - mean of twice the width) / 3`
-    /// has none (Richardson's extrapolation), at 1.2 times the noise of the mean.
+    /// The mean over a curved motion is biased by `width^2 / 24` times its acceleration. This bias is in the logs of the
+    /// robot and of the bar, but it does not cancel, because the bar's joints are not a linear function of the robot's
+    /// joints. For a fast robot the contradiction reaches a tenth of a millimetre. The mean over twice the width has four
+    /// times the bias, so `(4 mean - mean over twice the width) / 3` has none (Richardson's extrapolation). Its noise is 1.2
+    /// times that of the mean.
     ///
-    /// The mean is that of the spline, not of samples: eleven samples at 100 Hz and twenty-five at 250 Hz span different widths.
-    /// The difference would remain in the result where the motion is curved.
+    /// The mean is an integral of the spline through all rows, not a mean of samples, because logs differ in rate: eleven
+    /// samples at 100 Hz and twenty-five at 250 Hz span different times. Where the motion is curved, this difference
+    /// would remain in the result.
     pub fn averages(&self, width_s: f64) -> Vec<Option<R>> {
         let averages_of = |part| {
             let part = self.slice(part);
@@ -29,25 +31,28 @@ impl<R: Row> Stream<R> {
         self.parts().into_iter().flat_map(averages_of).collect()
     }
 
-    /// The [`Self::averages`] as a stream, without the rows that have none.
+    /// The [`Self::averages`] as a stream. Rows without an average are left out.
     pub fn averaged(&self, width_s: f64) -> Self {
         let averages = self.averages(width_s);
         self.filter_map(0..self.len(), |row, _| averages[row])
     }
 }
 
-/// Integral over time of the spline through a part without gaps. The mean of each number is subtracted first, against rounding.
+/// Integral over time of the spline through a segment without gaps. The mean of each number is subtracted
+/// first, to reduce rounding errors.
 struct Integral<'a, R> {
+    /// Times of the rows \[s\].
     t_s: &'a [f64],
+    /// Spline through the rows minus `centre`.
     spline: CubicSpline<R>,
-    /// Mean of each number over the rows.
+    /// Mean of each number over all rows.
     centre: R,
-    /// Integral from the first row to each row.
+    /// Integral of `spline` from the first row to each row.
     until_row: Vec<R>,
 }
 
 impl<'a, R: Row> Integral<'a, R> {
-    /// `None` if the rows are too few for a spline.
+    /// Integrates the spline through `part`. `None` if it has too few rows for a spline.
     fn new(part: &'a Stream<R>) -> Option<Self> {
         let count = part.len() as f64;
         let centre = part.first()?.with_numbers(|i| part.iter().map(|r| r.numbers()[i]).sum::<f64>() / count);
@@ -62,14 +67,14 @@ impl<'a, R: Row> Integral<'a, R> {
         Some(Self { t_s: &part.t_s, spline, centre, until_row })
     }
 
-    /// Mean of the spline over `width_s` around `t_s`; `None` if that extends beyond an end.
+    /// Mean of the spline over `width_s` around `t_s`; `None` if this interval extends beyond an end.
     fn mean(&self, t_s: f64, width_s: f64) -> Option<R> {
         let (until_start, until_end) = (self.until(t_s - 0.5 * width_s)?, self.until(t_s + 0.5 * width_s)?);
         let (start, end) = (until_start.numbers(), until_end.numbers());
         Some(self.centre.with_numbers(|i| (end[i] - start[i]) / width_s + self.centre.numbers()[i]))
     }
 
-    /// Integral from the first row to `t_s`; `None` outside the part.
+    /// Integral of `spline` from the first row to `t_s`; `None` outside the segment.
     fn until(&self, t_s: f64) -> Option<R> {
         /// Rounding error of stamps that were written as decimal numbers \[s\].
         const ROUNDING_S: f64 = 1e-9;

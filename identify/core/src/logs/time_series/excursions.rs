@@ -1,5 +1,7 @@
-//! Rows that jump away and back faster than any motion: no measurements, but values, mostly zeros, that a logger or an instrument
-//! writes in place of a missing one. Searched for in logs of robots, bars and trackers before anything else uses their rows.
+//! Finds excursions: rows that jump away and back faster than any motion. They were not measured. A logger or an
+//! instrument writes such values, mostly zeros, in place of missing values. Logs of robots, bars and trackers are
+//! searched for excursions before their rows are used for anything else. [`Excursions::find`] searches,
+//! [`remark`] reports the excursions found.
 
 use std::path::Path;
 
@@ -9,30 +11,32 @@ use super::sampling::STEPS_PART;
 use crate::logs::LogError;
 use crate::statistics::{quantile, trimmed_mean};
 
-/// Largest number of successive excursions. If a share [`SHARE_MAX`] of the rows are independent excursions, longer runs begin at
-/// one row in a billion.
+/// Largest number of successive excursions. If a fraction [`SHARE_MAX`] of the rows are independent excursions, a longer run
+/// begins at one row in a billion.
 const ROWS_MAX: usize = 8;
-/// An excursion exceeds this multiple of the lower quartile of the log's own second differences that are not zero: 9.4 standard
-/// deviations of noise beyond both neighbours, which one row in 10^14 is by chance, and twelve steps of a coarse resolution.
+/// An excursion exceeds this multiple of the noise of the log, which is the lower quartile of its second differences other
+/// than zero. For normal noise this is 9.4 standard deviations beyond both neighbours, which occurs by chance in one row in
+/// 10^14. If the resolution is coarse, it is twelve steps of the resolution.
 const NOISE_QUARTILES: f64 = 12.0;
-/// A log with a larger share of excursions is refused.
+/// A log with a larger fraction of excursions is rejected.
 const SHARE_MAX: f64 = 0.1;
 /// Approximate number of rows of a long log from which its period and noise are estimated.
 const SAMPLED_ROWS: usize = 100_000;
-/// Largest number of places that a message names.
+/// Largest number of places that are listed in a message.
 const NAMED_MAX: usize = 5;
 
-/// Upper bounds of any measured motion.
+/// Upper bounds of speed and acceleration for any motion that can be measured.
 #[derive(Debug, Clone, Copy)]
 pub(in crate::logs) struct Fastest {
-    /// \[rad/s, m/s\]
+    /// Largest speed \[rad/s, m/s\].
     pub speed: f64,
-    /// \[rad/s², m/s²\]
+    /// Largest acceleration \[rad/s², m/s²\].
     pub acceleration: f64,
 }
 
-/// Rows of a log at times that do not decrease \[s\], to be searched for excursions.
+/// Rows of a log that are searched for excursions.
 pub(in crate::logs) struct Excursions<'a, S> {
+    /// Times of the rows \[s\], which do not decrease.
     pub t_s: &'a [f64],
     /// Number of values of each row.
     pub columns: usize,
@@ -42,10 +46,13 @@ pub(in crate::logs) struct Excursions<'a, S> {
 }
 
 impl<S: Fn(usize, usize, usize) -> f64> Excursions<'_, S> {
-    /// The rows that jump out and back, in their order: beyond both neighbours by more than the fastest motion that turns back
-    /// between them, by more than the noise of the log, and by more than the distance of the neighbours, which itself is no more than
-    /// the fastest motion between them. Rows that could be motion are kept.
+    /// The indices of the excursions, in increasing order. A row is an excursion if a value is beyond the values of both
+    /// neighbours by more than each of three limits. The neighbours are the nearest rows before and after the excursion
+    /// that are kept. The limits are the distance that the fastest motion can go and come back in between, the noise of the
+    /// log, and the difference of the neighbours. This difference must be one that the fastest motion allows. Rows that
+    /// could be motion are therefore kept.
     pub fn find(&self) -> Vec<usize> {
+        // Period and noise of the log, from a sample of its rows.
         let every = self.t_s.len().div_ceil(SAMPLED_ROWS).max(1);
         let sampled_s: Vec<f64> = self.t_s.iter().step_by(every).copied().collect();
         let steps_s = sampled_s.windows(2).map(|pair| (pair[1] - pair[0]) / every as f64);
@@ -53,7 +60,7 @@ impl<S: Fn(usize, usize, usize) -> f64> Excursions<'_, S> {
         let noise: Vec<f64> =
             (0..self.columns).map(|column| NOISE_QUARTILES * self.second_difference(column, every)).collect();
         let (mut excursions, mut before) = (Vec::new(), 0);
-        // Change of each value per row, up to the row `before` and from it.
+        // Change of each value per row: from the last accepted row to the row `before`, and from `before` to the next row.
         let (mut last_step, mut next_step) = (vec![0.0; self.columns], vec![0.0; self.columns]);
         let step_per_row = |from: usize, to: usize, per_row: &mut [f64]| {
             for (column, per_row) in per_row.iter_mut().enumerate() {
@@ -62,10 +69,12 @@ impl<S: Fn(usize, usize, usize) -> f64> Excursions<'_, S> {
         };
         while before + 2 < self.t_s.len() {
             step_per_row(before, before + 1, &mut next_step);
-            // A row that continues the motion need not be checked: an excursion exceeds all motion from before it to after it.
+            // A row that continues the motion is not checked, because at an excursion the values change by
+            // more than any motion does.
             let leaves_motion = (0..self.columns)
                 .any(|column| (next_step[column] - last_step[column]).abs() > 0.5 * noise[column]);
-            // The longest run first: of a shorter one, a row of the same excursion would be taken for the return.
+            // The longest run is tried first. In a shorter run, a row of the same excursion would be taken for
+            // the row that is back.
             let run = (1..=ROWS_MAX)
                 .rev()
                 .filter(|_| leaves_motion)
@@ -81,12 +90,13 @@ impl<S: Fn(usize, usize, usize) -> f64> Excursions<'_, S> {
         excursions
     }
 
-    /// Whether the `rows` after `before` are an excursion, from which the next row is back. A motion of acceleration `a` that
-    /// turns back within the time `T` between both neighbours is beyond them by at most `a T^2 / 8`.
+    /// Whether the `rows` rows after the row `before` are an excursion, so that the row after them is back at the
+    /// motion. A motion of acceleration `a` that turns back within the time `T` between both neighbours is beyond them
+    /// by at most `a T^2 / 8`.
     fn is_excursion(&self, before: usize, rows: usize, period_s: f64, noise: &[f64]) -> bool {
         let after = before + rows + 1;
         let Some(after_s) = self.t_s.get(after) else { return false };
-        // Stamps may be late, or the same for several rows.
+        // Stamps may be late, or equal for several rows, so the time is at least that of the regular clock.
         let apart_s = (after_s - self.t_s[before]).max((rows + 1) as f64 * period_s);
         let distance_max = self.fastest.speed * apart_s;
         let turning_max = self.fastest.acceleration * apart_s.powi(2) / 8.0;
@@ -95,14 +105,16 @@ impl<S: Fn(usize, usize, usize) -> f64> Excursions<'_, S> {
         let is_beyond = |row: usize, column: usize| {
             let (to_row, to_after) = ((self.step)(before, row, column), to_after(column));
             let beyond = (to_row - to_after.max(0.0)).max(to_after.min(0.0) - to_row);
-            // What follows may itself be an excursion: then it is further away than the good row before it.
+            // The row `after` may itself be an excursion. Then it is farther from the row `before` than the correct rows
+            // between them are, so that these are not taken for excursions.
             beyond > turning_max.max(noise[column]).max(distance)
         };
         distance <= distance_max
             && (before + 1..after).all(|row| (0..self.columns).any(|column| is_beyond(row, column)))
     }
 
-    /// Lower quartile of the second differences that are not zero: most come from resolution and noise, three from each bad row.
+    /// Lower quartile of the second differences other than zero, as a measure of noise: most second differences come from
+    /// resolution and noise, and only three from each excursion.
     fn second_difference(&self, column: usize, every: usize) -> f64 {
         let rows = (1..self.t_s.len().saturating_sub(1)).step_by(every);
         let sizes = rows.map(|row| (self.step)(row, row + 1, column) - (self.step)(row - 1, row, column));
@@ -111,11 +123,10 @@ impl<S: Fn(usize, usize, usize) -> f64> Excursions<'_, S> {
     }
 }
 
-/// The remark on excursions at `places` (such as lines) of the file `path`; `what` is the word for a row, `done` what is done with
-/// them. `None` without excursions.
+/// The remark on excursions in the file `path`; `None` without excursions. `places` are their places, such as line numbers.
+/// `what` is the word for a row, and `done` is how the excursions are treated.
 ///
-/// # Errors
-/// [`LogError::Content`] if they are more than a tenth of all `rows`.
+/// [`LogError::Content`] if more than a tenth of all `rows` are excursions.
 pub(in crate::logs) fn remark(
     places: &[u64],
     rows: usize,

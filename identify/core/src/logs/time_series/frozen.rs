@@ -1,20 +1,23 @@
-//! Numbers that are constant while others change (a value that was not read), and rows that repeat in the middle of a motion.
+//! Finds numbers that are constant while other numbers change, because the value was not read, and rows that repeat in
+//! the middle of a motion.
 //!
-//! `prepare` and `identify inspect` search for the first; logs of robots and bars are searched for the second when they are read.
+//! `prepare` and `identify inspect` search for constant numbers. Logs of robots and bars are searched for repeated
+//! rows when they are read.
 
 use std::ops::Range;
 
 use super::stream::{Row, Stream, ranges};
 
-/// While a number is constant, another one must change by more than this \[rad, m\].
+/// While a number is constant, another number must change by more than this \[rad, m\].
 const OTHER_CHANGE_MIN: f64 = 0.1;
-/// A number that was not read changes by more than this when it is read again; one that rested continues from its value
-/// \[rad, m\].
+/// A number that was not read changes by more than this when it is read again. A number that was really constant changes
+/// gradually from its value \[rad, m\].
 const LEAP_MIN: f64 = 0.02;
 
 impl<R: Row> Stream<R> {
-    /// For each number the first range of rows in which it is constant although another number changes. `is_long` decides
-    /// whether a range is long enough, `at_end` whether a range counts that reaches the end of the log: no step follows it.
+    /// For each number, the first range of rows in which it is constant although another number changes. The number must
+    /// jump after the range. `is_long` decides whether a range is long enough. After a range at the end of the log there is
+    /// no jump, so `at_end` decides whether it counts.
     pub fn constant_ranges(
         &self,
         is_long: impl Fn(&Range<usize>) -> bool,
@@ -48,11 +51,13 @@ impl<R: Row> Stream<R> {
     }
 }
 
-/// Largest step before and after repeated rows of a standstill \[rad, m\]; larger ones are a motion.
+/// Largest change of a number from one row to the next at standstill \[rad, m\]. Repeated rows are only found between larger
+/// changes, which are a motion.
 const REPEATED_STEP_RAD: f64 = 1e-4;
 
-/// Rows that repeat the one before them in the middle of a motion, in runs of at most `run_max`: loggers that read faster than
-/// their source is updated give the same row again. `step_rad` is the largest change of a number from one row to another.
+/// Indices of rows that repeat the row before in the middle of a motion, in runs of at most `run_max`. A logger
+/// that polls faster than its source updates writes the same row several times. `step_rad` is the largest change of
+/// a number between two rows.
 pub(in crate::logs) fn repeated_rows(
     rows: usize,
     run_max: usize,

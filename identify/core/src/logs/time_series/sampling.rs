@@ -1,15 +1,24 @@
-//! The regular clock behind the stamps of a log: [`find_clock`] gives the times of the rows on it, for `Stream::from_stamps`.
+//! Estimates the regular clock by which the rows of a log were sampled, from their stamps and from the motion of the joints.
+//! [`find_clock`] returns the times of the rows on this clock, for `Stream::from_stamps`.
 //!
-//! Controllers sample by a clock that is even to microseconds, and stamp by one that may be rounded, read late, or once for
-//! several rows. The stamp of row `k` is `t_k = offset + n_k period + steps + jitter`, rounded to a grid. The whole number `n_k`
-//! of a row increases by more than one where rows are missing. The grid is estimated first: it is common to all stamps. While
-//! the robot moves evenly, the motion shows the number of periods between two rows better than the stamps do: a missing row
-//! leaves a step of the joints of twice the usual size (`motion` has this number from each row to the next, `None` where it is
-//! unknown). Then the rest `t_k - n_k period` is fitted by a smooth curve with steps, by least squares with a robust loss.
+//! Controllers sample by a clock that is regular to microseconds. The stamps may come from another clock: they
+//! may be rounded, read late, or shared by several rows. The model of the stamp of row `k` is
+//! `t_k = offset + n_k period + steps + jitter`, rounded to a grid. The cells of this grid are the intervals
+//! that round to the same stamp. The row's number `n_k` is a whole number of periods. It increases by more than
+//! one where rows are missing.
 //!
-//! Stamps that are whole periods apart have several explanations: they are right and rows are missing, or they were rounded and no
-//! row is missing, or both. The explanation with the shortest description of the log is used (minimum description length,
-//! [`Numbered::description`]), in nats: a wrong one that is shorter by `d` nats has a probability below `exp(-d)`.
+//! The steps of the estimation are:
+//!
+//! 1. `grid` finds the grid, which all stamps have in common.
+//! 2. `motion` counts the periods from each row to the next, because an even motion shows them better than the stamps do: where
+//!    one row is missing, the joints move by twice the usual step. The count is `None` where the motion does not determine it.
+//! 3. `numbers` estimates the period and the number of each row, and `breaks` finds the rows at which the clock was set.
+//! 4. `fit` fits a smooth curve with steps to the rests `t_k - n_k period`, by least squares with a robust loss.
+//!
+//! Stamps whose distances are whole periods have several explanations. They may be correct, so that rows are missing; or
+//! they were rounded and no row is missing; or both. The explanation with the shortest description of the log is used
+//! (minimum description length, [`Numbered::description`]). Lengths are in nats: the probability that a wrong explanation is
+//! shorter than the correct one by `d` nats is below `exp(-d)`.
 
 mod breaks;
 mod even;
@@ -32,32 +41,35 @@ use crate::kinematics::Joints;
 use crate::logs::ROWS_MIN;
 use crate::statistics::{mean, median, rms};
 
-/// The times of a log.
+/// The times of the rows of a log, and a comparison of the stamps with these times.
 pub(in crate::logs) struct Sampling {
-    /// Time of each row \[s\], strictly increasing; the first need not be 0.
+    /// Time of each row \[s\], strictly increasing. The time of the first row need not be 0.
     pub t_s: Vec<f64>,
     pub stamps: Stamps,
 }
 
-/// The regular clock behind the stamps, which must not decrease; `None` if there is none.
+/// Estimates the regular clock from stamps that do not decrease. `None` if no regular clock explains the stamps.
 pub(in crate::logs) fn find_clock(stamps_s: Vec<f64>, rows: &[Joints]) -> Option<Sampling> {
-    /// A cubic follows joints for this time to either side \[s\].
+    /// Time on either side of a row over which a cubic polynomial approximates the motion of the joints \[s\].
     const CURVE_S: f64 = 0.1;
-    /// Even times are right where they make the motion as smooth as the stamps do, but for this factor. Of 2400 simulated logs
-    /// (50 to 1000 Hz, joints with 0.1 to 300 urad of noise, stamps off by 6 to 500 us) none whose clock is even comes above
-    /// 1.001; where the stamps are right, even times come to 1.1 and more as soon as they move joints by half of their noise.
+    /// The times of the clock are used if the motion at these times is at most this factor rougher than at the stamps. In
+    /// 2400 simulated logs (50 to 1000 Hz, joints with 0.1 to 300 urad of noise, stamps off by 6 to 500 us), no log with a
+    /// regular clock had a factor above 1.001. If the stamps are correct, times of a regular clock that move joints by half
+    /// of their noise already have a factor of 1.1.
     const AS_SMOOTH: f64 = 1.1;
     let t_s = &*stamps_s;
-    // Even stamps without missing rows need no comparison with the motion, which takes long for millions of rows.
+    // Regular stamps without missing rows are used as they are. A comparison with the motion would take
+    // long for millions of rows.
     let even = already_even(t_s);
     if let Some(EvenStamps { stamps, .. }) = even.as_ref().filter(|even| even.stamps.missing == 0) {
         return Some(Sampling { stamps: stamps.clone(), t_s: stamps_s });
     }
     let motion = periods_by_motion(rows);
-    // Without motion stamps cannot be compared with anything.
+    // Stamps can be compared with the motion only if the motion determines enough periods.
     let moves = motion.iter().flatten().count() >= ROWS_MIN;
-    // An explanation is the number of periods from row to row, by the motion where it is known. Elsewhere each row follows the
-    // one before it (the first explanation), or the stamps are right (the second).
+    // An explanation is the number of periods from each row to the next. Where the motion determines this
+    // number, it is used. Elsewhere the first explanation assumes that no row is missing, and the second assumes
+    // that the stamps are correct.
     let (explanations, contradiction_nats) = match &even {
         None => (vec![motion.clone()], None),
         Some(EvenStamps { stamps, periods }) => {
@@ -70,18 +82,18 @@ pub(in crate::logs) fn find_clock(stamps_s: Vec<f64>, rows: &[Joints]) -> Option
         }
     };
     let grid_s = find_grid(t_s);
-    // Where joints rest, a missing row and a clock that passes from one cell of the grid to the next look the same: they decide
-    // nothing.
+    // Where joints rest, a missing row looks the same as a clock that passes from one cell of the grid to the next. Such
+    // rows are therefore not counted.
     let known: Vec<bool> = explanations[0].iter().map(Option::is_some).collect();
     let missing_by_stamps = even.as_ref().map_or(0, |even| missing(even.periods.iter().copied(), &known));
     let candidates = explanations.iter().filter(|_| moves).filter_map(|periods| {
         let numbered = Numbered::new(t_s, periods, grid_s)?;
-        // One explanation alone is compared with nothing.
+        // The length is only needed to compare two explanations.
         let description_nats = if even.is_some() { numbered.description(&known) } else { 0.0 };
         Some((numbered, description_nats))
     });
     let shortest = candidates.min_by(|(_, a_nats), (_, b_nats)| a_nats.total_cmp(b_nats));
-    // The third explanation: the stamps are right everywhere.
+    // The third explanation: the stamps are correct everywhere.
     if let Some((EvenStamps { stamps, periods }, contradiction_nats)) = even.zip(contradiction_nats) {
         let stamps_nats = nats_of_places(missing_by_stamps, periods.len()) + contradiction_nats;
         if shortest.as_ref().is_none_or(|(_, description_nats)| stamps_nats <= *description_nats) {
@@ -98,35 +110,38 @@ pub(in crate::logs) fn find_clock(stamps_s: Vec<f64>, rows: &[Joints]) -> Option
     is_right.then_some(Sampling { t_s: even_s, stamps })
 }
 
-/// Number of missing rows where the motion is known, from the periods between rows.
+/// Number of missing rows, from the number of periods between rows. Only counts where the motion is `known`.
 fn missing(periods: impl Iterator<Item = f64>, known: &[bool]) -> usize {
     periods.zip(known).map(|(periods, known)| if *known { periods - 1.0 } else { 0.0 }).sum::<f64>() as usize
 }
 
-/// Length of the description of which `count` of the `rows` are meant \[nats\]: about the logarithm of their combinations.
+/// Length of the list of places of `count` special rows among all `rows` \[nats\]: about the logarithm of
+/// the number of possible lists.
 fn nats_of_places(count: usize, rows: usize) -> f64 {
     let (count, rows) = (count as f64, rows as f64);
     if count > 0.0 { count * ((rows / count).ln() + 1.0) } else { 0.0 }
 }
 
-/// Rows with their numbers on a regular clock.
+/// Rows with their numbers on a regular clock, and the curve that describes the stamps.
 struct Numbered {
+    /// The grid to which stamps are rounded \[s\], if there is one.
     grid_s: Option<f64>,
     period_s: f64,
     /// Number of periods from the first row to each row.
     numbers: Vec<f64>,
-    /// Stamps minus number times period \[s\].
+    /// The rests: stamp minus number times period \[s\].
     rest_s: Vec<f64>,
-    /// First rows after a step of the clock.
+    /// For each step of the clock, the first row after this step.
     breaks_at: Vec<usize>,
     fit: StampFit,
 }
 
 impl Numbered {
-    /// Numbers the rows and fits the clock. Each row follows the one before it, unless the motion, or a deviation beyond rounding
-    /// and jitter, shows otherwise. `None` if no clock fits.
+    /// Numbers the rows and fits the clock. The number of a row is one more than the number of the row before it, unless the
+    /// motion shows that rows are missing, or the stamp is later than rounding and jitter explain. `None` if no clock fits.
     fn new(t_s: &[f64], motion: &[Option<f64>], grid_s: Option<f64>) -> Option<Self> {
-        /// Rounding moves two stamps by up to one grid against each other; the phase of the clock is known to a quarter of it.
+        /// Largest difference between two stamps and the clock by rounding, in cells of the grid. Rounding contributes up to
+        /// one cell, and the phase of the clock is known to a quarter of a cell.
         const ROUNDED: f64 = 1.25;
         let rounding_s = ROUNDED * grid_s.unwrap_or_default();
         let period_s = estimate_period(t_s, motion)?;
@@ -150,25 +165,27 @@ impl Numbered {
         self.numbers.windows(2).map(|pair| pair[1] - pair[0] - 1.0).sum::<f64>() as usize
     }
 
-    /// Stamp minus time of the clock, of each row \[s\].
+    /// Stamp minus fitted time, of each row \[s\].
     fn late_s(&self) -> impl Iterator<Item = f64> {
         self.rest_s.iter().zip(&self.fit.with_steps_s).map(|(rest_s, fitted_s)| rest_s - fitted_s)
     }
 
-    /// Length of the description of even stamps \[nats\], beyond that of their own clock, which all explanations share: which rows
-    /// are missing, in which cell of the grid a stamp is where rounding does not explain it, where the stamps' clock was set and by
-    /// how much, and phase and rate of another clock, if rows have one that passes from cell to cell. Missing rows count where
-    /// the motion is `known`.
+    /// Length of the description of the stamps \[nats\]. The regular clock itself is not included, because all
+    /// explanations share it. The description lists which rows are missing, counted only where the motion is `known`. For
+    /// stamps that rounding does not explain, it contains the cell of the grid. For each step of the stamps' clock it
+    /// contains place and size. If the stamps were rounded by another clock, it contains the phase and rate of that clock
+    /// relative to the regular one.
     fn description(&self, known: &[bool]) -> f64 {
         /// `sqrt(2 pi e)`: its logarithm is the differential entropy of a normal distribution of unit deviation, here in cells.
         const CELLS: f64 = 4.13;
-        /// Largest deviation of a stamp by rounding: half a cell, and a tenth for the error of the fitted line.
+        /// Largest deviation of a stamp by rounding, in cells: half a cell, and a tenth for the error of the fitted curve.
         const HALF: f64 = 0.6;
-        /// Tried phases of the clock, in cells: a few passes from cell to cell determine the phase to a quarter.
+        /// Phases of the clock that are tried, in cells. If the clock passes from cell to cell a few times, the fit
+        /// determines the phase to a quarter of a cell.
         const PHASES: [f64; 7] = [-0.25, -0.15, -0.05, 0.0, 0.05, 0.15, 0.25];
         let rows = self.numbers.len() as f64;
         let cell_s = self.grid_s.unwrap_or(WRITTEN_S);
-        // What rounding does not explain of the deviations, in cells.
+        // Root mean square of the deviations beyond those that rounding explains, in cells.
         let excess = |phase: f64| {
             let excess_s = self.late_s().map(|late_s| (late_s - phase * cell_s).abs() - HALF * cell_s);
             rms(excess_s.map(|excess_s| excess_s.max(0.0))) / cell_s
@@ -176,25 +193,30 @@ impl Numbered {
         let least_excess = PHASES.into_iter().map(excess).fold(f64::INFINITY, f64::min);
         let cells_nats = rows * (1.0 + CELLS * least_excess).ln();
         let missing = missing(self.numbers.windows(2).map(|pair| pair[1] - pair[0]), known);
-        // Of each step place and size, of another clock phase and rate: rounding moves the stamps of one by a quarter of a cell.
+        // Each step has two parameters, place and size. Another clock has two, phase and rate: its stamps are rounded, so
+        // that they typically deviate by a quarter of a cell.
         let usual_late_s = median(&mut self.late_s().map(f64::abs).collect::<Vec<_>>()).unwrap_or_default();
         let parameters = 2 * (self.breaks_at.len() + usize::from(usual_late_s > WRITTEN_S));
         nats_of_places(missing, self.numbers.len()) + cells_nats + parameters as f64 * rows.ln()
     }
 
-    /// Times of the clock for all rows, and the stamps against it. Steps at which the motion is unknown stay in the times.
+    /// Computes the times of all rows on the clock, and compares the stamps with these times. Steps at which the motion is
+    /// unknown remain in the times.
     fn times(&self, t_s: &[f64], motion: &[Option<f64>]) -> (Vec<f64>, Stamps) {
-        /// Rounded stamps are off by 0.29 of their grid, root mean square; those of a clock that keeps to the grid are exact.
+        /// Rounded stamps deviate by 0.29 cells of their grid, root mean square. Stamps of a clock whose period is a
+        /// multiple of the grid do not deviate. Stamps count as rounded if they deviate by more than this.
         const ROUNDED_SIGMA: f64 = 0.1;
         let Self { grid_s, period_s, numbers, breaks_at, fit, .. } = self;
-        // The place of a step is known to some rows only, and near a gap the motion is unknown.
+        // The place of a step is only known to within a few rows, and near a gap the motion is unknown.
         let has_motion = |row: usize| {
             let near = motion.get(row.saturating_sub(NEIGHBOURS)..row + NEIGHBOURS);
             near.is_some_and(|near| near.iter().all(Option::is_some))
         };
+        // `steps` are removed from the times, `kept_steps_s` remain in the times (0 for a removed step).
         let (mut steps, mut kept_steps_s) = (Vec::new(), vec![0.0; breaks_at.len()]);
         for ((&row, &by_s), kept_s) in breaks_at.iter().zip(&fit.steps_s).zip(&mut kept_steps_s) {
-            // Only the stamps show how long the robot stands still.
+            // Where the motion is unknown, the robot may stand still. Then only the stamps show for how long,
+            // so the step is kept.
             if has_motion(row) { steps.push(StampStep { at_s: t_s[row], by_s }) } else { *kept_s = by_s }
         }
         let clock_time_s = |row: usize| {
@@ -220,7 +242,8 @@ impl Numbered {
     }
 }
 
-/// How far rows are from the straight lines between their neighbours, root mean square; at equal times from the middle.
+/// Root mean square distance of each row from the straight line between its neighbours. If the neighbours have the same
+/// time, it is the distance from the middle between them.
 fn roughness(t_s: &[f64], rows: &[Joints]) -> f64 {
     let off_squared = |(t, q): (&[f64], &[Joints])| -> f64 {
         let span_s = t[2] - t[0];
@@ -234,7 +257,8 @@ fn roughness(t_s: &[f64], rows: &[Joints]) -> f64 {
 mod tests {
     use super::*;
 
-    /// Stamps on a grid of 4 ms, of rows that are `period_s` apart, by a clock that is set by `step_s` in the middle.
+    /// Length of the description of stamps on a grid of 4 ms. Rows are `period_s` apart, and the clock of the stamps is set
+    /// by `step_s` in the middle.
     fn description_nats(period_s: f64, step_s: f64) -> f64 {
         const GRID_S: f64 = 0.004;
         let stamp = |row: usize| {

@@ -1,9 +1,9 @@
-//! A shared value that is copied when it is changed.
+//! A value with several owners. An owner that changes it gets its own copy first.
 
 use std::ops::{Deref, DerefMut};
 use std::sync::Arc;
 
-/// Long logs are shared by all that read them.
+/// A value with several owners, such as a long log. It is copied when one of several owners changes it.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Shared<T>(Arc<T>);
 

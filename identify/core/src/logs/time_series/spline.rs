@@ -1,9 +1,9 @@
 //! Cubic splines with two continuous derivatives through unevenly spaced samples.
 //!
-//! The alignment of two logs needs values and speeds, and a least-squares solve needs both to be smooth. With linear
-//! interpolation the values have kinks and the speeds have steps. Ends are "not-a-knot" (de Boor, A Practical Guide to
-//! Splines, ch. IV): the third derivative is continuous at the first and the last inner knot, so that the ends are as accurate
-//! as the middle.
+//! The input is a [`Stream`], the result a [`CubicSpline`] with values and derivatives at any time. The alignment of two
+//! logs needs smooth values and speeds, because it is a least-squares problem. Linear interpolation would give values with
+//! kinks and speeds with jumps. The ends of a spline are "not-a-knot" (de Boor, A Practical Guide to Splines, ch. IV): the
+//! third derivative is continuous at the first and the last inner knot, so that the ends are as accurate as the middle.
 //!
 //! With values `y`, second derivatives `m`, `h = t_(i+1) - t_i`, `u = (t - t_i) / h`, `w = 1 - u` the spline between two knots is
 //! `w y_i + u y_(i+1) + h^2 / 6 ((w^3 - w) m_i + (u^3 - u) m_(i+1))`.
@@ -11,14 +11,15 @@
 use super::shared::Shared;
 use super::stream::{Row, Stream};
 
-/// Smallest number of samples of one continuous part: two inner knots for the not-a-knot ends.
+/// Smallest number of rows without a gap: the not-a-knot ends need two inner knots.
 pub const KNOTS_MIN: usize = 4;
 
-/// A cubic spline through the rows of a stream. Gaps of the stream separate its parts; it has no values there.
+/// A cubic spline through the rows of a stream, in separate parts without gaps. In a gap of the stream
+/// the spline has no value.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CubicSpline<R> {
     knots: Shared<Stream<R>>,
-    /// Second derivatives at the knots \[1/s²\], knot by knot, one for each number of the row.
+    /// Second derivatives at the knots \[unit of the values/s²\], knot by knot, one for each number of the row.
     curvatures: Vec<f64>,
     /// Whether the spline has values between knots `i` and `i + 1`.
     bridged: Vec<bool>,
@@ -27,9 +28,9 @@ pub struct CubicSpline<R> {
 /// The interval between two knots.
 struct Interval<'a> {
     width_s: f64,
-    /// Values at its left and right end.
+    /// Values at the left and right end.
     ends: [&'a [f64]; 2],
-    /// Second derivatives at its left and right end.
+    /// Second derivatives at the left and right end.
     curvatures: [&'a [f64]; 2],
 }
 
@@ -45,14 +46,15 @@ pub struct SplinePoint<R> {
 }
 
 impl<R: Row> Stream<R> {
-    /// A spline through all rows, separate for each of the [`Stream::parts`]; `None` if no part has four rows.
+    /// A spline through all rows, separate for each of the [`Stream::parts`]. Parts of fewer than four rows have no spline;
+    /// `None` if all parts are so short.
     pub fn spline(self) -> Option<CubicSpline<R>> {
         CubicSpline::through(self.into())
     }
 }
 
 impl<R: Row> CubicSpline<R> {
-    /// [`Stream::spline`] of shared rows.
+    /// Like [`Stream::spline`], but for rows with several owners.
     pub fn through(knots: Shared<Stream<R>>) -> Option<Self> {
         let width = row_length(&knots);
         let mut curvatures = vec![0.0; knots.len() * width];
@@ -65,7 +67,8 @@ impl<R: Row> CubicSpline<R> {
         bridged.contains(&true).then_some(Self { knots, curvatures, bridged })
     }
 
-    /// Value and derivatives `t_s` seconds after the first row; `None` outside the rows and in gaps.
+    /// Value and derivatives `t_s` seconds after the first row; `None` before the first row, after the
+    /// last row, and in gaps.
     pub fn at(&self, t_s: f64) -> Option<SplinePoint<R>> {
         let interval = self.knots.interval(t_s)?;
         let Interval { width_s, ends: [left, right], curvatures: [m_left, m_right] } =
@@ -88,12 +91,12 @@ impl<R: Row> CubicSpline<R> {
         })
     }
 
-    /// Whether [`at`](Self::at) has a value.
+    /// Whether [`at`](Self::at) returns a value at this time.
     pub fn covers(&self, t_s: f64) -> bool {
         self.knots.interval(t_s).is_some_and(|interval| self.bridged[interval])
     }
 
-    /// Integral over time from knot `interval` to the fraction `u` (0 to 1) of the way to the next one; `None` in gaps.
+    /// Integral over time from the knot `interval` to the fraction `u` (0 to 1) of the way to the next knot; `None` in gaps.
     pub fn integral_within(&self, interval: usize, u: f64) -> Option<R> {
         let Interval { width_s, ends: [left, right], curvatures: [m_left, m_right] } =
             self.interval(interval)?;
@@ -114,7 +117,7 @@ impl<R: Row> CubicSpline<R> {
         self.knots.duration_s()
     }
 
-    /// The interval from knot `left` to the next one; `None` in gaps.
+    /// The interval from the knot `left` to the next knot; `None` in gaps.
     fn interval(&self, left: usize) -> Option<Interval<'_>> {
         let ends = [left, left + 1];
         let width = row_length(&self.knots);
@@ -131,22 +134,26 @@ fn row_length<R: Row>(rows: &[R]) -> usize {
     rows.first().map_or(0, |row| row.numbers().len())
 }
 
-/// Writes the second derivatives `m` at the knots of one part (at least [`KNOTS_MIN`]) to `out`, knot by knot. Continuous first
-/// derivatives require `h_(i-1) m_(i-1) + 2 (h_(i-1) + h_i) m_i + h_i m_(i+1) = 6 (slope_i - slope_(i-1))` at inner knots: a
-/// tridiagonal system, solved by elimination without pivoting (it is diagonally dominant).
+/// Writes the second derivatives `m` at the knots of one part (at least [`KNOTS_MIN`]) to `out`, knot by knot. At each inner
+/// knot the first derivative is continuous if
+/// `h_(i-1) m_(i-1) + 2 (h_(i-1) + h_i) m_i + h_i m_(i+1) = 6 (slope_i - slope_(i-1))`. This tridiagonal system is
+/// diagonally dominant, so it is solved by elimination without pivoting.
 fn solve_curvatures<R: Row>(t_s: &[f64], values: &[R], out: &mut [f64]) {
     let (last, width) = (t_s.len() - 1, row_length(values));
     let h = |i: usize| t_s[i + 1] - t_s[i];
     let slope = |i: usize, n: usize| (values[i + 1].numbers()[n] - values[i].numbers()[n]) / h(i);
     let mut upper_over_diagonal = vec![0.0; t_s.len()];
+    // Elimination, from the first inner knot to the last.
     for i in 1..last {
         let (mut lower, mut diagonal, mut upper) = (h(i - 1), 2.0 * (h(i - 1) + h(i)), h(i));
         if i == 1 {
-            // Not-a-knot: m_0 continues m_1 and m_2 linearly, m_0 = m_1 + h_0 / h_1 (m_1 - m_2), and is eliminated.
+            // Not-a-knot: `m_0` is the linear extrapolation of `m_1` and `m_2`,
+            // `m_0 = m_1 + h_0 / h_1 (m_1 - m_2)`, so it is eliminated.
             diagonal += h(0) * (1.0 + h(0) / h(1));
             upper -= h(0) * h(0) / h(1);
             lower = 0.0;
         }
+        // The same condition at the other end.
         if i == last - 1 {
             diagonal += h(last - 1) * (1.0 + h(last - 1) / h(last - 2));
             lower -= h(last - 1) * h(last - 1) / h(last - 2);
@@ -159,11 +166,13 @@ fn solve_curvatures<R: Row>(t_s: &[f64], values: &[R], out: &mut [f64]) {
             out[i * width + n] = (right_side - lower * out[(i - 1) * width + n]) / pivot;
         }
     }
+    // Back substitution.
     for i in (1..last - 1).rev() {
         for n in 0..width {
             out[i * width + n] -= upper_over_diagonal[i] * out[(i + 1) * width + n];
         }
     }
+    // The not-a-knot conditions give the second derivatives at the two ends.
     let mut continue_to_end = |knot: usize, [inner, further]: [usize; 2], ratio: f64| {
         for n in 0..width {
             let (near, far) = (out[inner * width + n], out[further * width + n]);

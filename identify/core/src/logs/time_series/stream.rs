@@ -1,8 +1,10 @@
-//! A time series on one clock: increasing times, and a row of numbers for each.
+//! A time series on one clock: increasing times, and one row of numbers for each time.
 //!
-//! The robot's log, a force, a tracker's log and the bar's readings are all streams, so that what can be done with one exists
-//! once: [`Stream::at`] and [`Stream::spline`] interpolate, [`Stream::averages`] smooths, [`Stream::unwrapped`] makes turns
-//! continuous, [`Stream::filter_map`] takes a part. None of them extends across a gap or a restart of counters.
+//! The robot's log, a force, a tracker's log and the bar's readings are all streams, so that each operation exists
+//! only once. [`Stream::at`] and [`Stream::spline`] interpolate, [`Stream::averages`] smooths,
+//! [`Stream::unwrapped`] makes readings continuous that wrap, and [`Stream::filter_map`] selects rows. Two
+//! neighbouring rows have a gap between them if their times differ by more than a limit. None of the operations
+//! extends across a gap, or across a restart of the counters.
 
 use std::borrow::Cow;
 use std::ops::{Deref, DerefMut, Range};
@@ -13,15 +15,15 @@ use super::sampling::{Sampling, Stamps, find_clock};
 use crate::kinematics::Joints;
 use crate::statistics::median;
 
-/// The numbers of one stamp: an array, a point, or one number for each axis of a robot.
+/// The numbers at one time: an array, a point, or one number for each axis of a robot.
 pub trait Row: Copy {
-    /// The numbers; each row of a stream has the same count.
+    /// The numbers. All rows of a stream have the same count of numbers.
     fn numbers(&self) -> &[f64];
 
-    /// A row of the same length and kind whose number `i` is `number(i)`.
+    /// A row of the same type and length whose number `i` is `number(i)`.
     fn with_numbers(&self, number: impl FnMut(usize) -> f64) -> Self;
 
-    /// Whether the numbers continue those of the row before: counters that restarted do not.
+    /// Whether the numbers continue those of the row before. They do not if a counter restarted between the two rows.
     fn continues(&self, _before: &Self) -> bool {
         true
     }
@@ -61,21 +63,22 @@ impl Row for Vector3<f64> {
     }
 }
 
-/// Rows with times on one clock; it can be used as the slice of its rows.
+/// Rows with times on one clock. A stream dereferences to the slice of its rows.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Stream<R> {
-    /// Time of the first row \[ns on the stream's clock\]. Its zero may be 1970, a controller's start or anything else.
+    /// Time of the first row \[ns on the stream's clock\]. Zero of that clock may be 1970, the start of a
+    /// controller or any other time.
     pub first_stamp_ns: i64,
-    /// Times since the first row \[s\], strictly increasing, the first is 0.
+    /// Times since the first row \[s\]. They increase strictly from 0.
     pub t_s: Vec<f64>,
     /// One row for each time.
     pub rows: Vec<R>,
-    /// Neighbours further apart have a gap between them \[s\].
+    /// There is a gap between two neighbouring rows if their times differ by more than this \[s\].
     pub gap_limit_s: f64,
 }
 
-/// Shortest gap \[s\]: for a joint that swings by 1 rad/s² at 1 Hz, a spline through 50 ms is accurate to 1 urad, a straight
-/// line to 0.3 mrad.
+/// Shortest gap \[s\]. If a joint swings at 1 Hz with an acceleration of 1 rad/s², a spline across 50 ms is accurate to 1
+/// urad, and a straight line to 0.3 mrad.
 const GAP_S_MIN: f64 = 0.05;
 
 impl<R> Default for Stream<R> {
@@ -98,13 +101,13 @@ impl<R> DerefMut for Stream<R> {
     }
 }
 
-/// Times since the first of some stamps \[s\]. 128 bits: two stamps may be further apart than 292 years.
+/// Times since the first stamp \[s\]. Differences have 128 bits, because two stamps may be more than 292 years apart.
 pub fn since_first_s(stamps_ns: &[i64]) -> Vec<f64> {
     let first_ns = stamps_ns.first().copied().unwrap_or_default();
     stamps_ns.iter().map(|stamp_ns| (i128::from(*stamp_ns) - i128::from(first_ns)) as f64 * 1e-9).collect()
 }
 
-/// Median and largest distance of neighbouring times \[s\]; zeros if there are fewer than two.
+/// Median and largest difference of neighbouring times \[s\]; zeros if there are fewer than two times.
 pub fn usual_and_longest_step_s(t_s: &[f64]) -> [f64; 2] {
     let mut steps_s: Vec<f64> = t_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
     let longest_s = steps_s.iter().copied().fold(0.0, f64::max);
@@ -116,11 +119,11 @@ pub(crate) fn travel<R: Row>(rows: &[R]) -> f64 {
     ranges(rows).into_iter().map(|[low, high]| high - low).fold(0.0, f64::max)
 }
 
-/// Smallest and largest of each number of some rows.
+/// Smallest and largest value of each number over all rows.
 pub fn ranges<R: Row>(rows: &[R]) -> Vec<[f64; 2]> {
     let mut ranges =
         vec![[f64::INFINITY, f64::NEG_INFINITY]; rows.first().map_or(0, |row| row.numbers().len())];
-    // Row by row: a long log does not fit into any cache.
+    // The rows are the outer loop because a long log does not fit into a cache.
     for row in rows {
         for ([low, high], value) in ranges.iter_mut().zip(row.numbers()) {
             (*low, *high) = (low.min(*value), high.max(*value));
@@ -136,8 +139,8 @@ pub(in crate::logs) fn retain<T>(all: &mut Vec<T>, is_kept: &[bool]) {
 }
 
 impl<R> Stream<R> {
-    /// `rows` at `t_s` \[s\], which increase strictly from 0; the longer list is cut to the length of the shorter one. A gap is
-    /// longer than 50 ms, and longer than 3.5 periods.
+    /// A stream of `rows` at the times `t_s` \[s\], which increase strictly from 0. The longer list is cut to the length of
+    /// the shorter list. Gaps are longer than 50 ms and longer than 3.5 periods.
     pub fn new(first_stamp_ns: i64, mut t_s: Vec<f64>, mut rows: Vec<R>) -> Self {
         t_s.truncate(rows.len());
         rows.truncate(t_s.len());
@@ -146,9 +149,11 @@ impl<R> Stream<R> {
         stream.with_gap_limit(gap_limit_s)
     }
 
-    /// Rows at the times of the regular clock that stamps and `motion` show, or without such a clock at their stamps; of rows
-    /// with equal stamps then only the first is kept. `stamps_ns` do not decrease. Returns the stream, what is known of the
-    /// clock, and for each row whether it was kept (empty if all were).
+    /// A stream of `rows`. Their times are those of the regular clock, if one is found from the stamps and
+    /// the `motion`. Otherwise the times are the stamps, and of rows with equal stamps only the first is
+    /// kept. `stamps_ns` must not decrease.
+    ///
+    /// Returns the stream, the clock if one was found, and for each row whether it was kept (empty if all were kept).
     pub(in crate::logs) fn from_stamps(
         mut stamps_ns: Vec<i64>,
         mut rows: Vec<R>,
@@ -168,12 +173,12 @@ impl<R> Stream<R> {
         (Self::new(later_ns(first_ns, begins_s), t_s, rows), Some(stamps), Vec::new())
     }
 
-    /// The stream with another limit of gaps \[s\].
+    /// The stream with another limit above which there is a gap \[s\].
     pub fn with_gap_limit(self, gap_limit_s: f64) -> Self {
         Self { gap_limit_s, ..self }
     }
 
-    /// Appends a row, whose stamp \[ns\] is later than those before it.
+    /// Appends a row. Its stamp \[ns\] must be later than that of the last row.
     pub fn push(&mut self, stamp_ns: i64, row: R) {
         if self.rows.is_empty() {
             self.first_stamp_ns = stamp_ns;
@@ -183,12 +188,12 @@ impl<R> Stream<R> {
         self.rows.push(row);
     }
 
-    /// From first to last row \[s\].
+    /// Time from the first to the last row \[s\].
     pub fn duration_s(&self) -> f64 {
         self.t_s.last().copied().unwrap_or(0.0)
     }
 
-    /// Median distance of two rows \[s\].
+    /// Median time between neighbouring rows \[s\].
     pub fn period_s(&self) -> f64 {
         usual_and_longest_step_s(&self.t_s)[0]
     }
@@ -198,7 +203,7 @@ impl<R> Stream<R> {
         self.t_s.get(index).map(|t_s| later_ns(self.first_stamp_ns, *t_s))
     }
 
-    /// The results of `convert` on each row, at the same times.
+    /// A stream of the results of `convert` on each row, at the same times.
     pub fn map<S>(&self, convert: impl FnMut(&R) -> S) -> Stream<S> {
         Stream {
             first_stamp_ns: self.first_stamp_ns,
@@ -208,7 +213,8 @@ impl<R> Stream<R> {
         }
     }
 
-    /// Results of `convert` on the rows with these indices, without rows for which it returns `None`.
+    /// A stream of the results of `convert` on the rows with these indices. Rows for which `convert`
+    /// returns `None` are left out.
     pub fn filter_map<S>(
         &self,
         indices: Range<usize>,
@@ -228,9 +234,10 @@ impl<R> Stream<R> {
         kept
     }
 
-    /// Index of the interval that contains the time, which is that of its first row; `None` outside the stream.
+    /// Index of the first row of the interval between two rows that contains the time; `None` outside the stream.
     pub(super) fn interval(&self, t_s: f64) -> Option<usize> {
-        // Most rows are evenly spaced: a search through all of a long log would wait for its memory.
+        // Most rows are evenly spaced, so the interval is near the row that is estimated from the time. A search through all
+        // of a long log would be slow, because the log is not in the cache.
         let guess = (t_s / self.duration_s() * self.t_s.len().saturating_sub(1) as f64) as usize;
         let near = guess.saturating_sub(1)..guess.saturating_add(3).min(self.t_s.len());
         let around = self.t_s.get(near.clone()).unwrap_or_default();
@@ -245,12 +252,13 @@ impl<R> Stream<R> {
 }
 
 impl<R: Row> Stream<R> {
-    /// Parts without gaps in which the numbers are continuous from row to row, in the order of time; none is empty.
+    /// The parts of the stream without gaps in which the numbers are continuous from row to row, in the order of
+    /// time. No part is empty.
     pub fn parts(&self) -> Vec<Range<usize>> {
         self.parts_within(self.gap_limit_s)
     }
 
-    /// The same with another limit of gaps \[s\].
+    /// Like [`Self::parts`], but with another limit above which there is a gap \[s\].
     pub fn parts_within(&self, gap_limit_s: f64) -> Vec<Range<usize>> {
         let mut parts = Vec::new();
         let mut start = 0;
@@ -263,7 +271,7 @@ impl<R: Row> Stream<R> {
         parts
     }
 
-    /// Neither a gap nor a restart is between this row and the next one.
+    /// Whether there is neither a gap nor a restart of counters between this row and the next one.
     fn is_continued(&self, row: usize, gap_limit_s: f64) -> bool {
         self.t_s[row + 1] - self.t_s[row] <= gap_limit_s && self.rows[row + 1].continues(&self.rows[row])
     }
@@ -273,8 +281,8 @@ impl<R: Row> Stream<R> {
         self.filter_map(indices, |_, row| Some(*row))
     }
 
-    /// The numbers at a time after the first row \[s\], on a straight line between two rows: a spline would overshoot at jumps.
-    /// `None` outside the stream and in gaps.
+    /// The numbers at a time after the first row \[s\], by linear interpolation between two rows, because a spline would
+    /// overshoot at jumps. `None` outside the stream and in gaps.
     pub fn at(&self, t_s: f64) -> Option<R> {
         let row = self.interval(t_s)?;
         let (from, to) = (&self.rows[row], &self.rows[row + 1]);

@@ -1,4 +1,5 @@
-//! Readings that wrap after a turn, or at the width of a counter: as in the file, and made continuous.
+//! Makes readings continuous that wrap after a turn or at the width of a counter. [`Unwrapped`] contains a segment of the
+//! readings before and after this step, for a picture in a report.
 
 use std::borrow::Cow;
 use std::ops::Range;
@@ -11,32 +12,33 @@ use super::stream::{Row, Stream};
 const WRAPS_SHOWN: usize = 8;
 /// Approximate number of readings that a picture spans.
 const READINGS_SHOWN: usize = 2000;
-/// Largest number of these that are drawn, beside the two at each wrap.
+/// Largest number of readings that are drawn. The two readings at each wrap are always drawn and do not count.
 const POINTS_MAX: usize = 250;
 
 /// One reading before and after unwrapping.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct UnwrappedPoint {
-    /// Since the first reading \[s\].
+    /// Time since the first reading \[s\].
     pub t_s: f64,
-    /// As in the file \[rad\].
+    /// Reading as in the file \[rad\].
     pub shown_rad: f64,
-    /// As it is used \[rad\].
+    /// Reading made continuous, as it is used \[rad\].
     pub continuous_rad: f64,
 }
 
-/// Readings of one encoder or joint that wrapped.
+/// Readings of one encoder or joint that wrapped, before and after unwrapping.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Unwrapped {
-    /// Such as `b1` for an encoder of the bar, by the joint that its file states, or `q6` for a joint of the robot.
+    /// Name such as `b1` for an encoder of the bar, numbered by the joint in its file, or `q6` for a joint of the robot.
     pub name: String,
-    /// Range of the readings, after which they wrap \[rad\].
+    /// Range of the readings \[rad\]. A reading wraps when it leaves this range.
     pub period_rad: f64,
     /// Number of wraps in the log.
     pub wraps: usize,
-    /// Largest change from one reading to the next, as a fraction of half a period; from 1 on its direction is ambiguous.
+    /// Largest change from one reading to the next, as a fraction of half a period. From 1 on the direction
+    /// of a change is ambiguous.
     pub step_part: f64,
-    /// The part of the log with the most wraps, thinned.
+    /// The segment of the log with the most wraps, thinned.
     pub points: Vec<UnwrappedPoint>,
 }
 
@@ -71,7 +73,8 @@ impl Unwrapped {
         })
     }
 
-    /// Combines the parts of a log of one encoder; the part with the most wraps is shown. `None` without wraps.
+    /// Combines the results for the parts of a log of one encoder. The part with the most wraps
+    /// is shown. `None` without wraps.
     pub fn of_parts(parts: impl IntoIterator<Item = Option<Self>>) -> Option<Self> {
         let parts: Vec<Self> = parts.into_iter().flatten().collect();
         let wraps = parts.iter().map(|part| part.wraps).sum();
@@ -82,10 +85,10 @@ impl Unwrapped {
 }
 
 impl<R: Row> Stream<R> {
-    /// The stream with numbers that wrap after a `period` made continuous; borrowed if none wraps.
+    /// The stream with numbers that wrap after a `period` made continuous. Borrowed if no number wraps.
     ///
-    /// A number that differs from the row before by more than half a period is moved by whole periods to the value nearest to
-    /// it. Across a gap the number of periods is not determined, and stays.
+    /// A number that differs from the row before by more than half a period is moved by whole periods to the value nearest
+    /// to that row. Across a gap the number of periods cannot be determined, so it is assumed not to change.
     pub fn unwrapped(&self, period: f64) -> Cow<'_, Self> {
         let mut continuous = Cow::Borrowed(self);
         let mut periods = vec![0.0; self.first().map_or(0, |row| row.numbers().len())];
@@ -104,14 +107,14 @@ impl<R: Row> Stream<R> {
     }
 }
 
-/// The range of readings with the most wraps that one picture can show; `wraps` are the readings after a wrap.
+/// The range of readings with the most wraps that fit into one picture. `wraps` are the first readings after each wrap.
 fn range_of_most_wraps(wraps: &[usize]) -> Option<Range<usize>> {
     let wraps_from = |first: usize| {
         let near = wraps[first..].iter().take(WRAPS_SHOWN);
         near.take_while(|wrap| **wrap < wraps[first] + READINGS_SHOWN).count()
     };
     let span = |first: usize| wraps[first + wraps_from(first) - 1] - wraps[first];
-    // Of ranges with the same number of wraps, the shortest.
+    // Among ranges with the same number of wraps, the shortest is used.
     let first = (0..wraps.len()).max_by_key(|&first| (wraps_from(first), std::cmp::Reverse(span(first))))?;
     let margin = match wraps_from(first) {
         1 => READINGS_SHOWN / 2,

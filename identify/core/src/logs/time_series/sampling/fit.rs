@@ -1,4 +1,8 @@
-//! A smooth curve with steps through the rests of the stamps.
+//! Fits a smooth curve with steps to the rests of the stamps. The rest of a stamp is its
+//! difference from number times period.
+//!
+//! The curve is a chain of straight pieces between knots, a minute apart. The places of the steps (breaks) are given, and
+//! the fit estimates their sizes. A prior keeps the slope similar from piece to piece.
 
 use std::ops::Range;
 
@@ -7,20 +11,21 @@ use nalgebra::{DMatrix, DVector};
 use super::breaks::BESIDE;
 use crate::statistics::median;
 
-/// The rate of a clock follows temperature over minutes: it is free to change at this distance \[s\].
+/// Distance of the knots, at which the fitted rate of the clock may change \[s\]. The rate of a clock follows temperature,
+/// which takes minutes to change.
 const KNOTS_S: f64 = 60.0;
 /// Largest number of pieces between knots.
 const PIECES_MAX: usize = 200;
-/// From one knot to the next the rate of a clock changes by this, one standard deviation: a quartz that warms up by 1 K.
+/// Standard deviation of the change of the clock's rate from one knot to the next: that of a quartz that warms up by 1 K.
 const RATE_CHANGE: f64 = 2e-6;
 /// Limit of the Huber loss in standard deviations.
 const HUBER: f64 = 1.345;
 
-/// A fit to the rests `t_k - n_k period`: a line with a bend at each knot, and a step at each break.
+/// The curve fitted to the rests `t_k - n_k period`: a line with a bend at each knot, and a step at each break.
 pub(super) struct StampFit {
-    /// The fit without the steps, row by row \[s\].
+    /// Value of the curve without the steps, for each row \[s\].
     pub(super) without_steps_s: Vec<f64>,
-    /// The fit with the steps, row by row \[s\].
+    /// Value of the curve with the steps, for each row \[s\].
     pub(super) with_steps_s: Vec<f64>,
     /// The step at each break \[s\].
     pub(super) steps_s: Vec<f64>,
@@ -29,8 +34,10 @@ pub(super) struct StampFit {
 }
 
 impl StampFit {
-    /// Minimises the Huber loss of the residuals plus `bend_weight` times the squared second differences at the knots, by
-    /// reweighted least squares. Rounded stamps need a smooth fit: those of one cell of the grid share their error.
+    /// Minimises the Huber loss of the residuals plus `bend_weight` times the squared second differences at the knots,
+    /// by iteratively reweighted least squares. For rounded stamps `bend_weight` is larger and the curve smoother,
+    /// because the rounding errors of stamps in the same cell of the grid are not independent. `None` without rows, or
+    /// if the equations cannot be solved.
     pub(super) fn new(
         rest_s: &[f64],
         numbers: &[f64],
@@ -39,7 +46,8 @@ impl StampFit {
         grid_s: Option<f64>,
     ) -> Option<Self> {
         const ROUNDS: usize = 8;
-        // Steps may be an hour: only their remainder is fitted, in which rounding is small.
+        // A step may be as large as an hour. Medians give a rough size, which is subtracted from the rests. Only the
+        // remainder is fitted, so that floating-point errors stay small.
         let rough_s: Vec<f64> =
             breaks.iter().map(|&at| rough_step_s(rest_s, at).unwrap_or_default()).collect();
         let roughly_stepped_s = |row: usize| -> f64 {
@@ -50,10 +58,10 @@ impl StampFit {
         let last_number = numbers.last()?.max(1.0);
         let pieces = ((last_number * period_s / KNOTS_S).ceil() as usize).clamp(1, PIECES_MAX);
         let curve = FitCurve { numbers, breaks, last_number, pieces };
-        // As if all rows of a piece had the same rounding error.
+        // Conservative variance, for which all rows of a piece are assumed to have the same rounding error.
         let rounding_variance =
             grid_s.unwrap_or_default().powi(2) / 12.0 * rest_s.len() as f64 / pieces as f64;
-        // Standard deviation of a second difference at the knots.
+        // Standard deviation of a second difference of the values at three successive knots.
         let bend_s = RATE_CHANGE * last_number * period_s / pieces as f64;
         let mut x = DVector::<f64>::zeros(curve.unknowns());
         let mut sigma_s = f64::INFINITY;
@@ -62,13 +70,13 @@ impl StampFit {
             let scatter_variance = if sigma_s.is_finite() { sigma_s * sigma_s } else { 0.0 };
             let bend_weight = (scatter_variance + rounding_variance) / (bend_s * bend_s);
             curve.add_bends(&mut matrix, bend_weight);
-            // Makes the matrix regular for pieces without rows.
+            // Makes the matrix invertible if a piece has no rows.
             (0..curve.unknowns()).for_each(|i| matrix[(i, i)] += 1e-9 * (1.0 + matrix[(i, i)]));
             x = matrix.cholesky()?.solve(&right_side);
             let residual_s =
                 |(row, rest): (usize, &f64)| (rest - curve.with_steps(&x, curve.place(row))).abs();
             let mut residuals_s: Vec<f64> = rest_s.iter().enumerate().map(residual_s).collect();
-            // Of a normal distribution the median size is 0.675 standard deviations.
+            // The median absolute value of a normal distribution is 0.675 standard deviations.
             sigma_s = (1.48 * median(&mut residuals_s)?).max(1e-9);
         }
         let places = (0..rest_s.len()).map(|row| (row, curve.place(row)));
@@ -84,16 +92,19 @@ impl StampFit {
     }
 }
 
-/// Difference of the medians on both sides of a break \[s\].
+/// Difference between the medians of the rests on both sides of a break \[s\].
 fn rough_step_s(rest_s: &[f64], at: usize) -> Option<f64> {
     let middle_s = |range: Range<usize>| median(&mut rest_s.get(range)?.to_vec());
     let end = (at + BESIDE).min(rest_s.len());
     Some(middle_s(at..end)? - middle_s(at.saturating_sub(BESIDE)..at)?)
 }
 
-/// The curve of a fit. Its unknowns `x` are the values at the knots, then the steps.
+/// Geometry of the curve to be fitted. The vector `x` of unknowns contains the values at the knots, then
+/// the sizes of the steps.
 struct FitCurve<'a> {
+    /// Number of each row on the clock, in periods.
     numbers: &'a [f64],
+    /// First row after each step.
     breaks: &'a [usize],
     /// Number of the last row.
     last_number: f64,
@@ -101,7 +112,8 @@ struct FitCurve<'a> {
     pieces: usize,
 }
 
-/// Where a row is: the knot before it, the fraction of the way to the next one, and the number of steps so far.
+/// Position of a row on the curve: the knot before the row, the fraction of the way to the next knot, and the number
+/// of steps before the row.
 #[derive(Clone, Copy)]
 struct KnotPosition {
     knot: usize,
@@ -133,7 +145,7 @@ impl FitCurve<'_> {
         self.without_steps(x, place) + x.rows(self.first_step(), place.steps).sum()
     }
 
-    /// Normal equations of all rows; those whose residuals at `x` are above `limit_s` have less weight.
+    /// Normal equations of all rows. Rows whose residuals at `x` are above `limit_s` have less weight (Huber).
     fn normal_equations(
         &self,
         rest_s: &[f64],
@@ -157,7 +169,7 @@ impl FitCurve<'_> {
         (matrix, right_side)
     }
 
-    /// Adds the squared second differences at the knots.
+    /// Adds `weight` times the squared second differences at the knots to the normal equations.
     fn add_bends(&self, matrix: &mut DMatrix<f64>, weight: f64) {
         for first in 0..self.pieces.saturating_sub(1) {
             let bend = [(first, 1.0), (first + 1, -2.0), (first + 2, 1.0)];

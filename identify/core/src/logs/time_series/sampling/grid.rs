@@ -1,15 +1,17 @@
-//! The grid to which stamps are rounded.
+//! Finds the grid to which stamps are rounded: the interval of which all stamps are whole multiples, up to an offset.
 
-/// Stamps are written to microseconds or better \[s\].
+/// Tolerance for the decimal digits of stamps \[s\], because files contain stamps to microseconds or better.
 pub(super) const WRITTEN_S: f64 = 1.5e-6;
 
-/// The grid of the stamps \[s\]: all are whole multiples of it plus an offset, which changes only where the clock is set.
+/// The grid of the stamps \[s\]; `None` if there is none. All stamps are an offset plus whole multiples of the grid. The
+/// offset changes only where the clock is set.
 pub(super) fn find_grid(t_s: &[f64]) -> Option<f64> {
-    /// Finer grids come from the format \[s\].
+    /// Smallest grid that is searched for \[s\]. Finer grids come from the number of digits in the file.
     const GRID_S_MIN: f64 = 2e-4;
-    /// Largest number of cells in the smallest distance of stamps.
+    /// Largest number of cells of the grid in the smallest distance between two stamps.
     const PARTS_MAX: u32 = 32;
-    /// Grids are multiples of this \[s\], or whole parts of a second: a clock that is even is on no grid, but for a rare rate.
+    /// A grid is a multiple of this \[s\], or a whole fraction of a second. Stamps that are not rounded fit such a grid only
+    /// if their clock has one of a few rates.
     const ROUND_S: f64 = 1e-5;
     /// Largest number of changes of the offset.
     const CHANGES_MAX: usize = 3;

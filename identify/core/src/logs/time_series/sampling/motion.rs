@@ -1,5 +1,8 @@
-//! Number of periods from row to row by the motion: from the joint step between two rows, and, where stamps have missing rows, from
-//! a curve through the rows on either side.
+//! Counts the periods of the clock from each row to the next by the motion of the joints.
+//!
+//! In an even motion all joint steps, the changes of the joints from one row to the next, are equal. A step of `m` times the
+//! usual size therefore shows that `m` periods passed ([`periods_by_motion`]). Where the stamps have missing rows,
+//! [`compare_motion`] also fits a curve to the rows on either side, which is more accurate.
 
 use std::ops::Range;
 
@@ -8,21 +11,24 @@ use nalgebra::DMatrix;
 use crate::kinematics::Joints;
 use crate::statistics::median;
 
-/// Number of rows on either side whose joint steps determine the usual step, that of one period.
+/// Number of rows on either side whose joint steps determine the usual step, which is the joint step in one period.
 pub(super) const NEIGHBOURS: usize = 6;
-/// A step is a multiple of the usual one if it differs by less than this fraction of the usual one; the usual steps on both
-/// sides must differ by less than it, too.
+/// A step is a multiple of the usual step if it differs from that multiple by less than this fraction of the usual step. The
+/// usual steps on both sides must also differ by less than this fraction.
 pub(super) const WHOLE: f64 = 0.2;
-/// Largest number of periods between two rows that the motion determines.
+/// Largest number of periods between two rows that is determined from the motion.
 pub(super) const PERIODS_MAX: f64 = 4.0;
-/// Smallest number of neighbours with whole steps: steps from rounding alone reach it once in a thousand rows.
+/// Smallest number of neighbouring steps that must be multiples of the usual step. If the steps contain only rounding
+/// errors, one row in a thousand reaches this number by chance.
 const NEIGHBOURS_WHOLE: usize = 10;
-/// The motion miscounts one step in this number (see [`NEIGHBOURS_WHOLE`]); to overrule it, a curve needs these odds.
+/// The count by joint steps is wrong for one step in this number (see [`NEIGHBOURS_WHOLE`]). A curve overrules it only
+/// with odds above this number.
 const MISCOUNTED: f64 = 1000.0;
 
 /// Number of periods from each row to the next, where the motion determines it.
 pub(super) fn periods_by_motion(rows: &[Joints]) -> Vec<Option<f64>> {
-    /// Where many rows are missing, periods known from one pass determine the usual step for others in the next.
+    /// Number of passes. Where many rows are missing, periods determined in one pass make the usual steps
+    /// of the next pass known.
     const PASSES: usize = 3;
     let steps: Vec<Joints> = rows.windows(2).map(|pair| difference(&pair[1], &pair[0])).collect();
     let mut periods = vec![Some(1.0); steps.len()];
@@ -40,12 +46,14 @@ fn norm_squared(step: &Joints) -> f64 {
     step.iter().map(|value| value * value).sum()
 }
 
-/// Number of usual steps in the joint step `at`: the multiple `m` of `step = m usual`. The usual step is the mean of those of
-/// both sides, each the median of its steps divided by their `periods`, where these are known so far.
+/// Number of periods of the joint step `at`: the multiple `m` of `step = m usual`. The usual step is the mean of
+/// the usual steps on both sides. On each side it is the median of the steps divided by their `periods`, as far
+/// as these were already determined.
 fn periods_of_step(steps: &[Joints], periods: &[Option<f64>], at: usize) -> Option<f64> {
-    /// Smaller steps of all joints are standstill \[rad, m\].
+    /// If the usual step is smaller, the robot stands still \[rad, m\].
     const STEP_RAD_MIN: f64 = 50e-6;
     let sides = [at.checked_sub(NEIGHBOURS)?..at, at + 1..at + 1 + NEIGHBOURS];
+    // The usual step on one side, if enough steps of that side have known periods.
     let usual_on = |side: &Range<usize>| -> Option<Joints> {
         let known = steps.get(side.clone())?.iter().zip(&periods[side.clone()]);
         let known: Vec<(&Joints, f64)> =
@@ -59,6 +67,7 @@ fn periods_of_step(steps: &[Joints], periods: &[Option<f64>], at: usize) -> Opti
     let [before, after] = [usual_on(&sides[0])?, usual_on(&sides[1])?];
     let usual: Joints = before.iter().zip(&after).map(|(a, b)| 0.5 * (a + b)).collect();
     let usual_squared = norm_squared(&usual);
+    // The multiple, if `step` is a whole multiple of `usual` in size and direction.
     let whole_multiple = |step: &Joints| {
         let multiple = step.iter().zip(&usual).map(|(a, b)| a * b).sum::<f64>() / usual_squared;
         let across_squared = norm_squared(&difference(step, &usual.map(|usual| multiple * usual)));
@@ -75,9 +84,11 @@ fn periods_of_step(steps: &[Joints], periods: &[Option<f64>], at: usize) -> Opti
     if is_even && whole_neighbours() >= NEIGHBOURS_WHOLE { whole_multiple(&steps[at]) } else { None }
 }
 
-/// Periods from row to row by the motion, and how strongly it contradicts the `periods` of the stamps \[nats\]. Where the stamps
-/// have missing rows, a curve through `side` rows on either side decides. `if_unknown` turns the periods of the stamps into those
-/// that are assumed where the motion is unknown.
+/// Compares the periods between rows by the `motion` with the `periods` by the stamps. Where the stamps have missing rows, a
+/// curve through `side` rows on either side determines the periods instead, if it is accurate enough. `if_unknown` converts
+/// the periods by the stamps to the periods that this curve assumes where the motion is unknown.
+///
+/// Returns the periods by the motion, corrected by the curves, and how strongly they contradict the stamps \[nats\].
 pub(super) fn compare_motion(
     motion: &[Option<f64>],
     periods: &[f64],
@@ -106,13 +117,14 @@ pub(super) fn compare_motion(
             contradictions_nats.push(by_curve.map_or(MISCOUNTED.ln(), |(_, nats)| nats));
         }
     }
-    // Among many places one contradicts by chance.
+    // The largest contradiction among many places is large by chance. The logarithm of their number corrects for this.
     let by_chance_nats = f64::ln(tests.max(1) as f64);
     (motion, contradictions_nats.iter().map(|nats| (nats - by_chance_nats).max(0.0)).sum())
 }
 
-/// Periods, 1 to `most`, from `row` to the next one for which `side` rows on both sides are nearest to a cubic, with the
-/// log-likelihood ratio to the second best; `None` if that is too small. `numbers` are the numbers of the rows on the clock.
+/// Finds the number of periods, 1 to `most`, from `row` to the next one for which `side` rows on both sides are nearest to a
+/// cubic. Returns it with the log-likelihood ratio to the second-best number; `None` if this ratio is too small. `numbers`
+/// are the numbers of the rows on the clock.
 fn periods_by_curve(
     rows: &[Joints],
     side: usize,
@@ -120,7 +132,7 @@ fn periods_by_curve(
     row: usize,
     most: usize,
 ) -> Option<(f64, f64)> {
-    /// Rows of each side that determine a cubic.
+    /// Smallest number of rows on each side from which a cubic is estimated.
     const SIDE_MIN: usize = 8;
     const TERMS: usize = 4;
     let first = (row + 1).saturating_sub(side);
@@ -130,7 +142,7 @@ fn periods_by_curve(
     }
     let (count, axes) = (end - first, rows[row].len());
     let joints = DMatrix::from_fn(count, axes, |i, axis| rows[first + i][axis] - rows[row][axis]);
-    // Squared distances from the best cubic if this number of periods is between `row` and the next one.
+    // Sum of squared distances of the rows from the best cubic if this number of periods is between `row` and the next one.
     let squares = |periods: usize| {
         let longer = periods as f64 - (numbers[row + 1] - numbers[row]);
         let time = |i: usize| {
@@ -145,7 +157,7 @@ fn periods_by_curve(
     fits.sort_by(|(_, a_squares), (_, b_squares)| a_squares.total_cmp(b_squares));
     let [(best, least), (_, second), ..] = fits[..] else { return None };
     let variance = least / (axes * (count - TERMS)) as f64;
-    // Residuals of the cubic are correlated from row to row: two rows count as one.
+    // Residuals of the cubic are correlated from row to row, so two rows count as one: the factor is 1/4 instead of 1/2.
     let nats = 0.25 * (second - least) / variance;
     (nats > MISCOUNTED.ln()).then_some((best as f64, nats))
 }

@@ -1,15 +1,21 @@
-//! The number of each row on the regular clock, and the period of that clock.
+//! Estimates the period of the regular clock and the number of each row on this clock.
+//!
+//! The inputs are the stamps and the number of periods from row to row by the motion, which is not always known.
+//! The number of a row is the number of periods since the first row. [`correct_numbers`] repairs numbers after
+//! the curve has been fitted.
 
 use super::breaks::rows_beside;
 use super::motion::{PERIODS_MAX, WHOLE};
 use crate::statistics::{median, trimmed_mean};
 
-/// Number of rows of the segments over which the period is measured at first.
+/// Number of rows of a segment. The period is first measured over each segment.
 const LAG: usize = 32;
-/// Part of these segments at either end, in the order of their periods, that is left out: a step of the clock may be in them.
+/// Fraction of the segments that is left out at either end of their sorted periods, because the clock may
+/// be set within a segment.
 pub(in crate::logs) const STEPS_PART: f64 = 0.02;
 
-/// The period \[s\], from segments in which the motion determines the number of periods; without motion from the stamps alone.
+/// The period \[s\], from segments in which the motion determines the number of periods. If there are too few such segments,
+/// the period is estimated from the stamps alone.
 pub(super) fn estimate_period(t_s: &[f64], motion: &[Option<f64>]) -> Option<f64> {
     let by_motion = |from: usize| {
         let periods: Option<f64> = motion.get(from..from + LAG)?.iter().copied().sum();
@@ -29,9 +35,9 @@ pub(super) fn estimate_period(t_s: &[f64], motion: &[Option<f64>]) -> Option<f64
     period_s.filter(|period_s| *period_s > 0.0)
 }
 
-/// Twice the standard deviation of the stamps \[s\], from segments of known motion.
+/// Twice the standard deviation of the stamps relative to the clock \[s\], from segments in which the motion is known.
 fn jitter_s(t_s: &[f64], motion: &[Option<f64>], period_s: f64) -> f64 {
-    // Mean deviation of the stamps in a segment.
+    // Mean absolute deviation of the stamps in the segment that begins at row `from`.
     let scatter_s = |from: usize| {
         let mut number = 0.0;
         let segment = motion.get(from..from + LAG)?.iter().zip(&t_s[from + 1..]);
@@ -46,28 +52,31 @@ fn jitter_s(t_s: &[f64], motion: &[Option<f64>], period_s: f64) -> f64 {
         Some(rest_s.iter().map(|rest_s| (rest_s - mean_s).abs()).sum::<f64>() / rest_s.len() as f64)
     };
     let mut scatters: Vec<f64> = (0..t_s.len()).step_by(LAG).filter_map(scatter_s).collect();
-    // Of a normal distribution the mean size is 0.8 standard deviations.
+    // The mean absolute value of a normal distribution is 0.8 standard deviations.
     2.5 * median(&mut scatters).unwrap_or_default()
 }
 
-/// Number of each row on the clock, from 0. Where the motion is unknown, the number is the next one, unless this row and those
-/// after it are later than jitter and rounding, up to `rounding_s`, explain. Where the motion is known, that is a clock step.
+/// Number of each row on the clock, from 0. Where the motion is known, it determines the number, and a late stamp is a step
+/// of the clock. Where the motion is unknown, the number is one more than that of the row before. It is larger if this row
+/// and those after it are later than jitter and rounding (up to `rounding_s`) explain.
 pub(super) fn number_rows(t_s: &[f64], motion: &[Option<f64>], period_s: f64, rounding_s: f64) -> Vec<f64> {
-    /// Number of rows over which the phase follows the stamps: the period is known to a thousandth, so that the phase lags by less
-    /// than half a period, and missing rows do not change it.
+    /// Number of rows over which the phase follows the stamps. The period is known to a thousandth, so the phase lags by
+    /// less than half a period. The number is large enough that missing rows do not change the phase.
     const PHASE_ROWS: f64 = 200.0;
-    /// Time after a row in which three quarters of the rows must be late for it to have a later number \[s\]. Delays are shorter.
+    /// Time after a row \[s\]. The number of the row is only increased if three quarters of the rows in this time are late.
+    /// The delay of single rows is shorter than this time.
     const LASTS_S: f64 = 0.1;
     let lasting_rows = ((LASTS_S / period_s) as usize).max(5);
     let explained_periods = (jitter_s(t_s, motion, period_s).max(rounding_s) / period_s).max(0.5);
-    // The phase is the time of number 0.
+    // The phase is the time of the row with number 0.
     let first =
         t_s.iter().take(lasting_rows).zip(0..).map(|(t_s, number)| t_s - period_s * f64::from(number));
     let mut phase_s = median(&mut first.collect::<Vec<_>>()).unwrap_or_default();
     let mut numbers = vec![0.0];
     for (row, motion) in (1..t_s.len()).zip(motion) {
         let before = numbers.last().copied().unwrap_or_default();
-        // By how many periods this row and three quarters of those after it are late (negative: early) if it has this number.
+        // Number of periods by which this row and three quarters of the rows after it are late (negative: early), if
+        // this row has this number.
         let lasting_delay = |number: f64| {
             let next = t_s[row..].iter().take(lasting_rows).zip(0..);
             let mut delays: Vec<f64> =
@@ -83,7 +92,8 @@ pub(super) fn number_rows(t_s: &[f64], motion: &[Option<f64>], period_s: f64, ro
         let number = match motion {
             Some(periods) => {
                 let number = before + periods;
-                // Too many rows to be missing in an even motion: the clock was set here. With fewer the motion may be wrong.
+                // So many rows cannot be missing in an even motion, so the clock was set here. After a smaller deviation the
+                // phase is kept, because the motion may have given a wrong number.
                 if ((t_s[row] - phase_s) / period_s - number).abs() > lasting_rows as f64 {
                     let delay = lasting_delay(number);
                     phase_s += if delay.abs() > lasting_rows as f64 { delay * period_s } else { 0.0 };
@@ -102,8 +112,9 @@ pub(super) fn number_rows(t_s: &[f64], motion: &[Option<f64>], period_s: f64, ro
     numbers
 }
 
-/// Corrects the numbers where the stamps step against the clock (`steps_s` at the rows `breaks`) by whole periods near rows with
-/// unknown motion: rows are missing there, or were wrongly taken as missing. Returns whether a number changed.
+/// Corrects the numbers of rows after steps of whole periods. `steps_s` are the steps of the stamps relative to the clock at
+/// the rows `breaks`. If a step is a number of whole periods and the motion is unknown near it, then rows are missing there,
+/// or rows were wrongly assumed to be missing. Returns whether a number changed.
 pub(super) fn correct_numbers(
     numbers: &mut [f64],
     t_s: &[f64],
@@ -119,7 +130,7 @@ pub(super) fn correct_numbers(
         if periods == 0.0 || (step_s / period_s - periods).abs() > WHOLE {
             continue;
         }
-        // The stamps step where these rows are missing; a step elsewhere is one of the clock.
+        // If many periods are missing, the stamps must increase by about this time at the row. Otherwise the clock was set.
         let stamps_step =
             |row: usize| periods <= PERIODS_MAX || t_s[row] - t_s[row - 1] > 0.5 * periods * period_s;
         let possible = (at.saturating_sub(near).max(1)..(at + near).min(numbers.len())).filter(|row| {

@@ -1,40 +1,42 @@
-//! The stamps of a log against the regular clock behind them, and the remarks on them.
+//! Compares the stamps of a log with the regular clock by which its rows were sampled, and
+//! reports the differences as remarks.
 
-/// The stamps of a log against the regular clock behind them.
+/// Differences between the stamps of a log and the regular clock by which its rows were sampled.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Stamps {
-    /// Rows have the times of the clock, not their stamps.
+    /// Whether the times of the rows are those of the clock instead of the stamps.
     pub evened: bool,
     /// Period of the clock \[s\].
     pub period_s: f64,
-    /// Root mean square of the differences of stamps and clock \[s\].
+    /// Root mean square difference between the stamps and the clock \[s\].
     pub jitter_s: f64,
-    /// Largest of these differences \[s\].
+    /// Largest difference between a stamp and the clock \[s\].
     pub jitter_max_s: f64,
-    /// Stamps are whole multiples of this \[s\], which is larger than their scatter; `None` if they are not rounded.
+    /// Grid to which the stamps are rounded \[s\]. `None` without a grid, or if the stamps deviate from the clock by less
+    /// than a tenth of the grid.
     pub rounded_to_s: Option<f64>,
-    /// Number of rows with the stamp of the row before.
+    /// Number of rows with the same stamp as the row before.
     pub equal: usize,
     /// Number of periods of the clock without a row.
     pub missing: usize,
-    /// Steps of the stamps during an even motion.
+    /// Steps of the stamps that the motion shows to be steps of their clock.
     pub steps: Vec<StampStep>,
 }
 
-/// A step of the stamps that the motion does not share.
+/// A step of the stamps during which the motion continues evenly.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StampStep {
-    /// Stamp of the first row after it, since the first of the log \[s\].
+    /// Stamp of the first row after the step, relative to the first stamp of the log \[s\].
     pub at_s: f64,
-    /// Delay of the stamps of later rows \[s\].
+    /// Size of the step \[s\]; positive if later rows have stamps that are too late.
     pub by_s: f64,
 }
 
-/// Smallest scatter that is reported \[s\]: the fastest joint of a calibration turns by 50 urad in it.
+/// Smallest scatter that is reported \[s\]. In this time the fastest joint of a calibration turns by 50 urad.
 const SCATTER_S: f64 = 5e-5;
 
 impl Stamps {
-    /// Remarks on rows that have the times of the clock, in sentences.
+    /// Remarks, as sentences, on how the stamps differ from the clock. Empty if the times of the rows are their stamps.
     pub(in crate::logs) fn remarks(&self) -> Vec<String> {
         let Self { evened, jitter_s, rounded_to_s, equal, missing, steps, .. } = self;
         if !evened {
