@@ -1,4 +1,4 @@
-//! Header, rows and cells of text tables, read row by row: every table of this module is a [`CsvTable`].
+//! Reads header, rows and cells of text tables, row by row. All tables of logs are read by a [`CsvTable`].
 
 use std::path::Path;
 
@@ -8,7 +8,7 @@ use super::text::{COMMENT, Text};
 use crate::logs::source::LogSource;
 use crate::logs::{CsvLayout, LogError};
 
-/// A header and its rows, read on demand.
+/// A table: its header, and a reader for its rows.
 pub(in crate::logs) struct CsvTable<'a> {
     header: Vec<String>,
     decimal_comma: bool,
@@ -17,38 +17,40 @@ pub(in crate::logs) struct CsvTable<'a> {
     cells: csv::StringRecord,
 }
 
-/// One row and its line in the file.
+/// One row of a table.
 pub(in crate::logs) struct CsvRow<'t> {
+    /// Line number in the file.
     pub line: u64,
     path: &'t Path,
     decimal_comma: bool,
     cells: &'t csv::StringRecord,
 }
 
-/// A column that the header names.
+/// A column of a table.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(in crate::logs) struct CsvColumn {
+    /// Index of the column, from 0.
     pub index: usize,
     pub name: String,
 }
 
-/// The delimiter that a header row uses: whichever of comma, semicolon and tab it has most of.
+/// The delimiter of a header row: semicolon or tab if the row has more of them than commas, otherwise comma.
 fn delimiter_of(header: &str) -> u8 {
     let count = |delimiter: u8| header.bytes().filter(|&byte| byte == delimiter).count();
     [b';', b'\t'].into_iter().filter(|&d| count(d) > count(b',')).max_by_key(|&d| count(d)).unwrap_or(b',')
 }
 
 impl<'a> CsvTable<'a> {
-    /// Opens the table of a file, its first row of numbers next.
+    /// Opens the table of a file. The next row that is read is the first row of values.
     pub fn open(source: LogSource<'a>, layout: &CsvLayout) -> Result<Self, LogError> {
         let mut text = Text::new(source, layout.sheet.as_deref())?;
         text.skip_lines(layout.skip_lines)?;
         let header = text.header_line()?;
         let delimiter = match (layout.delimiter, delimiter_of(header)) {
-            // A workbook was converted to cells between tabs: the mapping's delimiter is not in it.
+            // In a workbook the cells were separated by tabs, so the delimiter of the mapping does not apply.
             (Some(delimiter), b'\t') if !header.contains(delimiter) => b'\t',
             (Some(delimiter), _) => delimiter as u8,
-            // Commas are in numbers, and cannot separate cells.
+            // Commas are decimal commas, so they do not separate cells.
             (None, b',') if layout.decimal_comma => {
                 if header.contains('\t') {
                     b'\t'
@@ -61,7 +63,7 @@ impl<'a> CsvTable<'a> {
         let mut table = Self::delimited(text, delimiter, layout)?;
         for _ in 0..layout.unit_lines {
             match table.read() {
-                // These lines need not have the cells of the table.
+                // Lines of units may have another number of cells than the header.
                 Ok(_) | Err(LogError::Malformed { .. }) => {}
                 Err(error) => return Err(error),
             }
@@ -69,14 +71,16 @@ impl<'a> CsvTable<'a> {
         Ok(table)
     }
 
-    /// The table of a text at its header. Without header the columns are called `1`, `2` and so on.
+    /// Opens the table of a `text` whose next line is the header. If the table has no header, the columns are named
+    /// `1`, `2` and so on.
     pub fn delimited(text: Text<'a>, delimiter: u8, layout: &CsvLayout) -> Result<Self, LogError> {
         let &CsvLayout { decimal_comma, header: has_header, .. } = layout;
         let mut rows = csv::ReaderBuilder::new()
             .delimiter(delimiter)
             .has_headers(has_header)
             .comment(Some(COMMENT))
-            // Cells are trimmed when they are read: the reader would copy each row for it.
+            // Only the header is trimmed here. The other cells are trimmed when they are used, because the `csv`
+            // crate would copy each row.
             .trim(csv::Trim::Headers)
             .from_reader(text);
         let first = rows.headers().cloned().map_err(|error| malformed(error, rows.get_mut()))?;
@@ -89,12 +93,13 @@ impl<'a> CsvTable<'a> {
         Ok(Self { header, decimal_comma, rows, cells: csv::StringRecord::new() })
     }
 
-    /// The comment lines `# key: value` before the rows that were read, and some beyond; keys in lower case.
+    /// The comment lines `# key: value` that were decoded so far, with keys in lower case. These are at least those before
+    /// the rows that were read.
     pub fn comments(&self) -> &[(String, String)] {
         self.rows.get_ref().comments()
     }
 
-    /// Value of a comment `# key: value`.
+    /// Value of the first comment `# key: value` with this key.
     pub fn comment(&self, key: &str) -> Option<&str> {
         self.comments().iter().find(|(known, _)| known == key).map(|(_, value)| &**value)
     }
@@ -104,7 +109,7 @@ impl<'a> CsvTable<'a> {
         self.rows.get_ref().path
     }
 
-    /// The column named `name`, which must occur once.
+    /// The column named `name`, which must occur exactly once.
     pub fn column(&self, name: &str, remedy: &str) -> Result<CsvColumn, LogError> {
         let mut matching = self.header.iter().enumerate().filter(|(_, header)| *header == name);
         let Some((index, _)) = matching.next() else {
@@ -130,12 +135,13 @@ impl<'a> CsvTable<'a> {
         names.iter().map(|name| self.column(name.as_ref(), remedy)).collect()
     }
 
-    /// The column named `name`, if a name is given.
+    /// Like [`Self::column`]; `None` without a name.
     pub fn if_named(&self, name: Option<&String>, remedy: &str) -> Result<Option<CsvColumn>, LogError> {
         name.map(|name| self.column(name, remedy)).transpose()
     }
 
-    /// What to do if the header shows why a column is missing: it is a row of numbers, or has other delimiters.
+    /// The remedy, if the header shows why a column is missing: the header is a row of numbers, or
+    /// the cells have another delimiter.
     fn remedy_of_header(&self) -> Option<String> {
         let is_number = |name: &String| name.replace(',', ".").parse::<f64>().is_ok();
         let is_numbered = (1..).zip(&self.header).all(|(number, name)| *name == number.to_string());
@@ -157,7 +163,8 @@ impl<'a> CsvTable<'a> {
         })
     }
 
-    /// The first columns by name, for a message: the first line of a file without header may have any size.
+    /// Names of the first columns, for a message. They are shortened, because the first line of a file without
+    /// a header may be long.
     pub fn names(&self) -> String {
         const NAMED: usize = 16;
         const LETTERS: usize = 32;
@@ -215,7 +222,7 @@ impl CsvRow<'_> {
         self.cells.get(column.index).unwrap_or_default().trim()
     }
 
-    /// A finite number from one cell.
+    /// The finite number in one cell.
     pub fn number(&self, column: &CsvColumn) -> Result<f64, LogError> {
         let text = self.text(column);
         if text.is_empty() {

@@ -1,4 +1,5 @@
-//! Time stamps of files, in whatever unit, to integer ns: since 1970 if they have a date, otherwise since the file's own zero.
+//! Converts time stamps of files from any unit to integer nanoseconds. Stamps with a date count from 1970, other stamps from
+//! the zero of the file's own clock.
 
 use std::path::Path;
 
@@ -13,25 +14,25 @@ use crate::logs::LogError;
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum TimeUnit {
-    /// Seconds, mostly with decimals.
+    /// Seconds, usually with decimals.
     #[default]
     S,
-    /// Milliseconds, mostly of a controller.
+    /// Milliseconds, usually from a controller.
     Ms,
-    /// Microseconds, mostly of a controller.
+    /// Microseconds, usually from a controller.
     Us,
-    /// Nanoseconds, as ROS has them.
+    /// Nanoseconds, as in ROS.
     Ns,
     /// Cycles of a controller, each with the duration [`TimeColumn::period_ms`].
     Cycles,
-    /// Windows FILETIME: 100 ns since 1601, as TwinCAT exports it.
+    /// Windows FILETIME, the number of 100 ns intervals since 1601, as exported by TwinCAT.
     Filetime,
-    /// Date and time of day as text, such as `2026-11-22T10:15:00.25Z`; without zone it counts as UTC.
+    /// Date and time of day as text, such as `2026-11-22T10:15:00.25Z`. A time without a zone is in UTC.
     DateTime,
 }
 
 impl TimeUnit {
-    /// Such times have a date; others count from an unknown zero.
+    /// Whether times in this unit have a date. Times without a date count from an unknown zero.
     pub const fn is_dated(self) -> bool {
         matches!(self, Self::DateTime | Self::Filetime)
     }
@@ -41,15 +42,16 @@ impl TimeUnit {
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TimeColumn {
-    /// Name in the header of a table; not used by other formats.
+    /// Name in the header of a table. Formats that are not tables do not use it.
     #[serde(default)]
     pub column: String,
-    /// Unit of its values; for RSI the unit of `IPOC`.
+    /// Unit of the values in the column. For RSI, the unit of `IPOC`.
     #[serde(default)]
     pub unit: TimeUnit,
-    /// Duration of a cycle \[ms\]; given only with [`TimeUnit::Cycles`].
+    /// Duration of a cycle \[ms\]. Required with [`TimeUnit::Cycles`], not allowed with any other unit.
     pub period_ms: Option<f64>,
-    /// The column has times modulo this number, in its unit, and rows are less than half of it apart; absent if it does not wrap.
+    /// If present, the column contains times modulo this number, in its unit. Successive rows must then be less
+    /// than half of it apart.
     pub wraps_at: Option<u64>,
 }
 
@@ -68,7 +70,7 @@ impl TimeColumn {
         })
     }
 
-    /// Checks that only cycles have a duration, and that dates do not wrap.
+    /// Checks that cycles and no other unit have a duration, and that times with a date do not wrap.
     pub(in crate::logs) fn check(&self) -> Result<(), Violation> {
         let (key, is_cycles) = ("time.period_ms", self.unit == TimeUnit::Cycles);
         let problem = "it is missing, and unit = \"cycles\" needs it";
@@ -86,7 +88,7 @@ impl TimeColumn {
         Violation::unless(has_values, key, "a counter has at least 2 values", remedy)
     }
 
-    /// Length of one unit \[ns\]; dates become ns when they are read.
+    /// Length of one unit \[ns\]. Dates are converted to ns when they are read.
     fn unit_ns(&self) -> f64 {
         match self.unit {
             TimeUnit::S => 1e9,
@@ -104,27 +106,27 @@ pub(in crate::logs) struct StampReader {
     unit: TimeUnit,
     unit_ns: f64,
     wraps_at_ns: Option<i64>,
-    /// Time of the row before, as the file has it.
+    /// Time of the row before, as in the file, without the wraps.
     before_ns: Option<i64>,
-    /// Sum of the wraps up to that row.
+    /// Sum of the wraps up to the row before.
     wrapped_ns: i64,
 }
 
 impl StampReader {
-    /// Of a column that was checked.
+    /// A reader for the column `time`, which must have been checked.
     pub(in crate::logs) fn new(time: &TimeColumn) -> Self {
         let unit_ns = time.unit_ns();
         let wraps_at_ns = time.wraps_at.map(|wraps_at| (wraps_at as f64 * unit_ns).round() as i64);
         Self { unit: time.unit, unit_ns, wraps_at_ns, before_ns: None, wrapped_ns: 0 }
     }
 
-    /// The stamp of a number of units; none beyond 292 years.
+    /// The stamp of the next row, from a number of units \[ns\]. `None` if it is more than 292 years from zero.
     pub(in crate::logs) fn of_units(&mut self, units: i64) -> Option<i64> {
         let shown_ns = self.units_to_ns(units)?;
         self.unwrapped(shown_ns)
     }
 
-    /// Exact, except for cycles, which may last any time.
+    /// Converts units to ns. The result is exact, except for cycles, whose duration need not be a whole number of ns.
     fn units_to_ns(&self, units: i64) -> Option<i64> {
         match self.unit {
             TimeUnit::Cycles => within_range(units as f64 * self.unit_ns),
@@ -132,8 +134,9 @@ impl StampReader {
         }
     }
 
-    /// The time as the file has it, with the wraps before it added. A step by more than half of `wraps_at` passes a wrap: a step
-    /// back, the next one; a step forward, the last one, by jitter of the stamps that sets the time back a little.
+    /// Adds the wraps so far to the time `shown_ns` of the next row in the file. A step back by more than half of
+    /// `wraps_at` means that the counter wrapped. A step forward by more than half means that jitter set the time back a
+    /// little, to before the last wrap.
     fn unwrapped(&mut self, shown_ns: i64) -> Option<i64> {
         let before_ns = self.before_ns.replace(shown_ns);
         if let Some((before_ns, wraps_at_ns)) = before_ns.zip(self.wraps_at_ns) {
@@ -158,18 +161,18 @@ pub(in crate::logs) struct StampColumn {
 }
 
 impl StampColumn {
-    /// The column that `time` describes.
+    /// Finds the column that `time` describes.
     pub fn find(table: &CsvTable<'_>, time: &TimeColumn, remedy: &str) -> Result<Self, LogError> {
         Ok(Self { column: table.column(&time.column, remedy)?, stamps: StampReader::new(time) })
     }
 
-    /// Its times have a date.
+    /// Whether the times in this column have a date.
     pub(in crate::logs) fn is_dated(&self) -> bool {
         self.stamps.unit.is_dated()
     }
 
-    /// The stamp of the next row to integer ns. Decimal digits are taken as they are: a UTC stamp in seconds has more of them
-    /// than an `f64` can hold.
+    /// The stamp of the next row, in integer ns. Decimal digits are converted without an `f64`, because a UTC stamp in
+    /// seconds can have more digits than an `f64`.
     pub(in crate::logs) fn next_ns(&mut self, row: &CsvRow<'_>) -> Result<i64, LogError> {
         let Self { column, stamps } = self;
         if stamps.unit == TimeUnit::DateTime {
@@ -193,9 +196,9 @@ impl StampColumn {
     }
 }
 
-/// 1970 in FILETIME, 100 ns since 1601.
+/// The beginning of 1970 as a FILETIME, in 100 ns since 1601.
 const FILETIME_1970: i64 = 116_444_736_000_000_000;
-/// Ways to write date and time of day beside RFC 3339: with a blank, and as TwinCAT does.
+/// Formats of date and time of day other than RFC 3339: without a zone, with a blank, and as in TwinCAT.
 const DATES: [&str; 3] = ["%Y-%m-%dT%H:%M:%S%.f", "%Y-%m-%d %H:%M:%S%.f", "%Y-%m-%d-%H:%M:%S%.f"];
 
 fn date_ns(row: &CsvRow<'_>, column: &CsvColumn) -> Result<i64, LogError> {
@@ -215,7 +218,8 @@ fn date_ns(row: &CsvRow<'_>, column: &CsvColumn) -> Result<i64, LogError> {
     })
 }
 
-/// `[-]digits[.digits]` in seconds, with point or comma, to ns, exactly up to ns and rounded below; none for other notations.
+/// Converts seconds as `[-]digits[.digits]`, with decimal point or comma, to ns. Digits beyond nanoseconds are
+/// rounded. `None` for other notations.
 fn decimal_to_ns(text: &str) -> Option<i64> {
     let (negative, digits) = match text.strip_prefix('-') {
         Some(rest) => (true, rest),

@@ -1,4 +1,8 @@
-//! Text of a table from the bytes of its file: UTF-8, UTF-16, Windows-1252 (Latin-1) or a workbook.
+//! Decodes the text of a table from the bytes of its file, which are UTF-8, UTF-16, Windows-1252 (Latin-1) or a workbook.
+//!
+//! [`Text`] decodes the file block by block, removes lines that cannot be read as rows, collects the comments
+//! `# key: value`, and counts lines for error messages. The `csv` crate reads its output. [`RowsAsText`] serves the
+//! guess of a table's layout.
 
 use std::borrow::Cow;
 use std::io::{self, Cursor, Read};
@@ -13,30 +17,30 @@ use crate::logs::{CsvLayout, LogError};
 
 /// The first character of a comment line.
 pub(super) const COMMENT: u8 = b'#';
-/// Size of the blocks that are decoded.
+/// Size of the blocks in which a file is read and decoded.
 const BLOCK_BYTES: u64 = 1 << 18;
 
-/// The text of a file without its byte order mark. It is decoded block by block while it is read, because ten hours of a
-/// robot's log are a gigabyte. The text of a workbook is that of the named sheet, or of its only one, with a line for each row
-/// and tabs between the cells.
+/// The text of a file, without its byte order mark. It is decoded block by block while it is read, because ten hours of a
+/// robot's log are a gigabyte. The text of a workbook is that of one sheet: the sheet with a given name, or the only sheet.
+/// It has a line for each row, and tabs between the cells.
 ///
-/// In a file without byte order mark, a line that is not valid UTF-8 is decoded as Windows-1252, in which some instruments
-/// export micro and degree signs. This cannot change a number: digits have the same bytes in both encodings.
+/// In a file without a byte order mark, a line that is not valid UTF-8 is decoded as Windows-1252. Some instruments export
+/// micro and degree signs in this encoding. Numbers are not affected, because digits have the same bytes in both encodings.
 pub(in crate::logs) struct Text<'a> {
     /// Path of the file, for errors.
     pub path: &'a Path,
     source: Box<dyn Read + 'a>,
-    /// `None` for a file without byte order mark.
+    /// Decoder for the encoding of the byte order mark; `None` without such a mark.
     decoder: Option<Decoder>,
-    /// Bytes of a line whose end was not read yet, in UTF-8 or Windows-1252.
+    /// Beginning of a line whose end was not read yet, in UTF-8 or Windows-1252.
     partial_line: Vec<u8>,
-    /// Decoded whole lines. Those that were both read and counted are removed.
+    /// Decoded whole lines. Lines that were both read and counted are removed.
     lines: String,
-    /// Offset of `lines` in the whole decoded text, as all offsets below.
+    /// Offset of `lines` in the whole decoded text. The offsets below also refer to the whole text.
     lines_start: usize,
-    /// Offset up to which the text was read.
+    /// Offset up to which the text was read by the `csv` crate.
     read_to: usize,
-    /// Offset of the table.
+    /// Offset at which the table begins, after the skipped lines.
     table_start: usize,
     /// Offset up to which lines were counted.
     counted_to: usize,
@@ -47,11 +51,11 @@ pub(in crate::logs) struct Text<'a> {
 }
 
 impl<'a> Text<'a> {
-    /// The text of a file; `sheet` names the sheet of a workbook.
+    /// Opens the text of a file. `sheet` is the name of the sheet if the file is a workbook.
     ///
-    /// # Errors
-    /// [`LogError::NotText`] for binary data, a workbook with several sheets of which none is named, or a sheet named for a file
-    /// that is not a workbook. Binary data after the first block give this error when they are reached.
+    /// [`LogError::NotText`] for binary data, for a workbook with several sheets if `sheet` is `None`, and for a
+    /// file that is not a workbook if a `sheet` is given. Binary data after the first block cause this error
+    /// only when they are reached.
     pub fn new(source: LogSource<'a>, sheet: Option<&str>) -> Result<Self, LogError> {
         let path = source.path;
         let mut text = Self {
@@ -76,7 +80,7 @@ impl<'a> Text<'a> {
                 format!("not a workbook, but the mapping names the sheet `{sheet}`: remove `sheet`");
             return Err(text.bad(problem));
         } else {
-            // The decoder removes the mark.
+            // The decoder removes the byte order mark.
             text.decoder = Encoding::for_bom(source.beginning()).map(|(encoding, _)| encoding.new_decoder());
             text.source = source.reader();
         }
@@ -93,7 +97,7 @@ impl<'a> Text<'a> {
         Ok(self.lines)
     }
 
-    /// Skips lines before the table.
+    /// Skips this number of lines, which are before the table.
     ///
     /// # Errors
     /// As [`Self::new`].
@@ -116,13 +120,14 @@ impl<'a> Text<'a> {
         Ok(header_line(self.unread()))
     }
 
-    /// The comment lines `# key: value` so far, keys in lower case.
+    /// The comment lines `# key: value` that were decoded so far, with keys in lower case.
     pub fn comments(&self) -> &[(String, String)] {
         &self.comments
     }
 
-    /// Line number of a record; call it for records in the order of the text. `byte` is the position of the record according to
-    /// the `csv` crate: that of the comments and blank lines before it, so that the line numbers of the crate are too small.
+    /// Line number of a record. Records must be passed in the order of the text. `byte` is the position of the record
+    /// according to the `csv` crate. This position is before the comments and blank lines that precede the record. For the
+    /// same reason the line numbers of that crate are too small.
     pub fn line_of_record(&mut self, byte: u64) -> u64 {
         self.count_lines(self.table_start + byte as usize);
         while let Some(length) = self.length_of_skipped_line() {
@@ -153,16 +158,17 @@ impl<'a> Text<'a> {
         skipped.then_some(end)
     }
 
-    /// The text that was decoded and not read yet.
+    /// The text that was decoded, but not read yet.
     fn unread(&self) -> &str {
         self.lines.get(self.read_to - self.lines_start..).unwrap_or_default()
     }
 
-    /// Adds whole lines; false at the end.
+    /// Decodes at least one more line and adds it to `lines`. Returns false at the end of the file.
     fn decode_more(&mut self) -> Result<bool, LogError> {
         if self.is_at_end {
             return Ok(false);
         }
+        // Reads until there is a line end.
         let mut end = None;
         while end.is_none() && !self.is_at_end {
             let from = self.partial_line.len();
@@ -170,6 +176,7 @@ impl<'a> Text<'a> {
             let last_end = self.partial_line[from..].iter().rposition(|&byte| byte == b'\n');
             end = last_end.map(|end| from + end + 1);
         }
+        // Decodes the whole lines, and keeps the beginning of the last one for the next call.
         let rest = match end {
             Some(end) if !self.is_at_end => self.partial_line.split_off(end),
             _ => Vec::new(),
@@ -177,14 +184,16 @@ impl<'a> Text<'a> {
         let lines = String::from_utf8(std::mem::replace(&mut self.partial_line, rest));
         let mut lines = lines.unwrap_or_else(|error| each_utf8_or_windows_1252(error.as_bytes()));
         if self.is_at_end && !lines.is_empty() && !lines.ends_with('\n') {
-            // Without a line end the `csv` crate reads a comment as a row.
+            // Without a line end the `csv` crate would read a comment as a row.
             lines.push('\n');
         }
+        // Removes the lines that were both read and counted.
         let done = self.read_to.min(self.counted_to) - self.lines_start;
-        // A read may end within a character: then nothing is dropped yet.
+        // A read may end within a character. In this case nothing is removed yet.
         let done = if self.lines.is_char_boundary(done) { done } else { 0 };
         self.lines.drain(..done);
         self.lines_start += done;
+        // Checks the new lines and adds them.
         if let Some((in_lines, character)) = control_character(&lines) {
             let uncounted = self.lines.as_bytes().get(self.counted_to - self.lines_start..);
             let before = lines.as_bytes().get(..in_lines);
@@ -196,7 +205,7 @@ impl<'a> Text<'a> {
         Ok(true)
     }
 
-    /// Reads a block into `partial_line`, as UTF-8 if the file has a byte order mark.
+    /// Reads a block and appends it to `partial_line`. If the file has a byte order mark, the block is converted to UTF-8.
     fn read_block(&mut self) -> Result<(), LogError> {
         let mut block = Vec::new();
         let read = self.source.by_ref().take(BLOCK_BYTES).read_to_end(&mut block);
@@ -221,7 +230,7 @@ impl<'a> Text<'a> {
     }
 }
 
-/// Its errors contain a [`LogError`].
+/// Errors of this reader contain a [`LogError`].
 impl Read for Text<'_> {
     fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
         while self.read_to == self.lines_start + self.lines.len()
@@ -246,7 +255,7 @@ fn each_utf8_or_windows_1252(lines: &[u8]) -> String {
     lines.split_inclusive(|&byte| byte == b'\n').map(line).collect()
 }
 
-/// Empties the lines that contain only white space: the `csv` crate skips only empty lines.
+/// Empties the lines that contain only white space, because the `csv` crate skips only empty lines.
 fn with_empty_blank_lines(lines: &str) -> Cow<'_, str> {
     let is_blank = |line: &str| line != "\n" && line.trim().is_empty();
     if !lines.split_inclusive('\n').any(is_blank) {
@@ -255,10 +264,10 @@ fn with_empty_blank_lines(lines: &str) -> Cow<'_, str> {
     lines.split_inclusive('\n').map(|line| if is_blank(line) { "\n" } else { line }).collect()
 }
 
-/// The first character that is invalid in a table, and its position.
+/// The first character that is not allowed in a table, and its offset.
 fn control_character(text: &str) -> Option<(usize, char)> {
     let is_invalid = |character: char| character.is_control() && !character.is_whitespace();
-    // Skips blocks of ordinary ASCII, which is fast: texts are long.
+    // Blocks of printable ASCII and white space are skipped at once, which is faster for long texts.
     const BLOCK: usize = 64;
     let is_ordinary = |byte: &u8| matches!(byte, b'\t'..=b'\r' | b' '..=b'~');
     let are_ordinary = |block: &&[u8]| block.iter().fold(true, |ordinary, byte| ordinary & is_ordinary(byte));
@@ -268,8 +277,8 @@ fn control_character(text: &str) -> Option<(usize, char)> {
     Some((ordinary + offset, character))
 }
 
-/// Whether a line is a comment: `#` is its first character, as in the `csv` crate. A `#` after a blank begins a cell, such as
-/// `#N/A`.
+/// Whether a line is a comment: its first character is `#`, as in the `csv` crate. A `#` after a blank begins
+/// a cell, such as `#N/A`.
 pub fn is_comment(line: impl AsRef<[u8]>) -> bool {
     line.as_ref().first() == Some(&COMMENT)
 }
@@ -285,18 +294,18 @@ fn comments(lines: &str) -> impl Iterator<Item = (String, String)> {
     pairs.map(|(key, value)| (key.trim().to_lowercase(), value.trim().to_owned()))
 }
 
-/// A table's text by lines and rows, for guessing its layout.
+/// The text of a table by lines and by rows, to guess the layout of the table.
 pub struct RowsAsText<'a> {
     text: String,
     path: &'a Path,
     is_workbook: bool,
 }
 
-/// Names of the columns, lines of units, and rows of cells.
+/// The first rows of a table: names of the columns, lines of units, and rows of values.
 pub type Cells = (Vec<String>, Vec<Vec<String>>, Vec<Vec<String>>);
 
 impl<'a> RowsAsText<'a> {
-    /// Decodes a file, or a sheet of it.
+    /// Decodes a file, or the sheet with this name if the file is a workbook.
     ///
     /// # Errors
     /// [`LogError::NotText`].
@@ -305,7 +314,7 @@ impl<'a> RowsAsText<'a> {
         Ok(Self { text, path, is_workbook: is_workbook(bytes) })
     }
 
-    /// Names of the sheets that have cells, if a workbook has several of them: the user must select one. Empty otherwise.
+    /// Names of the sheets with cells, if a workbook has several of them, so that the user must select one. Empty otherwise.
     pub fn sheets(bytes: &[u8]) -> Vec<String> {
         let sheets = if is_workbook(bytes) { sheets(bytes).unwrap_or_default() } else { Vec::new() };
         if sheets.len() > 1 { sheets.into_iter().map(|(name, _)| name).collect() } else { Vec::new() }
@@ -316,12 +325,12 @@ impl<'a> RowsAsText<'a> {
         self.text.lines()
     }
 
-    /// The file is a workbook, whose cells need no delimiter.
+    /// Whether the file is a workbook, whose cells need no delimiter.
     pub fn is_workbook(&self) -> bool {
         self.is_workbook
     }
 
-    /// Reads the first rows with a layout.
+    /// Reads up to `rows_max` rows of values with a layout.
     ///
     /// # Errors
     /// [`LogError`] if the rows do not have this layout.

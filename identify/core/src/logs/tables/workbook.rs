@@ -1,4 +1,5 @@
-//! Workbooks of Excel as text: the rows of a sheet become lines with tabs between the cells, for [`Text`](super::text::Text).
+//! Converts Excel workbooks to text. The rows of a sheet become lines with tabs between the cells, which
+//! [`Text`](super::text::Text) reads like any other table.
 
 use std::collections::BTreeMap;
 use std::io::Cursor;
@@ -6,7 +7,7 @@ use std::io::Cursor;
 use calamine::{Data, Reader, SheetType, Xlsx};
 use zip::ZipArchive;
 
-/// An Excel workbook is a ZIP archive; no text begins so.
+/// First bytes of an Excel workbook, which is a ZIP archive. No text begins with these bytes.
 const ZIP: &[u8] = b"PK\x03\x04";
 
 /// Cells by row and column, from 0.
@@ -20,7 +21,8 @@ pub(in crate::logs) fn is_workbook(bytes: &[u8]) -> bool {
     bytes.starts_with(ZIP)
 }
 
-/// The rows of a sheet as lines: line n is row n, and a row without cells is a blank line.
+/// The rows of a sheet as lines: line n is row n of the sheet, and a row without cells is a blank line. `wanted` is the name
+/// of the sheet. Without a name, the workbook must have exactly one sheet with cells.
 pub(super) fn text_of_sheet(bytes: &[u8], wanted: Option<&str>) -> Result<String, String> {
     let mut sheets = sheets(bytes)?;
     let list = |sheets: &[Sheet]| sheets.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>().join(", ");
@@ -40,9 +42,9 @@ pub(super) fn text_of_sheet(bytes: &[u8], wanted: Option<&str>) -> Result<String
     }
 }
 
-/// The sheets of a workbook that have any cell.
+/// The sheets of a workbook that contain at least one cell.
 pub(super) fn sheets(bytes: &[u8]) -> Result<Vec<Sheet>, String> {
-    // The parser does not verify what it unpacks: the checksums of the archive are checked first.
+    // The parser does not verify the data that it unpacks, so the checksums of the archive are checked first.
     check_archive(bytes).map_err(|error| format!("a damaged workbook: {error}"))?;
     let unreadable = |error: calamine::XlsxError| format!("a workbook that cannot be read: {error}");
     let mut workbook = Xlsx::new(Cursor::new(bytes)).map_err(unreadable)?;
@@ -55,7 +57,7 @@ pub(super) fn sheets(bytes: &[u8]) -> Result<Vec<Sheet>, String> {
     Ok(all)
 }
 
-/// Checks the checksums of everything in an archive.
+/// Checks the checksums of all files in an archive.
 fn check_archive(bytes: &[u8]) -> Result<(), zip::result::ZipError> {
     let mut archive = ZipArchive::new(Cursor::new(bytes))?;
     for index in 0..archive.len() {
@@ -78,7 +80,7 @@ fn rows(workbook: &mut Xlsx<Cursor<&[u8]>>, sheet: &str) -> Result<SheetRows, ca
 }
 
 fn lines(rows: &SheetRows) -> Result<String, String> {
-    /// No table of joints is wider.
+    /// Largest number of columns; no table of joints is wider.
     const COLUMNS_MAX: u32 = 1000;
     let width = rows.values().filter_map(|row| row.last_key_value()).map(|(column, _)| column + 1).max();
     let width = width.unwrap_or(0);
@@ -97,8 +99,8 @@ fn lines(rows: &SheetRows) -> Result<String, String> {
     Ok(text)
 }
 
-/// A cell as a table would have it: numbers with all their digits, dates as text, control characters as spaces,
-/// quotes as the reader of tables expects them.
+/// The text of a cell, as in a text table. Numbers have all their digits, dates are text, and control characters become
+/// spaces. Cells with quotes are quoted as in a CSV file.
 fn cell_text(cell: &Data) -> String {
     let text = match cell {
         Data::DateTime(date) => {
