@@ -1,9 +1,9 @@
-//! ABB Externally Guided Motion: a file of `EgmRobot` messages as the controller sends them over UDP, each behind its
-//! length as a varint (what protobuf calls delimited).
+//! Reads logs of ABB Externally Guided Motion. The controller sends `EgmRobot` messages over UDP. The file contains these
+//! messages, each after its length as a varint, which protobuf calls delimited.
 //!
-//! Fields as in ABB's public `egm.proto` (proto2, package `abb.egm`); those that are not used are left out. Joints are in
-//! degrees. The times of `feedBack` and `planned` are UTC since RobotWare 6.07; older controllers give only `header.tm`,
-//! milliseconds of their own that wrap after 49 days.
+//! The fields are those of ABB's public `egm.proto` (proto2, package `abb.egm`), without fields that are not used. Joints
+//! are in degrees. The times of `feedBack` and `planned` are UTC since RobotWare 6.07. Older controllers only set
+//! `header.tm`, which counts milliseconds of the controller's own clock and wraps after 49 days.
 
 use std::path::Path;
 
@@ -37,7 +37,7 @@ struct EgmClock {
     usec: u64,
 }
 
-/// `EgmFeedBack` and `EgmPlanned` have the same fields.
+/// `EgmFeedBack` or `EgmPlanned`, which have the same fields.
 #[derive(Clone, PartialEq, Message)]
 struct EgmPosition {
     #[prost(message, optional, tag = "1")]
@@ -57,14 +57,14 @@ struct EgmRobot {
 }
 
 impl EgmRobot {
-    /// The position that a log with this origin has.
+    /// The planned position for commanded values, otherwise the feedback.
     fn position(&self, origin: Option<ValueOrigin>) -> Option<&EgmPosition> {
         if origin == Some(ValueOrigin::Commanded) { self.planned.as_ref() } else { self.feed_back.as_ref() }
     }
 }
 
 impl EgmPosition {
-    /// Its time since 1970; `None` if the controller does not set it.
+    /// Time of the position \[ns since 1970\]; `None` if the controller did not set it.
     fn utc_ns(&self) -> Option<i64> {
         let EgmClock { sec, usec } = self.time.filter(|time| time.sec > 0)?;
         i64::try_from(sec)
@@ -74,7 +74,7 @@ impl EgmPosition {
     }
 }
 
-/// Reads a capture of EGM messages.
+/// Reads a file of EGM messages. `mapping` may select commanded values.
 pub(in crate::logs) fn read(
     bytes: &[u8],
     path: &Path,
@@ -103,6 +103,7 @@ pub(in crate::logs) fn read(
     raw.finish(&meaning)
 }
 
+/// Decodes all messages of a file.
 fn decode(bytes: &[u8], path: &Path) -> Result<Vec<EgmRobot>, LogError> {
     let mut rest = bytes;
     let mut messages = Vec::new();
@@ -120,7 +121,7 @@ fn decode(bytes: &[u8], path: &Path) -> Result<Vec<EgmRobot>, LogError> {
     Ok(messages)
 }
 
-/// Stamps \[ns\] from the controller's milliseconds, followed over their wrap.
+/// Stamps \[ns\] from the controller's milliseconds in `header.tm`, continued when this counter wraps.
 fn controller_stamps(messages: &[EgmRobot], path: &Path) -> Result<Vec<i64>, LogError> {
     let mut unwrapped_ms = 0i64;
     let mut last: Option<u32> = None;

@@ -1,4 +1,4 @@
-//! Recognises the format of a robot log by its content.
+//! Recognises the format of a robot log by its first bytes, or by the extension `.egm`.
 
 use std::path::Path;
 
@@ -6,7 +6,8 @@ use crate::logs::LogError;
 use crate::logs::tables::text::header_line;
 use crate::logs::tables::workbook::is_workbook;
 
-/// The header of a table begins within this number of bytes, even after comments. The rest may be a gigabyte.
+/// Number of bytes within which the header of a table begins, even after comments. A header is not searched for in the rest,
+/// which may be a gigabyte.
 const HEADER_BYTES_MAX: usize = 1 << 16;
 
 /// Formats of robot logs.
@@ -28,10 +29,9 @@ pub enum LogFormat {
 }
 
 impl LogFormat {
-    /// The format of the log with these `bytes`, which may be its beginning only.
+    /// Recognises the format of the log that begins with these `bytes`.
     ///
-    /// # Errors
-    /// [`LogError::UnknownFormat`] if it has none of these formats.
+    /// [`LogError::UnknownFormat`] if the bytes are binary data in none of these formats.
     pub fn detect(bytes: &[u8], path: &Path) -> Result<Self, LogError> {
         if bytes.starts_with(b"\x89MCAP0\r\n") {
             return Ok(Self::Ros2Mcap);
@@ -51,7 +51,8 @@ impl LogFormat {
         if text.trim_ascii_start().starts_with(b"<") {
             return Ok(Self::Rsi);
         }
-        // UTF-16 text, which begins with a byte order mark, also has control bytes. The reader decodes it.
+        // Control bytes mean binary data, except in UTF-16 text, which begins with a byte order mark and
+        // is decoded by the reader.
         let is_utf_16 = text.starts_with(b"\xff\xfe") || text.starts_with(b"\xfe\xff");
         let has_control_bytes = text.iter().take(4096).any(|byte| matches!(byte, 0..=8 | 14..=31));
         if has_control_bytes && !is_utf_16 {

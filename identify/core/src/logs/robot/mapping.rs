@@ -1,4 +1,4 @@
-//! A TOML file with the columns and units of a robot log: `config/robot_log.toml` explains each key.
+//! The mapping of a robot log: a TOML file with the columns and units of the log. `config/robot_log.toml` explains each key.
 
 use serde::{Deserialize, Serialize};
 use shared::config::{AngleUnit, LogConversion, Validate, Violation};
@@ -11,17 +11,17 @@ use crate::logs::{ForceColumns, JointConversion, ValueOrigin};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct CsvLayout {
-    /// Character between cells; absent: comma, semicolon or tab, whichever the header has most of.
+    /// Character between cells. If absent, it is the comma, semicolon or tab, whichever occurs most often in the header.
     pub delimiter: Option<char>,
-    /// Numbers are written `1,5`.
+    /// Whether numbers have a decimal comma, such as `1,5`.
     pub decimal_comma: bool,
-    /// Lines before the header.
+    /// Number of lines before the header, which are skipped.
     pub skip_lines: usize,
-    /// Whether there is a header; without one the columns are named by their numbers, `1`, `2` and so on.
+    /// Whether there is a header. Without a header, the names of the columns are their numbers, `1`, `2` and so on.
     pub header: bool,
-    /// Lines between header and numbers, such as units.
+    /// Number of lines between the header and the first row of values, such as a line of units.
     pub unit_lines: usize,
-    /// Of a workbook with several sheets the one with the table.
+    /// Name of the sheet with the table, if the file is a workbook with several sheets.
     pub sheet: Option<String>,
 }
 
@@ -39,7 +39,7 @@ impl Default for CsvLayout {
 }
 
 impl CsvLayout {
-    /// Checks that the delimiter can separate cells and differs from a decimal comma.
+    /// Checks that the delimiter can separate cells and is not also the decimal comma.
     pub(in crate::logs) fn check(&self) -> Result<(), Violation> {
         let (key, delimiter) = ("csv.delimiter", self.delimiter.unwrap_or(';'));
         Violation::unless(
@@ -57,58 +57,59 @@ impl CsvLayout {
     }
 }
 
-/// `q[joint] += factor * q[from]`, in the values of the file after sign and offset.
+/// Adds a multiple of one joint to another: `q[joint] += factor * q[from]`. Both values are those of the
+/// file, after sign and offset.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Coupling {
     /// Number of the corrected joint, from 1.
     pub joint: usize,
-    /// Joint that it moves with, from 1.
+    /// Number of the joint that moves the corrected joint, from 1.
     pub from: usize,
-    /// Factor of the other joint's value.
+    /// Factor for the value of the joint `from`.
     pub factor: f64,
 }
 
-/// Names of further columns, one for each joint.
+/// Names of columns, one for each joint, base to flange.
 pub type Columns = Vec<String>;
 
-/// How to read a robot log.
+/// Describes how to read a robot log.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RobotLogMapping {
-    /// Name of the clock that made the stamps.
+    /// Name of the clock of the stamps.
     pub clock: Option<String>,
-    /// Whether values are measured or commanded; of formats that have both, which are read.
+    /// Whether the values are measured or commanded. If a format contains both, this selects the values that are read.
     pub values: Option<ValueOrigin>,
-    /// Topic of a bag that has several with joint states.
+    /// Topic to read if a bag contains several topics with joint states.
     pub topic: Option<String>,
     /// Layout of a text table.
     #[serde(default)]
     pub csv: CsvLayout,
     /// Column and unit of the stamps.
     pub time: Option<TimeColumn>,
-    /// All joints, base to flange: `q = sign * (value - offset)`. Without any, joints and their conversion are those of the
-    /// robot's own log.
+    /// All joints, base to flange: `q = sign * (value - offset)`. Without joints in the mapping, the joints and their
+    /// conversion are those of the robot's own log.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub joints: Vec<JointColumn>,
     /// Columns with joint speeds, in the joints' unit per second.
     pub speeds: Option<Columns>,
-    /// Columns with joint torques or motor currents, taken as they are.
+    /// Columns with joint torques or motor currents. They are not converted.
     pub torques: Option<Columns>,
-    /// Columns of the force on the ball-bar, if the log has one.
+    /// Columns of the force on the ball-bar, if the log contains it.
     pub force: Option<ForceColumns>,
-    /// Contribution of one joint of the file to another of the model.
+    /// Contributions of joints of the file to other joints of the model.
     #[serde(default)]
     pub coupling: Vec<Coupling>,
 }
 
 impl RobotLogMapping {
-    /// The mapping if it names joints; otherwise joints and conversion are those of the robot's own log.
+    /// The mapping, if it names joints; `None` if joints and conversion are those of the robot's own log.
     pub fn with_joints(&self) -> Option<&Self> {
         (!self.joints.is_empty()).then_some(self)
     }
 
-    /// Values of the file in radians or metres to joint variables of the model.
+    /// The conversion of values of the file, in radians or metres, to joint variables of the model.
     pub fn conversion(&self) -> LogConversion {
         let mut conversion = LogConversion::direct(AngleUnit::Rad, self.joints.len());
         let matrix = &mut conversion.raw_to_joint;

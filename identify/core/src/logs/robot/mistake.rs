@@ -1,4 +1,5 @@
-//! Common mistakes in the joints of a file, which can be undone to test for them.
+//! Common mistakes in the joints of a file. To test whether a file contains one of them, the mistake is undone and
+//! the joints are checked again.
 
 use std::fmt;
 
@@ -6,28 +7,28 @@ use shared::config::JointKind;
 
 use crate::kinematics::Joints;
 
-/// A mistake that all rows have.
+/// A mistake in the joints of all rows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum JointMistake {
-    /// A joint counts the other way.
+    /// A joint has the opposite sign.
     Reversed(usize),
     /// The columns of two joints are exchanged.
     Exchanged(usize, usize),
-    /// All revolute joints are in radians and read as degrees.
+    /// The file has all revolute joints in radians, but they were read as degrees.
     InRadians,
-    /// All revolute joints are in degrees and read as radians.
+    /// The file has all revolute joints in degrees, but they were read as radians.
     InDegrees,
 }
 
 impl JointMistake {
-    /// All mistakes that are possible with the joints of an arm.
+    /// All mistakes that are possible with an arm of this number of axes.
     pub fn all(axes: usize) -> Vec<Self> {
         let exchanged =
             (0..axes).flat_map(|one| (one + 1..axes).map(move |other| Self::Exchanged(one, other)));
         (0..axes).map(Self::Reversed).chain(exchanged).chain([Self::InRadians, Self::InDegrees]).collect()
     }
 
-    /// The joints of a row without the mistake; `kinds` are those of the arm's axes.
+    /// The joints of a row without the mistake. `kinds` are the kinds of the arm's axes.
     #[must_use]
     pub fn undone(self, joints: &Joints, kinds: impl Iterator<Item = JointKind>) -> Joints {
         let mut undone = *joints;

@@ -1,4 +1,8 @@
-//! The robot's own log in the formats that controllers and drivers write.
+//! Reads the robot's own log in the formats that controllers and drivers write.
+//!
+//! `format` recognises the format, and `reader` calls the module for this format: `table`, `ros`, `egm` or `rsi`. These
+//! collect rows in a `raw::RawLog`, which checks them and converts them with a `conversion`. A `mapping` file describes logs
+//! with other columns or units. `mistake` contains common mistakes in logs, and `writer` writes logs.
 
 pub(super) mod conversion;
 pub(super) mod egm;

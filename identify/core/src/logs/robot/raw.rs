@@ -1,5 +1,8 @@
-//! Rows of a log in the order of the file ([`RawLog`]), then checked as a whole and converted to the model's joints by their
-//! [`Meaning`]. The readers of all formats end here.
+//! Collects the rows of a robot log in the order of the file ([`RawLog::push`]). When all rows were read, [`RawLog::finish`]
+//! checks the log as a whole and returns a [`RobotLog`]. The readers of all formats use this module.
+//!
+//! [`RawLog::finish`] removes excursions and repeated rows, converts the values to the model's joints ([`Meaning`]), checks
+//! the joint limits, estimates the times of the rows, and adds remarks on the quality of the log.
 
 use std::path::{Path, PathBuf};
 
@@ -20,55 +23,63 @@ use crate::logs::{
 use crate::statistics::{extremes, largest_difference};
 use crate::threads;
 
-/// Joint values may pass the nominal limits by this much before a log is refused \[deg\]: zero positions of real
-/// robots differ a little from the data sheet. Prismatic axes by 35 mm, its value in radians as metres.
+/// Distance by which joint values may exceed the nominal limits before a log is rejected \[deg\], because the zero positions
+/// of real robots differ a little from the data sheet. For prismatic axes the value in radians counts as metres, 35 mm.
 const LIMIT_SLACK_DEG: f64 = 2.0;
-/// Least motion of some joint for a log that can identify anything \[deg\].
+/// If no joint moves by more than this, a remark is added, because such a log cannot identify anything \[deg\].
 const MOTION_DEG_MIN: f64 = 5.0;
-/// Wrists of small robots reach 1500 deg/s, within 0.13 s.
+/// Upper bounds of a robot's motion. The wrists of small robots reach 1500 deg/s within 0.13 s.
 const FASTEST: Fastest = Fastest { speed: 30.0, acceleration: 200.0 };
 
 /// One row of a log, in the units of the file.
 #[derive(Debug, Clone, Default)]
 pub(in crate::logs) struct RawRobotRow {
-    /// Line or number in the file.
+    /// Line number in the file, or number of the message.
     pub place: u64,
+    /// Stamp on the clock of the file \[ns\].
     pub stamp_ns: i64,
-    /// NaN for a missing value.
+    /// Values of the joints; NaN for a missing value.
     pub joints: Joints,
     pub speeds: Option<Joints>,
     pub torques: Option<Joints>,
-    /// Force on the bar, see [`RawLog::force`] \[N or N m\].
+    /// Force on the bar \[N or N m\]. [`RawLog::force`] is its kind.
     pub force: Option<Joints>,
 }
 
-/// Rows in the order of the file, stamps not decreasing. Column by column: ten hours have ten million rows, most logs neither
-/// speeds nor torques.
+/// Rows in the order of the file; their stamps do not decrease. Each quantity has its own vector, because ten hours have ten
+/// million rows and most logs contain neither speeds nor torques.
 #[derive(Default)]
 pub(in crate::logs) struct RawLog {
     path: PathBuf,
     /// Name of a row: `line`, `message` or `telegram`.
     what: &'static str,
+    /// Line or number of each row in the file.
     places: Vec<u64>,
     stamps_ns: Vec<i64>,
+    /// Joints of each row, in the units of the conversion. [`Self::finish`] replaces them by joint variables \[rad, m\].
     joints: Vec<Joints>,
-    /// Speeds, torques and force; used only if all rows have them.
+    /// Speeds, torques and force of each row. Each of them is only used if all rows contain it.
     more: [Vec<Joints>; 3],
-    /// What is known besides the rows.
+    /// Properties of the log other than its rows.
     pub log: RobotLog,
-    /// Kind of the rows' force on the bar, if they have one. Joint torques without columns of their own are the rows' torques.
+    /// Kind of the force on the bar, if the log contains it. If the kind is joint torques and the force has no columns, the
+    /// force is the torques of the rows.
     pub force: Option<ForceKind>,
 }
 
-/// Conversion of a file's joints to those of the model, with their names in the file.
+/// The meaning of the joints in a file: their names, and their conversion to the joints of the model.
 pub(in crate::logs) struct Meaning<'a> {
     robot: &'a RobotConfig,
-    /// Unit of angles, as robot's file, format or mapping state it.
+    /// Unit of angles in the file, determined by the robot's configuration, the format or the mapping.
     unit: AngleUnit,
+    /// Whether a mapping names the joints.
     is_mapped: bool,
-    /// By which the values of the file are multiplied before the conversion: that of a mapping is from radians and metres.
+    /// Factors that convert the values of the file to the units of `conversion`. The conversion of a mapping
+    /// is from radians and metres.
     factors: Joints,
+    /// Conversion to the joint variables of the model.
     conversion: JointConversion,
+    /// Names of the joints in the file.
     pub names: Vec<String>,
 }
 
@@ -78,7 +89,7 @@ impl<'a> Meaning<'a> {
         Ok(Self { robot, unit: log.unit, is_mapped: false, factors, conversion, names })
     }
 
-    /// The conversion that a mapping with joints states for this robot.
+    /// The conversion in a mapping that names joints.
     pub fn mapped(
         robot: &'a RobotConfig,
         mapping: &RobotLogMapping,
@@ -92,14 +103,15 @@ impl<'a> Meaning<'a> {
         Ok(Self { unit, is_mapped: true, factors, ..Self::new(robot, &mapping.conversion(), names)? })
     }
 
-    /// The robot's own log, angles in `unit`.
+    /// The conversion of the robot's own log, with angles in `unit`.
     pub fn own(robot: &'a RobotConfig, unit: AngleUnit, names: Vec<String>) -> Result<Self, LogError> {
         let meaning = Self::new(robot, &LogConversion { unit, ..robot.log.clone() }, names)?;
         Ok(Self { conversion: meaning.conversion.with_prismatic(robot), ..meaning })
     }
 
-    /// For joints in degrees, prismatic ones in millimetres or as a mapping states: the conversion of a mapping with joints, or
-    /// of the robot's configuration.
+    /// The conversion for a format with joints in degrees. If a mapping names joints, it is the conversion of the
+    /// mapping, and prismatic joints have the unit of the mapping. Otherwise it is the conversion of the robot's
+    /// configuration, and they are in millimetres.
     pub fn of_degrees(
         robot: &'a RobotConfig,
         mapping: Option<&RobotLogMapping>,
@@ -127,7 +139,8 @@ impl<'a> Meaning<'a> {
         })
     }
 
-    /// Joints of the controller, as the robot's configuration converts them, angles in the unit that the format has.
+    /// The conversion for a format with joints of the controller and angles in `unit`. It is that of the robot's
+    /// configuration, which must convert joints and not motors.
     pub fn of_controller(
         robot: &'a RobotConfig,
         unit: AngleUnit,
@@ -149,19 +162,20 @@ impl<'a> Meaning<'a> {
         Self::own(robot, unit, names)
     }
 
-    /// Joints or speeds of a row in the units that the conversion needs.
+    /// Joints or speeds of a row of the file, in the units of `conversion`.
     fn scaled(&self, values: Joints) -> Joints {
         values.iter().zip(self.factors).map(|(value, factor)| value * factor).collect()
     }
 }
 
 impl RawLog {
+    /// A log without rows. `what` is the word for a row.
     pub fn new(path: &Path, what: &'static str) -> Self {
         let log = RobotLog { clock: "unstated".into(), ..RobotLog::default() };
         Self { path: path.to_owned(), what, log, ..Self::default() }
     }
 
-    /// Default for a format with measured joints on a clock, unless a mapping states another.
+    /// A log without rows, with measured joints on the given clock unless the mapping contains another origin or clock.
     pub fn measured(path: &Path, what: &'static str, mapping: Option<&RobotLogMapping>, clock: &str) -> Self {
         let stated = mapping.and_then(|mapping| mapping.clock.clone());
         let mut raw = Self::new(path, what);
@@ -175,7 +189,8 @@ impl RawLog {
         self.log.quality.remarks.push(remark.into());
     }
 
-    /// Takes the next row; one that repeats the row before it, or lacks a joint, is only counted.
+    /// Adds the next row of the file. A row that repeats the row before, or in which a joint is missing,
+    /// is counted, but not added.
     pub fn push(&mut self, row: RawRobotRow, meaning: &Meaning<'_>) -> Result<(), LogError> {
         let joints = meaning.scaled(row.joints);
         if joints.iter().any(|joint| !joint.is_finite()) {
@@ -200,7 +215,7 @@ impl RawLog {
         Ok(())
     }
 
-    /// Adds a remark if the mapping has a force and the format is not searched for one.
+    /// Adds a remark if the mapping has a force, for a format from which no force is read.
     pub fn remark_unused_force(&mut self, mapping: Option<&RobotLogMapping>) {
         if mapping.is_some_and(|mapping| mapping.force.is_some()) {
             self.remark(format!(
@@ -211,8 +226,9 @@ impl RawLog {
         }
     }
 
-    /// Checks and converts all rows.
+    /// Checks and converts all rows, and estimates their times.
     pub fn finish(mut self, meaning: &Meaning<'_>) -> Result<RobotLog, LogError> {
+        // Removes rows that cannot be used.
         let rows = self.joints.len();
         self.more.iter_mut().filter(|values| values.len() < rows).for_each(Vec::clear);
         self.drop_excursions(meaning)?;
@@ -220,11 +236,13 @@ impl RawLog {
         if self.joints.len() < ROWS_MIN {
             return Err(self.too_few(self.joints.len()));
         }
+        // Converts the joints.
         self.joints.iter_mut().for_each(|row| *row = meaning.conversion.to_joint(row));
         self.check_limits(meaning)?;
-        // Not needed any more, and as long as the log.
+        // The places are not needed any more. They take as much memory as the stamps.
         self.places = Vec::new();
         let joints = std::mem::take(&mut self.joints);
+        // Estimates the times of the rows. If no regular clock is found, rows with equal stamps are removed.
         let (q_rad, stamps, is_kept) =
             Stream::from_stamps(std::mem::take(&mut self.stamps_ns), joints, |rows| rows.into());
         self.more.iter_mut().for_each(|values| retain(values, &is_kept));
@@ -233,6 +251,7 @@ impl RawLog {
             return Err(self.too_few(q_rad.len()));
         }
         self.log.quality.stamps = stamps;
+        // Converts the other quantities.
         let [speeds, torque, force_columns] =
             std::mem::take(&mut self.more).map(|values| (!values.is_empty()).then_some(values));
         let speed_rad_s =
@@ -242,7 +261,8 @@ impl RawLog {
         Ok(RobotLog { q_rad: q_rad.into(), speed_rad_s, torque, force, ..self.log })
     }
 
-    /// The force on the bar at the stamps of the joints; a remark if the log should have one but lacks it.
+    /// The force on the bar at the times of the joints. If the mapping has a force but some row lacks it, adds
+    /// a remark and returns `None`.
     fn bar_force(
         &mut self,
         columns: Option<Vec<Joints>>,
@@ -269,7 +289,7 @@ impl RawLog {
         Some(ForceLog::new(ForceClock::Robot, kind, forces))
     }
 
-    /// Removes single rows with the joints of the row before, in the middle of a motion, under a new stamp.
+    /// Removes single rows that have the same joints as the row before, but a new stamp, in the middle of a motion.
     fn drop_repeated(&mut self, meaning: &Meaning<'_>) {
         let joint = |row: usize| meaning.conversion.to_joint(&self.joints[row]);
         let step = |from: usize, to: usize| largest_difference(&joint(from), &joint(to));
@@ -278,7 +298,8 @@ impl RawLog {
         self.remove(&repeated);
     }
 
-    /// Removes rows that jump away and back: they would be interpolated, and change the motion by which the clocks are compared.
+    /// Removes rows that jump away and back. They would be interpolated, and would change the motion with
+    /// which the clocks are compared.
     fn drop_excursions(&mut self, meaning: &Meaning<'_>) -> Result<(), LogError> {
         let q = threads::rows(self.joints.len(), |row| meaning.conversion.to_joint(&self.joints[row]));
         let kinds: Vec<JointKind> = meaning.robot.joint_kinds().collect();
@@ -297,6 +318,7 @@ impl RawLog {
         Ok(())
     }
 
+    /// Removes the rows with these indices.
     fn remove(&mut self, rows: &[usize]) {
         let mut is_kept = vec![true; self.joints.len()];
         rows.iter().for_each(|row| is_kept[*row] = false);
@@ -305,7 +327,7 @@ impl RawLog {
         self.more.iter_mut().chain([&mut self.joints]).for_each(|values| retain(values, &is_kept));
     }
 
-    /// Adds a remark on rows that were dropped because they have the stamp of the one before.
+    /// Adds a remark on rows that were dropped because they have the same stamp as the row before.
     fn remark_equal(&mut self, dropped: usize) {
         if dropped > 0 {
             self.remark(format!(
@@ -327,6 +349,7 @@ impl RawLog {
         LogError::TooFewRows { path, rows, needed: ROWS_MIN }
     }
 
+    /// Checks that all rows are within the joint limits of the robot.
     fn check_limits(&self, meaning: &Meaning<'_>) -> Result<(), LogError> {
         let limits = meaning.robot.joint_limits();
         let rows = self.joints.iter().zip(&self.places);
@@ -351,14 +374,16 @@ impl RawLog {
         })
     }
 
-    /// The common mistake whose correction moves every row of the log within the limits.
+    /// The remedy for joints beyond their limits: the common mistake whose correction moves every row within the
+    /// limits, if there is one.
     fn likely_cause(&self, meaning: &Meaning<'_>) -> String {
         let (limits, conversion) = (meaning.robot.joint_limits(), &meaning.conversion);
         let rows: Vec<Joints> = self.joints.iter().map(|q| conversion.to_raw(q)).collect();
         let fits = |to_joint: &dyn Fn(&Joints) -> Joints| {
             rows.iter().all(|row| beyond_limits(&to_joint(row), &limits).is_none())
         };
-        // Degrees read as radians are within any limits if the joints hardly move.
+        // If the joints hardly move, the rows are within the limits in any unit. The unit is therefore only
+        // suspected if a joint moves.
         let in_deg = |row: &Joints| conversion.to_joint_with_unit(row, AngleUnit::Deg);
         let moves = |joint: usize| {
             let angles = rows.iter().map(|row| in_deg(row)[joint]);
@@ -415,7 +440,7 @@ impl RawLog {
     }
 }
 
-/// The first joint beyond its limits.
+/// Index of the first joint that is beyond its limits by more than the tolerance.
 fn beyond_limits(q_rad: &Joints, limits: &[[f64; 2]]) -> Option<usize> {
     let slack = LIMIT_SLACK_DEG.to_radians();
     q_rad.iter().zip(limits).position(|(q, [low, high])| !(low - slack..=high + slack).contains(q))

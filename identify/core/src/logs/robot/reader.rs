@@ -1,9 +1,10 @@
-//! Reads a robot's joint log of any supported format.
+//! Reads a robot's joint log of any supported format, from a file or from memory, and returns a [`RobotLog`].
 //!
-//! The robot's own CSV has a header row with `t_s` and a column for each axis, `{column}{1..}_{rad|deg|m}`, as the robot's
-//! configuration names them; other columns are ignored. Lines `# key: value` before or between rows declare `robot`,
-//! `clock` and `values` (measured or commanded). Comma, semicolon or tab between cells, decimal point, byte order mark and
-//! CRLF allowed. Other tables need a [`RobotLogMapping`].
+//! The robot's own CSV has a header row with `t_s` and one column for each axis. The robot's configuration
+//! determines the names of these columns, `{column}{1..}_{rad|deg|m}`. Other columns are ignored. Lines
+//! `# key: value` before or between rows declare `robot`, `clock` and `values` (measured or commanded). Cells are
+//! separated by comma, semicolon or tab, and numbers have a decimal point. A byte order mark and CRLF are allowed.
+//! Tables with other columns need a [`RobotLogMapping`].
 
 use std::path::Path;
 
@@ -14,16 +15,16 @@ use super::{egm, ros, rsi, table};
 use crate::logs::source::LogSource;
 use crate::logs::{LogError, LogFormat, RobotLog};
 
-/// How to read a log that does not state it.
+/// Properties of a log that the file does not contain.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct LogOptions {
-    /// Kind of the file; `None`: recognised by its content.
+    /// Format of the file; `None` if it is recognised by the content.
     pub format: Option<LogFormat>,
-    /// Columns or joints of the file.
+    /// Columns or joints of the file; `None` for those of the robot's own log.
     pub mapping: Option<RobotLogMapping>,
 }
 
-/// Reads the log at `path`, recognised by its content.
+/// Reads the log at `path`. The format is recognised by the content.
 ///
 /// # Errors
 /// Every way in which the file cannot be used, see [`LogError`].
@@ -31,7 +32,8 @@ pub fn load(path: &Path, robot: &RobotConfig) -> Result<RobotLog, LogError> {
     load_with(path, robot, &LogOptions::default())
 }
 
-/// [`load`] on bytes in memory; `path` is only named in errors, and its ending may determine the format.
+/// Like [`load`], but for bytes in memory. `path` is only used in error messages, and its
+/// extension may determine the format.
 ///
 /// # Errors
 /// As [`load`].
@@ -39,7 +41,7 @@ pub fn read(bytes: &[u8], path: &Path, robot: &RobotConfig) -> Result<RobotLog, 
     read_with(bytes, path, robot, &LogOptions::default())
 }
 
-/// [`load`] with options that the file does not state.
+/// Like [`load`], but with options that the file does not contain.
 ///
 /// # Errors
 /// As [`load`].
@@ -47,7 +49,7 @@ pub fn load_with(path: &Path, robot: &RobotConfig, options: &LogOptions) -> Resu
     read_from(LogSource::open(path)?, robot, options)
 }
 
-/// [`read`] with options that the file does not state.
+/// Like [`read`], but with options that the file does not contain.
 ///
 /// # Errors
 /// As [`load`].

@@ -1,8 +1,8 @@
-//! KUKA Robot Sensor Interface: a file of the `<Rob>` telegrams that the controller sends each cycle, one after the other,
-//! with or without a root element around them.
+//! Reads logs of the KUKA Robot Sensor Interface. The controller sends a `<Rob>` telegram in each cycle. The file contains
+//! these telegrams one after the other, with or without a root element around them.
 //!
-//! `AIPos` are measured joint angles in degrees, `ASPos` commanded ones, `IPOC` a counter in milliseconds. There is no
-//! wall time.
+//! In a telegram, `AIPos` contains the measured joint angles in degrees, `ASPos` the commanded angles in degrees, and `IPOC`
+//! a counter in milliseconds. A telegram does not contain the date.
 
 use std::path::Path;
 
@@ -18,7 +18,7 @@ use crate::logs::tables::stamp::{StampReader, TimeColumn, TimeUnit};
 use crate::logs::tables::text::Text;
 use crate::logs::{LogError, LogFormat, RobotLog, ValueOrigin};
 
-/// Attributes of `AIPos` and `ASPos`.
+/// Attributes of `AIPos` and `ASPos`, one for each axis.
 const AXES: [&str; 6] = ["A1", "A2", "A3", "A4", "A5", "A6"];
 
 /// Joints and counter of one telegram.
@@ -28,7 +28,7 @@ struct Telegram {
     ipoc: Option<i64>,
 }
 
-/// Reads a log of telegrams.
+/// Reads a log of telegrams. `mapping` selects measured or commanded angles and may change the unit of `IPOC`.
 pub(in crate::logs) fn read(
     source: LogSource<'_>,
     robot: &RobotConfig,
@@ -60,7 +60,7 @@ pub(in crate::logs) fn read(
                 problem: "no IPOC".into(),
                 remedy: "record whole telegrams: IPOC is their time".into(),
             })?;
-        // An axis that telegrams do not have is missing in every row.
+        // If the robot has more axes than a telegram, the other axes are missing in every row.
         let joints_deg = telegram.joints_deg.unwrap_or([f64::NAN; AXES.len()]);
         let joint = |axis: usize| joints_deg.get(axis).copied().unwrap_or(f64::NAN);
         let joints = Joints::from_fn(robot.axes(), joint);
@@ -69,7 +69,8 @@ pub(in crate::logs) fn read(
     raw.finish(&meaning)
 }
 
-/// Refuses a counter that increases by one with each telegram: it counts telegrams, and the file does not contain their period.
+/// Rejects a counter that increases by one with each telegram, unless the mapping has a time unit. Such a counter counts
+/// telegrams, and the file does not contain their period.
 fn check_counter(telegrams: &[Telegram], path: &Path, unit_is_given: bool) -> Result<(), LogError> {
     let ipocs: Vec<i64> = telegrams.iter().filter_map(|telegram| telegram.ipoc).collect();
     let mut steps: Vec<i64> = ipocs.windows(2).map(|pair| pair[1].saturating_sub(pair[0])).collect();
@@ -86,7 +87,7 @@ fn check_counter(telegrams: &[Telegram], path: &Path, unit_is_given: bool) -> Re
     }
 }
 
-/// The joints in `element` and the counters of all telegrams.
+/// Reads the joints in `element` and the counter of each telegram.
 fn parse(text: &str, path: &Path, element: &str) -> Result<Vec<Telegram>, LogError> {
     let mut reader = Reader::from_str(text);
     reader.config_mut().check_end_names = false;
@@ -129,7 +130,7 @@ fn is_named(tag: &BytesStart<'_>, name: &str) -> bool {
     tag.local_name().as_ref() == name
 }
 
-/// The six axes of a position; NaN for a missing one.
+/// The six axes of a position \[deg\]; NaN for a missing axis.
 fn axes(tag: &BytesStart<'_>) -> Result<[f64; AXES.len()], String> {
     let mut joints_deg = [f64::NAN; AXES.len()];
     for attribute in tag.attributes() {

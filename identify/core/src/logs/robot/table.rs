@@ -1,4 +1,6 @@
-//! Robot logs in text tables: the robot's own columns, RTDE's, or those of a mapping.
+//! Reads robot logs from text tables. The columns are the robot's own ([`read_own`]), those of an RTDE client
+//! ([`read_rtde`]), or those that a mapping names ([`read_mapped`]). Each function finds its columns, reads all rows into a
+//! [`RawLog`], and converts them to a [`RobotLog`].
 
 use std::path::Path;
 
@@ -18,19 +20,19 @@ use crate::statistics::largest_difference;
 /// Name of the column with time stamps \[s\].
 pub(in crate::logs) const TIME_COLUMN: &str = "t_s";
 
-/// Name of the column of motor or joint `index` (from 0).
+/// Name of the column of motor or joint `index` (from 0) in the robot's own log.
 pub(in crate::logs) fn column_name(robot: &RobotConfig, index: usize, unit: AngleUnit) -> String {
     let prismatic = robot.joint_kinds().nth(index) == Some(JointKind::Prismatic);
     let suffix = if prismatic { JointKind::Prismatic.si_symbol() } else { unit.suffix() };
     format!("{}{}_{suffix}", robot.log.column, index + 1)
 }
 
-/// Names of the columns with the joints of the robot's own log, base to flange.
+/// Names of the columns with joints in the robot's own log, base to flange.
 pub fn own_columns(robot: &RobotConfig) -> Columns {
     (0..robot.axes()).map(|index| column_name(robot, index, robot.log.unit)).collect()
 }
 
-/// The columns of a table that are read.
+/// The columns of an open table that are read.
 struct RobotTableLayout {
     time: StampColumn,
     joints: Vec<CsvColumn>,
@@ -39,7 +41,8 @@ struct RobotTableLayout {
     force: Option<ForceLayout>,
 }
 
-/// The robot's own columns: `t_s` and those that its configuration names; other columns are ignored.
+/// Reads a table with the robot's own columns: `t_s` and the columns that the robot's configuration
+/// names. Other columns are ignored.
 pub(in crate::logs) fn read_own(source: LogSource<'_>, robot: &RobotConfig) -> Result<RobotLog, LogError> {
     let path = source.path;
     let meaning = Meaning::own(robot, robot.log.unit, own_columns(robot))?;
@@ -59,11 +62,13 @@ pub(in crate::logs) fn read_own(source: LogSource<'_>, robot: &RobotConfig) -> R
     refuse_if_not_seconds(raw.finish(&meaning)?, path)
 }
 
-/// The log, unless its `t_s` counts milliseconds or less: then rows are seconds apart, and no joint is as fast as a robot's.
+/// Returns the log, or an error if its `t_s` counts milliseconds or microseconds. With times that are 1000 times too long,
+/// rows are seconds apart, and all joints seem to be much slower than those of a moving robot.
 fn refuse_if_not_seconds(log: RobotLog, path: &Path) -> Result<RobotLog, LogError> {
-    /// Logs with longer steps follow no motion \[s\].
+    /// Smallest median time between rows of a log with wrong units \[s\]. Even if it is correct, such a
+    /// log cannot follow a motion.
     const PERIOD_S_MIN: f64 = 0.9;
-    /// No motion is so slow throughout \[rad/s, m/s\].
+    /// Largest speed in a log with wrong units \[rad/s, m/s\]. A real motion exceeds this speed at some time.
     const SPEED_MIN: f64 = 0.02;
     let (t_s, rows) = (&log.q_rad.t_s, &log.q_rad);
     let [period_s, _] = usual_and_longest_step_s(t_s);
@@ -87,7 +92,7 @@ fn refuse_if_not_seconds(log: RobotLog, path: &Path) -> Result<RobotLog, LogErro
     })
 }
 
-/// The columns with the joints of the robot's own log.
+/// Finds the columns with joints in the robot's own log. Columns in the other unit of angles are an error.
 fn own_joints(table: &CsvTable<'_>, path: &Path, robot: &RobotConfig) -> Result<Vec<CsvColumn>, LogError> {
     let unit = robot.log.unit;
     let other = match unit {
@@ -118,7 +123,8 @@ fn own_joints(table: &CsvTable<'_>, path: &Path, robot: &RobotConfig) -> Result<
     Ok(joints)
 }
 
-/// A table of `record.py` of the RTDE client, joints in radians.
+/// Reads a table of `record.py` of the RTDE client, with joints in radians. Measured values (`actual_q_0`) are
+/// preferred to commanded values (`target_q_0`).
 pub(in crate::logs) fn read_rtde(source: LogSource<'_>, robot: &RobotConfig) -> Result<RobotLog, LogError> {
     let path = source.path;
     let table = &mut CsvTable::delimited(Text::new(source, None)?, b' ', &CsvLayout::default())?;
@@ -147,7 +153,7 @@ pub(in crate::logs) fn read_rtde(source: LogSource<'_>, robot: &RobotConfig) -> 
     raw.finish(&meaning)
 }
 
-/// The columns that a mapping names.
+/// Reads a table with the columns that a mapping names.
 pub(in crate::logs) fn read_mapped(
     source: LogSource<'_>,
     robot: &RobotConfig,
@@ -165,6 +171,7 @@ pub(in crate::logs) fn read_mapped(
     raw.finish(&meaning)
 }
 
+/// Finds the columns of a mapping in an open table, and the conversion of its joints.
 fn mapped_layout<'a>(
     table: &CsvTable<'_>,
     robot: &'a RobotConfig,
@@ -198,7 +205,7 @@ fn mapped_layout<'a>(
     Ok((layout, meaning))
 }
 
-/// Takes robot, clock and origin from comment lines.
+/// Reads robot, clock and origin of the values from comment lines.
 fn take_comments(log: &mut RobotLog, table: &CsvTable<'_>) {
     for (key, value) in table.comments() {
         match key.as_str() {
@@ -215,6 +222,7 @@ fn take_comments(log: &mut RobotLog, table: &CsvTable<'_>) {
     }
 }
 
+/// Reads the columns of all rows of a table into `raw`.
 fn read_rows(
     table: &mut CsvTable<'_>,
     layout: &mut RobotTableLayout,

@@ -1,4 +1,4 @@
-//! Writes a robot's joint log in the form that [`crate::logs::read`] takes.
+//! Writes a robot's joint log as CSV, which [`crate::logs::read`] can read.
 
 use std::io::Write;
 
@@ -8,11 +8,10 @@ use super::table::{TIME_COLUMN, column_name};
 use crate::logs::force::ALONG_COLUMN;
 use crate::logs::{ForceKind, JointConversion, RobotLog};
 
-/// Writes `log` as CSV in the columns and the unit of `robot`'s configuration, and a force along the bar that has the same
-/// stamps.
+/// Writes `log` as CSV, with the columns and the unit of `robot`'s configuration. A force along the bar is also written if
+/// its stamps are those of the joints.
 ///
-/// # Errors
-/// Errors of the sink, and `InvalidInput` if the robot's conversion cannot be inverted.
+/// Errors of the sink, and an error of kind `Other` if the robot's conversion cannot be inverted.
 pub fn write(log: &RobotLog, robot: &RobotConfig, sink: impl Write) -> std::io::Result<()> {
     let conversion = JointConversion::of(robot).map_err(std::io::Error::other)?;
     let mut sink = std::io::BufWriter::new(sink);
@@ -43,7 +42,7 @@ pub fn write(log: &RobotLog, robot: &RobotConfig, sink: impl Write) -> std::io::
     csv.flush()
 }
 
-/// Integer ns as decimal seconds with all nine digits.
+/// Integer nanoseconds as decimal seconds with nine decimals.
 pub(in crate::logs) fn seconds_text(ns: i64) -> String {
     let magnitude = ns.unsigned_abs();
     let sign = if ns < 0 { "-" } else { "" };

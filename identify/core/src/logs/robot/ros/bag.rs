@@ -1,4 +1,5 @@
-//! Joint states of a ROS 2 bag, topic by topic; robot and ball-bar are found by the names of their joints.
+//! The joint states of a ROS 2 bag, grouped by topic. [`Bag::choose`] finds the topic of a robot or of the ball-bar by
+//! the names of its joints.
 
 use std::path::Path;
 use std::rc::Rc;
@@ -13,30 +14,31 @@ pub(in crate::logs) struct BagTopic {
     pub messages: Vec<RecordedJointState>,
 }
 
-/// A joint state and where and when it was recorded.
+/// A joint state, with its place in the bag and the time of its recording.
 pub(in crate::logs) struct RecordedJointState {
-    /// Number within its topic, from 1.
+    /// Number of the message within its topic, from 1.
     pub number: u64,
+    /// Time at which the recorder received the message \[ns since 1970\].
     pub recorded_ns: i64,
     pub state: RosJointState,
 }
 
-/// Joint states of a bag, with remarks on the bag.
+/// The joint states of a bag, and remarks on its quality.
 #[derive(Default)]
 pub(in crate::logs) struct Bag {
     pub topics: Vec<BagTopic>,
     pub remarks: Vec<String>,
 }
 
-/// The joints to find in a bag, in words.
+/// Texts of messages about the joints that are searched for in a bag.
 pub(in crate::logs) struct Wanted {
-    /// Such as `the six joints of one robot`.
+    /// Description of the joints, such as `the six joints of one robot`.
     pub what: &'static str,
-    /// What to do if no topic has them.
+    /// What the user can do if no topic has these joints.
     pub remedy: &'static str,
-    /// What to do if several have them.
+    /// What the user can do if several topics have these joints.
     pub choose: &'static str,
-    /// What to do without any joint states.
+    /// What the user can do if the bag, or the wanted topic, has no joint states.
     pub record: &'static str,
 }
 
@@ -49,6 +51,7 @@ impl Bag {
         }
     }
 
+    /// The topic with this name, which is added if it is new.
     pub(super) fn topic(&mut self, name: &str) -> &mut BagTopic {
         let index = self.topics.iter().position(|topic| topic.name == name).unwrap_or_else(|| {
             self.topics.push(BagTopic { name: name.to_owned(), messages: Vec::new() });
@@ -57,7 +60,8 @@ impl Bag {
         &mut self.topics[index]
     }
 
-    /// The one topic with the wanted joints, and the result of `names_of` on its names. With `topic`, only that one is searched.
+    /// Finds the only topic with the wanted joints. Returns the topic and the result of `names_of` for its joint names. If
+    /// `topic` is given, only the topic with this name is searched.
     pub fn choose<N>(
         &self,
         path: &Path,
@@ -97,6 +101,7 @@ impl Bag {
 }
 
 impl BagTopic {
+    /// Decodes the bytes of the next message and adds it.
     pub(super) fn push(&mut self, recorded_ns: i64, data: &[u8], path: &Path) -> Result<(), LogError> {
         let number = self.messages.len() as u64 + 1;
         let state = RosJointState::decode(data, self.messages.last().map(|last| &last.state.names)).map_err(
@@ -112,12 +117,12 @@ impl BagTopic {
         Ok(())
     }
 
-    /// Whether every message has a stamp of its publisher.
+    /// Whether every message has a stamp by its publisher.
     pub fn is_stamped(&self) -> bool {
         self.messages.iter().all(|message| message.state.stamp_ns != 0)
     }
 
-    /// Every joint that any message names, in the order of the first that does.
+    /// The names of all joints in any message, in the order in which they occur first.
     fn joint_names(&self) -> Vec<&str> {
         let mut names: Vec<&str> = Vec::new();
         let mut last: Option<&Rc<[String]>> = None;
@@ -137,7 +142,8 @@ impl BagTopic {
 }
 
 impl RecordedJointState {
-    /// The publisher's stamp; without `stamped` ([`BagTopic::is_stamped`]), when the recorder received it \[ns\].
+    /// The stamp of the message \[ns\]: the publisher's stamp if the topic is `stamped` ([`BagTopic::is_stamped`]),
+    /// otherwise the time at which the recorder received the message.
     pub fn stamp_ns(&self, stamped: bool) -> i64 {
         if stamped { self.state.stamp_ns } else { self.recorded_ns }
     }

@@ -1,4 +1,4 @@
-//! One `sensor_msgs/JointState` from its CDR bytes.
+//! Decodes a `sensor_msgs/JointState` message from its CDR bytes.
 
 use std::rc::Rc;
 
@@ -28,11 +28,11 @@ struct CdrJointState {
     effort: Vec<f64>,
 }
 
-/// What is used of a message.
+/// The fields of a message that are used.
 pub(in crate::logs) struct RosJointState {
-    /// `header.stamp`, 0 where it was not set \[ns\].
+    /// `header.stamp` \[ns\]; 0 if the publisher did not set it.
     pub stamp_ns: i64,
-    /// Shared with the message before where they are the same.
+    /// Names of the joints. If they are equal to those of the message before, both messages share the memory.
     pub names: Rc<[String]>,
     pub position: Vec<f64>,
     pub velocity: Vec<f64>,
@@ -40,9 +40,10 @@ pub(in crate::logs) struct RosJointState {
 }
 
 impl RosJointState {
-    /// Decodes a message; the error is what is wrong, in words.
+    /// Decodes a message. `names_before` are the names of the message before, if there is one. The error is
+    /// a description of the problem.
     pub fn decode(bytes: &[u8], names_before: Option<&Rc<[String]>>) -> Result<Self, String> {
-        // The second of the four bytes before the message states how it is encoded.
+        // A message begins with four bytes, of which the second determines the encoding.
         let Some((&[_, encoding, _, _], body)) = bytes.split_first_chunk::<4>() else {
             return Err(format!("{} bytes are too short for a message", bytes.len()));
         };

@@ -1,4 +1,4 @@
-//! Bags in MCAP, also those of a recorder that was killed.
+//! Reads ROS 2 bags in MCAP files. Bags of a recorder that was killed are read up to the place where they are incomplete.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -11,10 +11,11 @@ use shared::recording::{parse_record, up_to_broken_chunk};
 use super::bag::Bag;
 use crate::logs::LogError;
 
-/// Longest record of a bag: far above any chunk that recorders write, far below memory.
+/// Longest valid record of a bag, in bytes. It is far longer than the chunks that recorders write,
+/// and far shorter than memory.
 const RECORD_BYTES_MAX: usize = 256 << 20;
 
-/// Joint states of a bag. One that breaks off is read up to there, with a remark.
+/// Reads the joint states of a bag. A damaged or incomplete bag is read up to the damage, with a remark.
 pub(super) fn read(bytes: &[u8], path: &Path) -> Result<Bag, LogError> {
     let mut bag = Bag::default();
     let mut channels = JointStateChannels::default();
@@ -22,7 +23,7 @@ pub(super) fn read(bytes: &[u8], path: &Path) -> Result<Bag, LogError> {
         .with_record_length_limit(RECORD_BYTES_MAX)
         .with_prevalidate_chunk_crcs(true);
     let mut reader = LinearReader::new_with_options(options);
-    // The library reads on behind the end of a broken chunk.
+    // The library would continue to read after a broken chunk, so it only gets the bytes up to there.
     let mut source = up_to_broken_chunk(bytes);
     while let Some(event) = reader.next_event() {
         let record = match event {
@@ -48,7 +49,7 @@ pub(super) fn read(bytes: &[u8], path: &Path) -> Result<Bag, LogError> {
     Ok(bag)
 }
 
-/// Adds a remark that the bag breaks off here; an error if no joint states are before.
+/// Adds a remark that the bag is damaged or incomplete here. This is an error if no joint state was read before.
 fn broken_off(bag: &mut Bag, error: &McapError, path: &Path) -> Result<(), LogError> {
     let messages: usize = bag.topics.iter().map(|topic| topic.messages.len()).sum();
     if messages == 0 {
@@ -64,14 +65,17 @@ fn broken_off(bag: &mut Bag, error: &McapError, path: &Path) -> Result<(), LogEr
     Ok(())
 }
 
-/// Schemas and the channels on which joint states come.
+/// The channels of a bag that contain joint states.
 #[derive(Default)]
 struct JointStateChannels {
+    /// Ids of the schemas with the name of a joint state.
     joint_state_schemas: Vec<u16>,
+    /// Topic of each channel with joint states, by the id of the channel.
     topics: HashMap<u16, String>,
 }
 
 impl JointStateChannels {
+    /// Processes the next record: registers schemas and channels, and adds messages with joint states to the `bag`.
     fn take(&mut self, record: Record<'_>, bag: &mut Bag, path: &Path) -> Result<(), LogError> {
         match record {
             Record::Schema { header: SchemaHeader { id, name, .. }, .. } if is_joint_state(&name) => {

@@ -1,8 +1,10 @@
-//! ROS 2 bags with `sensor_msgs/JointState`: joints are found by name, in any order and among others.
+//! Reads robot logs from ROS 2 bags with `sensor_msgs/JointState` messages. Joints are found by their names. They may be in
+//! any order, and a message may contain other joints, too.
 //!
-//! A bag has two times: when the recorder received a message, and `header.stamp`, which the publisher set (with
-//! ros2_control the time of the controller manager, not that of the encoders). The stamp is taken where every message has
-//! one; which it was is the name of the log's clock.
+//! A message in a bag has two times. One is the time at which the recorder received the message. The other is
+//! `header.stamp`, which the publisher set; with ros2_control this is the time of the controller manager, not of the
+//! encoders. `header.stamp` is used if every message of the topic has it, otherwise the receive time. The name of the log's
+//! clock is the name of the time used.
 
 mod bag;
 mod joint_state;
@@ -21,7 +23,8 @@ use bag::RecordedJointState;
 
 pub(in crate::logs) use bag::{Bag, UNSTAMPED, Wanted, clock_name};
 
-/// Names that drivers give the joints, from base to flange; a prefix such as `left_` may stand before all of them.
+/// Families of joint names that drivers use, each from base to flange. All names of a family may have the
+/// same prefix, such as `left_`.
 fn families(axes: usize) -> Vec<Vec<String>> {
     const UR: [&str; 6] = [
         "shoulder_pan_joint",
@@ -46,7 +49,7 @@ const JOINTS: Wanted = Wanted {
     record: "record the topic /joint_states",
 };
 
-/// Reads a robot's joints from a bag.
+/// Reads the joints of a robot from a bag. `mapping` may contain the topic, the names of the joints and their conversion.
 pub(in crate::logs) fn read(
     bytes: &[u8],
     path: &Path,
@@ -79,7 +82,8 @@ pub(in crate::logs) fn read(
     raw.finish(&meaning)
 }
 
-/// Kind of the force in the mapping. A bag has only the efforts of the joints, so columns in the mapping are an error.
+/// The kind of the force in the mapping. A bag only contains the efforts of the joints, so columns in
+/// the mapping are an error.
 fn kind_of_efforts(force: &ForceColumns, path: &Path) -> Result<ForceKind, LogError> {
     if force.columns.is_empty() {
         return Ok(force.kind());
@@ -111,7 +115,8 @@ fn row(message: &RecordedJointState, names: &[String], stamped: bool) -> RawRobo
     }
 }
 
-/// The names of the joints among those found: the mapping's, or a family with one and the same prefix.
+/// Finds the names of the robot's joints in `found`. With a mapping they are the names in the mapping. Otherwise they are a
+/// family whose names all have the same prefix. `None` if names are missing, or if several families match.
 fn joints_among(found: &[&str], axes: usize, mapping: Option<&RobotLogMapping>) -> Option<Vec<String>> {
     let are_found = |names: &Vec<String>| names.iter().all(|name| found.contains(&name.as_str()));
     if let Some(mapping) = mapping {
@@ -125,6 +130,6 @@ fn joints_among(found: &[&str], axes: usize, mapping: Option<&RobotLogMapping>) 
     });
     let mut complete = candidates.filter(are_found);
     let first = complete.next();
-    // Of two robots in one topic a mapping must name one.
+    // If a topic contains two robots, a mapping must name the joints of one of them.
     first.filter(|_| complete.next().is_none())
 }

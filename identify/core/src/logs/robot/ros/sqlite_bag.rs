@@ -1,4 +1,4 @@
-//! Bags in SQLite (`.db3`): tables `topics` and `messages`.
+//! Reads ROS 2 bags in SQLite files (`.db3`) with the tables `topics` and `messages`.
 
 use std::path::Path;
 
@@ -7,17 +7,19 @@ use rusqlite::{Connection, MAIN_DB};
 use super::bag::Bag;
 use crate::logs::LogError;
 
-/// Place of the format versions in the header of an SQLite file, and their value for a rollback journal.
+/// Offsets of the two format versions in the header of an SQLite file.
 const FORMAT_VERSIONS: std::ops::Range<usize> = 18..20;
+/// Format version of a file with a rollback journal.
 const ROLLBACK_JOURNAL: u8 = 1;
 
+/// Selects the messages with joint states in the order of their times.
 const MESSAGES: &str = "SELECT topics.name, messages.timestamp, messages.data FROM messages \
      JOIN topics ON topics.id = messages.topic_id \
      WHERE topics.type IN ('sensor_msgs/msg/JointState', 'sensor_msgs/JointState') \
        AND topics.serialization_format = 'cdr' \
      ORDER BY messages.timestamp, messages.id";
 
-/// Joint states of a bag.
+/// Reads the joint states of a bag.
 pub(super) fn read(bytes: &[u8], path: &Path) -> Result<Bag, LogError> {
     let broken = |error: rusqlite::Error| LogError::Content {
         path: path.to_owned(),
@@ -42,10 +44,11 @@ pub(super) fn read(bytes: &[u8], path: &Path) -> Result<Bag, LogError> {
     Ok(bag)
 }
 
-/// Opens the file in memory, so that it may lie on a medium that cannot be written.
+/// Opens the database in memory, because the file may be on a read-only medium.
 fn open(bytes: &[u8]) -> rusqlite::Result<Connection> {
     let mut image = bytes.to_vec();
-    // A file in WAL mode cannot be opened from memory; what was checkpointed is a whole database without it.
+    // A file in WAL mode cannot be opened from memory. Changing its format versions is safe, because the file without its
+    // `-wal` file is a complete database as of the last checkpoint.
     if let Some(versions) = image.get_mut(FORMAT_VERSIONS) {
         versions.fill(ROLLBACK_JOURNAL);
     }
