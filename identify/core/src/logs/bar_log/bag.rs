@@ -1,4 +1,4 @@
-//! Encoders of the bar as joints of `sensor_msgs/JointState` in a ROS 2 bag.
+//! Reads the encoders of the bar from a ROS 2 bag, in which they are joints of `sensor_msgs/JointState` messages.
 
 use std::path::Path;
 
@@ -11,7 +11,7 @@ use super::{LogError, LogFormat, OtherBarLog};
 use crate::kinematics::BAR_JOINTS;
 use crate::logs::robot::ros::{Bag, UNSTAMPED, Wanted, clock_name};
 
-/// Names of the joints by `ballbard`; all may have a common prefix such as `ball_`.
+/// Beginning of the names of the joints, as published by `ballbard`. All names may have the same prefix, such as `ball_`.
 const USUAL: &str = "bar_joint_";
 
 const WANTED: Wanted = Wanted {
@@ -66,7 +66,7 @@ pub(super) fn read(
             let value = place.and_then(|place| state.position.get(place)).copied();
             *count = value.and_then(|value| count_of(value, reading));
         }
-        // Other publishers may use the same topic.
+        // A message without any joint of the bar is from another publisher on the same topic.
         if is_of_bar {
             raw.push(row)?;
         }
@@ -75,9 +75,10 @@ pub(super) fn read(
     raw.finish(clock.unwrap_or_else(|| clock_name(stamped).into()))
 }
 
-/// A position of a joint as a count: as it is, or from an angle. `None` if it is neither: drivers publish NaN for missing values.
+/// Converts the position of a joint, which is a count or an angle, to a count. `None` if the position is invalid, such as
+/// NaN, which drivers publish for a missing value.
 fn count_of(value: f64, reading: &EncoderReader) -> Option<i64> {
-    /// Whole numbers are exact up to here.
+    /// Largest number up to which an `f64` represents all whole numbers.
     const EXACT: f64 = 9_007_199_254_740_992.0;
     if reading.is_counts() {
         return (value.fract() == 0.0 && value.abs() <= EXACT).then_some(value as i64);
@@ -85,7 +86,8 @@ fn count_of(value: f64, reading: &EncoderReader) -> Option<i64> {
     reading.count_of_angle(value)
 }
 
-/// The encoders in the order of the bar's configuration or of the mapping, if all are among the joints that were found.
+/// The encoders of the mapping, or of the bar's configuration, in its order. `None` if one of them is
+/// not among the joints `found`.
 fn encoders_among(
     found: &[&str],
     bar: &BallBarConfig,
@@ -101,7 +103,7 @@ fn encoders_among(
     let mut prefixes: Vec<&str> = prefixes.collect();
     prefixes.sort_unstable();
     prefixes.dedup();
-    // Of two bars in one topic a mapping must name one.
+    // If a topic contains two bars, a mapping must name the joints of one of them.
     let [prefix] = prefixes[..] else { return None };
     let column = |joint: u8| format!("{prefix}{USUAL}{joint}");
     let encoder = |joint: u8| EncoderColumn { joint, column: column(joint), ..EncoderColumn::default() };

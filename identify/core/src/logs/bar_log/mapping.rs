@@ -1,4 +1,5 @@
-//! A TOML file with the format of the bar's encoders in a file of another program: `config/bar_log.toml` explains each key.
+//! The mapping of a bar log: a TOML file with the columns and units of the bar's encoders in a file of another
+//! program. `config/bar_log.toml` explains each key.
 
 use serde::{Deserialize, Serialize};
 use shared::config::{Validate, Violation};
@@ -7,7 +8,7 @@ use crate::kinematics::BAR_JOINTS;
 use crate::logs::robot::mapping::CsvLayout;
 use crate::logs::tables::stamp::TimeColumn;
 
-/// Narrowest counter that can be followed.
+/// Smallest number of values of a counter whose wraps can be followed.
 const WRAPS_AT_MIN: u64 = 1 << 10;
 /// Number of values of an EL5021's counter.
 const WRAPS_AT: u64 = 1 << 32;
@@ -16,7 +17,7 @@ const WRAPS_AT: u64 = 1 << 32;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum EncoderUnit {
-    /// Raw counts; the bar's configuration has the counts per turn and the direction.
+    /// Raw counts. The bar's configuration contains the counts per turn and the direction.
     Counts,
     /// Angles in radians, any number of turns.
     Rad,
@@ -24,37 +25,37 @@ pub enum EncoderUnit {
     Deg,
 }
 
-/// Column or topic of the values of one encoder.
+/// The values of one encoder: their column in a table, or their joint in a bag.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct EncoderColumn {
-    /// Bar joint that it measures, 1 to 5.
+    /// Joint of the bar that the encoder measures, 1 to 5.
     pub joint: u8,
-    /// Name in the header of a table, or of the joint in a ROS 2 bag.
+    /// Name of the column in the header of a table, or of the joint in a ROS 2 bag.
     pub column: String,
-    /// Unit; absent: counts in a table, radians in a bag.
+    /// Unit of the values. If absent, it is counts in a table and radians in a bag.
     pub unit: Option<EncoderUnit>,
-    /// Column that is zero (or empty) if the value is invalid.
+    /// Name of a column that is zero, false or empty if the value is invalid.
     pub valid: Option<String>,
 }
 
-/// How to read the bar's encoders.
+/// Describes how to read the bar's encoders.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BarLogMapping {
-    /// Name of the clock that made the stamps.
+    /// Name of the clock of the stamps.
     pub clock: Option<String>,
-    /// Topic of a bag that has several with the bar's joints.
+    /// Topic to read if a bag contains several topics with the bar's joints.
     pub topic: Option<String>,
     /// Layout of a text table.
     #[serde(default)]
     pub csv: CsvLayout,
     /// Column and unit of the stamps of a table.
     pub time: Option<TimeColumn>,
-    /// Counters show the count modulo this number.
+    /// Number of values of a counter: the file contains each count modulo this number.
     #[serde(default = "wraps_at")]
     pub wraps_at: u64,
-    /// The encoders of the file; joints that are left out are not used.
+    /// The encoders of the file. Joints of the bar that are not listed are not used.
     pub encoders: Vec<EncoderColumn>,
 }
 
@@ -89,7 +90,7 @@ impl Validate for BarLogMapping {
 }
 
 impl BarLogMapping {
-    /// Number of a counter's values; without a mapping those of an EL5021.
+    /// Number of values of a counter; without a mapping, that of an EL5021.
     pub(super) fn wraps_at_of(mapping: Option<&Self>) -> u64 {
         mapping.map_or(WRAPS_AT, |mapping| mapping.wraps_at)
     }

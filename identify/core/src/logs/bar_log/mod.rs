@@ -1,8 +1,8 @@
-//! Encoders of the bar from our own recordings, tables of counters, or ROS 2 bags.
+//! Reads the encoders of the bar from recordings of this project, from tables of counts or angles, or from ROS 2 bags.
 //!
-//! Tables and bags become records of bus cycles, as recordings have them, so that later steps have one kind of input. Facts
-//! that such files lack (validity of single counts, uncertainty of times, restarts of counters) are not invented:
-//! [`OtherBarLog::unknown`] lists them.
+//! Tables and bags are converted to records of bus cycles, as in recordings, so that later steps have only one form of
+//! input. Such files lack some information that recordings contain: the validity of each count, the uncertainty of times,
+//! restarts of counters. It is not invented: [`OtherBarLog::unknown`] lists the missing information.
 
 mod bag;
 mod mapping;
@@ -22,7 +22,7 @@ use shared::recording::{ReadError, ReadErrorKind, Recording};
 use super::source::LogSource;
 use super::{LogError, LogFormat, LogQuality, Unwrapped};
 
-/// Facts that a file may lack, with the assumption for each.
+/// Information that a file of another program may lack, each with the assumption that is made instead.
 const MISSING_FACTS: [(&str, &str); 5] = [
     ("how certain its times are", "they are taken as exact"),
     ("the times of a second clock", "a clock step is found only from the shifts of parts of the run"),
@@ -34,54 +34,56 @@ const MISSING_FACTS: [(&str, &str); 5] = [
     ("the date of its stamps", "the two clocks are compared by the motion alone"),
 ];
 
-/// Bytes at the beginning of a file by which a recording is recognised.
+/// Number of bytes at the beginning of a file that are read to recognise a recording.
 const BEGINNING: u64 = 4096;
 
-/// Why the bar's side of a run cannot be read.
+/// Why the log of the bar cannot be read.
 #[derive(Debug, thiserror::Error)]
 pub enum BarLogError {
-    /// A recording of ours.
+    /// The file is a recording of this project.
     #[error(transparent)]
     Recording(#[from] ReadError),
-    /// A table or a bag.
+    /// The file is a table or a bag.
     #[error(transparent)]
     Other(#[from] LogError),
 }
 
-/// The bar's side of a run.
+/// The log of the bar's encoders during a run.
 #[derive(Debug, Clone, PartialEq)]
 pub enum BarLog {
-    /// Made by `ballbard` or `identify simulate`.
+    /// A recording by `ballbard` or `identify simulate`.
     Recording(Box<Recording>),
-    /// From a file of another program.
+    /// A table or a bag by another program.
     Other(Box<OtherBarLog>),
 }
 
 /// Encoders of the bar from a table or a bag.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct OtherBarLog {
-    /// Kind of the file, in words.
+    /// Description of the kind of file, for messages.
     pub kind: &'static str,
-    /// Name of the clock that made the stamps.
+    /// Name of the clock of the stamps.
     pub clock: String,
-    /// Whether stamps count from 1970; otherwise from an unknown instant.
+    /// Whether the stamps count from 1970. Otherwise they count from an unknown time.
     pub is_dated: bool,
-    /// In the order of the file.
+    /// Encoders in the order of the file.
     pub encoders: Vec<EncoderInfo>,
-    /// One for each row or message; unusable ones are not valid.
+    /// A record for each row or message. The values of rows that cannot be used are marked as not valid.
     pub cycles: Vec<CycleRecord>,
-    /// Quality of the log; incomplete and repeated rows and excursions are among the cycles and not valid.
+    /// Quality of the log. Incomplete rows, repeated rows and excursions are not removed from `cycles`,
+    /// but marked as not valid.
     pub quality: LogQuality,
-    /// Counters and angles that wrapped and were made continuous.
+    /// Encoders whose counters or angles wrapped and were made continuous.
     pub unwrapped: Vec<Unwrapped>,
-    /// Facts that the file does not have.
+    /// Names of the information that the file does not contain.
     pub unknown: Vec<&'static str>,
-    /// `ballbard export` wrote it from a recording of the simulated bus.
+    /// Whether `ballbard export` wrote the file from a recording of the simulated bus.
     pub simulated: bool,
 }
 
 impl BarLog {
-    /// Reads the file at `path`, recognised by its content. `bar` has the counts per revolution of each encoder.
+    /// Reads the file at `path`. The kind of file is recognised by the content. `bar` contains the counts
+    /// per revolution of each encoder.
     ///
     /// # Errors
     /// Every way in which the file cannot be used.
@@ -97,7 +99,7 @@ impl BarLog {
         Ok(Self::Other(Box::new(other)))
     }
 
-    /// All cycles, rows or messages.
+    /// The records of all bus cycles, rows or messages.
     pub fn cycles(&self) -> &[CycleRecord] {
         match self {
             Self::Recording(recording) => &recording.cycles,
@@ -105,8 +107,8 @@ impl BarLog {
         }
     }
 
-    /// Counters and angles that wrapped, in a file of another program: its records do not show it, since their counts wrap as
-    /// those of a terminal. `None` for a recording.
+    /// Encoders whose counters or angles wrapped, in a file of another program; `None` for a recording. The records do not
+    /// show these wraps, because their counts are unwrapped and then wrap at 32 bits, like those of a terminal.
     pub fn unwrapped(&self) -> Option<&[Unwrapped]> {
         match self {
             Self::Recording(_) => None,
@@ -114,7 +116,7 @@ impl BarLog {
         }
     }
 
-    /// Encoders in the order in which each cycle has them.
+    /// Encoders, in the order of the samples in each cycle.
     pub fn encoders(&self) -> &[EncoderInfo] {
         match self {
             Self::Recording(recording) => &recording.run.encoders,
@@ -123,7 +125,7 @@ impl BarLog {
     }
 }
 
-/// Whether a file is a recording of ours, possibly a damaged one, and so not a bag of another program.
+/// Whether a file is a recording of this project, possibly a damaged one. MCAP bags of other programs are not recordings.
 ///
 /// # Errors
 /// [`ReadErrorKind::Io`] if it cannot be read.
@@ -135,7 +137,7 @@ pub fn is_recording(path: &Path) -> Result<bool, ReadError> {
 }
 
 impl OtherBarLog {
-    /// Reads a table or a bag from memory; `path` is only named in errors.
+    /// Reads a table or a bag from memory. `path` is only used in error messages.
     ///
     /// # Errors
     /// Every way in which the file cannot be used, see [`LogError`].
@@ -169,7 +171,7 @@ impl OtherBarLog {
         }
     }
 
-    /// Facts that the file lacks, with the assumption for each.
+    /// Information that the file does not contain, each with the assumption that is made instead.
     pub fn unsaid(&self) -> impl Iterator<Item = (&'static str, &'static str)> {
         MISSING_FACTS.into_iter().filter(|(what, _)| self.unknown.contains(what))
     }

@@ -1,6 +1,9 @@
-//! Checks the rows of a table or a bag of the bar as a whole and converts them to records of bus cycles, as recordings have them.
+//! Checks the rows of a table or a bag of the bar as a whole, and converts them to records of bus cycles, as in recordings.
 //!
-//! Rows that cannot be used stay, but are not valid: excursions, repeated rows. A jump of two encoders begins a new origin.
+//! [`RawBarLog`] collects the rows in the order of the file. [`RawBarLog::finish`] searches them for excursions,
+//! repeated rows, and restarts of counters, unless the file marks restarts itself. Rows that cannot be used remain, but
+//! are marked as not valid. After a restart the counts refer to a new origin. An [`EncoderReader`] converts the values
+//! of one encoder to counts.
 
 use std::f64::consts::TAU;
 use std::path::{Path, PathBuf};
@@ -17,16 +20,18 @@ use crate::logs::time_series::excursions::{Excursions, Fastest, remark};
 use crate::logs::time_series::frozen::repeated_rows;
 use crate::logs::{LogError, LogQuality, ROWS_MIN, Unwrapped, UnwrappedPoint, since_first_s};
 
-/// Faster than this no bar is moved by a robot \[rad/s\].
+/// Largest speed at which a robot moves a joint of the bar \[rad/s\].
 const SPEED_RAD_S_MAX: f64 = 4.0 * std::f64::consts::PI;
-/// Bars are moved by robots and by hand, and both turn back no faster than a robot's own joints.
+/// Upper bounds of the motion of a bar's joint. A bar is moved by a robot or by hand. Neither turns back
+/// faster than a robot's joints.
 const FASTEST: Fastest = Fastest { speed: SPEED_RAD_S_MAX, acceleration: 200.0 };
-/// Smallest step at a new origin \[rad\]: times of reception jitter, so that rows may follow each other closely.
+/// Smallest step at a new origin \[rad\]. Without it, ordinary motion could exceed the largest speed, because receive times
+/// jitter and rows may have almost the same time.
 const JUMP_RAD_MIN: f64 = 0.2;
-/// Largest number of restarts of the counters that a remark names: a wrong scale makes thousands.
+/// Largest number of restarts of the counters that are listed in a remark. A wrong scale causes thousands of them.
 const PLACES_MAX: usize = 5;
-/// Scale by which angles become counts: one is 1.5 nrad. Angles that wrap after each turn are then followed by the arithmetic
-/// of counters.
+/// Scale by which angles are converted to counts; one count is 1.5 nrad. Angles that wrap after each turn can then be
+/// followed in the same way as counters.
 const ANGLE_SCALE: EncoderScale = EncoderScale {
     lines: 1 << 24,
     interpolation_bits: 8,
@@ -34,10 +39,10 @@ const ANGLE_SCALE: EncoderScale = EncoderScale {
     offset_rad: 0.0,
     reference_counts: 0,
 };
-/// Largest valid angle \[rad\]: a terminal's counter wraps long before.
+/// Largest valid angle \[rad\]. The counter of a terminal wraps at a much smaller angle.
 const ANGLE_RAD_MAX: f64 = 1e4;
 
-/// How one encoder of a file is read.
+/// Converts the values of one encoder in a file to counts.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct EncoderReader {
     pub info: EncoderInfo,
@@ -46,18 +51,19 @@ pub(super) struct EncoderReader {
     last: Option<LastCount>,
 }
 
-/// A count as the file has it, and unwrapped.
+/// The last count of an encoder.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct LastCount {
+    /// Count as in the file.
     shown: i64,
+    /// The same count after unwrapping.
     unwrapped: i64,
 }
 
 impl EncoderReader {
-    /// The encoder of `joint`; `place` is the name of its values in the file.
+    /// A reader for the encoder of `joint`. `place` is the name of its column or joint in the file.
     ///
-    /// # Errors
-    /// [`LogError::Content`] if the values are counts and the bar's configuration has no encoder there.
+    /// [`LogError::Content`] if the values are counts, but the bar's configuration has no encoder at this joint.
     pub fn new(
         joint: u8,
         unit: EncoderUnit,
@@ -77,7 +83,8 @@ impl EncoderReader {
                 })?;
                 (scale, wraps_at)
             }
-            // An angle does not wrap like a counter: each step is the shorter way around.
+            // An angle does not wrap at the width of a counter. It wraps after a turn, so each step
+            // is the shorter way around.
             EncoderUnit::Rad | EncoderUnit::Deg => {
                 (ANGLE_SCALE, ANGLE_SCALE.counts_per_revolution().unsigned_abs())
             }
@@ -85,12 +92,12 @@ impl EncoderReader {
         Ok(Self { info: EncoderInfo { joint, scale }, unit, wraps_at, last: None })
     }
 
-    /// Whether values are counts.
+    /// Whether the values in the file are counts.
     pub fn is_counts(&self) -> bool {
         self.unit == EncoderUnit::Counts
     }
 
-    /// An angle in the file's unit as counts of [`ANGLE_SCALE`]; `None` for an invalid angle.
+    /// Converts an angle in the file's unit to counts of [`ANGLE_SCALE`]; `None` for an invalid angle.
     pub fn count_of_angle(&self, value: f64) -> Option<i64> {
         let turns = match self.unit {
             EncoderUnit::Deg => value / 360.0,
@@ -100,7 +107,7 @@ impl EncoderReader {
         (turns.abs() * TAU <= ANGLE_RAD_MAX).then_some(counts.round() as i64)
     }
 
-    /// The next count of a counter of any width, in 32 bits.
+    /// Converts the next count of a counter of any width to a counter of 32 bits.
     fn unwrap_to_32_bits(&mut self, shown: i64) -> u32 {
         let last = self.last.unwrap_or(LastCount { shown, unwrapped: shown });
         let unwrapped = last.unwrapped.wrapping_add(self.step(last.shown, shown));
@@ -108,7 +115,7 @@ impl EncoderReader {
         wrap(unwrapped)
     }
 
-    /// Difference of two counts as read, in the shorter direction.
+    /// Difference of two counts in the file, in the shorter direction.
     fn step(&self, before: i64, shown: i64) -> i64 {
         let width = i128::from(self.wraps_at);
         let half = width / 2;
@@ -121,33 +128,36 @@ impl EncoderReader {
 pub(super) struct RawBarRow {
     /// Line or number of the message in the file.
     pub place: u64,
+    /// Stamp on the clock of the file \[ns\].
     pub stamp_ns: i64,
-    /// Counts as the file has them, in the order of the readings; `None` for missing values.
+    /// Counts as in the file, in the order of the readers; `None` for missing values.
     pub counts: [Option<i64>; MAX_ENCODERS],
-    /// Whether the file marks the value as valid.
+    /// Whether each value is valid, by the file.
     pub valid: [bool; MAX_ENCODERS],
     /// Flags of the whole row, see [`flags`].
     pub flags: u32,
 }
 
 impl RawBarRow {
+    /// Whether all values of the first `count` encoders are present and valid.
     fn is_valid(&self, count: usize) -> bool {
         self.counts.iter().zip(&self.valid).take(count).all(|(count, valid)| count.is_some() && *valid)
     }
 }
 
-/// Kind of a file and the facts that it has.
+/// The kind of a file, and the information that it contains.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct BarLogKind {
     /// Name of the kind in messages.
     pub name: &'static str,
-    /// Name of its rows: `line` or `message`.
+    /// Name of a row in messages: `line` or `message`.
     pub row: &'static str,
-    /// The file marks invalid values.
+    /// Whether the file marks invalid values.
     pub has_validity: bool,
-    /// The file marks restarts of the counters: then none are concluded from the values.
+    /// Whether the file marks restarts of the counters. If so, the values are not searched for
+    /// restarts, excursions and repeated rows.
     pub has_origins: bool,
-    /// Stamps count from 1970.
+    /// Whether the stamps count from 1970.
     pub is_dated: bool,
 }
 
@@ -170,10 +180,10 @@ impl RawBarLog {
         self.quality.remarks.push(remark.into());
     }
 
-    /// Adds the next row; a repetition of the previous row is only counted.
+    /// Adds the next row. A row with the same stamp and counts as the row before is counted, but not added.
     ///
-    /// # Errors
-    /// [`LogError::TimeNotIncreasing`], except beside cycles that the file marks as bad.
+    /// [`LogError::TimeNotIncreasing`] if the stamp is not later than that of the row before, unless the file marks one of
+    /// the two cycles with a flag.
     pub fn push(&mut self, row: RawBarRow) -> Result<(), LogError> {
         if let Some(before) = self.rows.last() {
             if row.stamp_ns == before.stamp_ns && row.counts == before.counts {
@@ -191,8 +201,8 @@ impl RawBarLog {
 
     /// Checks and converts all rows.
     ///
-    /// # Errors
-    /// [`LogError::TooFewRows`], and [`LogError::Content`] if counters wrap at another count than configured.
+    /// [`LogError::TooFewRows`], and [`LogError::Content`] if there are too many excursions, or if a counter wraps
+    /// at another count than configured.
     pub fn finish(mut self, clock: String) -> Result<OtherBarLog, LogError> {
         let usable = self.rows.iter().filter(|row| row.is_valid(self.readings.len())).count();
         LogError::unless_enough(&self.path, usable, ROWS_MIN)?;
@@ -225,7 +235,7 @@ impl RawBarLog {
         })
     }
 
-    /// One record for each row, with counts that wrap at 32 bits.
+    /// The records of all rows, with counts that wrap at 32 bits.
     fn cycles(&mut self) -> Vec<CycleRecord> {
         let mut cycles = Vec::with_capacity(self.rows.len());
         let mut origin = 0;
@@ -252,7 +262,7 @@ impl RawBarLog {
         cycles
     }
 
-    /// Size of each encoder's step from one cycle to another \[rad\].
+    /// Absolute change of each encoder from one cycle to another \[rad\].
     fn steps_rad(&self, before: &CycleRecord, after: &CycleRecord) -> impl Iterator<Item = f64> {
         let samples = before.encoders().iter().zip(after.encoders()).zip(&self.readings);
         samples.map(|((before, after), reading)| {
@@ -261,9 +271,11 @@ impl RawBarLog {
         })
     }
 
-    /// Marks rows of zeros, or of any other invalid reading: each would look like two restarts of the counters.
+    /// Marks excursions, such as rows of zeros, as not valid. Each of them would otherwise look like
+    /// two restarts of the counters.
     fn mark_excursions(&mut self) -> Result<(), LogError> {
         let width = self.readings.len();
+        // Indices of the rows that are searched. `shown` and `step` below count among these rows.
         let valid: Vec<usize> = (0..self.rows.len()).filter(|row| self.rows[*row].is_valid(width)).collect();
         let t_s = since_first_s(&valid.iter().map(|row| self.rows[*row].stamp_ns).collect::<Vec<_>>());
         let shown = |row: usize, encoder: usize| self.rows[valid[row]].counts[encoder].unwrap_or_default();
@@ -282,7 +294,7 @@ impl RawBarLog {
         Ok(())
     }
 
-    /// Marks rows with the counts of the row before, in the middle of a motion, under a new stamp.
+    /// Marks rows as not valid that have the same counts as the row before, but a new stamp, in the middle of a motion.
     fn mark_repeated(&mut self, cycles: &mut [CycleRecord]) {
         let valid = valid_cycles(cycles);
         let step_rad = |from: usize, to: usize| {
@@ -297,8 +309,8 @@ impl RawBarLog {
         }
     }
 
-    /// Begins a new origin where two or more encoders jump: a terminal that lost power restarts at some count, and so do all
-    /// its neighbours. A single encoder that jumps has slipped, which is reported later.
+    /// Begins a new origin where two or more encoders jump. If a terminal loses power, its counter restarts at an arbitrary
+    /// count, and so do the counters of its neighbours. A single encoder that jumps has slipped, which a later step reports.
     fn mark_origins(&mut self, cycles: &mut [CycleRecord]) {
         let (mut places, mut begins_origin) = (Vec::new(), vec![false; cycles.len()]);
         for pair in valid_cycles(cycles).windows(2) {
@@ -331,7 +343,8 @@ impl RawBarLog {
         ));
     }
 
-    /// Refuses a counter with fewer bits than configured: its counts fill three quarters of a smaller width and jump at a wrap.
+    /// Rejects a counter with fewer bits than configured. Such a counter has counts that use at least three quarters of a
+    /// smaller width, and that jump by more than half of this width when it wraps.
     fn check_wrap(&self, encoder: usize) -> Result<(), LogError> {
         let Some(reading) = self.readings.get(encoder).filter(|reading| reading.is_counts()) else {
             return Ok(());
@@ -362,9 +375,9 @@ impl RawBarLog {
         Ok(())
     }
 
-    /// The encoders that wrapped, as the file shows them and as they were followed.
+    /// The encoders that wrapped, with their values in the file and after unwrapping.
     fn unwrapped(&self, cycles: &[CycleRecord], stamps_s: &[f64]) -> Vec<Unwrapped> {
-        // A counter that lost its origin has any count next.
+        // After a restart the count of a counter is arbitrary, so each part with one origin is examined separately.
         let is_continued = |cycle: &CycleRecord, next: &CycleRecord| cycle.origin == next.origin;
         let of_encoder = |encoder: usize| {
             let parts = cycles.chunk_by(is_continued);
@@ -373,7 +386,7 @@ impl RawBarLog {
         (0..self.readings.len()).filter_map(of_encoder).collect()
     }
 
-    /// One encoder in cycles with one origin, if it wrapped in them.
+    /// The values of one encoder in cycles with one origin; `None` if it did not wrap in them.
     fn unwrapped_part(&self, encoder: usize, cycles: &[CycleRecord], stamps_s: &[f64]) -> Option<Unwrapped> {
         let reading = self.readings.get(encoder)?;
         let scale = &reading.info.scale;
@@ -406,7 +419,7 @@ impl RawBarLog {
         self.quality.remark_counts(self.kind.row, "the counts", done, "lack a value of an encoder");
     }
 
-    /// The facts, by their names in `MISSING_FACTS`, that the file does not have.
+    /// The information that the file does not contain, by its names in `MISSING_FACTS`.
     fn unknown(&self) -> Vec<&'static str> {
         let BarLogKind { has_validity, has_origins, is_dated, .. } = self.kind;
         let [certainty, other_clock, validity, origins, date] = MISSING_FACTS.map(|(what, _)| what);
@@ -420,6 +433,7 @@ impl RawBarLog {
     }
 }
 
+/// Indices of the valid cycles.
 fn valid_cycles(cycles: &[CycleRecord]) -> Vec<usize> {
     (0..cycles.len()).filter(|index| cycles[*index].is_valid()).collect()
 }

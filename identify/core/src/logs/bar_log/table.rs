@@ -1,4 +1,5 @@
-//! Encoders of the bar from a text table: columns with the names of `ballbard export --csv`, or those of a mapping.
+//! Reads the encoders of the bar from a text table. Its columns have the names that `ballbard export --csv` writes,
+//! or a mapping names them.
 
 use std::path::Path;
 
@@ -15,14 +16,16 @@ use crate::logs::tables::stamp::{StampColumn, TimeColumn, TimeUnit};
 use crate::logs::tables::text::Text;
 use crate::logs::{CsvLayout, SIMULATED};
 
-/// Usual names of the time column, with their units.
+/// Names of the time column that are known without a mapping, each with its unit.
 const TIMES: [(&str, TimeUnit); 2] = [("time_utc", TimeUnit::DateTime), ("t_s", TimeUnit::S)];
-/// Usual names of an encoder's column, before the joint and after it.
+/// Names of an encoder's column that are known without a mapping: the text before and after the number of
+/// the joint, and the unit.
 const VALUES: [(&str, &str, EncoderUnit); 3] = [
     ("count", "", EncoderUnit::Counts),
     ("angle", "_rad", EncoderUnit::Rad),
     ("angle", "_deg", EncoderUnit::Deg),
 ];
+/// What the user can do if a column is missing in a table without a mapping.
 const REMEDY: &str = "Name the columns as `ballbard export --csv` does (`time_utc` or `t_s`, `count1` to `count5`), or \
                       assign them in a mapping (--recording-mapping).";
 
@@ -33,11 +36,13 @@ struct Encoder {
     reading: EncoderReader,
 }
 
-/// The columns that are read.
+/// The columns of a table that are read.
 struct BarTableLayout {
     time: StampColumn,
     encoders: Vec<Encoder>,
+    /// Column with the flags of the cycle, as written by `ballbard export`.
     flags: Option<CsvColumn>,
+    /// Column with events, as written by `ballbard export`.
     events: Option<CsvColumn>,
 }
 
@@ -79,7 +84,7 @@ pub(super) fn read(
 }
 
 impl OtherBarLog {
-    /// Whether a text has the columns of the bar's encoders by their usual names, and so is not a robot's log.
+    /// Whether a text has columns with the usual names of the bar's encoders, so that it is not a robot's log.
     pub fn is_usual_table(bytes: &[u8]) -> bool {
         let text = Text::new(LogSource::in_memory(bytes, Path::new("")), None);
         let Ok(mut text) = text else { return false };
@@ -89,12 +94,14 @@ impl OtherBarLog {
     }
 }
 
-/// Names of the column of a joint's encoder, with their units. Of counts and angles of one joint the counts are read.
+/// The usual names of the column of a joint's encoder, each with its unit. If a table has both counts and angles of a joint,
+/// the counts are read, because they are first in this list.
 fn usual_names(joint: usize) -> [(String, EncoderUnit); 3] {
     VALUES.map(|(before, after, unit)| (format!("{before}{joint}{after}"), unit))
 }
 
-/// Layout of a table without a mapping, whose columns have the usual names; encoders in the order of the columns.
+/// The layout of a table without a mapping, whose columns have the usual names. The encoders are in
+/// the order of the columns.
 fn usual_layout(table: &CsvTable<'_>, path: &Path, bar: &BallBarConfig) -> Result<BarTableLayout, LogError> {
     let (time, unit) =
         TIMES.into_iter().find(|(name, _)| table.has(name)).unwrap_or(("time_utc", TimeUnit::DateTime));
@@ -108,7 +115,7 @@ fn usual_layout(table: &CsvTable<'_>, path: &Path, bar: &BallBarConfig) -> Resul
                     "The bar's configuration has an encoder on joint {joint}; take its [[encoders]] block out if it \
                      was not mounted. {REMEDY}"
                 );
-                // The column does not exist: this returns the error that names it.
+                // The column does not exist, so this returns the error that names it.
                 table.column(&names[0].0, &remedy)?;
             }
             continue;
@@ -149,6 +156,7 @@ impl BarTableLayout {
         Ok(Self { time, encoders, flags: None, events: None })
     }
 
+    /// Reads the columns of the next row.
     fn read(&mut self, row: &CsvRow<'_>) -> Result<RawBarRow, LogError> {
         let mut read = RawBarRow {
             place: row.line,
@@ -171,7 +179,7 @@ impl BarTableLayout {
 }
 
 impl Encoder {
-    /// `None` for an empty cell and for NaN.
+    /// The value of the encoder in this row as a count; `None` for an empty cell and for NaN.
     fn count(&self, row: &CsvRow<'_>) -> Result<Option<i64>, LogError> {
         let text = row.text(&self.value);
         if text.is_empty() || text.eq_ignore_ascii_case("nan") {
@@ -188,11 +196,12 @@ impl Encoder {
         Ok(Some(count))
     }
 
+    /// Reads a whole number, which may be written with an exponent or a decimal point.
     fn whole_number(&self, row: &CsvRow<'_>, text: &str) -> Result<i64, LogError> {
         if let Ok(count) = text.parse::<i64>() {
             return Ok(count);
         }
-        // Spreadsheets write `1.5E+09`, PLCs `1500000000.0`.
+        // Spreadsheets write whole numbers as `1.5E+09`, PLCs as `1500000000.0`.
         let value = row.number(&self.value)?;
         let exact = value.fract() == 0.0 && value.abs() < (1_i64 << f64::MANTISSA_DIGITS) as f64;
         exact.then_some(value as i64).ok_or_else(|| {
@@ -213,7 +222,7 @@ fn is_true(row: &CsvRow<'_>, column: &CsvColumn) -> Result<bool, LogError> {
     }
 }
 
-/// Bits of the flags that a cell names, separated by blanks, as `ballbard export` writes them.
+/// The bits of the flags in a cell. The cell contains their names separated by blanks, as written by `ballbard export`.
 fn flags_of(row: &CsvRow<'_>, column: &CsvColumn) -> Result<u32, LogError> {
     let mut bits = 0;
     for word in row.text(column).split_whitespace() {

@@ -1,6 +1,8 @@
-//! Poses with one measured length each: a draw-wire sensor or a telescoping bar without encoders.
+//! Reads tables of measured lengths. Each row is a pose of the robot with the length of a draw-wire sensor or of
+//! a telescoping bar without encoders.
 //!
-//! Files differ, so a mapping in TOML names the columns and their units; `config/measured_length.toml` explains each key.
+//! Each instrument writes other columns, so a mapping in TOML names the columns and their
+//! units. `config/measured_length.toml` explains each key.
 
 use std::path::Path;
 
@@ -16,9 +18,9 @@ use crate::logs::tables::csv_text::{CsvColumn, CsvRow, CsvTable};
 use crate::logs::{CsvLayout, JointColumn, LengthUnit, LogError, PositionColumns};
 use crate::model::SetUp;
 
-/// No wire or bar is longer \[m\]: a larger value has another unit.
+/// Largest length of a wire or bar \[m\]. A larger number means that the unit is wrong.
 const LENGTH_M_MAX: f64 = 20.0;
-/// Limit of `offset_mm`.
+/// Largest absolute value of `offset_mm`.
 const OFFSET_MM_MAX: f64 = 1e3 * LENGTH_M_MAX;
 
 /// The column of the measured length.
@@ -27,7 +29,7 @@ const OFFSET_MM_MAX: f64 = 1e3 * LENGTH_M_MAX;
 pub struct LengthColumn {
     /// Name in the header.
     pub column: String,
-    /// Unit of its values.
+    /// Unit of the values in the column.
     pub unit: LengthUnit,
     /// Known constant error \[mm\], which is subtracted from every length.
     #[serde(default, skip_serializing_if = "is_zero")]
@@ -38,15 +40,16 @@ pub struct LengthColumn {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LengthUncertaintyColumn {
-    /// Name in the header; the values are in mm.
+    /// Name in the header. The values are in mm.
     pub length_mm: String,
 }
 
-/// Columns of a table of measured lengths.
+/// Describes how to read a table of measured lengths.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MeasuredLengthMapping {
-    /// Standard uncertainty of the wire's scale \[ppm\]; absent: that of a usual wire; 0: exact.
+    /// Standard uncertainty of the wire's scale \[ppm\]. If absent, it is that of a usual wire. 0 means
+    /// that the scale is exact.
     pub scale_u_ppm: Option<f64>,
     /// Layout of the table.
     #[serde(default)]
@@ -55,9 +58,10 @@ pub struct MeasuredLengthMapping {
     pub length: LengthColumn,
     /// All joints, base to flange.
     pub joints: Vec<JointColumn>,
-    /// Columns of the flange's position in the robot's base, by the controller; rows whose joints contradict it are not used.
+    /// Columns with the controller's position of the flange in the robot's base. Rows are not used if
+    /// this position contradicts the joints.
     pub flange: Option<PositionColumns>,
-    /// Column of the uncertainty of each row, if the file has one.
+    /// Column of the uncertainty of each row, if the file has this column.
     pub uncertainty: Option<LengthUncertaintyColumn>,
     /// Column with the name of the anchor, if there are several.
     pub anchor: Option<String>,
@@ -82,7 +86,7 @@ impl Validate for MeasuredLengthMapping {
     }
 }
 
-/// One pose and the length measured there.
+/// A pose of the robot, with the length measured at this pose.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct LengthRow {
     /// Joint variables of the model \[rad, m\].
@@ -91,22 +95,23 @@ pub struct LengthRow {
     pub length_m: f64,
     /// Flange position from the controller \[m\].
     pub flange_m: Option<[f64; 3]>,
-    /// Standard uncertainty of the length \[m\]; `None` if the file states none.
+    /// Standard uncertainty of the length \[m\]; `None` if the file does not contain it.
     pub uncertainty_m: Option<f64>,
-    /// Indices of the anchor (as station) and the attachment (as target) in [`MeasuredLengths`]; 0 if the file does not name them.
+    /// Indices of the anchor (as station) and the attachment (as target) in [`MeasuredLengths`]; 0 if the
+    /// file does not name them.
     pub set_up: SetUp,
-    /// Line of the file, by which reports name the row.
+    /// Line number in the file, by which reports name the row.
     pub line: u64,
 }
 
-/// The rows of a file.
+/// A table of measured lengths.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct MeasuredLengths {
-    /// In the order of the file.
+    /// Rows in the order of the file.
     pub rows: Vec<LengthRow>,
     /// Names of the anchors in the order of the file; empty if it does not name them.
     pub anchors: Vec<String>,
-    /// Names of the attachments, likewise.
+    /// Names of the attachments in the order of the file; empty if it does not name them.
     pub attachments: Vec<String>,
 }
 
@@ -119,7 +124,7 @@ impl MeasuredLengths {
         Self::read(&LogSource::open(path)?.whole()?, path, mapping)
     }
 
-    /// [`Self::load`] on bytes in memory; `path` is only named in errors.
+    /// Like [`Self::load`], but for bytes in memory. `path` is only used in error messages.
     ///
     /// # Errors
     /// As [`Self::load`].
@@ -133,7 +138,7 @@ impl MeasuredLengths {
     }
 }
 
-/// The mapping's columns, found in a file.
+/// The columns of a mapping in an open table.
 struct LengthTableColumns<'a> {
     length: (CsvColumn, &'a LengthColumn),
     uncertainty: Option<CsvColumn>,

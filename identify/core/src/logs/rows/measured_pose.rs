@@ -1,7 +1,9 @@
-//! Poses of the robot with the position, or the whole pose, that a tracker measured there. The robot's joints are in the same
-//! row, or in the robot's own log at the time of the row.
+//! Reads tables of a tracker. Each row is a pose of the robot with the position, or the position and orientation, that the
+//! tracker measured there. The joints of the robot are in the same row ([`MeasuredPoses`]), or in the robot's own log at the
+//! time of the row ([`TimedPoses`]).
 //!
-//! Files differ, so a mapping in TOML names the columns and their units; `config/measured_pose.toml` explains each key.
+//! Each tracker writes other columns, so a mapping in TOML names the columns and their
+//! units. `config/measured_pose.toml` explains each key.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -20,32 +22,32 @@ use crate::logs::time_series::stream::retain;
 use crate::logs::{CsvLayout, JointColumn, LengthUnit, LogError, Stamps, Stream, since_first_s};
 use crate::model::SetUp;
 
-/// Range of a tracker \[m\]; a larger number means a wrong unit.
+/// Largest coordinate of a position, the range of a tracker \[m\]. A larger number means that the unit is wrong.
 const POSITION_M_MAX: f64 = 100.0;
-/// No robot moves its end faster \[m/s\].
+/// Largest speed of the end of a robot \[m/s\].
 pub const SPEED_M_S_MAX: f64 = 10.0;
-/// At a higher acceleration than 5 g no target would stay in its nest.
+/// Upper bounds of a target's motion. At a higher acceleration, 5 g, the target would fall out of its nest.
 const FASTEST: Fastest = Fastest { speed: SPEED_M_S_MAX, acceleration: 50.0 };
-/// No angle of an orientation is larger \[rad\]; more means a wrong unit.
+/// Largest angle of an orientation \[rad\]. A larger number means that the unit is wrong.
 const ANGLE_RAD_MAX: f64 = 2.0 * std::f64::consts::TAU;
 
 /// The columns of a position.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PositionColumns {
-    /// Names in the header: x, y, z.
+    /// Names of the columns x, y and z in the header.
     pub columns: [String; 3],
-    /// Unit of their values.
+    /// Unit of the values in these columns.
     pub unit: LengthUnit,
 }
 
-/// Axes of the angles of an orientation.
+/// The axes about which the three rotations of an orientation turn.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum EulerFrame {
-    /// Each turn is about an axis that the turns before it have moved (intrinsic): `R = R1 R2 R3`.
+    /// Each rotation is about an axis that was turned by the rotations before it (intrinsic): `R = R1 R2 R3`.
     Moving,
-    /// All are about the tracker's own axes (extrinsic): `R = R3 R2 R1`.
+    /// Each rotation is about an axis of the tracker (extrinsic): `R = R3 R2 R1`.
     Fixed,
 }
 
@@ -53,12 +55,12 @@ pub enum EulerFrame {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RotationForm {
-    /// Three successive rotations by `unit`, `order` and `frame`.
+    /// Three angles of successive rotations, in `unit`. The axes are determined by `order` and `frame`.
     #[default]
     Euler,
-    /// Axis times angle, x, y, z, in `unit`.
+    /// A rotation vector x, y, z: the unit vector of the axis times the angle in `unit`.
     RotationVector,
-    /// A unit quaternion, x, y, z and then w, the real part; its sign does not matter.
+    /// A unit quaternion x, y, z, w, where w is the real part. The sign of the quaternion does not matter.
     Quaternion,
     /// A rotation matrix, row by row: r11, r12, r13, r21 and so on.
     Matrix,
@@ -71,20 +73,20 @@ pub struct RotationColumns {
     /// Meaning of the columns.
     #[serde(default, rename = "as")]
     pub form: RotationForm,
-    /// Names in the header.
+    /// Names of the columns in the header.
     pub columns: Vec<String>,
-    /// Unit of the angles of an orientation.
+    /// Unit of the angles; absent for quaternions and matrices.
     pub unit: Option<AngleUnit>,
-    /// Axes of Euler's turns in the order of the columns, such as `xyz` or `zyz`.
+    /// Axes of the three rotations in the order of the columns, such as `xyz` or `zyz`; only for Euler angles.
     pub order: Option<String>,
-    /// Whether Euler's turns carry the axes along.
+    /// Whether each rotation also turns the axes of the rotations after it; only for Euler angles.
     pub frame: Option<EulerFrame>,
 }
 
-/// Largest deviation of the rounded numbers of an orientation from a rotation; more means that they are something else.
+/// Largest deviation from a rotation by rounded numbers. If the deviation is larger, the numbers are not an orientation.
 const NOT_A_ROTATION: f64 = 1e-2;
 
-/// Axes of three rotations; `None` for an invalid `order`.
+/// The axes of three rotations; `None` for an invalid `order`.
 fn axes(order: &str) -> Option<[Vector3<f64>; 3]> {
     let axis = |letter: u8| match letter {
         b'x' => Some(Vector3::x()),
@@ -100,7 +102,7 @@ fn axes(order: &str) -> Option<[Vector3<f64>; 3]> {
 }
 
 impl RotationColumns {
-    /// Checks that all that the form needs is given, and nothing else.
+    /// Checks that all keys that the form needs are present, and no other keys.
     fn check(&self) -> Result<(), Violation> {
         use RotationForm::{Euler, Matrix, Quaternion, RotationVector};
         let columns = match self.form {
@@ -131,12 +133,14 @@ impl RotationColumns {
         Violation::unless(axes(order).is_some(), "rotation.order", problem, remedy)
     }
 
-    /// Factor of the columns' values (to radians; 1 for quaternion and matrix), and their largest size after it.
+    /// Returns the factor for the values of the columns (to radians; 1 for quaternion and matrix), and the largest valid
+    /// absolute value after this factor.
     fn scale(&self) -> (f64, f64) {
         self.unit.map_or((1.0, 1.0 + NOT_A_ROTATION), |unit| (unit.to_rad(), ANGLE_RAD_MAX))
     }
 
-    /// `tracker_from_probe` of the columns' values, angles in radians; `None` if they are not a rotation.
+    /// The rotation `tracker_from_probe` from the values of the columns, with angles in radians. `None` if the
+    /// values are not a rotation.
     fn rotation(&self, values: &[f64]) -> Option<Rotation3<f64>> {
         match (self.form, values) {
             (RotationForm::Euler, &[first, second, third]) => {
@@ -164,47 +168,48 @@ impl RotationColumns {
     }
 }
 
-/// The columns of stated standard uncertainties, by the unit that they are in.
+/// The columns with the standard uncertainties of each row.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct UncertaintyColumns {
-    /// Of each coordinate of the position.
+    /// Column with the uncertainty of each coordinate of the position \[mm\].
     pub position_mm: Option<String>,
-    /// Of the orientation about each axis.
+    /// Column with the uncertainty of the orientation about each axis \[mrad\].
     pub rotation_mrad: Option<String>,
 }
 
-/// Standard uncertainties that a file states of a row.
+/// Standard uncertainties of a row in the file; `None` if the file does not contain them.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct PoseUncertainty {
-    /// Of each coordinate \[m\].
+    /// Standard uncertainty of each coordinate of the position \[m\].
     pub position_m: Option<f64>,
-    /// About each axis \[rad\].
+    /// Standard uncertainty of the orientation about each axis \[rad\].
     pub rotation_rad: Option<f64>,
 }
 
-/// Columns of a tracker's table.
+/// Describes how to read a tracker's table.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MeasuredPoseMapping {
-    /// Standard uncertainty of the tracker's scale \[ppm\]; absent: that of a usual tracker, zero: exact.
+    /// Standard uncertainty of the tracker's scale \[ppm\]. If absent, it is that of a usual tracker. 0 means
+    /// that the scale is exact.
     pub scale_u_ppm: Option<f64>,
     /// Layout of the table.
     #[serde(default)]
     pub csv: CsvLayout,
     /// Columns of the measured position in the tracker's frame.
     pub position: PositionColumns,
-    /// Column of the measured orientation; `None` if only positions were measured.
+    /// Columns of the measured orientation; `None` if only positions were measured.
     pub rotation: Option<RotationColumns>,
-    /// Columns of the uncertainty of each row, if the file has them.
+    /// Columns of the uncertainty of each row, if the file has these columns.
     pub uncertainty: Option<UncertaintyColumns>,
-    /// The column with the name of the tracker's station, if it had several.
+    /// Column with the name of the tracker's station, if the tracker was moved between several stations.
     pub station: Option<String>,
-    /// The column with the name of the measured target, if the flange has several.
+    /// Column with the name of the measured target, if there are several targets on the flange.
     pub target: Option<String>,
-    /// When each row was measured, on the tracker's clock; the joints are then in the robot's own log.
+    /// Column with the time of each row on the tracker's clock. If present, the joints are taken from the robot's own log.
     pub time: Option<TimeColumn>,
-    /// Joints of each row, base to flange; empty if rows have times.
+    /// Columns of the joints, base to flange; empty if rows have times.
     #[serde(default)]
     pub joints: Vec<JointColumn>,
 }
@@ -235,27 +240,29 @@ impl Validate for MeasuredPoseMapping {
     }
 }
 
-/// A pose of the robot, and the measurement of the tracker there.
+/// A pose of the robot, with the tracker's measurement at this pose.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct PoseRow {
-    /// Joint variables of the model \[rad, m\]: of the row, or for rows with times those of the first alignment, none before it.
+    /// Joint variables of the model \[rad, m\]. For rows with times they are empty until the first alignment with the
+    /// robot's log, which determines them.
     pub joints_rad: Joints,
     /// Position of the probe in the tracker's frame \[m\].
     pub position_m: Vector3<f64>,
-    /// `tracker_from_probe`; used if every row has one.
+    /// Orientation `tracker_from_probe`. Orientations are used if every row contains one.
     pub rotation: Option<Rotation3<f64>>,
-    /// Stated uncertainty of the measurement.
+    /// Standard uncertainty of the measurement in the file.
     pub uncertainty: PoseUncertainty,
-    /// Station of the tracker and target, by their places among the names; 0 if the file does not name them.
+    /// Indices of station and target in the lists of names; 0 if the file does not name them.
     pub set_up: SetUp,
-    /// Line of the source file, so that a row can be found again.
+    /// Line number in the file, by which messages name the row.
     pub line: u64,
 }
 
-/// The rows of a file.
+/// A table in which rows contain the joints.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct MeasuredPoses {
-    /// Rows in the order of the file, which is that of the robot's motion: backlash depends on the previous pose.
+    /// Rows in the order of the file. It must be the order of the robot's motion, because backlash
+    /// depends on the previous pose.
     pub rows: Vec<PoseRow>,
     /// Names of the stations in the order of the file; empty if it does not name them.
     pub stations: Vec<String>,
@@ -272,7 +279,7 @@ impl MeasuredPoses {
         Self::read(&LogSource::open(path)?.whole()?, path, mapping)
     }
 
-    /// [`Self::load`] on bytes in memory; `path` is only named in errors.
+    /// Like [`Self::load`], but for bytes in memory. `path` is only used in error messages.
     ///
     /// # Errors
     /// As [`Self::load`].
@@ -290,23 +297,23 @@ impl MeasuredPoses {
     }
 }
 
-/// A tracker's log on its own clock.
+/// A tracker's log on the tracker's own clock.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct TimedPoses {
-    /// Rows at the times of the regular clock behind the stamps, if there is one; they have no joints.
+    /// Rows without joints. If a regular clock is found, their times are those of this clock, otherwise the stamps.
     pub rows: Stream<PoseRow>,
     /// Names of the stations in the order of the file; empty if it does not name them.
     pub stations: Vec<String>,
     /// And of the targets.
     pub targets: Vec<String>,
-    /// The stamps against that clock.
+    /// Comparison of the stamps with the regular clock; `None` if no such clock is found.
     pub stamps: Option<Stamps>,
-    /// Observations that are not errors, in sentences.
+    /// Observations that the user should know, as sentences. None of them prevents the use of the log.
     pub remarks: Vec<String>,
 }
 
 impl TimedPoses {
-    /// Reads the table at `path`, whose `mapping` has a column of times.
+    /// Reads the table at `path`. The `mapping` must have a column of times.
     ///
     /// # Errors
     /// Every way in which the file cannot be used, see [`LogError`].
@@ -314,7 +321,7 @@ impl TimedPoses {
         Self::read(&LogSource::open(path)?.whole()?, path, mapping)
     }
 
-    /// [`Self::load`] on bytes in memory; `path` is only named in errors.
+    /// Like [`Self::load`], but for bytes in memory. `path` is only used in error messages.
     ///
     /// # Errors
     /// As [`Self::load`].
@@ -333,7 +340,8 @@ impl TimedPoses {
             let (before, after) = ((before.line, *before_ns), (after.line, *after_ns));
             return Err(LogError::time_not_increasing(path, "line", before, after));
         }
-        // Rows of two targets at one time are not duplicates: the later one gets the next nanosecond.
+        // Two targets may be measured at the same time. The later row then gets the next nanosecond, so that
+        // it is not a duplicate.
         for row in 1..rows.len() {
             let (before_ns, before) = rows[row - 1];
             let (stamp_ns, pose) = &mut rows[row];
@@ -348,13 +356,14 @@ impl TimedPoses {
     }
 }
 
-/// Removes rows of a broken beam, for each target and station; returns a remark if there are any.
+/// Removes excursions, which occur when the beam is broken. Each combination of target and station is searched separately.
+/// Returns a remark if there are any.
 fn drop_excursions(
     stamps_ns: &mut Vec<i64>,
     rows: &mut Vec<PoseRow>,
     path: &Path,
 ) -> Result<Option<String>, LogError> {
-    // The rows of each station and target.
+    // The indices of the rows of each station and target, which are a view of the robot's motion.
     let mut views: BTreeMap<SetUp, Vec<usize>> = BTreeMap::new();
     for (place, row) in rows.iter().enumerate() {
         views.entry(row.set_up).or_default().push(place);
@@ -374,7 +383,8 @@ fn drop_excursions(
     Ok(remark)
 }
 
-/// Positions of the rows \[m\] without the steps from one target or station to another: the robot does not make them.
+/// The positions of the rows \[m\], without the steps where the target or station changes, because these are
+/// no motion of the robot.
 fn motion(rows: &[PoseRow]) -> Vec<Joints> {
     let mut before: Option<&PoseRow> = None;
     let mut steps_between_targets_m = Vector3::zeros();
@@ -388,17 +398,18 @@ fn motion(rows: &[PoseRow]) -> Vec<Joints> {
     positions.collect()
 }
 
-/// Columns of the tracker's measurements in a file, by the mapping.
+/// Columns of the tracker's measurements in an open table.
 struct PoseColumns<'a> {
     position: (Vec<CsvColumn>, LengthUnit),
     rotation: Option<(Vec<CsvColumn>, &'a RotationColumns)>,
-    /// Standard uncertainties of position \[mm\] and rotation \[mrad\].
+    /// Columns with the standard uncertainties of position \[mm\] and rotation \[mrad\].
     uncertainty: [Option<CsvColumn>; 2],
-    /// Names of station and target.
+    /// Columns with the names of station and target.
     set_up: [Option<CsvColumn>; 2],
 }
 
-/// Numbers of a row times `to_si`, none of them larger than `largest`; `si` is the symbol of the SI unit.
+/// The numbers of a row in these columns, multiplied by `to_si`. A number larger than `largest` is an error. `si` is the
+/// symbol of the SI unit.
 fn numbers(
     row: &CsvRow<'_>,
     columns: &[CsvColumn],

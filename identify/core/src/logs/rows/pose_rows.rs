@@ -1,5 +1,5 @@
-//! Common parts of the tables of single poses in this folder: joints by the columns that a mapping names, the layout of the text,
-//! and reading row by row.
+//! Common functions for the tables of single poses in this folder: they find the columns of the joints that a mapping names,
+//! and read a table row by row.
 
 use std::collections::{HashMap, HashSet};
 use std::fmt::Debug;
@@ -17,17 +17,17 @@ use crate::model::SetUp;
 
 /// Smallest number of rows of a table.
 const ROWS_MIN: usize = 10;
-/// No joint turns further than this from its zero \[rad\]; more means a wrong unit.
+/// Largest angle of a joint \[rad\]; a larger number means that the unit is wrong.
 const JOINT_RAD_MAX: f64 = 4.0 * std::f64::consts::PI;
 
 /// Unit of a length column.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum LengthUnit {
-    /// Metres, the SI unit.
+    /// Metres, the SI unit of length.
     #[default]
     M,
-    /// Millimetres, a thousandth of it.
+    /// Millimetres, a thousandth of a metre.
     Mm,
 }
 
@@ -45,13 +45,13 @@ impl LengthUnit {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum JointUnit {
-    /// Radians, of a revolute joint.
+    /// Radians, for a revolute joint.
     Rad,
-    /// Degrees, of a revolute joint.
+    /// Degrees, for a revolute joint.
     Deg,
-    /// Metres, of a prismatic joint.
+    /// Metres, for a prismatic joint.
     M,
-    /// Millimetres, of a prismatic joint.
+    /// Millimetres, for a prismatic joint.
     Mm,
 }
 
@@ -65,7 +65,7 @@ impl JointUnit {
         }
     }
 
-    /// Its symbol.
+    /// Symbol of the unit.
     pub const fn suffix(self) -> &'static str {
         match self {
             Self::Rad => "rad",
@@ -89,26 +89,26 @@ impl JointUnit {
 pub struct JointColumn {
     /// Name in the header.
     pub column: String,
-    /// Unit of its values.
+    /// Unit of the values in the column.
     pub unit: JointUnit,
-    /// +1, or -1 if the file has the opposite sign of the model.
+    /// +1, or -1 if the joint in the file has the opposite sign of the joint in the model.
     #[serde(default = "positive")]
     pub sign: f64,
-    /// Value of the file at the model's zero \[deg\].
+    /// Value in the file at the model's zero, for a revolute joint \[deg\].
     #[serde(default)]
     pub offset_deg: f64,
-    /// Of a prismatic joint \[m\].
+    /// Value in the file at the model's zero, for a prismatic joint \[m\].
     #[serde(default, skip_serializing_if = "is_zero")]
     pub offset_m: f64,
 }
 
 impl JointColumn {
-    /// With sign and zero of the model.
+    /// A column whose values have the sign and the zero of the model.
     pub const fn new(column: String, unit: JointUnit) -> Self {
         Self { column, unit, sign: 1.0, offset_deg: 0.0, offset_m: 0.0 }
     }
 
-    /// Value of the file at the model's zero \[rad, m\].
+    /// Value in the file at the model's zero \[rad, m\].
     pub(in crate::logs) fn offset(&self) -> f64 {
         match self.unit.kind() {
             JointKind::Revolute => self.offset_deg.to_radians(),
@@ -125,7 +125,8 @@ fn positive() -> f64 {
     1.0
 }
 
-/// The columns of a written table: `q1_deg` and so on, lengths in mm.
+/// The columns of the joints in a table that is written: `q1_deg` and so on in degrees, `q1_mm` and
+/// so on for prismatic joints.
 pub fn joint_columns(robot: &RobotConfig) -> Vec<JointColumn> {
     let joint = |(number, kind): (usize, JointKind)| {
         let unit = match kind {
@@ -137,7 +138,7 @@ pub fn joint_columns(robot: &RobotConfig) -> Vec<JointColumn> {
     (1..).zip(robot.joint_kinds()).map(joint).collect()
 }
 
-/// Joints in the mapping of any table of single poses.
+/// The keys for the joints, which the mappings of all tables of single poses have.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 pub struct JointTableMapping {
     /// Layout of the table.
@@ -155,7 +156,7 @@ impl Validate for JointTableMapping {
 }
 
 impl JointTableMapping {
-    /// Joint variables of each row of the table at `path` \[rad, m\].
+    /// Reads the joint variables \[rad, m\] of each row of the table at `path`.
     ///
     /// # Errors
     /// Every way in which the file cannot be used, see [`LogError`].
@@ -168,8 +169,7 @@ impl JointTableMapping {
 
 /// Checks that the joints of a mapping are the axes of the robot.
 ///
-/// # Errors
-/// [`LogError::Content`] if their number or kinds differ.
+/// [`LogError::Content`] if the number or the kinds of the joints differ from those of the axes.
 pub fn joints_of_robot(joints: &[JointColumn], robot: &RobotConfig, path: &Path) -> Result<(), LogError> {
     let kinds = joints.iter().map(|joint| joint.unit.kind());
     if kinds.eq(robot.joint_kinds()) {
@@ -186,13 +186,14 @@ pub fn joints_of_robot(joints: &[JointColumn], robot: &RobotConfig, path: &Path)
     })
 }
 
-/// Checks the standard uncertainty of an instrument's scale \[ppm\]. More than a tenth means another unit.
+/// Checks the standard uncertainty of an instrument's scale \[ppm\]. An uncertainty of more than a tenth means
+/// that the unit is wrong.
 pub(super) fn check_scale_u(scale_u_ppm: Option<f64>) -> Result<(), Violation> {
     let remedy = "write the standard uncertainty in ppm: 1000 for 0.1 %, 0 if the scale is exact";
     scale_u_ppm.map_or(Ok(()), |u_ppm| Violation::unless_within("scale_u_ppm", u_ppm, [0.0, 1e5], remedy))
 }
 
-/// Checks the number of joints, their signs and offsets.
+/// Checks the number of the joints, and the sign and offset of each joint.
 pub(in crate::logs) fn check_joints(joints: &[JointColumn]) -> Result<(), Violation> {
     let count = joints.len();
     let remedy = "write one [[joints]] block for each joint of the robot";
@@ -217,7 +218,7 @@ pub(in crate::logs) fn check_joints(joints: &[JointColumn]) -> Result<(), Violat
     Ok(())
 }
 
-/// All rows of a table.
+/// Reads all rows of a table with `read`.
 pub(super) fn rows<R>(
     table: &mut CsvTable<'_>,
     mut read: impl FnMut(&CsvRow<'_>) -> Result<R, LogError>,
@@ -230,17 +231,18 @@ pub(super) fn rows<R>(
     Ok(rows)
 }
 
-/// Removes rows that differ from an earlier one by their `line` only, and returns a remark if there are any. A copy adds no
-/// information and would make the uncertainties too small. A pose that is measured again has other noise, unless its joints are
-/// commanded and the reading is coarse; without such a repetition the uncertainties are at most too large.
+/// Removes rows that only differ from an earlier row by their `line`, and returns a remark if there are any. Such a copy
+/// adds no information and would make the uncertainties too small. A pose that is measured again usually has other noise.
+/// It only looks like a copy if its joints are commanded and the reading is coarse. If it is removed, the uncertainties
+/// can only become too large.
 pub fn drop_copies<R: Clone + Debug>(rows: &mut Vec<R>, line: impl Fn(&mut R) -> &mut u64) -> Option<String> {
-    /// Largest number of lines that the remark names.
+    /// Largest number of lines that are listed in the remark.
     const NAMED: usize = 8;
     let (count, mut seen, mut copies) = (rows.len(), HashSet::new(), Vec::new());
     rows.retain(|row| {
         let mut values = row.clone();
         let number = std::mem::take(line(&mut values));
-        // Numbers are written so that different ones have different texts.
+        // Different numbers have different texts in this format.
         let is_first = seen.insert(format!("{values:?}"));
         if !is_first {
             copies.push(number);
@@ -256,12 +258,12 @@ pub fn drop_copies<R: Clone + Debug>(rows: &mut Vec<R>, line: impl Fn(&mut R) ->
     })
 }
 
-/// Names of a column, each with its place in the order in which the file has them.
+/// The different names in a column, numbered in the order in which they occur first in the file.
 #[derive(Default)]
 pub(super) struct Names(HashMap<String, usize>);
 
 impl Names {
-    /// The place of the name in a row; 0 without a column of names.
+    /// The number of the name in this row, from 0. The number is 0 if the file has no column of names.
     pub fn place(&mut self, row: &CsvRow<'_>, column: Option<&CsvColumn>) -> Result<usize, LogError> {
         let Some(column) = column else { return Ok(0) };
         let name = row.text(column).trim();
@@ -273,6 +275,7 @@ impl Names {
         Ok(*self.0.entry(name.to_owned()).or_insert(next))
     }
 
+    /// The names in the order of their numbers.
     pub fn in_order(self) -> Vec<String> {
         let mut names: Vec<(String, usize)> = self.0.into_iter().collect();
         names.sort_by_key(|(_, place)| *place);
@@ -280,12 +283,12 @@ impl Names {
     }
 }
 
-/// Names of stations and targets, or anchors and attachments.
+/// The names of stations and targets of a tracker, or of anchors and attachments of a wire.
 #[derive(Default)]
 pub(super) struct SetUpNames([Names; 2]);
 
 impl SetUpNames {
-    /// The set-up of a row by the columns of its names, where the file has them.
+    /// The numbers of station and target in a row, by the names in two columns. A number is 0 if the file lacks the column.
     pub fn place(
         &mut self,
         row: &CsvRow<'_>,
@@ -296,12 +299,13 @@ impl SetUpNames {
         Ok(SetUp { station, target: targets.place(row, target.as_ref())? })
     }
 
+    /// The names of the stations and of the targets, each in the order of their numbers.
     pub fn in_order(self) -> [Vec<String>; 2] {
         self.0.map(Names::in_order)
     }
 }
 
-/// The joints' columns, found in a file.
+/// The columns of the joints in an open table.
 pub(super) struct JointColumns<'a>(Vec<(CsvColumn, &'a JointColumn)>);
 
 impl<'a> JointColumns<'a> {
@@ -327,9 +331,9 @@ impl<'a> JointColumns<'a> {
     }
 }
 
-/// A stated standard uncertainty of mm or mrad, in m or rad; `None` without a column of it.
+/// Reads a standard uncertainty in mm or mrad and converts it to m or rad; `None` without a column.
 pub(super) fn uncertainty(row: &CsvRow<'_>, column: Option<&CsvColumn>) -> Result<Option<f64>, LogError> {
-    /// A larger number means another unit.
+    /// Largest standard uncertainty \[m, rad\]; a larger number means that the unit is wrong.
     const UNCERTAINTY_MAX: f64 = 0.1;
     let Some(column) = column else { return Ok(None) };
     let value = row.number(column)? * 1e-3;
@@ -341,7 +345,7 @@ pub(super) fn uncertainty(row: &CsvRow<'_>, column: Option<&CsvColumn>) -> Resul
     Err(row.bad(column, problem, "correct the row, or the column's name or unit in the mapping file"))
 }
 
-/// What to do if a column that the mapping names is missing.
+/// What the user can do if a column that the mapping names is missing.
 pub(super) const REMEDY: &str = "Correct the column's name in the mapping file, or the header.";
 
 #[cfg(test)]

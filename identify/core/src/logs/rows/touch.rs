@@ -1,8 +1,9 @@
-//! Poses at which a tip on the flange touches something fixed: joints and the name of what it touches. A ball is seated in a
-//! socket; a probe touches a flat face, with a dial gauge that has a reading.
+//! Reads tables of poses at which a tip on the flange touches something fixed. Each row has the joints and the name of the
+//! touched part. A ball is seated in a socket ([`ContactMapping`]). A probe touches a flat face ([`TouchMapping`]), and may
+//! have a dial gauge, whose reading is then in the row.
 //!
-//! Files differ, so a mapping in TOML names the columns and their units; `config/contact.toml` and `config/touch.toml` explain
-//! each key.
+//! Files have different columns, so a mapping in TOML names the columns and their units. `config/contact.toml`
+//! and `config/touch.toml` explain each key.
 
 use std::path::Path;
 
@@ -15,7 +16,7 @@ use crate::logs::source::LogSource;
 use crate::logs::tables::csv_text::{CsvColumn, CsvRow, CsvTable};
 use crate::logs::{CsvLayout, JointColumn, LengthUnit, LogError};
 
-/// Largest reading of a gauge \[m\]; more means a wrong unit.
+/// Largest absolute reading of a gauge \[m\]. A larger number means that the unit is wrong.
 const READING_M_MAX: f64 = 0.2;
 
 /// A pose of the robot at which the tip touches a socket or a face.
@@ -23,22 +24,22 @@ const READING_M_MAX: f64 = 0.2;
 pub struct TipRow {
     /// Joint variables of the model \[rad, m\].
     pub joints_rad: Joints,
-    /// The socket or face, by its place among the names.
+    /// Index of the socket or face in the list of names.
     pub part: usize,
     /// Travel of a gauge's plunger along the face's normal, positive inwards \[m\]; zero without a gauge.
     pub reading_m: f64,
-    /// Line of the source file, so that a row can be found again.
+    /// Line number in the file, by which messages name the row.
     pub line: u64,
 }
 
-/// Columns of a table of seated balls.
+/// Describes how to read a table of balls seated in sockets.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ContactMapping {
     /// Layout of the table.
     #[serde(default)]
     pub csv: CsvLayout,
-    /// The column with the socket's name.
+    /// Column with the name of the socket.
     pub socket: String,
     /// All joints, base to flange.
     pub joints: Vec<JointColumn>,
@@ -54,8 +55,8 @@ impl Validate for ContactMapping {
 }
 
 impl ContactMapping {
-    /// Reads the table at `path`, with these names of the sockets. Rows are in the order of the file, which is that of the
-    /// robot's motion: backlash depends on the previous pose.
+    /// Reads the table at `path`. `sockets` are the known names of sockets. The rows are in the order of the file. It must
+    /// be the order of the robot's motion, because backlash depends on the previous pose.
     ///
     /// # Errors
     /// Every way in which the file cannot be used, see [`LogError`].
@@ -63,7 +64,7 @@ impl ContactMapping {
         self.read(&LogSource::open(path)?.whole()?, path, sockets)
     }
 
-    /// [`Self::load`] on bytes in memory; `path` is only named in errors.
+    /// Like [`Self::load`], but for bytes in memory. `path` is only used in error messages.
     ///
     /// # Errors
     /// As [`Self::load`].
@@ -80,26 +81,26 @@ impl ContactMapping {
     }
 }
 
-/// The column of a gauge.
+/// The column of a gauge's reading.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ReadingColumn {
     /// Name in the header.
     pub column: String,
-    /// Unit of its values.
+    /// Unit of the values in the column.
     pub unit: LengthUnit,
 }
 
-/// Columns of a table of touched faces.
+/// Describes how to read a table of touched faces.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TouchMapping {
     /// Layout of the table.
     #[serde(default)]
     pub csv: CsvLayout,
-    /// The column with the face's name.
+    /// Column with the name of the face.
     pub face: String,
-    /// Column of a dial gauge's reading.
+    /// Column of a dial gauge's reading; `None` without a gauge.
     pub reading: Option<ReadingColumn>,
     /// All joints, base to flange.
     pub joints: Vec<JointColumn>,
@@ -114,12 +115,13 @@ impl Validate for TouchMapping {
     }
 }
 
-/// Rows of touched faces.
+/// A table of touched faces.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Touches {
-    /// Rows in the order of the file, which is that of the robot's motion: backlash depends on the previous pose.
+    /// Rows in the order of the file. It must be the order of the robot's motion, because backlash
+    /// depends on the previous pose.
     pub rows: Vec<TipRow>,
-    /// Names of the faces, in the order in which the file names them.
+    /// Names of the faces, in the order in which they occur first in the file.
     pub faces: Vec<String>,
 }
 
@@ -132,7 +134,7 @@ impl Touches {
         Self::read(&LogSource::open(path)?.whole()?, path, mapping)
     }
 
-    /// [`Self::load`] on bytes in memory; `path` is only named in errors.
+    /// Like [`Self::load`], but for bytes in memory. `path` is only used in error messages.
     ///
     /// # Errors
     /// As [`Self::load`].
@@ -145,7 +147,8 @@ impl Touches {
     }
 }
 
-/// All rows of a table with columns of the part's name, of a gauge and of the joints; `part` reads the part of a row.
+/// Reads all rows of a table. Its columns are the name of the touched part, the reading of a gauge if there is one, and the
+/// joints. `part` returns the index of the part of a row.
 fn tip_rows(
     source: LogSource<'_>,
     layout: &CsvLayout,
