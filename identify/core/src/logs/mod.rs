@@ -75,7 +75,7 @@ pub(crate) const SIMULATED: &str = "SIMULATED";
 /// Whether a table is marked as simulated.
 ///
 /// # Errors
-/// [`LogError::Unreadable`].
+/// [`LogError::Unreadable`] if the file cannot be read.
 pub fn is_simulated(path: &Path) -> Result<bool, LogError> {
     let comment = format!("# {SIMULATED}");
     Ok(LogSource::open(path)?.beginning().starts_with(comment.as_bytes()))
@@ -167,6 +167,7 @@ impl RobotLog {
     /// The joints and their rates as functions of the time since the first row. The rows of ten hours take a gigabyte, so
     /// the spline shares its rows with this log, and users of the spline share the spline.
     ///
+    /// # Errors
     /// [`LogError::NoContinuousPart`] if the log has no segment with enough rows without a gap.
     pub fn spline(&self) -> Result<Arc<CubicSpline<Joints>>, LogError> {
         let gap_limit_s = self.q_rad.gap_limit_s;

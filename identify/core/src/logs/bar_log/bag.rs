@@ -86,8 +86,8 @@ fn count_of(value: f64, reading: &EncoderReader) -> Option<i64> {
     reading.count_of_angle(value)
 }
 
-/// The encoders of the mapping, or of the bar's configuration, in its order. `None` if one of them is
-/// not among the joints `found`.
+/// The encoders in the order of the mapping, or without a mapping in the order of the bar's configuration. `None` if one of
+/// them is not among the joints `found`.
 fn encoders_among(
     found: &[&str],
     bar: &BallBarConfig,

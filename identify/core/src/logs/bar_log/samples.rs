@@ -63,6 +63,7 @@ struct LastCount {
 impl EncoderReader {
     /// A reader for the encoder of `joint`. `place` is the name of its column or joint in the file.
     ///
+    /// # Errors
     /// [`LogError::Content`] if the values are counts, but the bar's configuration has no encoder at this joint.
     pub fn new(
         joint: u8,
@@ -182,6 +183,7 @@ impl RawBarLog {
 
     /// Adds the next row. A row with the same stamp and counts as the row before is counted, but not added.
     ///
+    /// # Errors
     /// [`LogError::TimeNotIncreasing`] if the stamp is not later than that of the row before, unless the file marks one of
     /// the two cycles with a flag.
     pub fn push(&mut self, row: RawBarRow) -> Result<(), LogError> {
@@ -201,6 +203,7 @@ impl RawBarLog {
 
     /// Checks and converts all rows.
     ///
+    /// # Errors
     /// [`LogError::TooFewRows`], and [`LogError::Content`] if there are too many excursions, or if a counter wraps
     /// at another count than configured.
     pub fn finish(mut self, clock: String) -> Result<OtherBarLog, LogError> {

@@ -32,6 +32,7 @@ fn row_times_matrix(row: &[f64], matrix: &[Joints]) -> Joints {
 impl JointConversion {
     /// A conversion for a log in which all columns are angles in the unit of `config`, or in SI units.
     ///
+    /// # Errors
     /// [`LogError::SingularConversion`] if the columns of the log do not determine all joints.
     pub fn new(config: &LogConversion) -> Result<Self, LogError> {
         let axes = config.raw_to_joint.len();

@@ -31,6 +31,7 @@ pub enum LogFormat {
 impl LogFormat {
     /// Recognises the format of the log that begins with these `bytes`.
     ///
+    /// # Errors
     /// [`LogError::UnknownFormat`] if the bytes are binary data in none of these formats.
     pub fn detect(bytes: &[u8], path: &Path) -> Result<Self, LogError> {
         if bytes.starts_with(b"\x89MCAP0\r\n") {

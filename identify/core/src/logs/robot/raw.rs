@@ -109,9 +109,9 @@ impl<'a> Meaning<'a> {
         Ok(Self { conversion: meaning.conversion.with_prismatic(robot), ..meaning })
     }
 
-    /// The conversion for a format with joints in degrees. If a mapping names joints, it is the conversion of the
-    /// mapping, and prismatic joints have the unit of the mapping. Otherwise it is the conversion of the robot's
-    /// configuration, and they are in millimetres.
+    /// The conversion for a format with joints in degrees. If a mapping names joints, it is the conversion of the mapping,
+    /// and prismatic joints have the unit of the mapping. Otherwise it is the conversion of the robot's configuration, and
+    /// prismatic joints are in millimetres.
     pub fn of_degrees(
         robot: &'a RobotConfig,
         mapping: Option<&RobotLogMapping>,

@@ -11,6 +11,7 @@ use crate::logs::{ForceKind, JointConversion, RobotLog};
 /// Writes `log` as CSV, with the columns and the unit of `robot`'s configuration. A force along the bar is also written if
 /// its stamps are those of the joints.
 ///
+/// # Errors
 /// Errors of the sink, and an error of kind `Other` if the robot's conversion cannot be inverted.
 pub fn write(log: &RobotLog, robot: &RobotConfig, sink: impl Write) -> std::io::Result<()> {
     let conversion = JointConversion::of(robot).map_err(std::io::Error::other)?;

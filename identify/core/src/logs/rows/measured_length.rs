@@ -1,7 +1,7 @@
 //! Reads tables of measured lengths. Each row is a pose of the robot with the length of a draw-wire sensor or of
 //! a telescoping bar without encoders.
 //!
-//! Each instrument writes other columns, so a mapping in TOML names the columns and their
+//! Instruments write different columns, so a mapping in TOML names the columns and their
 //! units. `config/measured_length.toml` explains each key.
 
 use std::path::Path;

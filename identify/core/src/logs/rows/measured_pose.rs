@@ -2,7 +2,7 @@
 //! tracker measured there. The joints of the robot are in the same row ([`MeasuredPoses`]), or in the robot's own log at the
 //! time of the row ([`TimedPoses`]).
 //!
-//! Each tracker writes other columns, so a mapping in TOML names the columns and their
+//! Trackers write different columns, so a mapping in TOML names the columns and their
 //! units. `config/measured_pose.toml` explains each key.
 
 use std::collections::BTreeMap;
@@ -266,7 +266,7 @@ pub struct MeasuredPoses {
     pub rows: Vec<PoseRow>,
     /// Names of the stations in the order of the file; empty if it does not name them.
     pub stations: Vec<String>,
-    /// And of the targets.
+    /// Names of the targets in the order of the file; empty if it does not name them.
     pub targets: Vec<String>,
 }
 
@@ -304,7 +304,7 @@ pub struct TimedPoses {
     pub rows: Stream<PoseRow>,
     /// Names of the stations in the order of the file; empty if it does not name them.
     pub stations: Vec<String>,
-    /// And of the targets.
+    /// Names of the targets in the order of the file; empty if it does not name them.
     pub targets: Vec<String>,
     /// Comparison of the stamps with the regular clock; `None` if no such clock is found.
     pub stamps: Option<Stamps>,

@@ -169,6 +169,7 @@ impl JointTableMapping {
 
 /// Checks that the joints of a mapping are the axes of the robot.
 ///
+/// # Errors
 /// [`LogError::Content`] if the number or the kinds of the joints differ from those of the axes.
 pub fn joints_of_robot(joints: &[JointColumn], robot: &RobotConfig, path: &Path) -> Result<(), LogError> {
     let kinds = joints.iter().map(|joint| joint.unit.kind());

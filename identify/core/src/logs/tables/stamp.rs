@@ -198,7 +198,7 @@ impl StampColumn {
 
 /// The beginning of 1970 as a FILETIME, in 100 ns since 1601.
 const FILETIME_1970: i64 = 116_444_736_000_000_000;
-/// Formats of date and time of day other than RFC 3339: without a zone, with a blank, and as in TwinCAT.
+/// Formats of date and time of day without a zone: with `T`, with a blank, and as in TwinCAT.
 const DATES: [&str; 3] = ["%Y-%m-%dT%H:%M:%S%.f", "%Y-%m-%d %H:%M:%S%.f", "%Y-%m-%d-%H:%M:%S%.f"];
 
 fn date_ns(row: &CsvRow<'_>, column: &CsvColumn) -> Result<i64, LogError> {

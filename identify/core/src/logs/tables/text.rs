@@ -1,8 +1,7 @@
 //! Decodes the text of a table from the bytes of its file, which are UTF-8, UTF-16, Windows-1252 (Latin-1) or a workbook.
 //!
-//! [`Text`] decodes the file block by block, removes lines that cannot be read as rows, collects the comments
-//! `# key: value`, and counts lines for error messages. The `csv` crate reads its output. [`RowsAsText`] serves the
-//! guess of a table's layout.
+//! [`Text`] decodes the file block by block, empties lines of white space, collects the comments `# key: value`, and counts
+//! lines for error messages. The `csv` crate reads its output. [`RowsAsText`] is used to guess the layout of a table.
 
 use std::borrow::Cow;
 use std::io::{self, Cursor, Read};
@@ -53,6 +52,7 @@ pub(in crate::logs) struct Text<'a> {
 impl<'a> Text<'a> {
     /// Opens the text of a file. `sheet` is the name of the sheet if the file is a workbook.
     ///
+    /// # Errors
     /// [`LogError::NotText`] for binary data, for a workbook with several sheets if `sheet` is `None`, and for a
     /// file that is not a workbook if a `sheet` is given. Binary data after the first block cause this error
     /// only when they are reached.

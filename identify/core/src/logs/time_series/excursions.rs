@@ -126,6 +126,7 @@ impl<S: Fn(usize, usize, usize) -> f64> Excursions<'_, S> {
 /// The remark on excursions in the file `path`; `None` without excursions. `places` are their places, such as line numbers.
 /// `what` is the word for a row, and `done` is how the excursions are treated.
 ///
+/// # Errors
 /// [`LogError::Content`] if more than a tenth of all `rows` are excursions.
 pub(in crate::logs) fn remark(
     places: &[u64],

@@ -10,8 +10,9 @@
 //! The steps of the estimation are:
 //!
 //! 1. `grid` finds the grid, which all stamps have in common.
-//! 2. `motion` counts the periods from each row to the next, because an even motion shows them better than the stamps do: where
-//!    one row is missing, the joints move by twice the usual step. The count is `None` where the motion does not determine it.
+//! 2. `motion` counts the periods from each row to the next. If the joints move at constant speed, the motion shows this count
+//!    better than the stamps do: where one row is missing, the joints move by twice the usual step. The count is `None`
+//!    where the motion does not determine it.
 //! 3. `numbers` estimates the period and the number of each row, and `breaks` finds the rows at which the clock was set.
 //! 4. `fit` fits a smooth curve with steps to the rests `t_k - n_k period`, by least squares with a robust loss.
 //!

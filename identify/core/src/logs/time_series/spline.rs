@@ -5,8 +5,8 @@
 //! kinks and speeds with jumps. The ends of a spline are "not-a-knot" (de Boor, A Practical Guide to Splines, ch. IV): the
 //! third derivative is continuous at the first and the last inner knot, so that the ends are as accurate as the middle.
 //!
-//! With values `y`, second derivatives `m`, `h = t_(i+1) - t_i`, `u = (t - t_i) / h`, `w = 1 - u` the spline between two knots is
-//! `w y_i + u y_(i+1) + h^2 / 6 ((w^3 - w) m_i + (u^3 - u) m_(i+1))`.
+//! With values `y`, second derivatives `m`, `h = t_(i+1) - t_i`, `u = (t - t_i) / h` and `w = 1 - u`, the spline between
+//! two knots is `w y_i + u y_(i+1) + h^2 / 6 ((w^3 - w) m_i + (u^3 - u) m_(i+1))`.
 
 use super::shared::Shared;
 use super::stream::{Row, Stream};

@@ -1,5 +1,5 @@
-//! Makes readings continuous that wrap after a turn or at the width of a counter. [`Unwrapped`] contains a segment of the
-//! readings before and after this step, for a picture in a report.
+//! Makes readings continuous that wrap after a turn or at the width of a counter. An [`Unwrapped`] contains a segment of the
+//! readings as in the file and after unwrapping, for a picture in a report.
 
 use std::borrow::Cow;
 use std::ops::Range;

@@ -25,7 +25,7 @@ pub(super) fn find_breaks(rest_s: &[f64], period_s: f64, rounding_s: f64) -> Opt
     /// two means of [`BESIDE`] rows.
     const STEP_SIGMAS: f64 = 3.0;
     /// A log with more steps has no regular clock. NTP steps a clock that it cannot slew at most once in five minutes (its
-    /// step-out threshold). This number of steps therefore takes three hours without synchronisation.
+    /// step-out threshold). With this number of steps the clock was therefore not synchronised for more than three hours.
     const STEPS_MAX: usize = 40;
     /// Rows at which the difference of the means is above this fraction of the largest difference may be
     /// the place of the step.

@@ -1,8 +1,8 @@
 //! Counts the periods of the clock from each row to the next by the motion of the joints.
 //!
-//! In an even motion all joint steps, the changes of the joints from one row to the next, are equal. A step of `m` times the
-//! usual size therefore shows that `m` periods passed ([`periods_by_motion`]). Where the stamps have missing rows,
-//! [`compare_motion`] also fits a curve to the rows on either side, which is more accurate.
+//! A joint step is the change of the joints from one row to the next. If the joints move at constant speed, all joint steps
+//! are equal. A step of `m` times the usual size therefore shows that `m` periods passed ([`periods_by_motion`]). Where the
+//! stamps have missing rows, [`compare_motion`] also fits a curve to the rows on either side, which is more accurate.
 
 use std::ops::Range;
 

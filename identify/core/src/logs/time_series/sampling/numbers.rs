@@ -61,7 +61,7 @@ fn jitter_s(t_s: &[f64], motion: &[Option<f64>], period_s: f64) -> f64 {
 /// and those after it are later than jitter and rounding (up to `rounding_s`) explain.
 pub(super) fn number_rows(t_s: &[f64], motion: &[Option<f64>], period_s: f64, rounding_s: f64) -> Vec<f64> {
     /// Number of rows over which the phase follows the stamps. The period is known to a thousandth, so the phase lags by
-    /// less than half a period. The number is large enough that missing rows do not change the phase.
+    /// less than half a period. The phase follows so slowly that missing rows do not change it.
     const PHASE_ROWS: f64 = 200.0;
     /// Time after a row \[s\]. The number of the row is only increased if three quarters of the rows in this time are late.
     /// The delay of single rows is shorter than this time.
@@ -92,8 +92,8 @@ pub(super) fn number_rows(t_s: &[f64], motion: &[Option<f64>], period_s: f64, ro
         let number = match motion {
             Some(periods) => {
                 let number = before + periods;
-                // So many rows cannot be missing in an even motion, so the clock was set here. After a smaller deviation the
-                // phase is kept, because the motion may have given a wrong number.
+                // So many rows cannot be missing in a motion at constant speed, so the clock was set here. After a smaller
+                // deviation the phase is kept, because the number of periods by the motion may be wrong.
                 if ((t_s[row] - phase_s) / period_s - number).abs() > lasting_rows as f64 {
                     let delay = lasting_delay(number);
                     phase_s += if delay.abs() > lasting_rows as f64 { delay * period_s } else { 0.0 };

@@ -23,7 +23,7 @@ pub struct Stamps {
     pub steps: Vec<StampStep>,
 }
 
-/// A step of the stamps during which the motion continues evenly.
+/// A step of the stamps during which the joints continue to move at constant speed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StampStep {
     /// Stamp of the first row after the step, relative to the first stamp of the log \[s\].
