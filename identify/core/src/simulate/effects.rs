@@ -23,25 +23,22 @@ pub struct Effects {
     pub robot_noise_urad: f64,
     /// Standard deviation of the white noise of each bar encoder.
     pub encoder_noise_urad: f64,
-    // The error has two periods per turn of the gear's output, as from an eccentric output gear (thesis 2.3).
-    /// Sinusoidal error of each robot gear, amplitude [urad]
+    /// Amplitude of the error with two periods per turn of each robot gear's output, as of an eccentric
+    /// output gear (thesis 2.3).
     pub gear_sine_urad: f64,
-    // The ripple has one period per lobe, and a second harmonic with a quarter of the amplitude, as in Yang and Blanche
-    // 1990. Robot axes without a configured number of lobes have no ripple.
-    /// Ripple of each cycloid gear, amplitude [urad]
+    /// Amplitude of the error of each cycloid gear at its number of lobes. A second harmonic has a quarter of this
+    /// amplitude, as in Yang and Blanche 1990. Robot axes without a configured number of lobes have no such error.
     pub cycloid_urad: f64,
     /// Half of the backlash between each robot motor and its joint.
     pub backlash_urad: f64,
-    /// Amplitude of the error of order one per turn of each bar encoder: an eccentric grating.
+    /// Amplitude of the error with one period per turn of each bar encoder, as of an eccentric grating.
     pub encoder_eccentricity_urad: f64,
-    /// Amplitude of the error of order two per turn of each bar encoder: an elliptic grating.
+    /// Amplitude of the error with two periods per turn of each bar encoder, as of an elliptic grating.
     pub encoder_ellipticity_urad: f64,
-    // A reading is rounded to the middle of its step. The thesis (3.1) truncates instead, which differs only by a common
-    // shift of all angles. This shift is part of the encoder's offset.
-    /// Resolution of each bar encoder, if coarser than its counts [urad]
+    /// Resolution of a bar encoder. A reading is the middle of the step that contains the angle. The thesis (3.1) truncates
+    /// instead, but this shifts all angles equally, so the difference is part of the encoder's offset.
     pub encoder_step_urad: f64,
-    // The tilt about x has this size. The tilt about y is -0.6 times this size.
-    /// Tilt of the bar's base against the robot's [urad]
+    /// Tilt of the bar's base about x. The tilt about y is -0.6 times this value.
     pub base_tilt_urad: f64,
 }
 
