@@ -1,6 +1,7 @@
-//! A robot as a calibration file describes it: the pose of its end at reported joints, the reported joints for a pose, and the
-//! covariance of the pose, `J C J'` with the covariance `C` of the parameters and the derivatives `J` of the pose. For programs
-//! that use a calibration, and the Python package.
+//! A robot as described by a calibration file, for programs that use a calibration and for the Python package. Three
+//! quantities are computed: the pose of the robot's end at reported joint positions, the reported joint positions for a pose,
+//! and the covariance of the pose. The covariance is `J C J'`, where `C` is the covariance of the parameters and `J` contains
+//! the derivatives of the pose by the parameters.
 
 use nalgebra::{DMatrix, Matrix6, Matrix6xX};
 use shared::config::{BallBarConfig, RobotConfig};
@@ -12,39 +13,41 @@ use crate::kinematics::{
 };
 use crate::model::{DriveTrain, Geometry, JointErrors, JointState, Owner, ParameterId};
 
-/// Joints have converged if they change by less \[rad, m\]: a hundredth of the resolution of any encoder.
+/// The iteration for the reported joint positions has converged if every joint changes by less than this \[rad, m\]. The
+/// limit is a hundredth of the resolution of the finest encoders.
 const CONVERGED: f64 = 1e-10;
-/// Each iteration multiplies the error by the slope of the joint errors over the angle, a few thousandths.
+/// Largest number of iterations. Each iteration multiplies the error by the derivative of the joint errors with respect to
+/// the joint angle, which is a few thousandths.
 const ITERATIONS_MAX: usize = 20;
 
-/// Why a calibrated robot gives no pose, joints or covariance.
+/// Reasons why a pose, joint positions or a covariance cannot be computed.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum CalibratedRobotError {
-    /// The calibration is of another robot.
+    /// The calibration contains a parameter that the configured robot does not have.
     #[error(
         "the calibration's parameter `{name}` is none of {robot}; give the robot's configuration that it was made with"
     )]
     Parameter {
-        /// Such as `ra1`.
+        /// Name of the parameter, such as `ra1`.
         name: String,
         /// Name of the configured robot.
         robot: String,
     },
-    /// A posture has another number of joints.
+    /// The number of joints in a posture differs from the number of axes of the robot.
     #[error("a posture has {found} joints, the robot has {expected}; give one number for each axis")]
     Joints {
-        /// Joints in the posture.
+        /// Number of joints in the posture.
         found: usize,
-        /// Axes of the robot.
+        /// Number of axes of the robot.
         expected: usize,
     },
-    /// A number is not finite.
+    /// A joint position is not finite.
     #[error("joint {joint} of a posture is not a finite number; correct it")]
     NotFinite {
         /// Number of the joint, from 1.
         joint: usize,
     },
-    /// No joints bring it there.
+    /// No joint positions were found for the pose.
     #[error(transparent)]
     Inverse(#[from] InverseError),
     /// The file has no covariance.
@@ -52,26 +55,28 @@ pub enum CalibratedRobotError {
         "the calibration has no covariance, as in calibration.toml; give calibration.json or its directory"
     )]
     NoCovariance,
-    /// The file has a covariance, but not of this parameter of the robot.
+    /// The file has a covariance, but this parameter of the robot was not identified.
     #[error(
         "the calibration has no uncertainty of `{name}`: its measurements do not determine it; calibrate with more poses"
     )]
     NotIdentified {
-        /// Such as `ra1`.
+        /// Name of the parameter, such as `ra1`.
         name: String,
     },
 }
 
-/// A robot as calibrated, its end where the calibration's last link ends: the flange, or the end of the ball-bar's plate.
+/// A calibrated robot. Its end is the frame where the last link of the calibration ends: the flange, or the end of
+/// the ball-bar's plate and tool.
 #[derive(Debug, Clone)]
 pub struct CalibratedRobot {
     geometry: Geometry,
-    /// The uncertain parameters and their covariance, or why it is unknown.
+    /// Uncertain parameters of the robot and their covariance, or the reason why the covariance is unknown.
     covariance: Result<(Vec<ParameterId>, DMatrix<f64>), CalibratedRobotError>,
 }
 
 impl CalibratedRobot {
-    /// From a calibration and what it was made with; `bar` where a ball-bar was.
+    /// Creates the robot from a calibration file and the configurations that the calibration was made with. `bar` is the
+    /// ball-bar, if the robot was measured with one.
     ///
     /// # Errors
     /// [`CalibratedRobotError::Parameter`].
@@ -95,12 +100,12 @@ impl CalibratedRobot {
         Ok(Self { geometry, covariance })
     }
 
-    /// Axes of the robot.
+    /// Number of axes of the robot.
     pub fn axes(&self) -> usize {
         self.geometry.robot.links.len()
     }
 
-    /// Where the robot's end is when it stands still and reports these joints \[rad, m\].
+    /// Pose of the robot's end when the robot stands still and reports these joint positions \[rad, m\].
     ///
     /// # Errors
     /// [`CalibratedRobotError::Joints`], [`CalibratedRobotError::NotFinite`].
@@ -108,12 +113,14 @@ impl CalibratedRobot {
         Ok(self.geometry.robot_end(&self.at_rest(reported)?))
     }
 
-    /// The joints that the robot reports at a pose, of all solutions the one nearest to `near` \[rad, m\].
+    /// Joint positions that the robot reports when its end is at a pose \[rad, m\]. If several solutions exist, the solution
+    /// nearest to `near` is returned.
     ///
     /// # Errors
     /// [`CalibratedRobotError::Joints`], [`CalibratedRobotError::NotFinite`], [`CalibratedRobotError::Inverse`].
     pub fn inverse(&self, target: &Pose, near: &[f64]) -> Result<Joints, CalibratedRobotError> {
-        // Joints without their errors; those reported follow by fixed-point iteration.
+        // Inverse kinematics yields the joint positions without joint errors. A fixed-point iteration then finds the reported
+        // joint positions that correspond to them.
         let wanted = robot_inverse(&self.geometry.robot, target, &self.at_rest(near)?.q)?;
         let (mut reported, mut largest_error) = (wanted, f64::INFINITY);
         for _ in 0..ITERATIONS_MAX {
@@ -130,8 +137,9 @@ impl CalibratedRobot {
         Err(InverseError::NotConverged { iterations: ITERATIONS_MAX, step_rad: largest_error }.into())
     }
 
-    /// Covariance of position \[m\] and rotation vector \[rad\] of the robot's end in its base frame, at rest at reported
-    /// joints, as far as the calibration's own parameters make it uncertain: first-order propagation (JCGM 100:2008, 5.2).
+    /// Covariance of the position \[m\] and the rotation vector \[rad\] of the robot's end in the robot's base frame, for a
+    /// robot that stands still at reported joint positions. Only the uncertainty of the calibration's own parameters is
+    /// included. It is propagated to first order (JCGM 100:2008, 5.2).
     ///
     /// # Errors
     /// [`CalibratedRobotError::Joints`], [`CalibratedRobotError::NotFinite`], [`CalibratedRobotError::NoCovariance`],
@@ -149,7 +157,8 @@ impl CalibratedRobot {
         Ok(&jacobian * covariance * jacobian.transpose())
     }
 
-    /// The state of the joints at standstill; an error if their number is wrong or one is not finite.
+    /// State of the joints at standstill. Returns an error if the number of joints is wrong or a
+    /// joint position is not finite.
     fn at_rest(&self, reported: &[f64]) -> Result<JointState, CalibratedRobotError> {
         if reported.len() != self.axes() {
             return Err(CalibratedRobotError::Joints { found: reported.len(), expected: self.axes() });
@@ -161,15 +170,15 @@ impl CalibratedRobot {
     }
 }
 
-/// Uncertain parameters of the robot and their covariance. One that is not identified is an error: as zero, its covariance would
-/// make it exact.
+/// Uncertain parameters of the robot and their covariance. A parameter that is not identified is an error, because a
+/// covariance of zero would make it exact.
 fn robot_covariance(all: &CovarianceEntry) -> Result<(Vec<ParameterId>, DMatrix<f64>), CalibratedRobotError> {
     let names = all.names.iter().enumerate();
     let (columns, ids): (Vec<usize>, Vec<ParameterId>) =
         names.filter_map(|(column, name)| Some((column, robot_parameter(name)?))).unzip();
     let mut covariance = DMatrix::zeros(columns.len(), columns.len());
     for (i, &a) in columns.iter().enumerate() {
-        // From the diagonal, so that an error names the parameter that is not identified.
+        // Starts at the diagonal element, so that an error names the parameter that is not identified.
         for (j, &b) in columns[..=i].iter().enumerate().rev() {
             let not_identified = || CalibratedRobotError::NotIdentified { name: all.names[a].clone() };
             let entry = all.between(a, b).ok_or_else(not_identified)?;
@@ -179,7 +188,8 @@ fn robot_covariance(all: &CovarianceEntry) -> Result<(Vec<ParameterId>, DMatrix<
     Ok((ids, covariance))
 }
 
-/// A parameter of the robot itself by its name; none for those of instruments and of other runs.
+/// Parses the name of a parameter of the robot. Returns `None` for parameters of instruments and for parameters with the
+/// number of a run, such as `ox@2`.
 fn robot_parameter(name: &str) -> Option<ParameterId> {
     name.parse().ok().filter(|id: &ParameterId| id.owner() == Owner::Robot)
 }

@@ -1,9 +1,8 @@
-//! Test whether several calibrations of one robot agree within their uncertainties.
+//! Tests whether several calibrations of one robot agree within their uncertainties, for `identify compare`.
 //!
-//! The thesis could only compare its paths, speeds and days by eye (its figures 5.12 to 5.17). Here every parameter
-//! of the robot gets a chi-square test of homogeneity over its values `x_i` in the `n` calibrations: `sum ((x_i -
-//! mean) / sigma_i)^2` with `n - 1` degrees of freedom. The smallest p-value is multiplied by the number of tests
-//! (Holm 1979). For `identify compare`.
+//! The thesis compared its paths, speeds and days by eye only (figures 5.12 to 5.17). Here, every parameter of the robot gets
+//! a chi-square test of homogeneity over its values `x_i` in the `n` calibrations. The test statistic is `sum ((x_i - mean) /
+//! sigma_i)^2`, with `n - 1` degrees of freedom. The smallest p-value is multiplied by the number of tests (Holm 1979).
 
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
@@ -13,9 +12,9 @@ use crate::kinematics::{Chain, Joints, nearest_turn};
 use crate::model::{ParameterId, Unit};
 use crate::statistics::{Sizes, extremes};
 
-/// Agreement is rejected below this probability.
+/// The calibrations are inconsistent if the corrected p-value is below this limit.
 pub const P_MIN: f64 = 0.01;
-/// Nominal values that differ by less are rounded differently \[m, rad\].
+/// Nominal values count as equal if their difference is at most this \[m, rad\]. Such a difference results from rounding.
 const SAME_NOMINAL: f64 = 1e-9;
 
 /// One parameter in several calibrations.
@@ -23,34 +22,38 @@ const SAME_NOMINAL: f64 = 1e-9;
 pub struct ParameterEstimates {
     /// Identifier of the compared parameter.
     pub id: ParameterId,
-    /// Identified value and sigma in each calibration, SI; `None` if it was fixed there. Angles are within half a turn of the first.
+    /// Identified value and sigma in each calibration, in SI units; `None` if the parameter was not identified there. Whole
+    /// turns are added to angles, so that each angle lies within half a turn of the first.
     pub values: Vec<Option<(f64, f64)>>,
     /// Mean weighted by the inverse variances.
     pub mean: f64,
-    /// Probability of differences at least so large if all measured the same robot; none for a single one.
+    /// p-value: probability of differences at least this large if all calibrations measured the same robot. `None` if only
+    /// one calibration identified the parameter.
     pub p: Option<f64>,
 }
 
-/// Several calibrations of one robot.
+/// Result of the comparison of several calibrations of one robot.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Consistency {
-    /// The robot's parameters.
+    /// Parameters of the robot that at least one calibration identified.
     pub parameters: Vec<ParameterEstimates>,
-    /// Half the width of a 95 % interval in sigmas, in each calibration.
+    /// Half-width of a 95 % confidence interval in each calibration, in sigmas.
     pub sigmas_of_95: Vec<f64>,
-    /// Parameters of the robot whose nominal value is not the same in all of them.
+    /// Names of the robot's parameters whose nominal value differs between the calibrations.
     pub other_nominals: Vec<String>,
-    /// Smallest probability times the number of tests, at most one; `None` if no parameter was identified twice.
+    /// Corrected p-value: smallest p-value times the number of tests, at most one. `None` if
+    /// no parameter was identified twice.
     pub p_corrected: Option<f64>,
-    /// How far the ends of the robots with each calibration after the first are from that with the first, over the joints that
-    /// both measured; `None` if these ranges do not overlap.
+    /// For each calibration after the first: distances between the robot's end as corrected by this calibration and as
+    /// corrected by the first. Postures are random, in the joint ranges that both calibrations measured. `None` if these
+    /// ranges do not overlap or are unknown.
     pub apart: Vec<Option<Sizes>>,
 }
 
 /// Calibrations that cannot be compared.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ConsistencyError {
-    /// There is only one file.
+    /// Fewer than two files were given.
     #[error("there is one calibration only; give at least two")]
     One,
     /// The files are of different robots.
@@ -60,18 +63,19 @@ pub enum ConsistencyError {
     OtherRobot {
         /// Robot of the first file.
         first: String,
-        /// Robot of another file.
+        /// Robot of the other file.
         other: String,
     },
 }
 
 impl Consistency {
-    /// The test does not reject that all of them measured the same robot.
+    /// True if the test does not reject the hypothesis that all calibrations measured the same robot.
     pub fn is_consistent(&self) -> bool {
         self.p_corrected.is_none_or(|p| p >= P_MIN)
     }
 
-    /// Compares the robot's parameters: those of bar and clocks may differ from run to run.
+    /// Compares the robot's parameters. Parameters of bar and clocks are not compared, because they may
+    /// differ from run to run.
     ///
     /// # Errors
     /// [`ConsistencyError`].
@@ -113,8 +117,8 @@ impl Consistency {
 }
 
 /// Distances between the corrections of the robot's end by two calibrations, over random postures within the joint ranges of
-/// both. A correction is the calibrated minus the nominal position, so that a different plate on the flange does not count.
-/// Errors of joints beyond their links are not included.
+/// both. A correction is the calibrated minus the nominal position of the end, so different plates on the flange do not
+/// contribute. Corrections are computed from links only, without joint errors.
 fn ends_apart(one: &CalibrationFile, other: &CalibrationFile) -> Option<Sizes> {
     let ranges = one.validity.as_ref()?.joints.iter().zip(&other.validity.as_ref()?.joints);
     let common: Vec<[f64; 2]> = ranges
@@ -154,7 +158,7 @@ fn compared(id: ParameterId, files: &[CalibrationFile]) -> ParameterEstimates {
     let mean = known.iter().map(|(value, sigma)| value * sigma.powi(-2)).sum::<f64>() / weight;
     let chi_squared: f64 = known.iter().map(|(value, sigma)| ((value - mean) / sigma).powi(2)).sum();
     let freedom = known.len().saturating_sub(1);
-    // The distribution halves its argument, and fails where half of a positive one rounds to zero.
+    // `ChiSquared` halves its argument. It fails if half of a positive argument rounds to zero.
     let chi_squared = if chi_squared < f64::MIN_POSITIVE { 0.0 } else { chi_squared };
     let p = ChiSquared::new(freedom as f64).ok().map(|distribution| distribution.sf(chi_squared));
     ParameterEstimates { id, values, mean, p }

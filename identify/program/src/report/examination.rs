@@ -1,16 +1,19 @@
-//! Examinations of costs as text, for `identify examine`: ranks, dependent groups, influences and observability.
+//! Text for `identify examine`. For each cost function it contains the rank of the Jacobian, groups of dependent parameters,
+//! the influence of fixed parameters on the estimates, and observability.
 
 use std::fmt::Write;
 
 use crate::examine::Examination;
 use crate::solver::{Identifiability, Influence};
 
-/// An estimate is affected if it changes by more than this part of the error of a fixed parameter (thesis section 3.3).
+/// An estimate counts as affected if it changes by more than this fraction of the error of a
+/// fixed parameter (thesis section 3.3).
 const AFFECTED: f64 = 0.05;
-/// Longer lists of names end with the number of the others.
+/// Largest number of names in a list. Longer lists end with the number of the remaining names.
 const NAMES_MAX: usize = 8;
 
-/// One block for each cost: rank, gap, zero columns and groups, influence of what is fixed, observability.
+/// One block of text for each cost: rank and its gap, columns without effect, dependent groups,
+/// influence of fixed parameters, observability.
 pub fn examinations(examinations: &[Examination]) -> String {
     let mut text = String::new();
     for one in examinations {
@@ -41,7 +44,7 @@ pub fn examinations(examinations: &[Examination]) -> String {
     text
 }
 
-/// Rank with its gap, columns without effect, dependent groups.
+/// Appends the rank with its gap, the columns without effect, and the dependent groups.
 fn rank(text: &mut String, found: &Identifiability) {
     let names = |columns: &[usize], separator: &str| {
         let name = |column: &usize| found.names.get(*column).map_or("?", String::as_str);
@@ -56,7 +59,8 @@ fn rank(text: &mut String, found: &Identifiability) {
             .columns
             .iter()
             .partition(|column| earlier_groups.iter().any(|earlier| earlier.columns.contains(column)));
-        // Which member of an earlier group is in this one is arbitrary: the groups are named instead.
+        // If this group shares a column with an earlier group, it is arbitrary which column of the earlier group is shared.
+        // The text therefore names the earlier group instead of the column.
         let through: Vec<String> = earlier_groups
             .iter()
             .filter(|earlier| shared.iter().any(|column| earlier.columns.contains(column)))
@@ -71,20 +75,21 @@ fn rank(text: &mut String, found: &Identifiability) {
     }
 }
 
-/// The gap in the singular values after the rank, without digits where it is clear: they depend on the poses.
+/// Gap of the rank, the ratio of the singular values before and after it, as text. A ratio above 1000 is clear and is written
+/// without digits, because its digits depend on the poses.
 fn gap(found: &Identifiability) -> String {
     found.gap().map_or_else(String::new, |gap| {
         if gap > 1e3 { ", clear gap above 1e3".into() } else { format!(", gap {gap:.0}") }
     })
 }
 
-/// For each fixed parameter the estimates that its error changes, as in table 3.4 of the thesis.
+/// Appends, for each fixed parameter, the estimates that change if it has an error, as in table 3.4 of the thesis.
 fn influences(text: &mut String, influence: &Influence) {
     let _ =
         writeln!(text, "  an error of 1 mm|mrad in a fixed parameter changes (if by more than {AFFECTED}):");
     for (column, held) in influence.held.iter().enumerate() {
         let changes = influence.change.column(column);
-        // Rounded as displayed, so that rounding errors change neither selection nor order.
+        // Values are rounded as displayed, so that rounding errors change neither the selection nor the order.
         let rounded = changes.iter().map(|change| (change * 100.0).round() / 100.0);
         let changed = influence.estimated.iter().map(String::as_str).zip(rounded);
         let mut affected: Vec<(&str, f64)> = changed.filter(|(_, change)| change.abs() > AFFECTED).collect();

@@ -1,4 +1,4 @@
-//! Results: files, tables on a terminal, and pages.
+//! Output of results: the files of a calibration ([`result`]), text and tables for the terminal, and HTML pages ([`page`]).
 
 mod calibrated_robot;
 mod consistency;

@@ -1,5 +1,6 @@
-//! Text for the terminal on a planned or checked path ([`summary`]), on places of the bar ([`places`]) and on chosen poses
-//! ([`poses`]): motion, margins and expected accuracy. Also the table of chosen poses with its mapping. For `identify plan`.
+//! Text for the terminal with the results of `identify plan`: a planned or checked path ([`summary`]), positions of the bar
+//! ([`places`]) and selected poses ([`poses`]). It reports motion, margins and expected accuracy. [`pose_table`] creates the
+//! table of the selected poses and the mapping of its columns.
 
 use std::fmt::Write;
 
@@ -16,13 +17,13 @@ use crate::plan::{
     Way, position_m_min,
 };
 
-/// Places that are shown, at most.
+/// Largest number of bar positions that are listed.
 const PLACES_SHOWN: usize = 10;
-/// Parameters of a kind that are named, at most.
+/// Undetermined parameters of a group are listed by name up to this number.
 const NAMED: usize = 12;
 
-/// Lines about a path: expected accuracy, search, place of the bar, motion, margins and violations. `found` is the search that
-/// found it; a path that is only checked has none.
+/// Text about a path: expected accuracy, search, position of the bar, motion, margins and violations. `found` is the result
+/// of the search that planned the path, or `None` if the path was only checked.
 pub fn summary(
     checked: &Checked,
     constraints: &Constraints<'_>,
@@ -78,7 +79,8 @@ pub fn summary(
     text
 }
 
-/// Expected position error with the terms of a calibration, parameters that the path does not separate, and its efficiency.
+/// Expected position error after a calibration, for several sets of estimated terms. Also the parameters that the path does
+/// not separate, and the efficiency of the path.
 fn accuracy(checked: &Checked, constraints: &Constraints<'_>, information: &Information) -> String {
     let mut text = String::new();
     let expected = information.position(&checked.normal);
@@ -117,18 +119,19 @@ fn mm(length_m: f64) -> String {
     format!("{:.4} mm", length_m * 1e3)
 }
 
-/// A line with a name and its values; adding zero turns -0 into 0.
+/// One line with a name and its values. Adding zero turns -0 into 0.
 fn row(name: &str, values: impl IntoIterator<Item = f64>, digits: usize) -> String {
     let values: String = values.into_iter().map(|value| format!("{:>9.digits$}", value + 0.0)).collect();
     format!("{name:<28}{values}\n")
 }
 
-/// Whether an arm has an axis in metres.
+/// Whether an arm has a prismatic axis, whose positions are in metres.
 pub fn has_prismatic(arm: &Chain) -> bool {
     arm.links.iter().any(|link| link.joint == JointKind::Prismatic)
 }
 
-/// Extremes of the robot's joints and their speeds, accelerations and jerks, each in the unit of its axis.
+/// Lines with the extreme positions of the robot's joints and their largest speeds, accelerations and jerks, each in
+/// the unit of its axis.
 fn joint_rows(ranges: &[[f64; 2]], [speed, acceleration, jerk]: [&Joints; 3], arm: &Chain) -> String {
     let range = |end: usize| {
         ranges.iter().zip(&arm.links).map(move |(range, link)| range[end] * link.joint.display_factor())
@@ -147,10 +150,10 @@ fn joint_rows(ranges: &[[f64; 2]], [speed, acceleration, jerk]: [&Joints; 3], ar
     .concat()
 }
 
-/// A line on whether the arm ends where it began. If not, the way back is not a straight line of the joints while
-/// the bar is attached.
+/// A line that states whether the arm ends where it began. If not, the arm cannot return to the start in a straight line in
+/// joint space while the bar is attached.
 fn ends(checked: &Checked, arm: &Chain) -> String {
-    /// \[rad, m\]
+    /// Joint positions at start and end count as equal up to this difference \[rad, m\].
     const SAME: f64 = 1e-3;
     let states = &checked.visited.robot;
     let (Some(start), Some(end)) = (states.first(), states.last()) else { return String::new() };
@@ -167,7 +170,8 @@ fn ends(checked: &Checked, arm: &Chain) -> String {
     }
 }
 
-/// The best places of the bar, a line for each, and the errors with a second run at the first of them or at another place.
+/// Lists the best positions of the bar, one line each. If a second run was evaluated, its errors follow, once for a second
+/// run at the best position and once for a second run at another position.
 pub fn places(places: &Places, duration_s: f64) -> String {
     let cells = |expected: &ExpectedPosition| {
         format!("{:>12.4}{:>12.4}", expected.axes_exact_m * 1e3, expected.with_terms_m * 1e3)
@@ -229,7 +233,8 @@ pub fn places(places: &Places, duration_s: f64) -> String {
     text
 }
 
-/// Lines on poses that were chosen out of this number of candidates, and on the parameters that they determine.
+/// Text about poses that were selected out of `candidates` candidate poses, and about the accuracy of
+/// the parameters that they determine.
 pub fn poses(planned: &PlannedPoses, candidates: usize) -> String {
     let mut text = format!(
         "{} of {candidates} poses; RMS position error over all of them that is expected of a calibration:\n\
@@ -269,7 +274,7 @@ pub fn poses(planned: &PlannedPoses, candidates: usize) -> String {
     text
 }
 
-/// A sentence about moves that avoid an obstacle or are blocked, if there are any.
+/// A sentence about moves that avoid an obstacle or are blocked; `None` if there are no such moves.
 pub fn ways(planned: &PlannedPoses) -> Option<String> {
     let detours = planned.ways.iter().filter(|way| matches!(way, Way::Through(_))).count();
     let blocked: Vec<String> = planned.blocked().iter().map(usize::to_string).collect();
@@ -285,11 +290,11 @@ pub fn ways(planned: &PlannedPoses) -> Option<String> {
     }
 }
 
-/// A table of poses with empty columns for what is measured there, and its mapping for `calibrate`. Column `way` is empty where the
-/// joints go straight to a pose from the one before.
+/// Table of poses with empty columns for the measured quantity, and the mapping of the columns for `calibrate`. Column `way`
+/// is empty if the joints move in a straight line from the previous pose.
 ///
 /// # Errors
-/// Those of TOML.
+/// [`toml::ser::Error`] if the mapping cannot be written as TOML.
 pub fn pose_table(
     planned: &PlannedPoses,
     robot: &RobotConfig,

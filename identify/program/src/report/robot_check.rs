@@ -1,4 +1,4 @@
-//! The check of a robot's configuration as text, for `identify robot check`.
+//! Text for `identify robot check`, which checks the configuration of a robot.
 
 use std::fmt::Write;
 
@@ -6,7 +6,7 @@ use shared::config::RobotConfig;
 
 use crate::robot::RobotCheck;
 
-/// Facts, a line for each axis, and what looks wrong.
+/// Lists properties of the robot, one line for each axis, and the findings that look wrong.
 pub fn robot_check(robot: &RobotConfig, check: &RobotCheck) -> String {
     let mut text = String::new();
     // Writing to a string cannot fail.

@@ -1,5 +1,7 @@
-//! Text on data sets of rows, for terminal and page: errors in each stage of the model, on fitted, held-out and other rows
-//! ([`table`]), rejected rows, files of `--validate` ([`Validation`]), and the largest waves of the joints.
+//! Text about data sets that consist of rows, such as those of a tracker or wire, for terminal and page. [`table`] lists
+//! the errors of fitted and held-out rows in each stage of the model, then the rejected rows. [`Validation`] contains
+//! the errors on a file of `--validate`. [`left_out`] reports rejected rows as a limit. [`waves`] lists the largest
+//! harmonics of the joint errors.
 
 use std::fmt::Write;
 
@@ -13,17 +15,18 @@ use crate::model::{Model, ParameterId, Phase, Waves};
 use crate::report::result::validation::ValidationEntry;
 use crate::statistics::Sizes;
 
-/// Lines of a file that are named, at most.
+/// Largest number of line numbers that are listed.
 const NAMED: usize = 8;
 
-/// Errors of the nominal and the calibrated robot on another file.
+/// Errors of the nominal and the calibrated robot on a file that the calibration did not use.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Validation {
-    /// Its figures, as in `calibration.toml`.
+    /// Statistics of the errors, as in `calibration.toml`.
     pub entry: ValidationEntry,
-    /// Lines of rows that are gross errors for both robots and do not count.
+    /// Line numbers of rows that are gross errors for both robots. These rows are not in the statistics.
     pub gross: Vec<u64>,
-    /// Rows where the calibration is not supported: line of the file, and joints from 0 that were not measured there.
+    /// Rows outside the joint ranges for which the calibration is supported: line number in the file, and joints (from 0)
+    /// that were not measured there.
     pub outside: Vec<(u64, Vec<usize>)>,
 }
 
@@ -40,7 +43,7 @@ impl Validation {
         )
     }
 
-    /// Clause on the rows with gross errors.
+    /// Clause about the rows with gross errors; empty if there are none.
     fn left_out(&self) -> String {
         match self.gross.len() {
             0 => String::new(),
@@ -51,7 +54,7 @@ impl Validation {
         }
     }
 
-    /// Clause on the rows at which the calibration is not supported.
+    /// Clause about the rows for which the calibration is not supported; empty if there are none.
     fn unsupported(&self) -> String {
         let (outside, rows) = (self.outside.len(), self.entry.nominal.rows + self.gross.len());
         if outside == 0 {
@@ -72,7 +75,8 @@ impl Validation {
     }
 }
 
-/// Appends a line with number of rows and errors \[mm, mrad\]: mean, RMS, 95 % quantile and largest.
+/// Appends a line with the number of rows and the statistics of their errors \[mm, mrad\]: mean, RMS,
+/// 95 % quantile and largest.
 fn append_errors(text: &mut String, name: &str, figures: &PoseFigures) {
     let sizes = |Sizes { mean, rms, p95, max, .. }: &Sizes| {
         format!("{:>8.3} {:>8.3} {:>8.3} {:>8.3}", mean * 1e3, rms * 1e3, p95 * 1e3, max * 1e3)
@@ -82,7 +86,8 @@ fn append_errors(text: &mut String, name: &str, figures: &PoseFigures) {
     let _ = writeln!(text, "{name:<44}{:>6} {}   {rotation}", figures.rows, sizes(&figures.position_m));
 }
 
-/// Appends a line for each stage of the model. `instrument_parts` were fitted in all.
+/// Appends a line for each stage of the model. `instrument_parts` names the parts of the instrument, which
+/// were fitted in every stage.
 fn append_stages(text: &mut String, name: &str, instrument_parts: &str, stages: &Stages) {
     let _ = writeln!(text, "{name}");
     append_errors(text, &format!("  nominal robot, {instrument_parts} fitted"), &stages.nominal);
@@ -91,11 +96,12 @@ fn append_stages(text: &mut String, name: &str, instrument_parts: &str, stages: 
     append_errors(text, "  and joint errors", &stages.joints);
 }
 
-/// Heading of the errors of a line.
+/// Heading of the four statistics in a line.
 const FIGURES: &str = "    mean      RMS      p95      max";
 
-/// Errors of fitted and held-out rows in each stage, on other files, and by parts of the instrument, with the predictions of these
-/// parts (`unseen`); then the rejected rows. `lines` are the line numbers of the rows in their file.
+/// Errors of fitted and held-out rows in each stage, then errors on other files (`validations`), errors of each section of
+/// the instrument, and the rejected rows. `unseen` contains the errors of sections that were predicted by a fit to all other
+/// data. `lines` are the line numbers of the rows in their file.
 pub fn table(
     set: &RowSet,
     run: &Run,
@@ -145,8 +151,9 @@ pub fn table(
     text
 }
 
-/// Parts of an instrument, such as sockets, by their names and parameters, with the errors of their rows in the fit, and in a fit to
-/// all other data where these determine the part.
+/// Lists the sections of an instrument, such as sockets, with their names and parameters. Each line contains the
+/// RMS error of the section's rows in the fit. If all other data determine the section, the RMS error in a fit
+/// to these other data follows.
 fn sections(set: &RowSet, instrument: &Instrument, errors: &[PoseError], unseen: &[&UnseenPart]) -> String {
     let sections = instrument.sections();
     let mut text = String::new();
@@ -168,7 +175,7 @@ fn sections(set: &RowSet, instrument: &Instrument, errors: &[PoseError], unseen:
     text
 }
 
-/// Rows that the result does not use, with the reason, and the runs of faulty rows.
+/// Lists the rows that the result does not use, with the reason. Runs of consecutive faulty rows follow.
 fn rejected_rows(set: &RowSet, run: &Run, remarks: &[(usize, String)], lines: &[u64]) -> String {
     let mut text = String::new();
     let line = |row: usize| lines.get(row).copied().unwrap_or_default();
@@ -183,7 +190,7 @@ fn rejected_rows(set: &RowSet, run: &Run, remarks: &[(usize, String)], lines: &[
                 format!("the controller's position is {:.1} mm from its joint angles", distance_m * 1e3)
             }
             Rejection::GrossResidual { residual_m } => format!("off by {:.2} mm", residual_m * 1e3),
-            // Listed with its run below.
+            // This row is listed below, with its run.
             Rejection::FaultyRun { .. }
                 if set.runs.iter().any(|run| (run.first..=run.last).contains(&row)) =>
             {
@@ -214,13 +221,14 @@ fn rejected_rows(set: &RowSet, run: &Run, remarks: &[(usize, String)], lines: &[
     text
 }
 
-/// RMS error of the nominal robot above which rows are of another robot \[m\]: link lengths that were typed by hand err by less.
+/// If the RMS error of the nominal robot is larger than this, the rows probably belong to another robot \[m\]. Errors in link
+/// lengths that were typed by hand are smaller.
 pub(crate) const OTHER_ROBOT_M: f64 = 0.01;
 
-/// The limit that rows of a data set are rejected, with their number by reason; `name` is the instrument with its data set,
-/// `lines` are the line numbers of the rows.
+/// A limit that reports the rejected rows of a data set, with their number for each reason; `None` if no row is rejected.
+/// `name` names the instrument and its data set, `robot` names the robot, and `lines` are the line numbers of the rows.
 pub fn left_out(set: &RowSet, run: &Run, [name, robot]: [&str; 2], lines: &[u64]) -> Option<Limit> {
-    /// If more than this part of a file is rejected, the other rows may be wrong, too.
+    /// If more than this fraction of a file is rejected, the remaining rows may be wrong, too.
     const SERIOUS: f64 = 0.05;
     let mut rejected = Vec::new();
     let (mut gross, mut faulty_runs, mut contradicting) = (0, 0, 0);
@@ -242,7 +250,8 @@ pub fn left_out(set: &RowSet, run: &Run, [name, robot]: [&str; 2], lines: &[u64]
     let reasons: Vec<String> = counted.map(|(count, reason)| format!("{count} {reason}")).collect();
     let serious = rejected.len() as f64 > SERIOUS * lines.len() as f64;
     let nominal_m = set.fitted().nominal.position_m.rms;
-    // The nominal residuals: with enough terms the calibration of a wrong robot fits most rows of a wire.
+    // The check uses residuals of the nominal robot. With enough terms, even the calibration of a wrong robot fits
+    // most rows of a wire.
     let advice = if serious && nominal_m > OTHER_ROBOT_M {
         format!(
             "The nominal robot is {:.1} mm (RMS) from the others, more than robots deviate: check that they are rows of {robot}, and \
@@ -264,7 +273,7 @@ pub fn left_out(set: &RowSet, run: &Run, [name, robot]: [&str; 2], lines: &[u64]
     })
 }
 
-/// The strongest waves of each axis.
+/// The largest harmonics of the joint errors, one line for each axis.
 pub fn waves(model: &Model) -> String {
     let mut text = String::new();
     for joint in 0..model.axes() {
@@ -276,7 +285,7 @@ pub fn waves(model: &Model) -> String {
     text
 }
 
-/// The five largest waves of a joint with their amplitudes.
+/// The five largest harmonics of a joint's errors, with their amplitudes.
 fn strongest_waves(model: &Model, joint: usize) -> String {
     const SHOWN: usize = 5;
     let order_and_amplitude = |order| {

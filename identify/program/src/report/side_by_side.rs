@@ -1,5 +1,6 @@
-//! Several calibrations of one robot side by side: a table, and parameters with their intervals as figures, as in figures 5.12
-//! to 5.17 of the thesis (Brand and Nilsson 2016).
+//! Output of `identify compare`: a table of several calibrations of one robot, and a page that also shows the
+//! parameters with their confidence intervals as figures. The figures correspond to figures 5.12 to 5.17 of the
+//! thesis (Brand and Nilsson 2016).
 
 use std::fmt::Write;
 
@@ -12,7 +13,7 @@ use crate::model::Unit;
 use crate::report::Consistency;
 use crate::statistics::Sizes;
 
-/// The table on a terminal.
+/// The comparison as a table for the terminal.
 pub fn table(consistency: &Consistency, names: &[String]) -> String {
     let mut text = String::new();
     // Writing to a string cannot fail.
@@ -50,7 +51,8 @@ fn probability(p: Option<f64>) -> String {
     p.map_or_else(|| "-".into(), |p| if p < 1e-4 { "<0.0001".into() } else { format!("{p:.4}") })
 }
 
-/// A sentence on nominal values that differ between the calibrations: their corrections cannot be compared.
+/// A sentence if nominal values differ between the calibrations. Corrections relative to different
+/// nominal values cannot be compared.
 fn other_nominals(consistency: &Consistency) -> Option<String> {
     let names = &consistency.other_nominals;
     (!names.is_empty()).then(|| {
@@ -61,7 +63,8 @@ fn other_nominals(consistency: &Consistency) -> Option<String> {
     })
 }
 
-/// A sentence for each calibration after the first: distance of its corrected robot's end from that of the first one.
+/// A sentence for each calibration after the first: distance between the robot's end as corrected by this calibration and
+/// as corrected by the first.
 fn apart(consistency: &Consistency) -> Vec<String> {
     let sentence = |(number, apart): (usize, &Option<Sizes>)| {
         let Some(apart) = apart else {
@@ -93,7 +96,7 @@ fn verdict(consistency: &Consistency) -> String {
     }
 }
 
-/// A page for a browser, without scripts or anything to load.
+/// The comparison as an HTML page. The page contains no scripts and loads no other files.
 pub fn page(consistency: &Consistency, robot: &str, names: &[String]) -> Markup {
     let title = format!("Calibrations of {robot} side by side");
     let body = html! {
@@ -118,14 +121,16 @@ pub fn page(consistency: &Consistency, robot: &str, names: &[String]) -> Markup 
     document(&title, &body)
 }
 
-/// How far each calibration is from the weighted means, with intervals; calibrations stand side by side at each name.
+/// Figure with the deviations of each calibration from the weighted means, and their confidence intervals. At each parameter,
+/// the calibrations are drawn side by side.
 fn intervals(title: &str, unit: Unit, consistency: &Consistency, files: usize) -> Markup {
     let parameters = || consistency.parameters.iter().filter(|one| one.id.unit() == unit);
     let factor = unit.display_factor();
     let mut series = Vec::new();
     for file in 0..files {
         let colour = COLOURS[file % COLOURS.len()];
-        // Within 0.3 of the place of the name, so that the intervals do not hide each other.
+        // Offset along the x axis from the position of the parameter. It is at most 0.3, so that intervals
+        // do not hide each other.
         let aside = 0.6 * ((file as f64 + 0.5) / files as f64 - 0.5);
         let (mut values, mut ends) = (Vec::new(), Vec::new());
         for (number, one) in parameters().enumerate() {

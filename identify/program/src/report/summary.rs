@@ -1,4 +1,5 @@
-//! The few lines of a calibration that a person needs at once: verdict, before and after, what limits, files, next step.
+//! Short summary of a calibration for the terminal: verdict, position error before and after, most important limit,
+//! written files, and next step.
 
 use std::path::{Path, PathBuf};
 
@@ -8,10 +9,10 @@ use super::verdict::Grade;
 use crate::calibrate::validation::deployment::Deployment;
 use crate::evaluate::WorkspaceError;
 
-/// Columns of a terminal.
+/// Number of columns of a terminal.
 pub const COLUMNS: usize = 100;
 
-/// Text whose lines fit a terminal; continued lines are indented.
+/// Wraps all lines that are longer than [`COLUMNS`]. Continued lines are indented.
 pub fn wrapped(text: &str) -> String {
     let options = textwrap::Options::new(COLUMNS).subsequent_indent("  ").break_words(false);
     let line = |line: &str| {
@@ -21,7 +22,8 @@ pub fn wrapped(text: &str) -> String {
     lines.join("\n")
 }
 
-/// The summary, each item a paragraph that is wrapped to the terminal; `written` are the files beside the page.
+/// The summary; empty if the calibration has no verdict. Each item is a paragraph that is wrapped to the width of the
+/// terminal. `page` is the report page and `written` are the other files.
 pub fn summary(
     file: &CalibrationFile,
     workspace: &WorkspaceError,
@@ -64,7 +66,8 @@ pub fn summary(
 /// Heading of every result of simulated measurements.
 pub(crate) const SIMULATED: &str = "SIMULATED: no robot was measured";
 
-/// Numbers of the robot's links that the data determine in combination only, and those that they do not determine at all.
+/// Clauses about link parameters of which the data determine only a combination, and about link parameters that the data
+/// do not determine at all.
 pub(in crate::report) fn not_separated(file: &CalibrationFile) -> Option<String> {
     let (groups, single): (Vec<&str>, Vec<&str>) =
         file.not_separated.iter().map(String::as_str).partition(|group| group.contains('|'));
@@ -76,12 +79,12 @@ pub(in crate::report) fn not_separated(file: &CalibrationFile) -> Option<String>
     (!parts.is_empty()).then(|| parts.join("; "))
 }
 
-/// The first limit that the verdict does not name; the page has them all.
+/// The most important limit that the verdict does not name. The page lists all limits.
 fn limit(file: &CalibrationFile) -> &str {
     file.other_limits().next().map_or("nothing that is known", |limit| &limit.sentence)
 }
 
-/// Clause on the joint ranges in which the calibration is supported.
+/// Clause about the joint ranges for which the calibration is supported.
 fn supported(file: &CalibrationFile) -> String {
     let validity = file.validity.as_ref().filter(|validity| !validity.joints.is_empty());
     validity.map_or_else(String::new, |validity| format!("; supported (deg): {validity}"))
@@ -94,7 +97,7 @@ fn files(written: &[PathBuf], page: &Path) -> String {
     format!("in {}: {}", directory.display(), names.collect::<Vec<_>>().join(", "))
 }
 
-/// What to do next, by the verdict and the tables of corrections that are written.
+/// The recommended next step. It depends on the verdict and on the tables of corrections that are written.
 fn next(file: &CalibrationFile) -> &'static str {
     let grade = file.verdict.as_ref().map(|verdict| verdict.grade);
     match (file.serves(Deployment::Dh), grade) {

@@ -1,5 +1,5 @@
-//! Tables for the terminal: a calibration with `--verbose`, its data sets, its comparison with the truth of a simulation, and
-//! the content of inspected files.
+//! Tables for the terminal: a calibration with `--verbose`, its data sets, its comparison with the true parameters of a
+//! simulation, and the content of inspected files.
 
 use std::fmt::Write;
 
@@ -13,7 +13,9 @@ use crate::instrument::{Noise, Run};
 use crate::model::ParameterId;
 use crate::simulate::Comparison;
 
-/// How the solve went, and every identified parameter: nominal, correction and sigma in its unit for display, such as mm or deg.
+/// Details of a calibration. Statistics of the solve, clocks, forces and noise come first. Then every identified parameter is
+/// listed: nominal value, correction and sigma in its unit for display, such as mm or deg. Rank, uncertainty budget, tried
+/// terms and errors on held-out segments follow.
 pub fn calibration(file: &CalibrationFile) -> String {
     let mut text = String::new();
     let solve = &file.solve;
@@ -59,7 +61,8 @@ pub fn calibration(file: &CalibrationFile) -> String {
     text
 }
 
-/// Each data set of a mix: its samples, and the noise by which the solve weights it.
+/// One line for each data set of a calibration with several instruments: number of samples, and the noise by
+/// which the solve weights them.
 pub fn data_sets(calibration: &Calibration) -> String {
     let mut text = format!("{:<12}{:>8}{:>24}\n", "instrument", "samples", "noise");
     for (Run { instrument, .. }, sigma) in calibration.runs.iter().zip(&calibration.solved.sigmas) {
@@ -85,7 +88,7 @@ pub fn data_sets(calibration: &Calibration) -> String {
     text
 }
 
-/// Every identified parameter, and the names of the others; links as a controller takes them.
+/// Lists every identified parameter and the names of the fixed parameters. The links are those that a controller applies.
 fn parameters(file: &CalibrationFile) -> String {
     let mut text = String::new();
     let applied = file.applied();
@@ -117,9 +120,9 @@ fn parameters(file: &CalibrationFile) -> String {
     text
 }
 
-/// How uncertain positions are, and the contributions that make nearly all of it.
+/// Uncertainty of positions, and the contributions that cause nearly all of it.
 fn budget(file: &CalibrationFile) -> String {
-    /// Smaller parts of the variance are not listed.
+    /// Contributions up to this fraction of the variance are not listed.
     const PART_MIN: f64 = 0.01;
     let Some(budget) = file.budget.as_ref().filter(|budget| budget.u_m > 0.0) else { return String::new() };
     let mut text = format!(
@@ -134,7 +137,7 @@ fn budget(file: &CalibrationFile) -> String {
     text
 }
 
-/// Terms that were tried, and how well held-out segments are predicted without and with them.
+/// Groups of terms that were tried, and how well held-out segments are predicted without and with each group.
 fn candidates(file: &CalibrationFile) -> String {
     if file.candidates.is_empty() {
         return String::new();
@@ -159,7 +162,7 @@ fn candidates(file: &CalibrationFile) -> String {
     text
 }
 
-/// Sentences on the use of the robot's links that are printed, and on the sign of joint offsets.
+/// Sentences that state which links are printed, and where the offset of a joint is added.
 pub(in crate::report) fn about_links(file: &CalibrationFile) -> String {
     let use_of_links = if file.serves(Deployment::Dh) {
         "Links as in corrections.csv, for a controller without the terms of joints (calibration.toml has those of the full model)"
@@ -169,7 +172,7 @@ pub(in crate::report) fn about_links(file: &CalibrationFile) -> String {
     format!("{use_of_links}. A joint's offset, rtheta (rd of a prismatic one), is added to {TO_JOINT}.")
 }
 
-/// True and identified parameters of a simulated experiment, with the two measures of error of the thesis.
+/// True and identified parameters of a simulated experiment, with the two error measures of the thesis.
 pub fn comparison(comparison: &Comparison) -> String {
     let mut text = String::new();
     let _ =
@@ -207,7 +210,7 @@ pub fn comparison(comparison: &Comparison) -> String {
     text
 }
 
-/// What is in a log or recording, and what is suspicious in it.
+/// Content of a log or recording, and suspicious findings in it.
 pub fn inspection(inspection: &Inspection) -> String {
     let mut text = String::new();
     // Writing to a string cannot fail.

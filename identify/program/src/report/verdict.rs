@@ -1,7 +1,8 @@
-//! The verdict on a calibration, by two questions: does it predict held-out data better than the nominal robot, in position
-//! and in rotation; and is the robot then as accurate as it must be? Red if any data set is predicted significantly worse,
-//! amber if another condition does not hold, otherwise green. From RMS errors of held-out data and the error expected over
-//! the workspace; for terminal, page, and what may be written.
+//! The verdict on a calibration. It answers two questions. Does the calibrated robot predict held-out data better than the
+//! nominal robot, in position and in rotation? Does the calibrated robot have the required accuracy? The verdict is red if
+//! any set of held-out data is predicted significantly worse than by the nominal robot. It is amber if another condition is
+//! not met, otherwise green. Inputs are the RMS errors on held-out data and the error expected over the workspace. Terminal
+//! and page show the verdict, and the program decides by it which files are written.
 
 use std::fmt;
 
@@ -15,30 +16,30 @@ use crate::calibrate::validation::deployment::Deployment;
 use crate::evaluate::{Limit, WorkspaceError};
 use crate::instrument::PoseError;
 
-/// In the colours of a page.
+/// Grade of a calibration, as a colour.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Grade {
-    /// Better than the nominal robot and, where an accuracy is required, as accurate.
+    /// Better than the nominal robot. If an accuracy is required, the calibrated robot has it.
     Green,
-    /// A condition of green does not hold or could not be tested.
+    /// A condition of green is not met or could not be tested.
     Amber,
-    /// Worse than the nominal robot: nothing of it may be applied.
+    /// Significantly worse than the nominal robot. No part of the calibration may be applied.
     Red,
 }
 
 /// The verdict on a calibration.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CalibrationVerdict {
-    /// Both questions in one word.
+    /// Answer to both questions.
     pub grade: Grade,
-    /// Held-out data are predicted better than with the nominal robot; absent where nothing was held out.
+    /// Whether all held-out data are predicted better than by the nominal robot. Absent if no data were held out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub better: Option<bool>,
-    /// Position error that was required \[m\].
+    /// Required position error, if the user gave one \[m\].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub required_m: Option<f64>,
-    /// The one thing that limits most, as a sentence.
+    /// The most important limitation, as a sentence. Absent if the grade is green.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,
 }
@@ -54,7 +55,7 @@ impl fmt::Display for Grade {
 }
 
 impl fmt::Display for CalibrationVerdict {
-    /// The reason, without grade and number.
+    /// Writes the reason, without grade and position error. For a green grade, it writes which conditions are met.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match (&self.reason, self.required_m) {
             (Some(reason), _) => f.write_str(reason),
@@ -73,7 +74,7 @@ pub(super) struct Predicted {
     pub(super) what: String,
     pub(super) nominal: f64,
     pub(super) calibrated: f64,
-    /// Of the calibrated robot on the data of the fit.
+    /// RMS error of the calibrated robot on the data of the fit.
     fitted: f64,
     /// Number of independent errors in each RMS.
     independent: usize,
@@ -82,7 +83,8 @@ pub(super) struct Predicted {
 }
 
 impl Predicted {
-    /// In position and, if all three have one, in rotation.
+    /// Errors in position. Errors in rotation are added if `nominal`, `calibrated` and `fitted` all have one. Empty without
+    /// an error of the calibrated robot.
     fn of(errors: HeldOutErrors) -> Vec<Self> {
         let HeldOutErrors { what, independent, nominal, calibrated, fitted } = errors;
         let Some(calibrated) = calibrated else { return Vec::new() };
@@ -100,12 +102,13 @@ impl Predicted {
         self.calibrated < self.nominal
     }
 
-    /// Worse by more than the random scatter of two RMS of so few errors.
+    /// Whether the calibrated robot is worse by more than the random scatter of two RMS values of this number of errors.
     fn is_worse_beyond_chance(&self) -> bool {
         is_surely_worse(self.independent, [self.nominal, self.calibrated])
     }
 
-    /// The position error exceeds that of the data of the fit by more than chance, and in quadrature by more than `expanded_m`.
+    /// Whether the position error is significantly larger than on the data of the fit, and the excess (difference of the
+    /// squares, square root) is larger than `expanded_m`.
     fn is_beyond(&self, expanded_m: f64) -> bool {
         let excess_m = (self.calibrated.powi(2) - self.fitted.powi(2)).max(0.0).sqrt();
         self.is_position
@@ -124,8 +127,9 @@ impl Predicted {
 }
 
 impl CalibrationFile {
-    /// Adds the verdict on the held-out data in the file, on the error expected over the workspace and on the limits; also
-    /// the limits with the largest contribution to the uncertainty, and the expected errors.
+    /// Adds the verdict. It depends on the held-out data in the file, the error expected over the workspace, and
+    /// the limits. Also adds the uncertainty budget, the expected errors, and the limits together with the
+    /// largest contribution to the uncertainty.
     pub fn with_verdict(
         mut self,
         workspace: &WorkspaceError,
@@ -159,7 +163,7 @@ impl CalibrationFile {
             let missed = || missed(workspace, &predicted, required_m);
             let beyond = || beyond(workspace, &predicted);
             let nowhere_else = || known_nowhere_else(workspace);
-            // The first that applies is stated.
+            // The first reason that applies is reported.
             let reason = not_better
                 .or_else(missed)
                 .or_else(beyond)
@@ -172,7 +176,7 @@ impl CalibrationFile {
         self
     }
 
-    /// The grade, the position error on held-out data and the reason; empty without a verdict.
+    /// One sentence with the grade, the position error on held-out data and the reason. Empty without a verdict.
     pub fn verdict_sentence(&self) -> String {
         let Some(verdict) = &self.verdict else { return String::new() };
         let number = self.held_out_m(Deployment::Full).map(|[nominal_m, calibrated_m]| {
@@ -182,18 +186,19 @@ impl CalibrationFile {
         format!("verdict {}: {}{verdict}", verdict.grade, number.unwrap_or_default())
     }
 
-    /// What limits it beside what its verdict names, the most important first.
+    /// All limits except the reason of the verdict, the most important first.
     pub fn other_limits(&self) -> impl Iterator<Item = &Limit> {
         let reason = self.verdict.as_ref().and_then(|verdict| verdict.reason.as_ref());
         self.limits.iter().filter(move |limit| Some(&limit.sentence) != reason)
     }
 
-    /// Held-out data are predicted better than by the nominal robot, or no data were held out.
+    /// Whether the calibration may be applied: all held-out data are predicted better than by the nominal robot, or
+    /// no data were held out.
     pub fn may_be_applied(&self) -> bool {
         self.verdict.as_ref().and_then(|verdict| verdict.better) != Some(false)
     }
 
-    /// Held-out errors of each data set, in position and, where it was measured, in rotation.
+    /// Errors on each held-out data set and each file of `--validate`, in position and, if it was measured, in rotation.
     pub(super) fn predicted(&self) -> Vec<Predicted> {
         let of_file = |ValidationEntry { name, data_set, nominal, calibrated, .. }: &ValidationEntry| {
             let rows = self.rows.iter().find(|rows| rows.data_set == *data_set);
@@ -218,8 +223,8 @@ fn largest_contribution(WorkspaceError { budget, .. }: &WorkspaceError) -> Optio
     Some(Limit { sentence, serious: false })
 }
 
-/// A reason if the calibrated robot is more uncertain over the workspace than the nominal robot is wrong: the measurements
-/// cover too little of it.
+/// Returns a reason if the uncertainty of the calibrated robot over the workspace is larger than the mean error of the
+/// nominal robot. In this case the measurements cover too little of the workspace.
 fn known_nowhere_else(workspace: &WorkspaceError) -> Option<String> {
     let (expanded_m, before_m) = (workspace.budget.expanded_m, workspace.before.mean_m);
     (expanded_m > before_m).then(|| {
@@ -232,7 +237,7 @@ fn known_nowhere_else(workspace: &WorkspaceError) -> Option<String> {
     })
 }
 
-/// A reason if the error of held-out data is larger than stated uncertainty and residuals of the fit allow.
+/// Returns a reason if the error on held-out data is larger than the stated uncertainty and the residuals of the fit explain.
 fn beyond(WorkspaceError { budget, .. }: &WorkspaceError, predicted: &[Predicted]) -> Option<String> {
     let one = predicted.iter().find(|one| one.is_beyond(budget.expanded_m))?;
     let [calibrated, fitted, expanded] = [one.calibrated, one.fitted, budget.expanded_m].map(|m| m * 1e3);
@@ -243,7 +248,7 @@ fn beyond(WorkspaceError { budget, .. }: &WorkspaceError, predicted: &[Predicted
     ))
 }
 
-/// A reason if the required accuracy is not met over the workspace or on held-out positions.
+/// Returns a reason if the required accuracy is not met, either over the workspace or on held-out positions.
 fn missed(workspace: &WorkspaceError, predicted: &[Predicted], required_m: Option<f64>) -> Option<String> {
     let required_m = required_m?;
     let expected_m = workspace.after.p95_upper_m;
@@ -260,7 +265,7 @@ fn missed(workspace: &WorkspaceError, predicted: &[Predicted], required_m: Optio
     Some(format!("The required {} mm are not met: {missed}.", in_mm(required_m)))
 }
 
-/// Millimetres as the user gave them, without the rounding error of the conversion.
+/// Length in millimetres as the user entered it, without the rounding error of the conversion to metres.
 fn in_mm(length_m: f64) -> f64 {
     (length_m * 1e9).round() / 1e6
 }
