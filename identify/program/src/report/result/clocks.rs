@@ -1,5 +1,5 @@
-//! Difference and relative rate of the clocks of instrument and robot, as solved in a calibration: the entry of
-//! `calibration.toml`, and its sentences for terminal and page.
+//! Difference and relative rate of the clocks of instrument and robot, as estimated by a calibration. This module contains
+//! the entry of `calibration.toml`, and its sentences for terminal and page.
 
 use serde::{Deserialize, Serialize};
 use shared::time::UtcNs;
@@ -9,37 +9,37 @@ use crate::instrument::Run;
 use crate::model::ParameterId;
 use crate::prepare::Alignment;
 
-/// How the logs of an instrument and the robot were brought together.
+/// Time alignment of the logs of an instrument and the robot.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ClockEntry {
-    /// Which run or file it is, from 1.
+    /// Number of the run or file, from 1.
     pub data_set: usize,
-    /// Whose clock the robot's is compared with: `ball-bar` or `tracker`.
+    /// Instrument whose clock the robot's clock is compared with: `ball-bar` or `tracker`.
     pub instrument: String,
     /// Reference time on the instrument's clock.
     pub reference_utc: String,
-    /// Robot clock minus the instrument's there \[ns\].
+    /// Robot clock minus instrument clock at the reference time \[ns\].
     pub robot_minus_instrument_ns: i64,
-    /// One standard deviation of it \[ns\]; absent if no solve estimated it.
+    /// One standard deviation of this difference \[ns\]. Absent if no solve estimated it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sigma_ns: Option<f64>,
-    /// How much faster the robot's clock runs \[ppm\].
+    /// Relative rate of the robot's clock minus one \[ppm\]. It is positive if the robot's clock runs faster.
     pub skew_ppm: f64,
-    /// One standard deviation of it \[ppm\]; absent if no solve estimated it.
+    /// One standard deviation of `skew_ppm` \[ppm\]. Absent if no solve estimated it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub skew_sigma_ppm: Option<f64>,
     /// Correlation of the speeds at the coarse alignment.
     pub correlation: f64,
-    /// How long the logs overlap \[s\].
+    /// Duration of the overlap of the logs \[s\].
     pub overlap_s: f64,
-    /// The motion repeats itself: other differences of the clocks fit as well.
+    /// True if the motion repeats, so that other differences of the clocks fit equally well.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub ambiguous: bool,
 }
 
 impl ClockEntry {
-    /// The clock of data set `run`, from 0, at the solution. `reference` is on the instrument's clock, which may be dated;
-    /// `alignment` is that before the solve.
+    /// Entry of data set `run` (from 0) at the solution. `reference` is the reference time on the instrument's clock, and
+    /// `is_dated` is true if the epoch of this clock is known. `alignment` is the time alignment before the solve.
     pub fn solved(
         calibration: &Calibration,
         run: usize,
@@ -71,7 +71,7 @@ impl ClockEntry {
         })
     }
 
-    /// Difference and rate, for a person.
+    /// Clause with the difference and the relative rate of the clocks.
     pub fn difference(&self) -> String {
         let within = |sigma: Option<f64>, unit: &str| {
             sigma.map_or_else(String::new, |sigma| format!(" (sigma {sigma:.2} {unit})"))
@@ -87,7 +87,7 @@ impl ClockEntry {
         )
     }
 
-    /// The same with correlation and overlap.
+    /// Sentence with the content of [`Self::difference`], the correlation of the speeds and the overlap of the logs.
     pub fn sentence(&self) -> String {
         let repeats = if self.ambiguous {
             "; the motion repeats itself and other shifts fit as well: the geometry is the same, the clocks are not"

@@ -1,5 +1,6 @@
-//! `corrections.csv` and `offsets.csv`: the numbers that are added to parameters of the controller, with unit and sign, for one
-//! deployment; and `corrections_log.csv` and `offsets_log.csv`, the joint offsets in units and signs of the robot's log.
+//! Tables of corrections for controllers. `corrections.csv` and `offsets.csv` list, for one deployment each, the numbers to
+//! add to parameters of the controller, with unit and sign. `corrections_log.csv` and `offsets_log.csv` list the joint
+//! offsets in units and signs of the robot's log.
 
 use serde::{Deserialize, Serialize};
 use shared::config::{JointKind, RobotConfig};
@@ -13,23 +14,23 @@ use crate::model::ParameterId;
 /// One row of `corrections.csv` or `offsets.csv`, or of their `_log.csv`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Correction {
-    /// What is corrected: `joint 2`, `link 3 alpha`, `motor2_rad` of the log.
+    /// Name of the corrected quantity, such as `joint 2`, `link 3 alpha`, or column `motor2_rad` of the log.
     pub what: String,
     /// `deg`, `rad`, `mm` or, in a log, `m`.
     pub unit: String,
-    /// The number to add, in digits that controllers take: 0.0001 mm, 0.00001 deg.
+    /// Number to add, rounded to the digits that controllers accept: 0.0001 mm, 0.00001 deg.
     pub add: f64,
-    /// To what it is added.
+    /// Quantity to which the number is added.
     pub to: String,
-    /// Standard deviation; absent where the value was fixed or follows from several.
+    /// Standard deviation. Absent if the value was fixed or results from several parameters.
     pub sigma: Option<f64>,
-    /// What all rows together are for.
+    /// Deployment of the table. Its rows are intended to be applied together.
     pub deployment: Deployment,
-    /// Root mean square of held-out positions with all rows applied and nothing else \[mm\].
+    /// RMS error of held-out positions if all rows and nothing else are applied \[mm\].
     pub held_out_mm: Option<f64>,
 }
 
-/// The one rule for the sign of a joint's offset.
+/// Definition of the sign of a joint's offset, used in all outputs.
 pub(in crate::report) const TO_JOINT: &str =
     "the joint angle of the model (log converted as the robot's file says, nominal theta)";
 const TO_PRISMATIC_JOINT: &str =
@@ -37,7 +38,7 @@ const TO_PRISMATIC_JOINT: &str =
 const TO_LOG: &str = "the logged value before it is converted, in the log's own unit and sign";
 const TO_LINK: &str = "the nominal Denavit-Hartenberg number of the link";
 
-/// Rounded to the digits that a controller takes.
+/// Rounds a value to the digits that a controller accepts.
 fn rounded(value: f64, unit: &str) -> f64 {
     let per_unit = match unit {
         "mm" => 1e4,
@@ -48,7 +49,8 @@ fn rounded(value: f64, unit: &str) -> f64 {
     (value * per_unit).round() / per_unit + 0.0
 }
 
-/// A function that makes the rows of one table: name, unit, number to add, what it is added to, sigma.
+/// Returns a function that makes a row of one table. Its arguments are name, unit, number to add, quantity to which
+/// it is added, and sigma.
 fn row_of(
     file: &CalibrationFile,
     deployment: Deployment,
@@ -66,7 +68,8 @@ fn row_of(
     }
 }
 
-/// Corrections of a deployment: offsets of the model's joints, then every other correction of a link that is not zero.
+/// Corrections of a deployment: the offset of every joint of the model, then all other corrections of
+/// links that are not zero.
 pub fn corrections(file: &CalibrationFile, robot: &RobotConfig, deployment: Deployment) -> Vec<Correction> {
     let row = row_of(file, deployment);
     let kinds: Vec<JointKind> = robot.joint_kinds().collect();
@@ -91,10 +94,10 @@ pub fn corrections(file: &CalibrationFile, robot: &RobotConfig, deployment: Depl
     joints
 }
 
-/// The joint offsets of a deployment as changes of the columns of the robot's log. The mapping, or else the robot's file, has
-/// names and conversion of the columns. A controller whose joint values are those of its log takes these changes in place of the
-/// offsets of the model's joints. With the log's conversion `q = (raw - raw_offset) T`, the `change` of each column follows from
-/// `q + offset = (raw + change - raw_offset) T`.
+/// The joint offsets of a deployment as changes of the columns of the robot's log. The mapping, or else the robot's
+/// configuration, defines names and conversion of the columns. If the joint values of a controller are those of its log, it
+/// needs these changes instead of the offsets of the model's joints. With the log's conversion `q = (raw - raw_offset) T`,
+/// the `change` of each column is the solution of `q + offset = (raw + change - raw_offset) T`.
 ///
 /// # Errors
 /// [`LogError::SingularConversion`].
@@ -115,7 +118,8 @@ pub fn log_corrections(
             *offset = entry.correction;
         }
     }
-    // Name and unit of each column, and that unit in the unit of `to_raw`: the log's own, with a mapping rad or m.
+    // Each tuple contains the column's name, its unit, and the size of that unit in the unit of `to_raw`. Without a mapping,
+    // `to_raw` returns the log's own units, so the size is 1. With a mapping, it returns rad or m.
     let column_of_robot = |(column, kind): (String, JointKind)| match kind {
         JointKind::Revolute => (column, robot.log.unit.suffix(), 1.0),
         JointKind::Prismatic => (column, kind.si_symbol(), 1.0),
@@ -132,7 +136,7 @@ pub fn log_corrections(
                 (JointConversion::new(&mapping.conversion())?, mapping.joints.iter().map(column).collect())
             }
         };
-    // The difference is the change, because the conversion is affine.
+    // The change is a difference of two conversions, because the conversion is affine.
     let [with, without] = [offsets, zeros].map(|joints| conversion.to_raw(&joints));
     let row = row_of(file, deployment);
     let changes = columns.into_iter().zip(with.iter().zip(&without));
@@ -143,10 +147,10 @@ pub fn log_corrections(
         .collect())
 }
 
-/// The text of a table.
+/// The table as CSV text.
 ///
 /// # Errors
-/// [`csv::Error`], which writing to memory does not have.
+/// [`csv::Error`], which does not occur when writing to memory.
 pub fn csv(rows: &[impl Serialize]) -> Result<String, csv::Error> {
     let mut writer = csv::Writer::from_writer(Vec::new());
     rows.iter().try_for_each(|row| writer.serialize(row))?;

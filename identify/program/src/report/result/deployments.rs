@@ -1,5 +1,6 @@
-//! Deployments, the parts of a calibration for controllers that cannot apply the full model: their own fit of the links, their
-//! held-out errors, and the rule which of their files are written ([`CalibrationFile::serves`]).
+//! Deployments, for controllers that cannot apply the full model. A deployment applies part of the model and has its own
+//! fit of the links and its own errors on held-out data. [`CalibrationFile::serves`] contains the rule by which the files
+//! of a deployment are written.
 
 use serde::{Deserialize, Serialize};
 
@@ -11,17 +12,19 @@ use crate::evaluate::{Expected, WorkspaceError};
 use crate::instrument::PoseError;
 use crate::model::ParameterId;
 
-/// The robot if only part of the model is applied.
+/// Results if only part of the model is applied.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct DeploymentEntry {
     /// Part of the model that is applied.
     pub deployment: Deployment,
-    /// The numbers of the links of robot and ball-bar, by a fit of nothing else of the robot.
+    /// Link parameters of robot and ball-bar, from a fit that estimates no other parameters of the robot.
     pub links: Vec<ParameterEntry>,
-    /// Held-out segments as predicted with it; those of rows have their own place.
+    /// Prediction error on held-out segments with this deployment. Errors on held-out rows are in
+    /// the `rows` of the calibration.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub held_out: Option<PoseError>,
-    /// Expected position error over the workspace, mean \[m\]: of the nominal robot, and with it.
+    /// Mean of the expected position error over the workspace \[m\]: for the nominal robot, and for
+    /// the robot with this deployment.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub expected_m: Option<[f64; 2]>,
 }
@@ -56,7 +59,7 @@ pub(in crate::report) const fn what(deployment: Deployment) -> &'static str {
 }
 
 impl CalibrationFile {
-    /// The same with the geometry of a deployment, where that has a fit of its own.
+    /// The calibration with the link parameters of a deployment. It is unchanged if the deployment has no fit of its own.
     #[must_use]
     pub fn deployed(&self, deployment: Deployment) -> Self {
         let mut file = self.clone();
@@ -69,8 +72,8 @@ impl CalibrationFile {
         file
     }
 
-    /// The calibration with the links of `corrections.csv`, if that is written: the offset of a joint is then the same in all
-    /// files, on the page and on the terminal.
+    /// The calibration with the links of `corrections.csv` if this file is written, otherwise unchanged. The offset of a
+    /// joint is then the same in all files, on the page and on the terminal.
     pub(in crate::report) fn applied(&self) -> Self {
         if self.serves(Deployment::Dh) { self.deployed(Deployment::Dh) } else { self.clone() }
     }
@@ -79,17 +82,20 @@ impl CalibrationFile {
         self.deployments.iter().find(|entry| entry.deployment == deployment)
     }
 
-    /// Whether a deployment is written: it has a fit of its own that predicts held-out data significantly better than the
-    /// nominal robot, if data were held out, and is expected to reduce the mean error over the workspace.
+    /// Whether the files of a deployment are written. The deployment must have a fit of its own and must be expected
+    /// to reduce the mean error over the workspace. If data were held out, it must also predict them significantly
+    /// better than the nominal robot.
     pub fn serves(&self, deployment: Deployment) -> bool {
         self.serves_held_out(deployment) && !self.is_worse_elsewhere(deployment)
     }
 
+    /// Whether the expected mean error over the workspace is not smaller than that of the nominal robot.
     fn is_worse_elsewhere(&self, deployment: Deployment) -> bool {
         let expected = self.entry(deployment).and_then(|entry| entry.expected_m);
         expected.is_some_and(|[nominal_m, deployed_m]| deployed_m >= nominal_m)
     }
 
+    /// The conditions of [`Self::serves`] without the expected error over the workspace.
     fn serves_held_out(&self, deployment: Deployment) -> bool {
         let is_better = |errors: &HeldOutErrors| {
             let both = errors.calibrated.map(|calibrated| [errors.nominal, calibrated]);
@@ -100,15 +106,16 @@ impl CalibrationFile {
             && self.held_out_with(deployment).iter().all(is_better)
     }
 
-    /// RMS position errors of the nominal robot and of a deployment on held-out data: on the segments of all runs with a bar,
-    /// otherwise on the first file of rows that has both \[m\].
+    /// RMS position errors of the nominal robot and of a deployment on held-out data \[m\]. The errors are those of the
+    /// segments of all runs with a bar. If these are missing, they are those of the first file of rows that has both errors.
     pub fn held_out_m(&self, deployment: Deployment) -> Option<[f64; 2]> {
         let both =
             |errors: &HeldOutErrors| Some([errors.nominal, errors.calibrated?].map(|one| one.position_m));
         self.held_out_with(deployment).iter().find_map(both)
     }
 
-    /// Expected error over the workspace of each deployment that is written, the one that takes most first.
+    /// Expected error over the workspace for each deployment that is written. The deployment that applies the largest part
+    /// of the model comes first.
     pub(in crate::report) fn deployments_expected<'w>(
         &'w self,
         workspace: &'w WorkspaceError,
@@ -117,7 +124,7 @@ impl CalibrationFile {
         all.filter(|(deployment, _)| self.serves(*deployment))
     }
 
-    /// Held-out errors of each deployment that leaves terms out.
+    /// Sentences with the error on held-out data of each deployment that applies only part of the model.
     pub(in crate::report) fn deployments_reported(&self) -> Vec<String> {
         let sentence = |deployment: Deployment| {
             let what = what(deployment);

@@ -1,12 +1,12 @@
-//! Files of an earlier calibration in the directory of results: they are moved to a folder `earlier`, so that files of two
-//! calibrations are never mixed.
+//! Moves the files of an earlier calibration in the directory of results to a folder `earlier` (then `earlier-2` and so on),
+//! so that files of two calibrations are never mixed.
 
 use std::path::{Path, PathBuf};
 
 use super::file::FileError;
 use crate::report::page::is_page;
 
-/// All files of a calibration but `experiment.toml`, those that other programs read first.
+/// All files of a calibration except `experiment.toml`. Files that other programs read come first.
 const FILES: [&str; 10] = [
     "calibration.toml",
     "calibration.json",
@@ -20,7 +20,7 @@ const FILES: [&str; 10] = [
     "report.html",
 ];
 
-/// Files of an earlier calibration.
+/// An earlier calibration, and the directory to which its files can be moved.
 #[derive(Debug)]
 pub(crate) struct Earlier<'d> {
     directory: &'d Path,
@@ -28,7 +28,7 @@ pub(crate) struct Earlier<'d> {
 }
 
 impl<'d> Earlier<'d> {
-    /// The calibration in a directory, if it has one.
+    /// Finds the calibration in a directory. `None` if the directory contains no calibration.
     pub fn in_directory(directory: &'d Path) -> Option<Self> {
         let is_there =
             ["calibration.toml", "calibration.json"].iter().any(|name| directory.join(name).exists());
@@ -40,12 +40,12 @@ impl<'d> Earlier<'d> {
         })
     }
 
-    /// Where it would go.
+    /// Directory to which the files would be moved.
     pub fn destination(&self) -> &Path {
         &self.destination
     }
 
-    /// Moves its files there and returns the place.
+    /// Moves the files to the destination and returns its path.
     ///
     /// # Errors
     /// [`FileError::Io`].
@@ -62,8 +62,8 @@ impl<'d> Earlier<'d> {
     }
 }
 
-/// Removes the page of a refusal or of an older calibration from a directory into which a calibration is written: it would
-/// contradict the new files until their page is written. A `report.html` of another program stays.
+/// Removes the report page of a refused or earlier calibration from a directory into which a calibration is written. The old
+/// page would contradict the new files until the new page is written. A `report.html` of another program is kept.
 ///
 /// # Errors
 /// [`FileError::Io`].

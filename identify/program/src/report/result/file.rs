@@ -1,6 +1,6 @@
-//! [`CalibrationFile`], the content of `calibration.toml` and `calibration.json`: parameters with their uncertainty, figures
-//! of the solve, verdict, and the inputs with their checksums. Terminal, page and all other files of a result are made from
-//! it. Also `dh.csv`, the table of its links.
+//! [`CalibrationFile`], the content of `calibration.toml` and `calibration.json`: parameters with their uncertainty,
+//! statistics of the solve, verdict, and the input files with their checksums. Text for the terminal, the report page and all
+//! other result files are made from it. This module also writes `dh.csv`, the table of the identified links.
 
 use std::fs::File;
 use std::io;
@@ -30,30 +30,30 @@ use crate::model::{Group, Model, Parameter, ParameterId, Role, TermGroup, Unit};
 use crate::report::verdict::CalibrationVerdict;
 use crate::solver::{Identifiability, Solution, Summary};
 
-/// Version of the file's structure; it rises when a key changes its name or meaning.
+/// Version of the file's structure. It increases when the name or the meaning of a key changes.
 pub const SCHEMA: u32 = 2;
 
-/// Why a file of a result cannot be written.
+/// Reasons why a result file cannot be written.
 #[derive(Debug, thiserror::Error)]
 pub enum FileError {
-    /// The operating system refused.
+    /// The operating system reported an error.
     #[error("cannot write {}: {source}; check the directory and free space", path.display())]
     Io {
-        /// The file or directory.
+        /// Path of the file or directory.
         path: PathBuf,
         /// Error of the operating system.
         source: io::Error,
     },
-    /// A number does not fit TOML.
+    /// The calibration cannot be represented in TOML.
     #[error("the calibration cannot be written as TOML: {0}")]
     Toml(#[from] toml::ser::Error),
-    /// A number does not fit JSON.
+    /// The calibration cannot be represented in JSON.
     #[error("the calibration cannot be written as JSON: {0}")]
     Json(#[from] serde_json::Error),
     /// The table of links cannot be written.
     #[error("the table of links cannot be written as CSV: {0}")]
     Csv(#[from] csv::Error),
-    /// The offsets of the joints cannot be written in terms of the robot's log.
+    /// The joint offsets cannot be converted to columns of the robot's log.
     #[error(transparent)]
     Conversion(#[from] LogError),
 }
@@ -61,16 +61,16 @@ pub enum FileError {
 /// A file that the calibration was made from.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct InputFile {
-    /// Such as `recording` or `robot`.
+    /// Role of the file, such as `recording` or `robot`.
     pub role: String,
     /// Path of the file.
     pub path: PathBuf,
-    /// Its checksum, hexadecimal.
+    /// SHA-256 checksum of the content, in hexadecimal digits.
     pub sha256: String,
 }
 
 impl InputFile {
-    /// Reads the checksum of a file, or of a configuration that was given by its name.
+    /// Computes the checksum of a file, or of a built-in configuration that was selected by its name.
     pub fn of(role: &str, path: &Path) -> io::Result<Self> {
         let mut hash = Sha256::new();
         match Source::find(path) {
@@ -86,11 +86,11 @@ impl InputFile {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ParameterStatus {
-    /// Found from the samples.
+    /// Estimated from the samples.
     Identified,
-    /// Found from the samples and a prior.
+    /// Estimated from the samples and a prior.
     IdentifiedWithPrior,
-    /// Left at its value.
+    /// Not estimated; the value is unchanged.
     Fixed,
 }
 
@@ -101,13 +101,13 @@ pub struct ParameterEntry {
     pub name: String,
     /// `m`, `rad`, `s` or `1`.
     pub unit: String,
-    /// Data sheet or first guess.
+    /// Nominal value, from the data sheet or a first guess.
     pub nominal: f64,
     /// Value at the solution.
     pub value: f64,
     /// Identified value minus nominal value.
     pub correction: f64,
-    /// One standard deviation; absent for fixed parameters that are taken as exact.
+    /// One standard deviation. Absent if it is unknown, and for fixed parameters that are taken as exact.
     pub sigma: Option<f64>,
     /// Identified or fixed.
     pub status: ParameterStatus,
@@ -133,7 +133,8 @@ impl ParameterEntry {
         }
     }
 
-    /// Those of a calibration: all of the first run, then those that no run before has, named as in `ox@2`.
+    /// Entries of all parameters of a calibration. All parameters of the first run come first. For each further run, the
+    /// parameters that no earlier run has are added under names such as `ox@2`.
     pub fn of_calibration(calibration: &Calibration) -> Vec<Self> {
         let (columns, covariance) = (&calibration.solved.columns, &calibration.solution().covariance);
         let mut entries: Vec<Self> = Vec::new();
@@ -146,7 +147,8 @@ impl ParameterEntry {
             }
             for (parameter, &column) in model.columns().zip(columns_of) {
                 let Some(name) = columns.all().get(column).map(ToString::to_string) else { continue };
-                // An entry that was fixed in an earlier run is replaced by that of a run that identifies it.
+                // If an earlier run fixed the parameter and this run identifies it, the entry of this
+                // run replaces the earlier entry.
                 if entries.iter().all(|entry| entry.name != name || entry.status == ParameterStatus::Fixed) {
                     entries.retain(|entry| entry.name != name);
                     entries.push(Self { name, ..Self::new(parameter, covariance.sigma(column)) });
@@ -172,7 +174,7 @@ impl ParameterEntry {
         names
     }
 
-    /// Its unit for display: angles of the robot's links are in degrees, as controllers have them.
+    /// Unit and digits for display. Angles of the robot's links are in degrees, as in controllers.
     pub(in crate::report) fn read_in(&self) -> ReadIn {
         let unit = self.id().map_or(Unit::Ratio, ParameterId::unit);
         match (self.id(), unit) {
@@ -183,13 +185,13 @@ impl ParameterEntry {
         }
     }
 
-    /// The parameter, without the number of the run; `None` for an unknown name.
+    /// Identifier of the parameter, without the number of the run. `None` if the name is unknown.
     pub fn id(&self) -> Option<ParameterId> {
         self.name.split('@').next()?.parse().ok()
     }
 
-    /// All parameters of a model at its solution, in the model's order, except terms of joints, forces and the bar's length
-    /// that the calibration did not use. Harmonics of the bar's encoders always stay.
+    /// Entries of the parameters of a model at its solution, in the model's order. Terms of joints, forces and the bar's
+    /// length are left out if the calibration did not use them. Harmonics of the bar's encoders are always included.
     pub fn all(model: &Model, sigma: impl Fn(ParameterId) -> Option<f64>) -> Vec<Self> {
         let is_unused_term = |parameter: &&Parameter| {
             let group = parameter.id.group();
@@ -205,7 +207,7 @@ impl ParameterEntry {
 
 /// How a number is displayed.
 pub(in crate::report) struct ReadIn {
-    /// Multiplies the SI value.
+    /// Factor by which the SI value is multiplied.
     pub factor: f64,
     /// Symbol of the unit, such as `deg`.
     pub unit: &'static str,
@@ -213,7 +215,7 @@ pub(in crate::report) struct ReadIn {
     pub decimals: usize,
 }
 
-/// How the solve went.
+/// Statistics of the solve.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct SolveEntry {
     /// Name of the cost function.
@@ -222,20 +224,20 @@ pub struct SolveEntry {
     pub ended: String,
     /// Number of accepted steps.
     pub iterations: usize,
-    /// Samples that were used.
+    /// Number of samples used.
     pub samples: usize,
-    /// Free parameters, all of them identified.
+    /// Number of free parameters. All of them were identified.
     pub parameters: usize,
     /// Condition number of the column-scaled Jacobian.
     pub condition: f64,
     /// Root mean square of the residuals at the nominal start, in the cost's unit.
     pub residual_rms_start: f64,
-    /// The same at the solution.
+    /// Root mean square of the residuals at the solution, in the cost's unit.
     pub residual_rms: f64,
 }
 
 impl SolveEntry {
-    /// Of a solve that identified all of its free parameters.
+    /// Statistics of a solve that identified all of its free parameters.
     pub fn new(cost: &str, summary: &Summary, identifiability: &Identifiability) -> Self {
         Self {
             cost: cost.to_owned(),
@@ -250,10 +252,10 @@ impl SolveEntry {
     }
 }
 
-/// Description of a measurement in its recording; empty fields are not in it.
+/// Description of a measurement, from its recording. A field is empty if the recording does not contain it.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct MeasurementEntry {
-    /// When the recording began.
+    /// Time at which the recording began.
     pub started: String,
     /// Name of the operator.
     pub operator: String,
@@ -261,15 +263,15 @@ pub struct MeasurementEntry {
     pub robot: String,
     /// Name or serial number of the bar.
     pub bar: String,
-    /// What the robot carried beside the bar.
+    /// Load on the robot in addition to the bar.
     pub payload: String,
-    /// It was simulated: nothing was measured.
+    /// True if the data were simulated, not measured.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub simulated: bool,
 }
 
 impl MeasurementEntry {
-    /// Of a table, which contains only whether it was simulated.
+    /// Entry of a table, which contains only whether its data were simulated. `None` for measured data.
     pub fn of_table(simulated: bool) -> Option<Self> {
         simulated.then(|| Self { simulated, ..Self::default() })
     }
@@ -291,83 +293,85 @@ impl From<&RunMetadata> for MeasurementEntry {
 /// The content of `calibration.toml` and `calibration.json`.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct CalibrationFile {
-    /// [`SCHEMA`].
+    /// Version of the structure, see [`SCHEMA`].
     pub schema: u32,
-    /// When it was made.
+    /// Time at which the calibration was made, UTC.
     pub created: String,
-    /// Program and version that made it.
+    /// Name and version of the program that made it.
     pub software: String,
     /// Name of the robot.
     pub robot: String,
-    /// What it was measured with.
+    /// Name of the instruments that measured the robot.
     pub instrument: String,
-    /// Numbers of the robot's links of which the data determine no more than a combination, such as `rd2|rd3|rd4`.
+    /// Link parameters of the robot that the data do not separate. An entry such as `rd2|rd3|rd4` lists parameters of which
+    /// only a combination is determined. A single name is a parameter that is not determined at all.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub not_separated: Vec<String>,
-    /// Description of the measurement in each recording.
+    /// Descriptions of the measurements, from their recordings.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub measured: Vec<MeasurementEntry>,
-    /// The verdict; files of earlier versions have none.
+    /// The verdict. Files of earlier versions have none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub verdict: Option<CalibrationVerdict>,
-    /// Limits of its accuracy, the most important first; the verdict names the first that is serious.
+    /// Limits of the accuracy, the most important first. The verdict may name the first serious limit as its reason.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub limits: Vec<Limit>,
-    /// What the scale of all lengths rests on.
+    /// Sentence that states which measured length determines the scale of all lengths.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub scale: Option<String>,
-    /// Figures of the solve.
+    /// Statistics of the solve.
     pub solve: SolveEntry,
-    /// Clocks of instrument and robot, of each data set that has its own.
+    /// Clock difference between instrument and robot, for each data set that has clocks of its own.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub clocks: Vec<ClockEntry>,
     /// The force on the bar in each run that has one.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub forces: Vec<ForceEntry>,
-    /// Noise of the angles of each run with a ball-bar, where the cost weighs by it.
+    /// Noise of the angles in each run with a ball-bar, if the cost weights residuals by it.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub noise: Vec<NoiseEntry>,
-    /// Files it was made from.
+    /// Files from which the calibration was made.
     pub inputs: Vec<InputFile>,
-    /// Kinds of terms that were tried on held-out segments of the runs.
+    /// Groups of terms that were tried on held-out segments of the runs.
     #[serde(default)]
     pub candidates: Vec<Candidate>,
-    /// How well held-out segments of the runs were predicted.
+    /// Prediction errors on held-out segments of the runs.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub held_out: Option<HeldOutEntry>,
-    /// How well rows of trackers and wires were predicted that the fit did not see.
+    /// Prediction errors on held-out rows of trackers and wires, which the fit did not use.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub rows: Vec<RowsEntry>,
-    /// How well rows at each part of an instrument were predicted by all other data.
+    /// Prediction errors on the rows at each part of an instrument, by a fit to all other data.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub unseen: Vec<UnseenPart>,
-    /// How well rows of other files were predicted.
+    /// Prediction errors on rows of other files.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub validations: Vec<ValidationEntry>,
-    /// Every parameter of the model; those of run 2 alone are called `ox@2`.
+    /// Every parameter of the model. A parameter that belongs to run 2 only has a name such as `ox@2`.
     pub parameters: Vec<ParameterEntry>,
-    /// The robot if only part of the model is applied.
+    /// Results if only part of the model is applied.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub deployments: Vec<DeploymentEntry>,
-    /// Where in joint space it is supported.
+    /// Joint ranges in which the calibration is supported.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub validity: Option<Validity>,
-    /// Position errors of the geometry.
+    /// Expected position errors over the workspace.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub expected: Option<ExpectedEntry>,
-    /// What makes positions uncertain.
+    /// Contributions to the uncertainty of positions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub budget: Option<Budget>,
     /// Rank, observability and correlations of the parameters.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub knowledge: Option<Knowledge>,
-    /// Covariance of the free parameters and of those that were fixed at uncertain values; in `calibration.json` alone.
+    /// Covariance of the free parameters and of those that were fixed at uncertain values.
+    /// Only `calibration.json` contains it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub covariance: Option<CovarianceEntry>,
 }
 
 impl CalibrationFile {
-    /// The constant part: schema, time and program.
+    /// Creates the content from these values, with current schema, time and program version. All other fields are empty.
     pub fn new(
         robot: &str,
         instrument: &str,
@@ -388,12 +392,12 @@ impl CalibrationFile {
         }
     }
 
-    /// One of the measurements was simulated.
+    /// True if at least one of the measurements was simulated.
     pub fn is_simulated(&self) -> bool {
         self.measured.iter().any(|one| one.simulated)
     }
 
-    /// Adds what the data do not separate; `model` has the solution's first columns.
+    /// Adds the link parameters that the data do not separate. `model` is the model of the solution's first columns.
     #[must_use]
     pub fn with_separation(mut self, model: &Model, solution: &Solution) -> Self {
         let names = |group: Vec<ParameterId>| group.iter().map(ToString::to_string).collect::<Vec<_>>();
@@ -402,7 +406,8 @@ impl CalibrationFile {
         self
     }
 
-    /// Parameters for display, and the number of wave amplitudes that are left out: more than forty would fill a page.
+    /// Parameters for display, and the number of wave amplitudes that are left out. If there are more than forty amplitudes,
+    /// all of them are left out, because they would fill a page.
     pub fn reported(&self) -> (Vec<&ParameterEntry>, usize) {
         const WAVES_MAX: usize = 40;
         let is_wave = |entry: &ParameterEntry| matches!(entry.id(), Some(ParameterId::JointWave { .. }));
@@ -411,9 +416,10 @@ impl CalibrationFile {
         (self.parameters.iter().filter(|entry| left_out == 0 || !is_wave(entry)).collect(), left_out)
     }
 
-    /// Writes `calibration.toml`, the same with the covariance as `calibration.json`, and, if links alone predict better than
-    /// the nominal robot, `dh.csv` ([`CalibrationFile::dh_csv`]) into the directory, each whole or not at all. Removes a
-    /// `report.html` that this program wrote earlier. Returns the path of `calibration.toml`.
+    /// Writes three files into the directory. `calibration.toml` contains everything except the covariance.
+    /// `calibration.json` also contains the covariance. `dh.csv` ([`CalibrationFile::dh_csv`]) is written only if links alone
+    /// predict better than the nominal robot. Each file is written completely or not at all. A `report.html` that this
+    /// program wrote earlier is removed. Returns the path of `calibration.toml`.
     ///
     /// # Errors
     /// [`FileError`].
@@ -429,9 +435,9 @@ impl CalibrationFile {
         replace(directory, "calibration.toml", &text)
     }
 
-    /// One row for each number of each link of [`Deployment::Dh`]:
-    /// `chain,link,parameter,unit,nominal,identified,correction,sigma,deployment,held_out_mm`, SI units, links from 1 in the order of
-    /// the chain. Parameters that were fixed and taken as exact have no sigma.
+    /// Text of `dh.csv`, with one row for each parameter of each link of [`Deployment::Dh`]. The columns are
+    /// `chain,link,parameter,unit,nominal,identified,correction,sigma,deployment,held_out_mm`. Numbers are in SI units, except
+    /// `held_out_mm`. Links are numbered from 1 in the order of the chain. Fixed parameters that are taken as exact have no sigma.
     ///
     /// # Errors
     /// [`FileError::Csv`].
@@ -473,21 +479,21 @@ pub struct DhRow {
     pub parameter: String,
     /// `m` or `rad`.
     pub unit: String,
-    /// Data sheet or first guess.
+    /// Nominal value, from the data sheet or a first guess.
     pub nominal: f64,
     /// Value at the solution.
     pub identified: f64,
     /// Identified value minus nominal value.
     pub correction: f64,
-    /// One standard deviation; absent for fixed parameters that are taken as exact.
+    /// One standard deviation. Absent if it is unknown, and for fixed parameters that are taken as exact.
     pub sigma: Option<f64>,
-    /// What all rows together are for.
+    /// Deployment of the table. Its rows are intended to be applied together.
     pub deployment: Deployment,
-    /// Root mean square of held-out positions with all rows applied and nothing else \[mm\].
+    /// RMS error of held-out positions if all rows and nothing else are applied \[mm\].
     pub held_out_mm: Option<f64>,
 }
 
-/// The present time, for files.
+/// Current time in UTC, as text.
 pub(in crate::report) fn now() -> String {
     UtcNs::from_datetime(chrono::Utc::now()).to_string()
 }
@@ -497,7 +503,7 @@ pub(in crate::report) fn software() -> String {
     shared::version::software("identify")
 }
 
-/// Writes a file under another name and renames it, so that it is never incomplete under its own.
+/// Writes a file under a temporary name and then renames it, so that a file under its final name is never incomplete.
 pub(crate) fn replace(directory: &Path, name: &str, text: &str) -> Result<PathBuf, FileError> {
     let path = directory.join(name);
     let part = directory.join(format!("{name}.part"));

@@ -1,5 +1,5 @@
-//! The entry of `calibration.toml` and `calibration.json` on the force on the bar: its range, the identified elongation, and
-//! the deviation from the sphere with and without it.
+//! The entry of `calibration.toml` and `calibration.json` about the force on the bar. It contains the range of the force, the
+//! identified elongation of the bar, and the deviation from the sphere with and without this elongation.
 
 use serde::{Deserialize, Serialize};
 
@@ -13,31 +13,32 @@ pub struct ForceEntry {
     pub run: usize,
     /// Kind of the measured force.
     pub kind: ForceKind,
-    /// Clock of the force log.
+    /// Clock by which the force log was recorded.
     pub clock: ForceClock,
     /// Direction of the log's positive force: `tension`, `compression` or `not determined`.
     pub positive: String,
-    /// `bcompliance` \[m/N\] or `bplay`, half of the play \[m\]: positive where the log's positive force makes the bar longer.
+    /// Name of the identified parameter: `bcompliance` \[m/N\], or `bplay`, half of the play \[m\]. Its value is positive if
+    /// the log's positive force makes the bar longer.
     pub parameter: String,
     /// Value at the solution.
     pub value: f64,
-    /// One standard deviation; absent where it was fixed.
+    /// One standard deviation. Absent if the parameter was fixed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sigma: Option<f64>,
-    /// Smallest and largest along the bar \[N\], or signs.
+    /// Smallest and largest force along the bar \[N\], or smallest and largest sign.
     pub range: [f64; 2],
-    /// Samples left out because they have no force.
+    /// Number of samples left out because they have no force.
     pub uncovered: usize,
-    /// Deviation of the calibrated robot from the sphere of a rigid bar, root mean square \[m\].
+    /// RMS deviation of the calibrated robot from the sphere of a rigid bar \[m\].
     pub off_sphere_rms_m: f64,
-    /// The same without what the force explains \[m\].
+    /// RMS deviation from the sphere that the force does not explain \[m\].
     pub unexplained_rms_m: f64,
     /// Effect of the force on the bar's length, and the log's positive direction, as a sentence.
     pub sentence: String,
 }
 
 impl ForceEntry {
-    /// Of a run that has a force.
+    /// Entry of a run; `None` if the run has no force.
     pub fn of(sphere: &SphereDeviation) -> Option<Self> {
         let elongation = sphere.elongation?;
         let positive = match elongation.positive {

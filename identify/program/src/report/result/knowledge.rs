@@ -1,5 +1,5 @@
-//! Entries of `calibration.toml` and `calibration.json` on the solution: rank, observability, correlations and covariance of
-//! the parameters, noise of the angles, and expected position errors.
+//! Entries of `calibration.toml` and `calibration.json` about the solution: rank, observability, correlations and covariance
+//! of the parameters, noise of the angles, and expected position errors.
 
 use std::collections::BTreeMap;
 
@@ -14,15 +14,16 @@ use crate::instrument::{Noise, NoiseConfig, Run};
 use crate::model::Column;
 use crate::solver::{Observability, SigmasFrom, Solution};
 
-/// Correlations above this are listed.
+/// Correlations with a larger absolute value are listed.
 const NAMED_ABOVE: f64 = 0.8;
-/// Pairs that are listed, at most.
+/// Largest number of listed pairs.
 const NAMED_MAX: usize = 20;
 
-/// Parameters that are known by their prior alone are named up to this number.
+/// Largest number of parameters that are named because only their prior determines them.
 const NAMED_BY_PRIOR: usize = 8;
 
-/// Above this part of its prior's sigma a parameter is known by the prior: the data contribute a tenth of the information.
+/// A parameter counts as determined by its prior only, if its sigma is larger than this fraction of the prior's sigma. The
+/// data then contribute less than a tenth of the information.
 const BY_PRIOR: f64 = 0.95;
 
 /// Two parameters that the data can hardly separate.
@@ -32,50 +33,52 @@ pub struct CorrelationEntry {
     pub first: String,
     /// Name of the other parameter.
     pub second: String,
-    /// -1 to 1.
+    /// Correlation coefficient, -1 to 1.
     pub correlation: f64,
 }
 
-/// What samples and priors determine.
+/// Information about the parameters in samples and priors.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Knowledge {
-    /// Directions determined by samples and priors.
+    /// Number of directions in parameter space that samples and priors determine together.
     pub rank: usize,
-    /// Directions determined by the samples alone.
+    /// Number of directions that the samples alone determine.
     pub rank_of_samples: usize,
-    /// Singular values of the column-scaled Jacobian with priors, descending: a gap among them makes the rank uncertain.
+    /// Singular values of the column-scaled Jacobian with priors, in descending order. If some of them are far smaller than
+    /// the others, the rank is uncertain.
     pub singular_values: Vec<f64>,
-    /// Of the samples without priors, with columns in mm, mrad, ms and ppm; all zero if the samples alone do not determine all parameters.
+    /// Observability by the samples without priors, with columns in mm, mrad, ms and ppm. All indices are zero if the samples
+    /// alone do not determine all parameters.
     pub observability: Observability,
-    /// What sigmas and covariance rest on.
+    /// Assumption on which sigmas and covariance are based.
     #[serde(default)]
     pub sigmas_from: SigmasFrom,
-    /// Parameters that the data do not determine: known by their priors alone.
+    /// Parameters that the data do not determine. Only their priors limit their uncertainty.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub by_prior: Vec<String>,
-    /// Pairs that are correlated most, the strongest first.
+    /// The most strongly correlated pairs, the strongest first.
     pub correlations: Vec<CorrelationEntry>,
 }
 
-/// The noise of a run's angles, one standard deviation \[rad\], by which the cost `pose` weighs.
+/// Noise of the angles of a run, one standard deviation \[rad\]. The cost `pose` weights its residuals by it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct NoiseEntry {
     /// Number of the run, from 1.
     pub run: usize,
-    /// Of each bar encoder, estimated from the residuals.
+    /// Noise of each bar encoder, estimated from the residuals.
     pub encoder_rad: f64,
     /// Configured noise of the encoders.
     pub encoder_rad_configured: f64,
-    /// Of each robot joint, estimated from the residuals.
+    /// Noise of each robot joint, estimated from the residuals.
     pub robot_rad: f64,
     /// Configured noise of the joints.
     pub robot_rad_configured: f64,
-    /// Correlation of the residuals of consecutive samples: the part of their variance that is not white.
+    /// Correlation of the residuals of consecutive samples. It is the fraction of their variance that is not white.
     pub autocorrelation: f64,
 }
 
 impl NoiseEntry {
-    /// Those of all runs whose noise was found.
+    /// Entries of all runs whose noise was estimated.
     pub fn all(runs: &[Run], configured: NoiseConfig) -> Vec<Self> {
         let configured = AngleNoise::from(configured);
         let entry = |(run, Run { instrument, .. }): (usize, &Run)| {
@@ -93,7 +96,7 @@ impl NoiseEntry {
         runs.iter().enumerate().filter_map(entry).collect()
     }
 
-    /// The same as a sentence.
+    /// The entry as a sentence.
     pub(in crate::report) fn sentence(&self) -> String {
         let urad = |found: f64, configured: f64| {
             format!("{:.1} urad (configured {:.1})", found * 1e6, configured * 1e6)
@@ -108,12 +111,13 @@ impl NoiseEntry {
     }
 }
 
-/// The covariance of all free parameters, and after them of those that were fixed at uncertain values, SI units.
+/// Covariance of all free parameters, followed by those that were fixed at uncertain values, in SI units.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CovarianceEntry {
     /// Parameters in the order of rows and columns.
     pub names: Vec<String>,
-    /// Row by row up to the diagonal, the rest is the same; absent where a parameter is not identified.
+    /// Lower triangle of the symmetric matrix, row by row up to the diagonal. An element is absent if one of
+    /// its parameters is not identified.
     pub rows: Vec<Vec<Option<f64>>>,
 }
 
@@ -125,8 +129,8 @@ impl CovarianceEntry {
 }
 
 impl CalibrationFile {
-    /// Adds rank, observability, correlations and covariance of a solution; `all` are the columns of the covariance, which goes
-    /// into `calibration.json` alone.
+    /// Adds rank, observability, correlations and covariance of a solution. `all` are the columns of the covariance.
+    /// Only `calibration.json` contains the covariance.
     pub fn with_knowledge(mut self, solution: &Solution, all: &[Column]) -> Self {
         let identifiability = &solution.identifiability;
         let name = |column: usize| all[column].to_string();
@@ -164,7 +168,7 @@ impl CalibrationFile {
 }
 
 impl Knowledge {
-    /// Lines for the terminal; `free` is the number of free parameters.
+    /// Text for the terminal; `free` is the number of free parameters.
     pub(in crate::report) fn describe(&self, free: usize) -> String {
         use std::fmt::Write;
         let mut text = String::new();
@@ -186,7 +190,7 @@ impl Knowledge {
         }
         let (from, of_95) = (self.sigmas_from, self.sigmas_from.sigmas_of_95());
         let _ = writeln!(text, "sigmas from {from}; 95 % lie within {of_95:.2} of them");
-        // All five are zero where a direction rests on priors alone.
+        // All five indices are zero if the samples alone do not determine all parameters.
         if self.observability.o3 > 0.0 {
             let _ = writeln!(text, "observability (mm, mrad): {}", self.observability);
         }
@@ -199,23 +203,23 @@ impl Knowledge {
     }
 }
 
-/// Position errors that are expected of the geometry, before and after.
+/// Expected position errors over the workspace, before and after calibration.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ExpectedEntry {
-    /// Over the workspace, with the nominal geometry.
+    /// Error with the nominal geometry.
     pub nominal: Expected,
-    /// With the calibrated geometry: links and errors of joints.
+    /// Error with the calibrated geometry: links and joint errors.
     pub calibrated: Expected,
-    /// Over the workspace, with each deployment applied.
+    /// Error with each deployment applied.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub deployed: BTreeMap<Deployment, Expected>,
-    /// The same at the five poses of ISO 9283; absent where the robot reaches no such cube.
+    /// Errors at the five poses of ISO 9283. Absent if the robot reaches no such cube.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cube: Option<CubeError>,
 }
 
 impl ExpectedEntry {
-    /// Of what was found over the workspace.
+    /// Entry with the expected errors over the workspace.
     pub fn of(workspace: &WorkspaceError) -> Self {
         let WorkspaceError { before, after, cube, .. } = *workspace;
         Self { nominal: before, calibrated: after, deployed: workspace.deployed.clone(), cube }

@@ -1,4 +1,4 @@
-//! The files of a calibration: its parameters and all that is known of them, and those for other programs.
+//! The files of a calibration: all estimated parameters with their uncertainty and validation, and files for other programs.
 
 pub mod clocks;
 pub mod corrections;

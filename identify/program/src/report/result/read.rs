@@ -1,5 +1,5 @@
-//! Reads `calibration.json` or `calibration.toml` into a [`CalibrationFile`], also of schema 1, and refuses numbers that
-//! are out of range.
+//! Reads `calibration.json` or `calibration.toml` into a [`CalibrationFile`]. Files of schema 1 are converted to the current
+//! schema. Files with numbers that are out of range are refused.
 
 use std::path::{Path, PathBuf};
 
@@ -7,12 +7,13 @@ use serde_json::{Map, Value};
 
 use super::file::{CalibrationFile, SCHEMA};
 
-/// No parameter or its sigma is larger than this, in SI units; beyond are damaged files, whose numbers would overflow.
+/// Largest absolute value of a parameter, and largest sigma, in SI units. Larger numbers occur in damaged files only, and
+/// computations with them would overflow.
 const NUMBER_MAX: f64 = 1e12;
-/// No sigma above zero is smaller, for the same reason.
+/// Smallest sigma above zero. Smaller numbers occur in damaged files only, and computations with them would overflow.
 const SIGMA_MIN: f64 = 1e-30;
 
-/// Why a calibration cannot be read.
+/// Reason why a calibration file cannot be read.
 #[derive(Debug, thiserror::Error)]
 #[error("{}: {kind}", path.display())]
 pub struct CalibrationReadError {
@@ -37,10 +38,10 @@ enum ReadProblem {
 }
 
 impl CalibrationFile {
-    /// Reads `calibration.json`, `calibration.toml`, or the former in a directory.
+    /// Reads `calibration.json` or `calibration.toml`. If `path` is a directory, reads the `calibration.json` in it.
     ///
     /// # Errors
-    /// [`CalibrationReadError`] names the file.
+    /// [`CalibrationReadError`], which names the file.
     pub fn open(path: &Path) -> Result<Self, CalibrationReadError> {
         let path = if path.is_dir() { path.join("calibration.json") } else { path.to_owned() };
         let text = std::fs::read_to_string(&path)
@@ -48,7 +49,7 @@ impl CalibrationFile {
         Self::parse(&text, &path)
     }
 
-    /// [`Self::open`] on text in memory; the ending of `path` selects the format.
+    /// As [`Self::open`], for text in memory. The file name extension of `path` selects the format.
     ///
     /// # Errors
     /// As [`Self::open`].
@@ -63,7 +64,7 @@ impl CalibrationFile {
         let file: Self = match values.get("schema").and_then(Value::as_u64) {
             Some(1) => serde_json::from_value(upgraded_from_schema_1(values))?,
             Some(found) if found != u64::from(SCHEMA) => return Err(ReadProblem::Schema { found }),
-            // TOML has infinite numbers, `Value` has none.
+            // The text is parsed again, because TOML has infinite numbers and a JSON `Value` has not.
             _ if is_toml => toml::from_str(text)?,
             _ => serde_json::from_value(values.into())?,
         };
@@ -79,8 +80,8 @@ impl CalibrationFile {
     }
 }
 
-/// Converts a file of schema 1 to [`SCHEMA`]: it had the first clock and the first force under keys of their own, and the earliest
-/// files had no data set numbers and no instrument names.
+/// Converts a file of schema 1 to [`SCHEMA`]. Schema 1 had the first clock and the first force under keys of their own. Its
+/// earliest files had no data set numbers and no instrument names.
 fn upgraded_from_schema_1(mut file: Map<String, Value>) -> Value {
     file.insert("schema".into(), SCHEMA.into());
     for (first, others, all) in [("clock", "other_clocks", "clocks"), ("force", "other_forces", "forces")] {

@@ -1,4 +1,4 @@
-//! `residuals.csv`: robot minus measurement in each sample and row of a calibration, used or left out.
+//! `residuals.csv`: difference between robot and measurement for each sample and row of a calibration, used or rejected.
 
 use serde::Serialize;
 
@@ -7,7 +7,8 @@ use super::file::FileError;
 use crate::calibrate::Calibration;
 use crate::instrument::{Apart, Deviation, Rejection};
 
-/// One sample: robot minus measurement, along the axes of the robot's base.
+/// One row of the file. A position difference is the position of the robot's end minus the measured position, along the
+/// axes of the robot's base.
 #[derive(Debug, Default, Serialize)]
 struct ResidualRow {
     /// Number of the data set as in `calibration.toml`, from 1.
@@ -17,15 +18,15 @@ struct ResidualRow {
     sample: usize,
     /// Line number in a file of rows.
     line: Option<u64>,
-    /// Time since the reference time, on the instrument's clock; empty for a robot at rest.
+    /// Time since the reference time, on the instrument's clock \[s\]. Empty if the robot was at rest.
     t_s: Option<String>,
     used: bool,
-    /// The reason if it was not.
+    /// Reason why the sample was not used.
     left_out: Option<&'static str>,
     x_mm: Option<String>,
     y_mm: Option<String>,
     z_mm: Option<String>,
-    /// For an instrument that measures a length in place of a position.
+    /// Length from the robot's pose minus measured length, for an instrument that measures a length instead of a position.
     length_mm: Option<String>,
     rotation_mrad: Option<String>,
 }
@@ -53,8 +54,8 @@ const fn reason(why: Rejection) -> &'static str {
     }
 }
 
-/// The text of the file; `lines` are the line numbers of each file of rows. A recording has one row for each sample of the solve;
-/// the report page shows what happened to the other cycles.
+/// Text of `residuals.csv`. `lines` are the line numbers of each file of rows. A recording has one row for each sample of the
+/// solve. The report page shows why the other cycles were not used.
 ///
 /// # Errors
 /// [`FileError::Csv`].
@@ -62,7 +63,7 @@ pub fn residuals_csv(calibration: &Calibration, lines: &[&[u64]]) -> Result<Stri
     let bar_runs = calibration.runs.len() - calibration.rows.len();
     let mut all = Vec::new();
     for (number, run) in calibration.runs.iter().enumerate() {
-        // Runs with a bar are first, then files of rows.
+        // Runs with a bar come first, then files of rows.
         let row_file = number.checked_sub(bar_runs);
         let deviations = match row_file.and_then(|index| calibration.rows.get(index)) {
             Some(set) => set.deviations(run),

@@ -1,5 +1,5 @@
-//! `robot.urdf`, and which tables of corrections are written with it: the identified robot for controllers and other
-//! programs. Also the identified links as a kinematic chain.
+//! Files with the identified robot for controllers and other programs: `robot.urdf`, and the tables of corrections. This
+//! module decides which of them are written. It also converts the identified links to a kinematic chain.
 
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -14,8 +14,8 @@ use crate::logs::RobotLogMapping;
 use crate::model::ParameterId;
 
 impl CalibrationFile {
-    /// The robot's links from the root, with `number` of each entry, such as its value; kinds of joints are those
-    /// of the validity range.
+    /// The robot's links from the root. `number` returns the number that is used of each entry, such as its value. Prismatic
+    /// joints are those that the validity ranges list as prismatic.
     pub(crate) fn links(&self, number: impl Fn(&ParameterEntry) -> f64) -> Chain {
         let mut links: Vec<DhLink> = Vec::new();
         for entry in &self.parameters {
@@ -32,7 +32,8 @@ impl CalibrationFile {
         Chain::new(Pose::identity(), links)
     }
 
-    /// The identified robot, to the frame where the calibration's last link ends: the flange, or the end of the ball-bar.
+    /// Kinematic chain of the identified robot. It ends where the calibration's last link ends: at the flange, or at the end
+    /// of the ball-bar's plate and tool.
     pub fn robot_chain(&self, robot: &RobotConfig, bar: Option<&BallBarConfig>) -> Chain {
         let mut chain = bar.map_or_else(|| flange_chain(robot), |bar| robot_chain(robot, bar));
         for entry in &self.parameters {
@@ -43,10 +44,10 @@ impl CalibrationFile {
         chain
     }
 
-    /// Writes what a controller can take, as far as it predicts held-out data better than the nominal robot:
-    /// `robot.urdf` and `corrections.csv` for links without errors of joints, `offsets.csv` for joint offsets alone if
-    /// these have a fit of their own, and for each table its joint offsets in terms of the log. Each is written whole
-    /// or not at all. Returns their paths.
+    /// Writes the files that a controller can apply, if their deployment predicts held-out data better than the nominal
+    /// robot. `robot.urdf` and `corrections.csv` contain links without joint errors. `offsets.csv` contains joint offsets
+    /// alone, if these have a fit of their own. For each table, a second table contains its joint offsets in units and signs
+    /// of the robot's log. Each file is written completely or not at all. Returns the paths of the files.
     ///
     /// # Errors
     /// [`FileError`].
@@ -85,11 +86,12 @@ impl CalibrationFile {
     }
 }
 
-/// The robot as URDF. Joints move about or along z of frames `axis_1`, `axis_2` and so on; joint variables are those of the
-/// model (see the robot's configuration for signs and zeros of the controller). `flange` is the robot's own, `ball_bar_end`
-/// where plate and tool of the bar end.
+/// The robot as URDF. Joints move about or along the z axes of the frames `axis_1`, `axis_2` and so on. Joint variables are
+/// those of the model. The robot's configuration defines how they relate to the signs and offsets of the controller. Frame
+/// `flange` is the robot's flange, and frame `ball_bar_end` is the end of the bar's plate and tool.
 ///
-/// `about` is written as a comment. Effort and velocity, which URDF demands, are not known to a calibration and are zero.
+/// `about` is written as a comment. URDF requires limits of effort and velocity. They are written as zero, because a
+/// calibration does not determine them.
 pub fn urdf(robot: &RobotConfig, identified: &Chain, bar: Option<&BallBarConfig>, about: &str) -> String {
     let mut text = String::from("<?xml version=\"1.0\"?>\n");
     // Writing to a string cannot fail.
@@ -106,7 +108,7 @@ pub fn urdf(robot: &RobotConfig, identified: &Chain, bar: Option<&BallBarConfig>
         parent = child;
     }
     let end = from_parent * identified.last_from_end;
-    // Plate and tool of the bar, from the flange to its end.
+    // The link from the flange to the end of the bar: plate and tool.
     let behind_flange =
         |bar: &BallBarConfig| DhLink { a_m: bar.plate_m, d_m: bar.tool_m, ..DhLink::default() };
     let flange = bar.map_or(end, |bar| end * behind_flange(bar).transform(0.0).inverse());
@@ -118,7 +120,7 @@ pub fn urdf(robot: &RobotConfig, identified: &Chain, bar: Option<&BallBarConfig>
     text
 }
 
-/// Appends a joint and the link after it; fixed where it has no axis.
+/// Appends a link and the joint that connects it to its parent. The joint is fixed if `axis` is `None`.
 fn append_joint(
     text: &mut String,
     name: &str,

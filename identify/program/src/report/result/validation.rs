@@ -1,4 +1,5 @@
-//! Held-out validation as entries of `calibration.toml` and `calibration.json`, and its line for the terminal.
+//! Results of held-out validation as entries of `calibration.toml` and `calibration.json`, and a line about them for the
+//! terminal. A part of the data is left out of a fit, and the fitted model then predicts this part.
 
 use std::collections::BTreeMap;
 
@@ -12,73 +13,74 @@ use crate::calibrate::validation::unseen::UnseenPart;
 use crate::evaluate::{Evidence, HeldOut};
 use crate::instrument::{HoldOut, PoseError};
 
-/// Segments of time that were predicted from fits to all others.
+/// RMS errors on time segments. Each segment was predicted by a fit that does not use it.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct HeldOutEntry {
-    /// Number of segments.
+    /// Number of predicted segments.
     pub segments: usize,
-    /// The nominal robot, the bar fitted to it.
+    /// Error of the nominal robot, with the bar fitted to it.
     pub nominal: PoseError,
-    /// The calibrated robot as fitted without the segment.
+    /// Error of the calibrated robot if the fit does not use the segment.
     pub calibrated: PoseError,
-    /// The calibration, which has seen the segment.
+    /// Error of the calibration, whose fit uses the segment.
     pub fitted: PoseError,
 }
 
-/// Errors of a file of rows, fitted and held out, in stages of the model: instrument alone, joint offsets, the other numbers of
-/// links, errors of joints.
+/// Errors on a file of rows, fitted and held out, in successive stages of the model: instrument alone, joint offsets,
+/// other link parameters, joint errors.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RowsEntry {
     /// Number of the data set, from 1.
     pub data_set: usize,
-    /// What was held out together.
+    /// Rule that selected which rows are held out together.
     pub hold_out: HoldOut,
-    /// Seed that selected the rows.
+    /// Seed of the random selection of rows.
     pub seed: u64,
-    /// Names that the file gives to stations of the instrument and to targets on the flange, by the prefix of their parameters:
-    /// `tracker` has `tracker_x` for the first name, `tracker2_x` for the second and so on.
+    /// Names in the file of the instrument's stations and of the targets on the flange. The key is the prefix of their
+    /// parameters: `tracker` has `tracker_x` for the first name, `tracker2_x` for the second and so on.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub names: BTreeMap<String, Vec<String>>,
-    /// Rows of the fit without the rejected ones.
+    /// Errors on the rows of the fit, without rejected rows.
     pub fitted: Stages,
-    /// Held-out rows.
+    /// Errors on the held-out rows.
     pub held_out: Stages,
-    /// Number of independent errors among the held-out rows. Files of earlier versions lack it: all their rows are counted.
+    /// Number of independent errors among the held-out rows. Files of earlier versions do not contain it; all their held-out
+    /// rows then count as independent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub independent: Option<usize>,
 }
 
-/// Rows of a file that took no part in the calibration.
+/// Errors on the rows of a file that the calibration did not use.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ValidationEntry {
-    /// The file.
+    /// Name of the file.
     pub name: String,
-    /// Data set whose instrument measured it, from 1.
+    /// Number (from 1) of the data set whose instrument measured the file.
     pub data_set: usize,
-    /// With the nominal robot, the instrument placed by other rows of the file.
+    /// Errors of the nominal robot. The instrument was located by other rows of the file.
     pub nominal: PoseFigures,
-    /// With the calibrated robot.
+    /// Errors of the calibrated robot.
     pub calibrated: PoseFigures,
-    /// Rows where the calibration is not supported.
+    /// Number of rows outside the joint ranges in which the calibration is supported.
     pub unsupported: usize,
-    /// Rows that are gross errors for both robots, which are not in the figures.
+    /// Number of rows that are gross errors for both robots. They are not in the statistics.
     pub left_out: usize,
 }
 
-/// Root mean square errors on held-out data of one kind.
+/// Root mean square errors on one set of held-out data.
 pub(in crate::report) struct HeldOutErrors {
     pub what: String,
     /// Number of independent errors in each root mean square.
     pub independent: usize,
     pub nominal: PoseError,
-    /// `None` if the deployment's fit did not converge or does not predict these data.
+    /// Error with the deployment. `None` if its fit did not converge or does not predict these data.
     pub calibrated: Option<PoseError>,
-    /// Of the calibrated robot on the data of the fit.
+    /// Error of the calibrated robot on the data of the fit.
     pub fitted: PoseError,
 }
 
 impl CalibrationFile {
-    /// Adds the held-out figures of the calibration, of each part of an instrument and of each deployment.
+    /// Adds the errors on held-out data: of the calibration, of each part of an instrument, and of each deployment.
     pub fn with_validation(mut self, evidence: &Evidence) -> Self {
         self.held_out =
             evidence.held_out.as_ref().filter(|held_out| !held_out.segments.is_empty()).map(|held_out| {
@@ -86,7 +88,7 @@ impl CalibrationFile {
                 HeldOutEntry { segments: held_out.segments.len(), nominal, calibrated, fitted }
             });
         self.unseen.clone_from(&evidence.unseen);
-        // A deployment is compared on the same segments only.
+        // The error of a deployment is comparable only if it covers the same segments.
         let comparable =
             |held_out: &HeldOut| Some(held_out.segments.len()) == self.held_out.map(|all| all.segments);
         let deployed = evidence.deployed.iter().map(|(deployed, held_out)| {
@@ -100,7 +102,8 @@ impl CalibrationFile {
         self
     }
 
-    /// Errors on the segments of all runs with a bar, then on the rows of each file, if this part of the model is applied.
+    /// Errors if this part of the model is applied: on the held-out segments of all runs with a bar, then on the held-out
+    /// rows of each file. For the full model, errors at unseen parts of each file follow.
     pub(in crate::report) fn held_out_with(&self, deployment: Deployment) -> Vec<HeldOutErrors> {
         let segments = self.held_out.map(|all| HeldOutErrors {
             what: "held-out segments".to_owned(),
@@ -132,7 +135,8 @@ impl CalibrationFile {
         segments.into_iter().chain(rows).chain(unseen).collect()
     }
 
-    /// Errors of the rows of a data set at its parts, each predicted by the fit to all other data.
+    /// Errors on the rows at the parts of a data set's instrument. Each part was predicted by the fit to all other data.
+    /// `None` if no part was predicted.
     fn at_unseen_parts(&self, rows: &RowsEntry) -> Option<HeldOutErrors> {
         let parts = || self.unseen.iter().filter(|part| part.data_set == rows.data_set);
         let rms = |errors: fn(&UnseenPart) -> &PoseFigures| {
@@ -151,7 +155,7 @@ impl CalibrationFile {
     }
 }
 
-/// Root mean square of groups with these numbers of errors and root mean squares.
+/// Root mean square over several groups. Each item is the number of errors in a group and their root mean square.
 fn pooled_rms(groups: impl Iterator<Item = (usize, f64)>) -> f64 {
     let sums = groups.fold([0.0, 0.0], |[count, squares], (number, rms)| {
         [count + number as f64, squares + number as f64 * rms.powi(2)]
