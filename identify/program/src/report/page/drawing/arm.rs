@@ -1,5 +1,5 @@
-//! Picture of a robot for `identify robot check`: from the side and from above its axes, two postures, and positions of the
-//! flange in random postures.
+//! Picture of a robot for `identify robot check`, seen from the side and from above. It shows the robot's axes, two postures,
+//! and positions of the flange in random postures.
 
 use nalgebra::Vector3;
 use shared::config::JointKind;
@@ -8,11 +8,12 @@ use super::plot::{BLUE, GREEN, GREY, Mark, ORANGE, Panel, Series};
 use crate::robot::RobotCheck;
 use crate::statistics::extremes;
 
-/// Width of the picture without the labels of its axes \[px\].
+/// Length of the longer side of each view, without the labels of its axes \[px\].
 const WIDTH_PX: f64 = 620.0;
-/// Width and height that the labels add to the axes of a panel \[px\].
+/// Width and height that axis labels add to a view \[px\].
 const LABELS_PX: (f64, f64) = (76.0, 100.0);
-/// A revolute axis is drawn this far to both sides of its point, a prismatic one to one side, as a part of the arm's reach.
+/// Length of a drawn axis, as a fraction of the arm's reach. A revolute axis extends by this length to both sides of its
+/// point, a prismatic axis to one side.
 const AXIS_PART: f64 = 0.07;
 
 /// Both views as one SVG.
@@ -28,7 +29,7 @@ pub fn picture(check: &RobotCheck) -> String {
     )
 }
 
-/// A picture within the picture.
+/// Embeds the SVG of a view into the picture, at this horizontal position.
 fn placed(svg: &str, x_px: u32, (width_px, height_px): (u32, u32)) -> String {
     let inner = svg.split_once('>').map_or(svg, |(_, inner)| inner);
     let view = format!("0 0 {} {}", width_px * super::plot::FINE, height_px * super::plot::FINE);
@@ -55,7 +56,7 @@ fn view(
     };
     let lines = check.axes.iter().flat_map(ends);
     series.push(Series::new("axes at zero", ORANGE, Mark::Segments, lines.map(|p| project(&p)).collect()));
-    // A metre has the same length on both axes.
+    // Both axes have the same scale.
     let span = |coordinate: fn(&(f64, f64)) -> f64| {
         let [low, high] = extremes(series.iter().flat_map(|one| &one.points).map(coordinate));
         (high - low).max(1e-3)

@@ -1,4 +1,4 @@
-//! Correlations of the free parameters as a picture.
+//! Map of the correlations of the free parameters.
 
 use std::fmt::Write;
 
@@ -9,16 +9,17 @@ use super::plot::{BLUE, FONT, ORANGE};
 use crate::model::ParameterId;
 use crate::report::result::knowledge::CovarianceEntry;
 
-/// Weaker correlations are left white.
+/// Correlations up to this absolute value are left white.
 const LEAST: f64 = 0.1;
 /// Number of shades for each sign.
 const STEPS: i32 = 20;
-/// Side of a cell, and width of the names \[px\].
+/// Side of a cell \[px\].
 const CELL: usize = 12;
+/// Width of the margin with the names of parameters \[px\].
 const NAMES: usize = 84;
 
-/// The matrix of the parameters of robot and first data set: blue positive, orange negative. Waves of the joints are left
-/// out: they are many, and correlated with nothing.
+/// Correlation matrix of the parameters of the robot and the first data set. Positive correlations are blue, negative ones
+/// orange. Amplitudes of joint waves are left out, because they are many and correlate with no other parameter.
 pub(in crate::report::page) fn figure(covariance: &CovarianceEntry) -> Markup {
     let is_shown = |name: &String| name.parse().is_ok_and(|id| !matches!(id, ParameterId::JointWave { .. }));
     let shown = covariance.names.iter().enumerate().filter(|(_, name)| is_shown(name));
@@ -46,7 +47,7 @@ pub(in crate::report::page) fn figure(covariance: &CovarianceEntry) -> Markup {
             "<text transform=\"translate({baseline} {beside_cells}) rotate(-90)\" {label}>{name}</text>"
         );
     }
-    // One path for all cells of a colour: as elements of their own they would be a third of the page.
+    // All cells of one shade are a single SVG path. Separate elements would take up a third of the page.
     for step in (-STEPS..=STEPS).filter(|step| *step != 0) {
         let path = cells(&rows, step);
         let RGBColor(r, g, b) = if step > 0 { BLUE } else { ORANGE };
@@ -60,7 +61,7 @@ pub(in crate::report::page) fn figure(covariance: &CovarianceEntry) -> Markup {
     PreEscaped(svg)
 }
 
-/// The cells of one shade, as a path.
+/// SVG path of all cells of one shade.
 fn cells(rows: &[Vec<f64>], step: i32) -> String {
     let has_shade = |value: &f64| value.abs() > LEAST && (value * f64::from(STEPS)).round() as i32 == step;
     let mut path = String::new();

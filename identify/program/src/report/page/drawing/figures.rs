@@ -1,5 +1,5 @@
-//! The figures of `report.html` on runs with a bar, each from the evidence of a calibration, and what several pages use:
-//! sizes of figures, time axes, maps of directions.
+//! Figures of `report.html` about runs with a bar, each made from the evidence of a calibration. Also elements that several
+//! pages use: sizes of figures, time axes, and maps of directions.
 
 use maud::Markup;
 use nalgebra::Vector3;
@@ -13,13 +13,14 @@ use crate::kinematics::Chain;
 use crate::prepare::LocalShift;
 use crate::statistics::extremes;
 
-/// Width and height of a figure that takes the whole width of the page, the half or a third of it \[px\].
+/// Width and height of a figure that takes up the whole width of the page, half of it, or a third of it \[px\].
 pub(in crate::report::page) const WIDE: (u32, u32) = (920, 250);
 pub(in crate::report::page) const HALF: (u32, u32) = (450, 270);
 pub(in crate::report::page) const THIRD: (u32, u32) = (340, 230);
-/// Square axes, with the room for the labels \[px\].
+/// Width and height of a figure with square axes, including the labels \[px\].
 pub(in crate::report::page) const ROUND: (u32, u32) = (450, 444);
 
+/// A series that is drawn as dots.
 pub(in crate::report::page) fn dots(
     name: impl Into<String>,
     colour: RGBColor,
@@ -28,7 +29,7 @@ pub(in crate::report::page) fn dots(
     Series::new(name, colour, Mark::Dots, points)
 }
 
-/// Time in the unit that suits the length of a run.
+/// A time axis in the unit that suits the duration of a run.
 #[derive(Debug, Clone, Copy)]
 pub(in crate::report::page) struct TimeAxis {
     /// Length of the unit \[s\].
@@ -38,9 +39,9 @@ pub(in crate::report::page) struct TimeAxis {
 }
 
 impl TimeAxis {
-    /// For all of these times.
+    /// The axis for all of these times.
     pub fn of(times_s: impl Iterator<Item = f64>) -> Self {
-        /// Longest of each unit \[s\].
+        /// Longest range of times that is displayed in seconds, and in minutes \[s\].
         const SECONDS_MAX: f64 = 900.0;
         const MINUTES_MAX: f64 = 3.0 * 3600.0;
         let [low, high] = extremes(times_s);
@@ -56,36 +57,36 @@ impl TimeAxis {
         Self::of(run.after.iter().map(|closure| closure.t_s))
     }
 
-    /// Title of the axis if times count from the middle of the run.
+    /// Label of the axis for times that count from the middle of the run.
     pub fn label(&self) -> String {
         format!("time from the middle of the run [{}]", self.unit)
     }
 
-    /// Title of the axis if times count from the first reading.
+    /// Label of the axis for times that count from the first reading.
     pub fn since_first(&self) -> String {
         format!("time from the first reading [{}]", self.unit)
     }
 
-    /// Seconds in the axis' unit.
+    /// Converts seconds to the unit of the axis.
     pub fn at(&self, t_s: f64) -> f64 {
         t_s / self.seconds
     }
 }
 
-/// A direction as it is seen from above: equal areas of the sphere are equal areas of the figure (Lambert), the horizon is at radius
-/// one.
+/// Projects a direction to the plane, as seen from above. The projection preserves areas (Lambert), so equal areas of the
+/// sphere are equal areas of the figure. The horizon has radius one.
 pub(in crate::report::page) fn from_above(direction: &Vector3<f64>) -> (f64, f64) {
     let across = direction.x.hypot(direction.y).max(1e-12);
     let radius = (1.0 - direction.z).max(0.0).sqrt();
     (direction.x / across * radius, direction.y / across * radius)
 }
 
-/// Directions from above, with the horizon.
+/// Map of directions as seen from above, with the horizon.
 pub(in crate::report::page) fn sphere_from_above(
     title: &str,
     series: impl IntoIterator<Item = Series>,
 ) -> Markup {
-    /// Corners of the horizon, which is a polygon.
+    /// Number of corners of the polygon that is drawn as horizon.
     const CORNERS: usize = 90;
     let corner = |corner: usize| (std::f64::consts::TAU * corner as f64 / CORNERS as f64).sin_cos();
     let horizon = Series::new("horizon", GREY, Mark::Line, (0..=CORNERS).map(corner).collect());
@@ -93,7 +94,8 @@ pub(in crate::report::page) fn sphere_from_above(
     Panel::new(title, ["towards the robot's x", "towards y"], ROUND, series).draw()
 }
 
-/// Distance of robot and bar over time, nominal and calibrated; `by_encoders` as in [`Closure::gap_m`].
+/// Distance between robot and bar over time, with the nominal and the calibrated robot;
+/// `by_encoders` as in [`Closure::gap_m`].
 pub(in crate::report::page) fn gap_over_time(run: &RunEvidence, by_encoders: bool) -> [Markup; 2] {
     let time = TimeAxis::of_run(run);
     let point = |one: &Closure| (time.at(one.t_s), 1e3 * one.gap_m(by_encoders));
@@ -107,7 +109,7 @@ pub(in crate::report::page) fn gap_over_time(run: &RunEvidence, by_encoders: boo
     ]
 }
 
-/// Components of the calibrated gap over time: position, and rotation if it was measured.
+/// Components of the difference between calibrated robot and bar over time: position, and rotation if it was measured.
 pub(in crate::report::page) fn components_over_time(run: &RunEvidence, rotations: bool) -> Vec<Markup> {
     let time = TimeAxis::of_run(run);
     let panel = |title: &str, y: &str, component: &dyn Fn(&Closure, usize) -> f64| {
@@ -126,7 +128,7 @@ pub(in crate::report::page) fn components_over_time(run: &RunEvidence, rotations
     panels
 }
 
-/// The residual by the value of each robot joint and by its direction of motion.
+/// Residuals over the position of each robot joint, with a colour for each direction of motion.
 pub(in crate::report::page) fn by_joint(evidence: &Evidence, robot: &Chain) -> Vec<Markup> {
     let panel = |(joint, (gaps, kind)): (usize, (&Vec<JointGap>, JointKind))| {
         let in_direction = |name, colour, forward: bool| {
@@ -144,14 +146,14 @@ pub(in crate::report::page) fn by_joint(evidence: &Evidence, robot: &Chain) -> V
     evidence.joints.iter().zip(robot.joint_kinds()).enumerate().map(panel).collect()
 }
 
-/// The gap as a function of a time shift between the two logs.
+/// RMS distance between robot and bar as a function of an additional time shift between the two logs.
 pub(in crate::report::page) fn shift(title: &str, curve: &ShiftCurve) -> Markup {
     let points = curve.shift_s.iter().zip(&curve.rms_m).map(|(shift_s, rms_m)| (shift_s * 1e3, rms_m * 1e3));
     let series = vec![Series::new("", BLUE, Mark::Line, points.collect())];
     Panel::new(title, ["added time shift [ms]", "RMS distance [mm]"], THIRD, series).with_zero().draw()
 }
 
-/// How the alignment varies along a run.
+/// Time shift between the logs in parts of a run, over time.
 pub(in crate::report::page) fn local_shifts(shifts: &[LocalShift]) -> Markup {
     let time = TimeAxis::of(shifts.iter().map(|shift| shift.t_s));
     let points = shifts.iter().map(|shift| (time.at(shift.t_s), shift.shift_s * 1e3));
@@ -159,7 +161,7 @@ pub(in crate::report::page) fn local_shifts(shifts: &[LocalShift]) -> Markup {
     Panel::new("Along the run", [&time.label(), "shift of 5 s parts [ms]"], THIRD, series).draw()
 }
 
-/// One series of each run, named where there are several.
+/// One series for each run. The series have names if there are several runs.
 fn by_run(evidence: &Evidence, point: impl Fn(&Closure) -> (f64, f64)) -> Vec<Series> {
     let several = evidence.runs.len() > 1;
     let series = |(number, run): (usize, &RunEvidence)| {
@@ -169,13 +171,13 @@ fn by_run(evidence: &Evidence, point: impl Fn(&Closure) -> (f64, f64)) -> Vec<Se
     evidence.runs.iter().enumerate().map(series).collect()
 }
 
-/// Directions of the bar, from above.
+/// Directions of the bar, as seen from above.
 pub(in crate::report::page) fn coverage(evidence: &Evidence) -> Markup {
     let series = by_run(evidence, |one| from_above(&one.direction));
     sphere_from_above("Directions of the bar, from above", series)
 }
 
-/// Distance from singular poses over time.
+/// Distance of the bar from singular poses over time.
 pub(in crate::report::page) fn margin(evidence: &Evidence) -> Markup {
     let times = evidence.runs.iter().flat_map(|run| &run.after).map(|closure| closure.t_s);
     let time = TimeAxis::of(times);

@@ -1,4 +1,4 @@
-//! Figures of the page as SVG text, by concept.
+//! Figures of the pages, as SVG text.
 
 pub(in crate::report::page) mod arm;
 pub(in crate::report::page) mod correlations;

@@ -1,8 +1,8 @@
-//! Figures with axes, as SVG text: a [`Panel`] is one pair of axes with its [`Series`].
+//! Figures with axes, as SVG text. A [`Panel`] is one pair of axes with its [`Series`] of points.
 //!
-//! Axes and lines are drawn by `plotters`. Dots are one path for each set: as elements of their own they would take ten
-//! times the bytes, and a browser would be slow with them. The title and the names of the sets stand above the axes, where
-//! they hide nothing.
+//! The library `plotters` draws axes and lines. All dots of a series are one SVG path. As separate elements, they
+//! would take ten times as many bytes, and a browser would be slow. Title and names of the series are above the axes,
+//! so that they hide no points.
 
 use std::io;
 
@@ -13,7 +13,7 @@ use plotters::prelude::*;
 
 use super::thin;
 
-/// Colours of sets, in their order.
+/// Colours of the series, in their order.
 pub(in crate::report) const COLOURS: [RGBColor; 6] = [
     RGBColor(31, 111, 178),
     RGBColor(214, 110, 22),
@@ -23,19 +23,19 @@ pub(in crate::report) const COLOURS: [RGBColor; 6] = [
     RGBColor(180, 40, 60),
 ];
 
-/// How points are shown.
+/// How the points of a series are drawn.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(in crate::report) enum Mark {
     Dots,
     Line,
-    /// Each two points are the ends of a line of their own.
+    /// Each pair of points is a separate line.
     Segments,
 }
 
 /// One set of points.
 #[derive(Debug, Clone)]
 pub(in crate::report) struct Series {
-    /// Empty: not named above the axes.
+    /// Name of the series above the axes. If empty, the series is not named.
     pub name: String,
     pub colour: RGBColor,
     pub mark: Mark,
@@ -54,12 +54,12 @@ pub(in crate::report) struct Panel {
     title: String,
     x: String,
     y: String,
-    /// \[px\]
+    /// Width and height \[px\].
     size: (u32, u32),
     series: Vec<Series>,
-    /// The vertical axis includes zero.
+    /// Whether the vertical axis includes zero.
     with_zero: bool,
-    /// Stand at 0, 1 and so on below the horizontal axis in place of numbers.
+    /// Labels at 0, 1 and so on below the horizontal axis, in place of numbers.
     names: Vec<String>,
 }
 
@@ -71,30 +71,31 @@ pub(in crate::report::page) const INK: RGBColor = RGBColor(70, 80, 92);
 const MESH: RGBColor = RGBColor(230, 234, 239);
 pub(in crate::report::page) const FONT: &str = "system-ui, sans-serif";
 
-/// SVG units in a pixel: the library rounds coordinates to whole units, and one in a pixel is too coarse for smooth curves.
+/// Number of SVG units per pixel. The library rounds coordinates to whole units, and one unit per pixel is
+/// too coarse for smooth curves.
 pub(in crate::report::page) const FINE: u32 = 3;
 
-/// Height of the line with title and names of sets \[px\].
+/// Height of a line of the heading, which contains title and names of series \[px\].
 const TITLE_PX: u32 = 24;
 const TITLE_FONT_PX: u32 = 15;
 const NAME_FONT_PX: u32 = 12;
-/// Room for the labels of the vertical axis \[px\].
+/// Width that is reserved for the labels of the vertical axis \[px\].
 const LEFT_PX: u32 = 56;
 const MARGIN_PX: u32 = 6;
-/// Mean width of a letter over its height; estimates the width of title and names.
+/// Mean width of a letter divided by its height, used to estimate the width of title and names.
 const LETTER: f64 = 0.56;
 
-/// One series as one SVG path of strokes with round ends; a dot is a stroke of length zero.
+/// One series as one SVG path of strokes with round ends. A dot is a stroke of length zero.
 struct Strokes {
     colour: RGBColor,
     path: String,
-    /// In SVG units, see [`FINE`].
+    /// Width in SVG units, see [`FINE`].
     width: u32,
     opacity: f64,
 }
 
 impl Strokes {
-    /// Few dots are drawn larger.
+    /// Dots of a series. If there are few, they are drawn larger.
     fn dots(colour: RGBColor, at: Vec<(i32, i32)>) -> Self {
         const FEW: usize = 200;
         let at = thin::dots(at);
@@ -119,22 +120,22 @@ impl Strokes {
 }
 
 impl Panel {
-    /// `size` \[px\]; the axes reach as far as the points.
+    /// `x` and `y` are the labels of the axes, and `size` is width and height \[px\]. The axes extend as far as the points.
     pub fn new(title: impl Into<String>, [x, y]: [&str; 2], size: (u32, u32), series: Vec<Series>) -> Self {
         Self { title: title.into(), x: x.into(), y: y.into(), size, series, ..Self::default() }
     }
 
-    /// The same with a vertical axis that includes zero.
+    /// The panel with a vertical axis that includes zero.
     pub fn with_zero(self) -> Self {
         Self { with_zero: true, ..self }
     }
 
-    /// The same with names in place of the numbers on the horizontal axis.
+    /// The panel with names in place of the numbers on the horizontal axis.
     pub fn with_names(self, names: Vec<String>) -> Self {
         Self { names, ..self }
     }
 
-    /// Label of a place on the horizontal axis, which is `width` wide.
+    /// Label at position `x` of the horizontal axis, whose range has this width.
     fn x_label(&self, x: f64, width: f64) -> String {
         if self.names.is_empty() {
             return short(x, width);
@@ -143,8 +144,8 @@ impl Panel {
         self.names.get(x.round() as usize).filter(|_| is_whole).cloned().unwrap_or_default()
     }
 
-    /// As an SVG element. Writing to a string cannot fail, and the widths of letters are estimated, not read from a font. If the
-    /// library returns an error nevertheless, its message is in place of the figure.
+    /// Returns the figure as an SVG element. The library should not fail, because writing to a string cannot fail and the
+    /// widths of letters are estimated instead of read from a font. If it fails anyway, its message replaces the figure.
     pub fn draw(&self) -> Markup {
         let mut text = String::new();
         let size = (self.size.0 * FINE, self.size.1 * FINE);
@@ -160,7 +161,7 @@ impl Panel {
         PreEscaped(text)
     }
 
-    /// Draws axes and lines, and returns the other series, which are added as text.
+    /// Draws axes and lines onto `area`. Returns the other series, which the caller appends as SVG text.
     fn onto(
         &self,
         area: &DrawingArea<SVGBackend<'_>, Shift>,
@@ -210,12 +211,12 @@ impl Panel {
         self.series.iter().filter(|one| !one.name.is_empty())
     }
 
-    /// Width of the names of all sets \[px\].
+    /// Total width of the names of all series \[px\].
     fn names_px(&self) -> f64 {
         self.named().map(|one| name_px(&one.name)).sum()
     }
 
-    /// Title and names stand side by side where there is room.
+    /// Number of lines of the heading. Title and names of series are on one line if the figure is wide enough.
     fn heading_lines(&self) -> u32 {
         let title_px = letters_px(&self.title, TITLE_FONT_PX);
         let together_px = title_px + self.names_px() + f64::from(LEFT_PX + 4 * MARGIN_PX);
@@ -245,7 +246,7 @@ impl Panel {
     }
 }
 
-/// Letters, the dot before them and the room behind \[px\].
+/// Width of a name, with the dot before it and the space after it \[px\].
 fn name_px(name: &str) -> f64 {
     letters_px(name, NAME_FONT_PX) + 22.0
 }
@@ -263,7 +264,7 @@ fn label(x: f64, y: f64, font_px: u32, text: &str) -> String {
     )
 }
 
-/// Smallest to largest with a little room; something that can be drawn where there is nothing.
+/// Range of an axis, from the smallest to the largest value with a margin. Without finite values, it is a default range.
 fn range(values: impl Iterator<Item = f64>, with_zero: bool) -> (f64, f64) {
     let start = if with_zero { (0.0, 0.0) } else { (f64::INFINITY, f64::NEG_INFINITY) };
     let (low, high) = values.fold(start, |(low, high), value| (low.min(value), high.max(value)));
@@ -277,13 +278,14 @@ fn range(values: impl Iterator<Item = f64>, with_zero: bool) -> (f64, f64) {
     }
 }
 
-/// As many decimals as an axis of this width needs; a power of ten if these would be too long for the margin.
+/// Text of a number, with as many decimals as an axis of this width needs. If these are too many for the margin, the number
+/// is written with an exponent.
 fn short(value: f64, width: f64) -> String {
     const DECIMALS_MAX: f64 = 4.0;
     let width = width.abs().max(1e-12);
     let decimals = (1.5 - width.log10()).ceil();
     if decimals > DECIMALS_MAX && value != 0.0 && value.abs() < 10.0 * width {
-        // Rounding of the axis' steps leaves zero not quite zero.
+        // Because of rounding errors, the label at zero may have a very small value.
         return if value.abs() < 1e-6 * width { "0".into() } else { format!("{value:.1e}") };
     }
     let decimals = decimals.clamp(0.0, 6.0) as usize;

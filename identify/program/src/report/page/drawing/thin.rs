@@ -1,24 +1,24 @@
-//! Thins the points of a figure to those that can be distinguished, because ten hours have a million points, and a
-//! figure a thousand columns.
+//! Thins the points of a figure to those that can be distinguished. Ten hours of data contain a million points, but a figure
+//! has only a thousand columns of pixels.
 
 use std::collections::HashSet;
 
 use crate::inspect::curves::extremes_of_columns;
 
-/// Where something is drawn, in whole SVG units.
+/// Position in a figure: x and y, in whole SVG units.
 pub(in crate::report::page) type SvgPoint = (i32, i32);
 
-/// Dots of one set, at most.
+/// Largest number of dots of one series.
 const DOTS_MAX: usize = 4000;
 
-/// A line through the first, lowest, highest and last point of each run of points in one column: with columns of this width it looks
-/// as the whole line does.
+/// Thins a line. Of each run of points in the same column, it keeps the first, the lowest, the highest and the last point.
+/// `column` is the width of a column in SVG units. The thinned line looks like the whole line.
 pub(in crate::report::page) fn line(points: &[SvgPoint], column: i32) -> Vec<SvgPoint> {
     extremes_of_columns(points, |(x, _)| i64::from(x.div_euclid(column.max(1))), |(_, y)| f64::from(*y))
 }
 
-/// One dot for each occupied cell of a grid, with the smallest cells that give at most [`DOTS_MAX`] dots. A single dot far
-/// from all others is always drawn.
+/// Thins dots. It keeps one dot in each occupied cell of a grid, and doubles the size of the cells until at most [`DOTS_MAX`]
+/// dots remain. A single dot far from all others is always kept.
 pub(in crate::report::page) fn dots(points: Vec<SvgPoint>) -> Vec<SvgPoint> {
     let mut cell = 1;
     loop {

@@ -1,4 +1,4 @@
-//! Maps of the expected position error over the workspace, nominal and calibrated, for the certificate.
+//! Maps of the expected position error over the workspace, with the nominal and the calibrated robot, for the certificate.
 
 use maud::{Markup, html};
 use plotters::style::RGBColor;
@@ -8,7 +8,7 @@ use super::plot::Panel;
 use crate::evaluate::{PlaceError, WorkspaceError};
 use crate::report::page::sections::mm;
 
-/// Colour of each fifth of the places, from the smallest errors to the largest.
+/// Colour of each fifth of the positions, sorted from the smallest errors to the largest.
 const FIFTHS: [RGBColor; 5] = [
     RGBColor(186, 212, 236),
     RGBColor(124, 174, 214),
@@ -17,10 +17,10 @@ const FIFTHS: [RGBColor; 5] = [
     RGBColor(180, 40, 60),
 ];
 
-/// Size of one map; both are side by side on the certificate \[px\].
+/// Width and height of one map \[px\]. The certificate shows two maps side by side.
 const SHEET: (u32, u32) = (450, 300);
 
-/// Two maps, with the nominal and with the calibrated robot; nothing without places.
+/// Two maps, one with the nominal and one with the calibrated robot. Empty without positions.
 pub(in crate::report::page) fn map(workspace: &WorkspaceError) -> Markup {
     if workspace.places.is_empty() {
         return html! {};
@@ -37,7 +37,7 @@ pub(in crate::report::page) fn map(workspace: &WorkspaceError) -> Markup {
     } }
 }
 
-/// The places as dots, a series for each fifth; its legend is its largest error.
+/// One map with positions as dots. Each fifth of the positions is a series, and its name is the largest error in it.
 fn one_map(title: &str, places: &[PlaceError], error_m: fn(&PlaceError) -> f64) -> Markup {
     let mut sorted: Vec<&PlaceError> = places.iter().collect();
     sorted.sort_by(|a, b| error_m(a).total_cmp(&error_m(b)));

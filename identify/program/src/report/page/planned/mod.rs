@@ -1,4 +1,4 @@
-//! Pages of what was planned: a path, or poses, with arm and bar in three dimensions.
+//! Pages of planned paths and planned poses. Each page contains a three-dimensional animation of the arm.
 
 pub(in crate::report::page) mod path;
 pub(in crate::report::page) mod path_view;

@@ -1,4 +1,5 @@
-//! `path.html`: the motion of a path and the parameters that it is expected to determine.
+//! `path.html`: animation and motion of a planned or checked path, and the expected standard deviation of
+//! each parameter after a calibration.
 
 use std::path::{Path, PathBuf};
 
@@ -15,7 +16,7 @@ use crate::report::page::drawing::plot::{BLUE, COLOURS, GREY, Mark, Panel, Serie
 use crate::report::path::has_prismatic;
 use crate::report::result::file::{FileError, replace};
 
-/// Points of a curve on the page, at most.
+/// Largest number of points of a curve on the page.
 const POINTS: usize = 600;
 
 /// Content of the page.
@@ -23,22 +24,22 @@ const POINTS: usize = 600;
 pub struct PathPage<'a> {
     /// Name of the robot.
     pub robot: &'a str,
-    /// Robot, bar and what must not touch.
+    /// Robot, bar, and the constraints on the path.
     pub constraints: &'a Constraints<'a>,
-    /// The bar's path.
+    /// Path of the bar's joints.
     pub path: &'a BarPath,
-    /// The robot's joints along it.
+    /// Joint positions of the robot along the path.
     pub robot_path: &'a RobotLog,
-    /// Its extremes and violations.
+    /// Extremes of the motion, and violations of constraints.
     pub checked: &'a Checked,
-    /// The summary as on the terminal.
+    /// Summary of the path, as on the terminal.
     pub summary: &'a str,
-    /// Expected standard deviation of each parameter, SI.
+    /// Expected standard deviation of each parameter after a calibration, in SI units.
     pub sigmas: &'a [(ParameterId, f64)],
 }
 
 impl PathPage<'_> {
-    /// Writes `path.html` into the directory, whole or not at all.
+    /// Writes `path.html` into the directory, completely or not at all.
     ///
     /// # Errors
     /// [`FileError`].
@@ -91,6 +92,7 @@ impl PathPage<'_> {
         document_with(&title, path_view::SCRIPTS, &body)
     }
 
+    /// The animation of the path, thinned to at most [`FRAMES`] frames.
     fn view(&self) -> Markup {
         let rows = &self.robot_path.q_rad;
         view(&View {
@@ -108,13 +110,13 @@ impl PathPage<'_> {
         })
     }
 
-    /// Time and index of the rows that are drawn.
+    /// Time and index of the rows that are drawn. Their number is at most [`POINTS`].
     fn rows(&self) -> impl Iterator<Item = (f64, usize)> {
         let every = self.robot_path.q_rad.len().div_ceil(POINTS).max(1);
         self.robot_path.q_rad.t_s.iter().enumerate().step_by(every).map(|(row, t_s)| (*t_s, row))
     }
 
-    /// A curve for each joint; `value` is given the time, the row of the robot's path, and the joint.
+    /// One curve for each joint. The arguments of `value` are the time, the row of the robot's path and the joint.
     fn by_joint(&self, count: usize, value: impl Fn(f64, usize, usize) -> Option<f64>) -> Vec<Series> {
         let series = |joint: usize| {
             let points = self.rows().filter_map(|(t_s, row)| Some((t_s, value(t_s, row, joint)?))).collect();
@@ -174,7 +176,7 @@ impl PathPage<'_> {
     }
 }
 
-/// Which bodies were checked for collisions.
+/// A note on the bodies that were checked for collisions.
 pub(in crate::report::page) fn collisions(bodies: &Bodies, with_bar: bool) -> Markup {
     html! { p.note {
         "Collisions: links of the robot as capsules of " (format!("{:.0}", bodies.link_radius_m * 1e3)) " mm"

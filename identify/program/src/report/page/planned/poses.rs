@@ -1,4 +1,4 @@
-//! `poses.html`: chosen poses in three dimensions, and the parameters that they are expected to determine.
+//! `poses.html`: animation of the selected poses, and the expected accuracy of the parameters that they determine.
 
 use std::path::{Path, PathBuf};
 
@@ -17,9 +17,9 @@ use crate::report::page::sections::{mm, number};
 use crate::report::path;
 use crate::report::result::file::{FileError, replace};
 
-/// Frames of the animation from one chosen pose to the next.
+/// Number of frames of the animation from one selected pose to the next.
 const FRAMES_PER_MOVE: usize = 12;
-/// The least determined parameters that are listed, at most.
+/// Largest number of parameters in the list of least determined parameters.
 const WEAKEST: usize = 12;
 
 /// Content of the page.
@@ -27,22 +27,22 @@ const WEAKEST: usize = 12;
 pub struct PosesPage<'a> {
     /// Name of the robot.
     pub robot: &'a str,
-    /// Its nominal arm to the flange.
+    /// Nominal kinematic chain of the robot, from base to flange.
     pub arm: &'a Chain,
     /// Lower and upper limit of each joint \[rad, m\].
     pub limits: &'a [[f64; 2]],
-    /// What is measured, in the flange's frame \[m\].
+    /// Position of the measured target in the flange's frame \[m\].
     pub target_m: [f64; 3],
-    /// The chosen poses.
+    /// The selected poses, and their expected accuracy.
     pub planned: &'a PlannedPoses,
-    /// Number of candidates.
+    /// Number of candidate poses.
     pub candidates: usize,
-    /// Bodies that were checked for collisions.
+    /// Bodies that were checked for collisions, if any.
     pub bodies: Option<&'a Bodies>,
 }
 
 impl PosesPage<'_> {
-    /// Writes `poses.html` into the directory, whole or not at all.
+    /// Writes `poses.html` into the directory, completely or not at all.
     ///
     /// # Errors
     /// [`FileError`].
@@ -96,9 +96,11 @@ impl PosesPage<'_> {
         (self.arm.forward(q) * Point3::from(Vector3::from(self.target_m))).coords
     }
 
+    /// The animation of the arm from pose to pose.
     fn view(&self) -> Markup {
         let joints = &self.planned.joints;
-        // Frames of a move through its postures, each of which takes the same time; time counts moves.
+        // Frames of one move through its postures. Between any two postures of the move, the same time passes. The unit
+        // of time is one move.
         let frames_of_move = |(move_number, postures): (usize, Vec<Joints>)| {
             (0..FRAMES_PER_MOVE).map(move |frame| {
                 let part = frame as f64 / FRAMES_PER_MOVE as f64;
@@ -141,7 +143,7 @@ impl PosesPage<'_> {
         (kind.display_factor(), kind.display_symbol())
     }
 
-    /// Travel of a joint on all moves together \[rad, m\].
+    /// Total travel of a joint on all moves \[rad, m\].
     fn travelled(&self, joint: usize) -> f64 {
         let of_move = |postures: Vec<Joints>| -> f64 {
             postures.windows(2).map(|pair| (pair[1][joint] - pair[0][joint]).abs()).sum()
@@ -175,7 +177,7 @@ impl PosesPage<'_> {
         } }
     }
 
-    /// Number of parameters of each kind, and their standard deviations before and after.
+    /// Number of parameters in each group, and their standard deviations before and after the measurements.
     fn determined(&self) -> Markup {
         let size =
             |one: &Determined, si: f64| one.ids.first().map_or_else(String::new, |id| id.unit().display(si));
@@ -197,7 +199,7 @@ impl PosesPage<'_> {
         }
     }
 
-    /// The parameters whose expected standard deviation is the largest part of that before.
+    /// The parameters whose standard deviation decreases least: ratio of the expected standard deviation to the one before.
     fn weakest(&self) -> Markup {
         let parts_left = self.planned.determined.iter().flat_map(|kind| kind.ids.iter().zip(&kind.left));
         let mut parts_left: Vec<(&ParameterId, &f64)> = parts_left.collect();

@@ -1,6 +1,9 @@
-//! The three-dimensional animation of `path.html` and `poses.html`: an arm with bar or target, along a path or from pose to
-//! pose. [`PathScene`] has points over time and capsules between them; it goes into the page as JSON, and `view.js` draws it with
-//! the library OGL.
+//! The three-dimensional animation of `path.html` and `poses.html`. It shows an arm with bar or target that moves along a
+//! path or from pose to pose.
+//!
+//! [`View`] is the input that a page provides. [`PathScene`] is computed from it; it contains the positions of points over
+//! time, and capsules that connect the points. [`view`] returns the HTML of the animation, which includes the scene as JSON.
+//! The script `view.js` draws the scene with the library OGL.
 
 use maud::{Markup, PreEscaped, html};
 use nalgebra::{Point3, Vector3};
@@ -12,38 +15,39 @@ use crate::plan::{Bodies, Skeleton};
 /// Scripts in the order in which they must be loaded.
 pub(super) const SCRIPTS: &[&str] = &[include_str!("ogl/ogl.iife.min.js"), include_str!("view.js")];
 
-/// Largest number of frames of a path; between two frames points move along lines.
+/// Largest number of frames of a path. Between two frames, points move in straight lines.
 pub(super) const FRAMES: usize = 1000;
-/// Shorter pieces of a link are not drawn \[m\].
+/// Pieces of a link that are not longer than this in any frame are not drawn \[m\].
 const PIECE_M_MIN: f64 = 1e-3;
 
-/// The animation.
+/// Input of the animation.
 pub(super) struct View<'a> {
     pub arm: &'a Chain,
     pub carried: Carried,
     /// Time \[s\] and joints of each frame, at least two.
     pub motion: Vec<(f64, Joints)>,
-    /// Frames from one pose to the next, `None` for a path. If given, the poses are marked, and numbers of poses replace times.
+    /// Number of frames from one pose to the next; `None` for a path. If it is given, the poses are marked, and pose numbers
+    /// are displayed instead of times.
     pub frames_per_pose: Option<usize>,
-    /// Bodies that were checked for collisions; `None` draws usual ones.
+    /// Bodies that were checked for collisions. If `None`, bodies of default sizes are drawn.
     pub bodies: Option<&'a Bodies>,
 }
 
-/// What the arm carries.
+/// Object that the arm carries.
 pub(super) enum Carried {
-    /// The bar; position of its gimbal in the robot's base frame \[m\].
+    /// The bar, with the position of its gimbal in the robot's base frame \[m\].
     Bar(Vector3<f64>),
-    /// A target; its position in the flange's frame \[m\].
+    /// A target, with its position in the flange's frame \[m\].
     Target(Vector3<f64>),
 }
 
-/// What `view.js` draws.
+/// The scene that `view.js` draws.
 #[derive(Serialize)]
 struct PathScene<'a> {
     times_s: Vec<f64>,
-    /// For each frame x, y and z of all points, one after the other \[m\].
+    /// For each frame, the coordinates x, y and z of all points, in a row \[m\].
     frames: Vec<Vec<f64>>,
-    /// Indices of the two end points, colour, and radius \[m\].
+    /// Indices of the two end points, name of the colour, and radius \[m\].
     capsules: Vec<(usize, usize, &'static str, f64)>,
     /// Index of the point whose path is drawn: the end of the plate, or the target.
     ends: usize,
@@ -58,7 +62,8 @@ impl<'a> PathScene<'a> {
         let arm = view.arm;
         let (times_s, skeletons): (Vec<f64>, Vec<Skeleton>) =
             view.motion.iter().map(|(t_s, q)| (*t_s, Skeleton::of(arm, q))).unzip();
-        // For each point its positions in all frames. Each capsule connects a point with the one before.
+        // `points` contains, for each point, its positions in all frames. Each capsule connects a
+        // point with the previous point.
         let mut points: Vec<Vec<Vector3<f64>>> = Vec::new();
         let mut capsules = Vec::new();
         let in_frames =
@@ -76,8 +81,8 @@ impl<'a> PathScene<'a> {
             let link_point = |number: usize| {
                 in_frames(&move |arm| arm.links.get(link).map_or(arm.end, |link| link[number]))
             };
-            // Each link goes along its joint's axis to its corner (1), then to its end (2). The plate replaces the last of these
-            // pieces.
+            // Each link has two pieces. The first piece runs along the joint's axis to the corner (1), the second from there
+            // to the link's end (2). For the last link, the plate replaces the second piece.
             add(link_point(1), "link", bodies.link_radius_m);
             if link + 1 < links {
                 add(link_point(2), "link", bodies.link_radius_m);
@@ -85,7 +90,8 @@ impl<'a> PathScene<'a> {
         }
         add(in_frames(&|arm| arm.end), "plate", bodies.rod_radius_m);
         add(gimbal_or_target(view), "rod", bodies.rod_radius_m);
-        // The gimbal is the last point, after the end of the plate; a target is the last point itself.
+        // With a bar, the last point is the gimbal, and the point before it is the end of the plate. With a target, the
+        // last point is the target.
         let ends = points.len().saturating_sub(if matches!(view.carried, Carried::Bar(_)) { 2 } else { 1 });
         let rounded_to_mm = |x_m: f64| (x_m * 1e3).round() / 1e3;
         let frame = |row: usize| {
@@ -109,7 +115,7 @@ fn is_long(from: &[Vector3<f64>], to: &[Vector3<f64>]) -> bool {
     from.iter().zip(to).any(|(from, to)| (to - from).norm() > PIECE_M_MIN)
 }
 
-/// Gimbal of the bar, or target, in the robot's base frame in each frame of the animation \[m\].
+/// Position of the bar's gimbal or of the target in the robot's base frame, in each frame of the animation \[m\].
 fn gimbal_or_target(view: &View<'_>) -> Vec<Vector3<f64>> {
     let position = |(_, q): &(f64, Joints)| match view.carried {
         Carried::Bar(gimbal) => gimbal,
@@ -118,7 +124,7 @@ fn gimbal_or_target(view: &View<'_>) -> Vec<Vector3<f64>> {
     view.motion.iter().map(position).collect()
 }
 
-/// The animation with its controls.
+/// HTML of the animation with its controls.
 pub(super) fn view(view: &View<'_>) -> Markup {
     let default_bodies = Bodies::for_reach(view.arm.reach_m());
     let scene = PathScene::of(view, view.bodies.unwrap_or(&default_bodies));
@@ -128,7 +134,7 @@ pub(super) fn view(view: &View<'_>) -> Markup {
         }
         Carried::Target(_) => ("The robot in each pose", "Pose", "Links"),
     };
-    // A `<` could end the surrounding element. Serialisation cannot fail: all keys are text.
+    // `<` is escaped, because it could end the surrounding element. Serialisation cannot fail, because all keys are text.
     let scene = serde_json::to_string(&scene).unwrap_or_default().replace('<', "\\u003c");
     html! {
         figure #path-view {
