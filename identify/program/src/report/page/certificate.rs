@@ -1,4 +1,5 @@
-//! The first sheet of the page, which an engineer signs: one A4, results in the terms of ISO 9283 with uncertainties by the GUM.
+//! The first sheet of the page is a certificate of one A4 sheet, which an engineer signs. Results are in the terms of ISO
+//! 9283, with uncertainties by the GUM.
 
 use chrono::{DateTime, Datelike};
 use maud::{Markup, html};
@@ -28,7 +29,7 @@ pub(super) fn certificate(file: &CalibrationFile, workspace: &WorkspaceError) ->
     sheet(file.is_simulated(), &body)
 }
 
-/// The first sheet, with a band across it, on the screen and in print, if nothing was measured.
+/// The first sheet. If the data were simulated, a band across the sheet shows this, on the screen and in print.
 pub(super) fn sheet(simulated: bool, content: &Markup) -> Markup {
     html! {
         section.certificate.simulated[simulated] {
@@ -38,15 +39,16 @@ pub(super) fn sheet(simulated: bool, content: &Markup) -> Markup {
     }
 }
 
-/// Date of the measurement by the instrument's clock, for measurements whose recording has none.
+/// Date of the measurement by the instrument's clock, for measurements whose recording contains no date. `None` if
+/// no clock has a date.
 fn dated(file: &CalibrationFile) -> Option<String> {
     let mut dates = file.clocks.iter().map(|clock| clock.reference_utc.as_str());
-    // A clock without a date has a number of seconds; in files of earlier versions it is a time of 1970.
+    // The text of a clock without a date is a number of seconds. In files of earlier versions it is a time in 1970.
     let is_date = |text: &&str| DateTime::parse_from_rfc3339(text).is_ok_and(|date| date.year() > 1970);
     dates.find(is_date).map(to_the_second)
 }
 
-/// Whether it is calibrated, and the one reason that limits the verdict.
+/// Whether the robot is calibrated, its errors, and the reason that limits the verdict.
 fn verdict(file: &CalibrationFile, workspace: &WorkspaceError) -> Markup {
     let verdict = file.verdict.as_ref();
     let class = match verdict.map(|verdict| verdict.grade) {
@@ -72,13 +74,13 @@ fn verdict(file: &CalibrationFile, workspace: &WorkspaceError) -> Markup {
     } }
 }
 
-/// An RFC 3339 time without the parts of a second, for display.
+/// An RFC 3339 time without fractions of a second, for display.
 pub(super) fn to_the_second(utc: &str) -> String {
     utc.get(..19).map_or_else(|| utc.to_owned(), |second| format!("{} UTC", second.replace('T', " ")))
 }
 
-/// Robot, instrument, operator and time; unknown items are blank lines to be filled in by hand. `dated` is when it was measured if no
-/// recording contains it.
+/// Robot, instrument, operator and time. Unknown items are blank lines to be filled in by hand. `dated` is the date of the
+/// measurement if no recording contains it.
 pub(super) fn identity(
     robot: &str,
     instrument: &str,
@@ -86,14 +88,14 @@ pub(super) fn identity(
     required: Option<String>,
     dated: Option<String>,
 ) -> Markup {
-    // The values of a field in all measurements.
+    // The values of a field in all measurements, as one text.
     let field = |value: fn(&MeasurementEntry) -> String| {
         let mut values: Vec<String> = measured.iter().map(value).collect();
         values.retain(|value| !value.is_empty());
         values.dedup();
         values.join("; ")
     };
-    // A recording that only repeats the name has no serial number.
+    // If the recording has the robot's name in this field, the serial number is unknown.
     let serial_number = |recorded: String, name: &str| {
         if recorded.eq_ignore_ascii_case(name) { String::new() } else { recorded }
     };
@@ -124,7 +126,8 @@ fn required(file: &CalibrationFile) -> String {
     })
 }
 
-/// Before and after: expected, at the standard's poses, and on held-out data.
+/// Position errors with the nominal and the calibrated robot: expected over the workspace, expected at the poses of ISO 9283,
+/// and measured on held-out data.
 fn results(file: &CalibrationFile, workspace: &WorkspaceError) -> Markup {
     let expected = |what: &str, before: &Expected, after: &Expected| {
         html! {
@@ -170,7 +173,7 @@ fn results(file: &CalibrationFile, workspace: &WorkspaceError) -> Markup {
     }
 }
 
-/// Validity, deployments, and fixed parameters.
+/// Scale, supported joint ranges, deployments, and fixed parameters.
 fn conditions(file: &CalibrationFile) -> Markup {
     let parts = file.deployments_reported();
     let [exact, held] = ParameterEntry::fixed(&file.parameters);

@@ -1,4 +1,5 @@
-//! Held-out validation of runs with a bar: each segment as predicted by a fit to the others, in text, figures and a table.
+//! Section on held-out validation of runs with a bar. Each segment of time was predicted by a fit that does not use it. The
+//! section shows the errors as text, figures and a table.
 
 use maud::{Markup, html};
 use plotters::prelude::RGBColor;
@@ -14,7 +15,8 @@ const BLACK: RGBColor = RGBColor(30, 36, 44);
 const LIGHT_GREY: RGBColor = RGBColor(196, 202, 210);
 const RED: RGBColor = COLOURS[5];
 
-/// A number of a pose error, in the unit of figures and tables.
+/// Selects the position or the rotation of a pose error, in the unit of figures and tables. Returns `None`
+/// if it was not measured.
 pub(super) type Value = fn(&PoseError) -> Option<f64>;
 pub(super) const POSITION_MM: Value = |error| Some(error.position_m * 1e3);
 pub(super) const ROTATION_MRAD: Value = |error| error.rotation_rad.map(|rad| rad * 1e3);
@@ -59,12 +61,12 @@ pub(super) fn section(page: &Page<'_>) -> Markup {
     }
 }
 
-/// Root mean squares as text; empty without rotations.
+/// RMS values of several errors as text. Rotations that were not measured are left out.
 fn texts(rms: &[PoseError; 3], value: Value) -> Vec<String> {
     rms.iter().filter_map(value).map(|value| format!("{value:.4}")).collect()
 }
 
-/// Figures of a run over time: errors in position and rotation, nominal and predicted.
+/// Figures of the errors of a run over time, in position and rotation, for the nominal robot and for the prediction.
 fn panels(held_out: &HeldOut, run: usize) -> Markup {
     let segments: Vec<&HeldOutSegment> =
         held_out.segments.iter().filter(|segment| segment.run == run).collect();
@@ -79,10 +81,12 @@ fn panels(held_out: &HeldOut, run: usize) -> Markup {
     }
 }
 
-/// One figure; `calibrated` selects the prediction in place of the nominal robot.
+/// One figure of errors over time. If `calibrated` is true, it shows the prediction by the calibrated
+/// robot, otherwise the nominal robot.
 fn panel(title: &str, y: &str, segments: &[&HeldOutSegment], calibrated: bool, value: Value) -> Markup {
     let time = TimeAxis::of(segments.iter().flat_map(|segment| segment.span_s()));
-    // Stages: 0 nominal, 1 predicted without the segment, 2 fitted with it. Neighbouring segments have different colours.
+    // Indices of the stages of a segment: 0 nominal, 1 predicted without the segment, 2 fitted with the segment.
+    // Neighbouring segments have different colours.
     let (stage, colours) = if calibrated { (1, [BLUE, GREEN]) } else { (0, [GREY, LIGHT_GREY]) };
     let alternate = (0..).zip(colours).map(|(first, colour)| {
         let samples = segments.iter().skip(first).step_by(2).flat_map(|segment| &segment.stages[stage]);

@@ -1,6 +1,6 @@
-//! `report.html`: one file for browsers and printers, without scripts and links to other files. [`Page`] orders its sections;
-//! each submodule renders some of them from the result and its evidence. The pages of a refusal, of plans and of a study are
-//! here, too.
+//! `report.html`: one file for browsers and printers, without scripts or links to other files. [`Page`] is the content of the
+//! page and orders its sections. Each submodule renders some of the sections from the result and its evidence. The pages of a
+//! refused calibration, of plans and of a study are also in this module.
 
 mod certificate;
 pub(super) mod drawing;
@@ -38,15 +38,15 @@ pub use study::StudyPage;
 pub struct Page<'a> {
     /// Content of `calibration.toml`.
     pub file: &'a CalibrationFile,
-    /// The solve and the preparation.
+    /// The solve, and the prepared data of its runs.
     pub calibration: &'a Calibration,
-    /// Figures of the result.
+    /// Statistics of the result.
     pub evidence: &'a Evidence,
-    /// The bar of the first run, as configured.
+    /// Configuration of the bar of the first run.
     pub bar: Option<&'a BallBarConfig>,
     /// Name of each file of rows, in the order of the data sets.
     pub rows: &'a [String],
-    /// Tables of the rows' errors, as on the command line.
+    /// Tables of the errors on rows, as on the command line.
     pub tables: &'a str,
     /// Recording and robot log of each run; may be empty.
     pub sources: &'a [InspectedLog],
@@ -55,7 +55,7 @@ pub struct Page<'a> {
 }
 
 impl Page<'_> {
-    /// Writes `report.html` into the directory, whole or not at all.
+    /// Writes `report.html` into the directory, completely or not at all.
     ///
     /// # Errors
     /// [`FileError`].
@@ -68,7 +68,7 @@ impl Page<'_> {
         let title = format!("Calibration of {}", self.file.robot);
         let has_bars = !self.evidence.runs.is_empty();
         let names_of_rows = self.rows.iter().cloned();
-        // Each data set has a table of its own parameters, with one of these headings.
+        // The section on parameters has one table for each data set. These are the captions of the tables.
         let (first_heading, other_headings): (_, Vec<String>) = match self.rows.first() {
             Some(first) if !has_bars => (first.as_str(), names_of_rows.skip(1).collect()),
             _ => {
@@ -97,17 +97,17 @@ impl Page<'_> {
     }
 }
 
-/// Whether a text is the page of a calibration or of a refusal.
+/// Whether a text is the page of a calibration or of a refused calibration.
 pub(super) fn is_page(text: &str) -> bool {
     text.contains("<div class=\"verdict")
 }
 
-/// A page whose content security policy forbids loading and running anything, in case a name in a log contains markup.
+/// A page whose content security policy forbids loading files and running scripts, in case a name in a log contains markup.
 pub(super) fn document(title: &str, body: &Markup) -> Markup {
     document_with(title, &[], body)
 }
 
-/// [`document`] with scripts at the end of its body. The policy allows them by their hashes.
+/// As [`document`], with scripts at the end of the body. The policy allows these scripts by their hashes.
 fn document_with(title: &str, scripts: &[&str], body: &Markup) -> Markup {
     let hash = |script: &&str| format!(" 'sha256-{}'", STANDARD.encode(Sha256::digest(script)));
     let hashes: String = scripts.iter().map(hash).collect();

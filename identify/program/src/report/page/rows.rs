@@ -1,4 +1,4 @@
-//! Section on files of rows: errors row by row, their tables as on the terminal, and the clocks of trackers.
+//! Section on files of rows: figures of the errors of all rows, the tables as on the terminal, and the clocks of trackers.
 
 use maud::{Markup, html};
 
@@ -15,7 +15,7 @@ fn names_and_sets<'a>(page: &Page<'a>) -> impl Iterator<Item = (&'a String, &'a 
     page.rows.iter().zip(&page.calibration.rows)
 }
 
-/// Errors on held-out rows, nominal and calibrated, as large numbers.
+/// Errors on held-out rows with the nominal and the calibrated robot, as large numbers.
 pub(super) fn numbers(page: &Page<'_>) -> Markup {
     let sizes = |Sizes { mean, p95, max, .. }: Sizes| {
         format!("mean {} mm, 95 % {} mm, largest {} mm", mm(mean), mm(p95), mm(max))
@@ -31,7 +31,7 @@ pub(super) fn numbers(page: &Page<'_>) -> Markup {
     }
 }
 
-/// Figures and tables of each file, and its clocks; its data set comes after those of the runs with a bar.
+/// Figures and tables of each file, and its clocks. Data sets of files of rows are numbered after the runs with a bar.
 pub(super) fn section(page: &Page<'_>) -> Markup {
     if page.rows.is_empty() {
         return html! {};
@@ -47,9 +47,9 @@ pub(super) fn section(page: &Page<'_>) -> Markup {
     }
 }
 
-/// The errors of a file, nominal and calibrated.
+/// Figures of the errors on a file, with the nominal and the calibrated robot.
 fn panels(set: &RowSet) -> Markup {
-    // The last stage, with errors of joints, is the calibrated robot.
+    // The last stage, which includes joint errors, is the calibrated robot.
     let Stages { nominal, joints: calibrated, .. } = &set.errors;
     let panel = |title: &str, y: &str, colour, stage: &[PoseError], value: Value| {
         let points = |rows: &[usize]| {

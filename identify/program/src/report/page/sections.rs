@@ -1,5 +1,5 @@
-//! Sections of the page that have no module of their own, in their order: numbers, bar, parameters, budget, terms, residuals
-//! by joint, coverage, correlations, origin. Also the format of numbers on all pages.
+//! Sections of the page that have no module of their own, in the order of the page: numbers, bar, parameters, uncertainty
+//! budget, tried terms, residuals by joint, coverage, correlations, inputs. Also the formats of numbers on all pages.
 
 use maud::{Markup, PreEscaped, Render, html};
 use shared::config::BallBarConfig;
@@ -14,7 +14,7 @@ use crate::report::summary::not_separated;
 use crate::report::table::about_links;
 use crate::statistics::Sizes;
 
-/// A length in mm, to 1 um, below 0.1 mm to 0.1 um.
+/// A length in mm, rounded to 1 um, or to 0.1 um if it is below 0.1 mm.
 pub(super) fn mm(metres: f64) -> String {
     let mm = metres * 1e3;
     if mm.abs() < 0.1 { format!("{mm:.4}") } else { format!("{mm:.3}") }
@@ -30,7 +30,7 @@ pub(super) fn number(value: impl Render, label: impl Render) -> Markup {
     html! { div.number { b { (value) } span { (label) } } }
 }
 
-/// An expected error over the workspace.
+/// An expected error over the workspace as a large number, with its interval and quantile.
 fn expected(label: &str, Expected { mean_m, interval_m, p95_m, .. }: &Expected) -> Markup {
     let ([low, high], p95) = (interval_m.map(mm), mm(*p95_m));
     let label = format!(
@@ -39,7 +39,8 @@ fn expected(label: &str, Expected { mean_m, interval_m, p95_m, .. }: &Expected) 
     number(mm(*mean_m) + " mm", label)
 }
 
-/// Expected errors over the workspace, gaps between robot and bar, and errors of held-out rows, as large numbers.
+/// The limits of the calibration, then large numbers: expected errors over the workspace, distances between robot and bar,
+/// and errors on held-out rows.
 pub(super) fn numbers(page: &Page<'_>) -> Markup {
     let expected_errors = &page.evidence.workspace;
     let (before, after) = (&expected_errors.before, &expected_errors.after);
@@ -71,7 +72,7 @@ pub(super) fn numbers(page: &Page<'_>) -> Markup {
     }
 }
 
-/// The bar of the first run, with the length of the solution.
+/// Drawing of the bar of the first run, with the length of the solution.
 pub(super) fn bar(page: &Page<'_>) -> Markup {
     let identified = page.file.parameters.iter().find(|entry| entry.id() == Some(ParameterId::ROD));
     html! { @if let Some(bar) = page.bar {
@@ -89,12 +90,13 @@ pub(super) fn bar(page: &Page<'_>) -> Markup {
     } }
 }
 
-/// Tables of all parameters; the headings are those of the tables that belong to one data set, the first and the others.
+/// Tables of all parameters. `first_heading` and `other_headings` are the captions of the tables whose parameters belong to
+/// one data set: those of the first data set, and those of the others.
 pub(super) fn parameters(file: &CalibrationFile, first_heading: &str, other_headings: &[String]) -> Markup {
     let applied = file.applied();
     let (entries, waves) = applied.reported();
     let [exact, uncertain] = ParameterEntry::fixed(entries.iter().copied());
-    // Parameters that a later run has for itself have its number: `ox@2`.
+    // A parameter that belongs to a later run only has the number of the run in its name, such as `ox@2`.
     let is_of_run = |entry: &ParameterEntry, run: usize| match entry.name.split_once('@') {
         Some((_, number)) => number.parse() == Ok(run + 1),
         None => run == 0,
@@ -133,7 +135,7 @@ pub(super) fn parameters(file: &CalibrationFile, first_heading: &str, other_head
 
 /// The contributions to the uncertainty of positions.
 pub(super) fn budget(file: &CalibrationFile) -> Markup {
-    // Types of the GUM.
+    // Types of evaluation by the GUM.
     let evaluation = |evaluation: Evaluation| match evaluation {
         Evaluation::Statistical => "A",
         Evaluation::Stated => "B",
@@ -168,7 +170,7 @@ pub(super) fn budget(file: &CalibrationFile) -> Markup {
     } }
 }
 
-/// Terms of robot and instruments that were tried, and the result on held-out groups of samples.
+/// Groups of terms of robot and instruments that were tried, with the result on held-out groups of samples.
 pub(super) fn candidates(file: &CalibrationFile) -> Markup {
     let candidates = &file.candidates;
     html! { @if !candidates.is_empty() {
@@ -210,7 +212,7 @@ fn table(caption: &str, entries: &[&ParameterEntry]) -> Markup {
     } }
 }
 
-/// Residuals by joint, as figures, if any joint of the bar has an encoder.
+/// Figures of the residuals by joint. Empty if no joint of the bar has an encoder.
 pub(super) fn joints(page: &Page<'_>) -> Markup {
     if !page.evidence.by_encoders {
         return html! {};
@@ -239,7 +241,7 @@ pub(super) fn coverage(page: &Page<'_>) -> Markup {
     }
 }
 
-/// Figures of the solve, correlations above 0.9, twelve at most, and all correlations as a map.
+/// Statistics of the solve, the strongest correlations (above 0.9, at most twelve), and a map of all correlations.
 pub(super) fn dependence(file: &CalibrationFile) -> Markup {
     let named = file.knowledge.iter().flat_map(|knowledge| &knowledge.correlations);
     let strongest: Vec<_> = named.filter(|one| one.correlation.abs() > 0.9).take(12).collect();
@@ -273,7 +275,7 @@ pub(super) fn dependence(file: &CalibrationFile) -> Markup {
     }
 }
 
-/// Inputs with their checksums, program and configuration: all that is needed to repeat the calibration.
+/// Everything that is needed to repeat the calibration: input files with their checksums, program version, and configuration.
 pub(super) fn repeated_with(inputs: &[InputFile], software: &str, configuration: &str) -> Markup {
     html! {
         h2 { "To repeat it" }

@@ -1,5 +1,5 @@
-//! `study.html`: answers of a study, claims of the thesis as they were checked, and its figures: the median error of each
-//! estimator over a condition. For `identify study`.
+//! `study.html`, for `identify study`: the answers of a study, claims of the thesis with the results of their check, and
+//! figures. A figure shows the median error of each estimator over a condition.
 
 use std::path::{Path, PathBuf};
 
@@ -29,7 +29,7 @@ pub struct StudyPage<'a> {
 }
 
 impl StudyPage<'_> {
-    /// Writes `summary.json` and `study.html` into the directory, each whole or not at all.
+    /// Writes `summary.json` and `study.html` into the directory. Each file is written completely or not at all.
     ///
     /// # Errors
     /// [`FileError`].
@@ -111,14 +111,14 @@ impl StudyPage<'_> {
             let lines = curves_of_series.map(|curve| {
                 Series::new("", colour(&curve.estimator), Mark::Line, medians(curve, figure.measure))
             });
-            // A point at the largest value of all series, so that they have one scale.
+            // An additional point at the largest value of all series gives all panels the same scale.
             let highest_point =
                 series.x.first().map(|x| Series::new("", GREY, Mark::Line, vec![(*x, highest)]));
             let title =
                 if series.name.is_empty() { format!("Figure {}", figure.id) } else { series.name.clone() };
             panels.push(panel(figure, title, lines.chain(highest_point).collect()));
         }
-        // A second picture where one curve hides what all others do near the limit.
+        // If one curve reaches far above the limit, a second panel shows the part of all curves near the limit.
         let near = NEAR * limit;
         let zoomed = figure.series.len() == 1 && figure.measure != Measure::Position && highest > near;
         if zoomed {
@@ -165,7 +165,7 @@ impl StudyPage<'_> {
     }
 }
 
-/// Answers to questions, or claims of the thesis with what was found.
+/// Table of answers to questions, or of claims of the thesis with the result of their check.
 fn findings(title: &str, [asked, found]: [&str; 2], findings: &[&StatementAnswer]) -> Markup {
     html! {
         @if let Some(first) = findings.first() {
@@ -188,7 +188,8 @@ fn findings(title: &str, [asked, found]: [&str; 2], findings: &[&StatementAnswer
     }
 }
 
-/// Median errors, a row for each curve, and the value of the condition at which they reach the limit.
+/// Table of median errors with one row for each curve. For the Euclidean error, the last column is the value of the condition
+/// at which the median error reaches the limit.
 fn value_table(figure: &Figure, curves: &[&ErrorCurve], limit: f64) -> Markup {
     html! { div.wide { table {
         thead { tr {
@@ -204,7 +205,7 @@ fn value_table(figure: &Figure, curves: &[&ErrorCurve], limit: f64) -> Markup {
     } } }
 }
 
-/// The values of the condition at which any curve has a point, ascending.
+/// The values of the condition at which at least one curve has a point, in ascending order.
 fn x_values(curves: &[&ErrorCurve]) -> Vec<f64> {
     let mut all_x: Vec<f64> =
         curves.iter().flat_map(|curve| curve.points.iter().map(|point| point.x)).collect();
@@ -220,7 +221,7 @@ fn cell(curve: &ErrorCurve, x: f64, measure: Measure) -> Markup {
     html! { td { (error.unwrap_or_default()) @if failed > 0 { " (" (failed) " failed)" } } }
 }
 
-/// Where the median error reaches the limit.
+/// Value of the condition at which the median error reaches the limit, as text.
 fn reached(limit_at: Reach) -> String {
     match limit_at {
         Reach::At(x) => short(x),
@@ -241,7 +242,7 @@ fn panel(figure: &Figure, title: String, series: Vec<Series>) -> Markup {
     Panel::new(title, [&figure.x, figure.measure.label()], PANEL, series).with_zero().draw()
 }
 
-/// The curve up to where it leaves the picture.
+/// The curve below the upper edge `most` of the panel. It ends at the point where it crosses the edge.
 fn clipped(points: &[(f64, f64)], most: f64) -> Vec<(f64, f64)> {
     let mut clipped: Vec<(f64, f64)> = Vec::new();
     for (index, &(x, y)) in points.iter().enumerate() {
@@ -250,7 +251,7 @@ fn clipped(points: &[(f64, f64)], most: f64) -> Vec<(f64, f64)> {
         } else if let Some(&(x0, y0)) = index.checked_sub(1).and_then(|before| points.get(before))
             && y0 <= most
         {
-            // Where the straight line to this point crosses the upper edge.
+            // Point at which the straight line to this point crosses the upper edge.
             clipped.push((x0 + (most - y0) / (y - y0) * (x - x0), most));
         }
     }

@@ -1,5 +1,5 @@
-//! Figures of a refusal: joints over time, and deviations of the encoders from the motion of the robot, with the instant of
-//! the change point in red.
+//! Figures on the page of a refused calibration: joints over time, and residuals of the encoders relative to the motion of
+//! the robot. A red line marks the time of the problem.
 
 use maud::Markup;
 use plotters::prelude::RGBColor;
@@ -11,10 +11,10 @@ use crate::report::page::drawing::plot::{BLUE, COLOURS, Mark, ORANGE, Panel, Ser
 use crate::statistics::extremes;
 
 const RED: RGBColor = COLOURS[5];
-/// A curve that gaps divide into more parts is shown as dots.
+/// If gaps divide a curve into more parts than this, it is drawn as dots.
 const PARTS_MAX: usize = 200;
 
-/// One figure for each joint of a log.
+/// One figure for each joint of a log. `at_s` is the time of the problem, if it is known \[s\].
 pub(super) fn joints(curves: &[JointTrace], at_s: Option<f64>) -> Vec<Markup> {
     let figure = |curve: &JointTrace| {
         let points = || curve.parts.iter().flatten();
@@ -32,8 +32,8 @@ pub(super) fn joints(curves: &[JointTrace], at_s: Option<f64>) -> Vec<Markup> {
     curves.iter().map(figure).collect()
 }
 
-/// Residuals of each encoder, and the alignment along the run. The instant is marked in all of them: a step of one encoder
-/// alone is a slip, steps of several at the same instant are a clock step.
+/// Residuals of each encoder, and the time alignment along the run. The time of the problem is marked in all figures. A step
+/// of one encoder alone is a slip. Steps of several encoders at the same time are a clock step.
 pub(super) fn deviations(deviations: &Deviations, at_s: Option<f64>) -> Vec<Markup> {
     let samples = &deviations.samples;
     let time = TimeAxis::of(samples.iter().map(|(t_s, _)| *t_s));
@@ -56,7 +56,7 @@ fn panel(title: String, y: &str, time: &TimeAxis, mut series: Vec<Series>, at_s:
     Panel::new(title, [&time.since_first(), y], THIRD, series).draw()
 }
 
-/// A line across the figure; `None` if the instant is unknown or the figure is empty.
+/// Vertical line at the time of the problem. `None` if the time is unknown or the figure is empty.
 fn mark(time: &TimeAxis, at_s: Option<f64>, series: &[Series]) -> Option<Series> {
     let x = time.at(at_s?);
     let heights = series.iter().flat_map(|one| &one.points).map(|(_, y)| *y);

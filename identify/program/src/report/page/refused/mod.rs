@@ -1,5 +1,5 @@
-//! `report.html` of a refusal: what is wrong, where and what to do, then deviations of the encoders and the content
-//! of the inputs.
+//! `report.html` of a refused calibration. It states the problem, its location and the remedy. Residuals of the encoders and
+//! the content of the input files follow.
 
 mod figures;
 
@@ -16,7 +16,7 @@ use crate::inspect::JointLine;
 use crate::report::result::earlier::Earlier;
 use crate::report::result::file::{FileError, InputFile, MeasurementEntry, now, replace, software};
 
-/// Meaning of the line in a figure.
+/// Sentence that explains the red line in a figure.
 const MARKED: &str = " Red: time of the problem.";
 
 /// Content of the page.
@@ -24,11 +24,11 @@ const MARKED: &str = " Red: time of the problem.";
 pub struct RefusedPage<'a> {
     /// Name of the robot.
     pub robot: &'a str,
-    /// What it was to be measured with.
+    /// Name of the instrument of the measurement.
     pub instrument: &'a str,
-    /// Description of the measurement in each recording.
+    /// Descriptions of the measurements, from their recordings.
     pub measured: &'a [MeasurementEntry],
-    /// Message and place of the refusal.
+    /// Message of the refusal, and location of the problem.
     pub refusal: &'a CalibrationRefusal<'a>,
     /// Recording and robot log of each run.
     pub runs: &'a [[InspectedLog; 2]],
@@ -38,18 +38,18 @@ pub struct RefusedPage<'a> {
     pub configuration: &'a str,
 }
 
-/// Where the page is.
+/// Paths of a written page.
 #[derive(Debug)]
 pub struct WrittenRefusal {
     /// Path of the page.
     pub page: PathBuf,
-    /// Where an older calibration of the same directory is now.
+    /// Directory to which an earlier calibration was moved. `None` if there was no earlier calibration.
     pub set_aside: Option<PathBuf>,
 }
 
 impl RefusedPage<'_> {
-    /// Writes `report.html` into the directory, whole or not at all. An older calibration in it is moved to a folder
-    /// of its own, because the page does not describe it.
+    /// Writes `report.html` into the directory, completely or not at all. An earlier calibration in the directory is moved to
+    /// a folder of its own, because the page does not describe it.
     ///
     /// # Errors
     /// [`FileError`].
@@ -60,7 +60,7 @@ impl RefusedPage<'_> {
         Ok(WrittenRefusal { page: replace(directory, "report.html", &text)?, set_aside })
     }
 
-    /// The page; `set_aside` is where an older calibration goes.
+    /// The page. `set_aside` is the directory to which an earlier calibration is moved.
     pub fn render(&self, set_aside: Option<&Path>) -> Markup {
         let title = format!("Calibration of {}: refused", self.robot);
         let body = html! {
@@ -104,7 +104,7 @@ impl RefusedPage<'_> {
         }
     }
 
-    /// Run, joint and instant as text, as far as they are known.
+    /// Run, joint and time of the problem as text, as far as they are known.
     fn place(&self) -> String {
         let place = &self.refusal.place;
         let run = self.refusal.run.and_then(|run| self.runs.get(run).map(|found| (run, found)));
@@ -126,7 +126,7 @@ impl RefusedPage<'_> {
         format!("Run {} of {}", run + 1, self.runs.len())
     }
 
-    /// Encoders against the geometry that fits best.
+    /// Section on the residuals of the encoders from the geometry that fits best.
     fn deviations(&self) -> Markup {
         let Some(deviations) = self.refusal.deviations else { return html! {} };
         html! {
@@ -158,7 +158,7 @@ impl RefusedPage<'_> {
     }
 }
 
-/// Content of one log of a run; the instant `at_s` is marked.
+/// Section on the content of one log of a run. The time `at_s` is marked in the figures.
 fn log(what: &str, run: Option<&str>, log: &InspectedLog, at_s: Option<f64>) -> Markup {
     let panels = figures::joints(&log.curves, at_s);
     let found = &log.inspection;
@@ -189,7 +189,7 @@ fn log(what: &str, run: Option<&str>, log: &InspectedLog, at_s: Option<f64>) -> 
     }
 }
 
-/// Joints of one unit.
+/// Table of joints that have the same unit.
 fn joints(group: &[JointLine]) -> Markup {
     let unit = group.first().map_or("", |joint| joint.kind.display_symbol());
     html! {
@@ -208,7 +208,7 @@ fn joints(group: &[JointLine]) -> Markup {
     }
 }
 
-/// Splits a message into what is wrong and what to do. Messages of this program end with the remedy, after the last
+/// Splits a message into problem and remedy. Messages of this program end with the remedy, which begins after the last
 /// semicolon, full stop or line break.
 fn parts(message: &str) -> (&str, Option<&str>) {
     let separators = ["; ", ". ", "\n"];

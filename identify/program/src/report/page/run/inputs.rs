@@ -1,4 +1,5 @@
-//! Section on the content of recordings and robot logs, with missing information: tables of their inspections.
+//! Section on the content of recordings and robot logs: one table for each file, from its
+//! inspection. Missing information is emphasised.
 
 use std::path::PathBuf;
 
@@ -7,23 +8,23 @@ use maud::{Markup, html};
 use crate::inspect::curves::JointTrace;
 use crate::inspect::{Inspection, UNSAID};
 
-/// Facts of one file that the page shows; a long run may have thousands of events.
+/// Largest number of facts of one file on the page. A long run may have thousands of events.
 const FACTS_MAX: usize = 24;
 
-/// One log of a run and what is in it.
+/// One log of a run, and the result of its inspection.
 #[derive(Debug, Clone, PartialEq)]
 pub struct InspectedLog {
-    /// Such as `recording`.
+    /// Role of the file, such as `recording`.
     pub role: &'static str,
     /// Path of its file.
     pub path: PathBuf,
-    /// Its content.
+    /// Result of the inspection.
     pub inspection: Inspection,
-    /// Its joints over time; empty if the page does not draw them.
+    /// Joint positions over time. Empty if the page does not draw them.
     pub curves: Vec<JointTrace>,
 }
 
-/// Content of the files, side by side.
+/// Tables with the content of the files, side by side.
 pub(in crate::report::page) fn section(sources: &[InspectedLog]) -> Markup {
     html! { @if !sources.is_empty() {
         h2 { "Content of the logs, and missing information" }
@@ -31,7 +32,7 @@ pub(in crate::report::page) fn section(sources: &[InspectedLog]) -> Markup {
     } }
 }
 
-/// Facts of one file, as rows of a table.
+/// Facts of one file as rows of a table, at most [`FACTS_MAX`] of them.
 pub(in crate::report::page) fn rows(facts: &[(String, String)]) -> Markup {
     html! {
         @for (what, value) in facts.iter().take(FACTS_MAX) {
@@ -43,7 +44,7 @@ pub(in crate::report::page) fn rows(facts: &[(String, String)]) -> Markup {
     }
 }
 
-/// Content of one file; missing information is emphasised.
+/// Table with the content of one file. Missing information is emphasised.
 fn facts(source: &InspectedLog) -> Markup {
     let Inspection { facts, suspicious, .. } = &source.inspection;
     html! {

@@ -1,4 +1,4 @@
-//! Sections of one run: its inputs, readings and preparation, and residuals over time.
+//! Sections about runs: input files, readings and preparation, residuals over time, and deviation from the sphere.
 
 pub(in crate::report::page) mod inputs;
 pub(in crate::report::page) mod preparation;

@@ -1,4 +1,5 @@
-//! Preparation of the two logs of a run: figures 5.2 to 5.4 of the thesis (Brand and Nilsson 2016).
+//! Section on the preparation of the two logs of a run. Its figures correspond to figures 5.2 to 5.4 of the
+//! thesis (Brand and Nilsson 2016).
 
 use maud::{Markup, html};
 
@@ -47,7 +48,8 @@ fn time_axis(timeline: &Timeline) -> TimeAxis {
 
 /// Speed of the robot's and of the bar's fastest joint over time.
 fn speeds(timeline: &Timeline) -> Markup {
-    /// If points are further apart than this on average, dots are drawn: lines between them would mislead \[s\].
+    /// If the mean distance of points is larger than this, dots are drawn, because lines between the
+    /// points would be misleading \[s\].
     const APART_S: f64 = 1.0;
     let time = time_axis(timeline);
     let span_s = match timeline.points.as_slice() {
@@ -74,7 +76,7 @@ const fn is_usable(status: SampleStatus) -> bool {
     matches!(status, SampleStatus::Kept | SampleStatus::Thinned)
 }
 
-/// Angle of a bar joint over time: usable samples and those that were left out.
+/// Angle of a bar joint over time, with a colour for usable samples and a colour for samples that were left out.
 fn angle_by_status(timeline: &Timeline, joint: usize) -> Markup {
     let time = time_axis(timeline);
     let with_status = |name, colour, usable: bool| {
@@ -110,7 +112,7 @@ fn sphere(prepared: &Prepared) -> Markup {
     }
 }
 
-/// Joint, direction and offset of each encoder, and how well they fit the motion.
+/// Table of the encoders: joint, direction and offset of each, and how well its angles fit the motion of the robot.
 fn encoders(prepared: &Prepared) -> Markup {
     let encoder_map = &prepared.encoder_map;
     let offset = |joint: u8| prepared.offsets.iter().find(|offset| offset.joint == joint);
@@ -136,7 +138,7 @@ fn encoders(prepared: &Prepared) -> Markup {
     }
 }
 
-/// Jitter of each joint of both logs at standstill.
+/// Table of the jitter of each joint of both logs at standstill.
 fn jitter(timeline: &Timeline) -> Markup {
     let jitter = &timeline.jitter;
     let rows = [("robot", jitter.robot_urad.to_vec()), ("bar", jitter.bar_urad.to_vec())];
@@ -145,7 +147,7 @@ fn jitter(timeline: &Timeline) -> Markup {
     readings::by_joint(&caption, &rows)
 }
 
-/// Number of samples by status.
+/// Table of the number of samples with each status.
 fn statuses(prepared: &Prepared) -> Markup {
     let counts = &prepared.counts;
     let average = prepared.timeline.averaged.as_ref();

@@ -1,4 +1,4 @@
-//! Part of the preparation of a run: readings that were unwrapped, and the effect of the moving average if it is configured.
+//! Figures on the readings of a run: readings that were unwrapped, and the effect of the moving average, if it is configured.
 
 use std::f64::consts::TAU;
 
@@ -9,12 +9,13 @@ use crate::prepare::{Averaged, AveragedJoints, AveragedPoint, Timeline};
 use crate::report::page::drawing::figures::{HALF, TimeAxis, dots};
 use crate::report::page::drawing::plot::{BLUE, GREY, Mark, ORANGE, Panel, Series};
 
-/// Width and height of a panel \[px\]; low, because a run may have eleven pairs of panels: five encoders and six joints.
+/// Width and height of a panel \[px\]. The height is small, because a run may have eleven pairs of panels:
+/// five encoders and six joints.
 const PAIR_SIZE: (u32, u32) = (450, 170);
 /// Readings with a longer period are drawn in turns, not degrees \[turns\].
 const TURNS_MIN: f64 = 1.5;
 
-/// Readings that wrapped: as their files contain them, and as they were used.
+/// Figures of the readings that wrapped: as in their files, and continuous as they were used.
 pub(in crate::report::page) fn unwrapping(timeline: &Timeline) -> Markup {
     let unwrapped: Vec<&Unwrapped> =
         timeline.unwrapped_encoders.iter().chain(&timeline.unwrapped_joints).collect();
@@ -45,7 +46,7 @@ fn percent(part: f64) -> String {
     if part < 1e-3 { "less than 0.1 %".into() } else { format!("{:.1} %", 100.0 * part) }
 }
 
-/// The readings in the file beside the continuous ones, over time.
+/// Two figures of a reading over time: as in the file, and continuous.
 fn pair(reading: &Unwrapped) -> Markup {
     let time = TimeAxis::of(reading.points.iter().map(|point| point.t_s));
     let panel = |title: &str, unit: &str, scale: f64, colour, angle_rad: fn(&UnwrappedPoint) -> f64| {
@@ -94,7 +95,8 @@ pub(in crate::report::page) fn moving_average(averaged: Option<&Averaged>) -> Ma
     }
 }
 
-/// Speeds from the readings and from the averages, and the differences of the angles, over time.
+/// Two figures of the fastest joint of a log over time: its speed from readings and from averages, and the
+/// difference between readings and averages.
 fn excerpt(name: &str, joints: &AveragedJoints, colour: plotters::style::RGBColor) -> Markup {
     let points = &joints.fastest;
     let time = TimeAxis::of(points.iter().map(|point| point.t_s));
@@ -113,7 +115,7 @@ fn excerpt(name: &str, joints: &AveragedJoints, colour: plotters::style::RGBColo
     html! { (panel("speed", "[deg/s]", speeds)) (panel("reading minus average", "[µrad]", removed)) }
 }
 
-/// RMS of reading minus average of each joint, at standstill and in motion.
+/// Table of the RMS difference between reading and average for each joint, at standstill and in motion.
 fn removed_table(averaged: &Averaged) -> Markup {
     let rows = [
         ("robot, at standstill", &averaged.robot.still_rad),
@@ -126,7 +128,8 @@ fn removed_table(averaged: &Averaged) -> Markup {
     by_joint("Reading minus average, RMS [µrad]", &rows)
 }
 
-/// A table with a row for each name and a column for each joint, as many as the longest row has values; `None` is a dash.
+/// A table with one row for each name and one column for each joint. The longest row determines the number of columns. `None`
+/// is shown as a dash.
 pub(in crate::report::page) fn by_joint(caption: &str, rows: &[(&str, Vec<Option<f64>>)]) -> Markup {
     let cell = |value: &Option<f64>| value.map_or_else(|| "–".to_owned(), |value| format!("{value:.2}"));
     let joints = rows.iter().map(|(_, values)| values.len()).max().unwrap_or_default();

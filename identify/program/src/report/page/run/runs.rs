@@ -1,4 +1,4 @@
-//! Sections of each run: residuals over time, alignment, preparation.
+//! Sections about each run: residuals over time, time alignment, and preparation.
 
 use maud::{Markup, html};
 
@@ -8,7 +8,7 @@ use crate::prepare::Prepared;
 use crate::report::page::Page;
 use crate::report::page::drawing::figures;
 
-/// Name of each run with that of its file; `None` if there is only one run.
+/// Name of each run, with the path of its recording. `None` if there is only one run.
 pub(in crate::report::page) fn names(page: &Page<'_>) -> Vec<Option<String>> {
     let count = page.evidence.runs.len();
     let recordings = page.file.inputs.iter().filter(|input| input.role == "recording");
@@ -22,7 +22,7 @@ pub(in crate::report::page) fn title(what: &str, name: Option<&String>) -> Marku
     html! { h2 { (what) @if let Some(name) = name { span.run { " · " (name) } } } }
 }
 
-/// Residuals over time of all runs.
+/// Figures of the residuals over time, for all runs.
 pub(in crate::report::page) fn gaps(page: &Page<'_>) -> Markup {
     let Evidence { runs, by_encoders, rotations, .. } = page.evidence;
     html! {
@@ -43,7 +43,7 @@ pub(in crate::report::page) fn gaps(page: &Page<'_>) -> Markup {
     }
 }
 
-/// Alignment and preparation, run by run.
+/// Sections on time alignment and preparation of each run.
 pub(in crate::report::page) fn alignments(page: &Page<'_>) -> Markup {
     let runs = page.evidence.runs.iter().zip(page.calibration.bar_runs()).zip(names(page));
     html! {
@@ -56,7 +56,7 @@ pub(in crate::report::page) fn alignments(page: &Page<'_>) -> Markup {
     }
 }
 
-/// Alignment of the logs of a run: figures and the error by time shift.
+/// Time alignment of the logs of a run: correlation, clocks, and figures of the residual over an additional time shift.
 fn alignment(
     page: &Page<'_>,
     number: usize,

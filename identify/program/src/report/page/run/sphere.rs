@@ -1,5 +1,5 @@
 //! Section on the deviation of the robot's end from the sphere of a rigid bar, over time and by direction, and on the force
-//! on the bar: section 5.3 of the thesis (Brand and Nilsson 2016).
+//! on the bar. It corresponds to section 5.3 of the thesis (Brand and Nilsson 2016).
 
 use maud::{Markup, html};
 use plotters::style::RGBColor;
@@ -119,8 +119,8 @@ fn deviation_over_time(sphere: &SphereDeviation) -> Markup {
     html! { (panel("Nominal robot, the bar fitted to it", before)) (panel("Calibrated robot", after)) }
 }
 
-/// The force over time, and the deviation against it. The line is the elongation: compliance \[m/N\] times force \[N\], or half of
-/// the play \[m\] times the sign of the force.
+/// Two figures: the force over time, and the deviation from the sphere over the force. The line in the second figure is the
+/// estimated elongation: compliance \[m/N\] times force \[N\], or half of the play \[m\] times the sign of the force.
 fn forces(after: &ModelDeviation, elongation: &Elongation) -> Markup {
     // Play is identified from the sign of the force alone.
     let has_only_signs = elongation.parameter == ParameterId::BarPlay;
@@ -138,7 +138,8 @@ fn forces(after: &ModelDeviation, elongation: &Elongation) -> Markup {
     }
 }
 
-/// The deviation by direction of the bar, from above. Colours are strongest at the 95 % quantile of the deviations.
+/// Map of the deviation by direction of the bar, as seen from above. Colours are strongest at the 95
+/// % quantile of the deviations.
 fn sphere_map(title: &str, deviation: &ModelDeviation) -> Markup {
     /// Number of colours for each sign.
     const STEPS: i32 = 10;
@@ -153,11 +154,11 @@ fn sphere_map(title: &str, deviation: &ModelDeviation) -> Markup {
         let colour = colour(f64::from(step) / f64::from(STEPS));
         dots(name, colour, of_step.map(|sample| from_above(&sample.direction)).collect())
     };
-    // The strongest colours are drawn last, on top; zero has no sign and is drawn once.
+    // The strongest colours are drawn last, so that they are on top. Zero has no sign and is drawn once.
     sphere_from_above(title, (0..=STEPS).flat_map(|size| [-size, size]).skip(1).map(series))
 }
 
-/// From blue at -1 over light grey to orange at 1.
+/// Colour of a value between -1 and 1: from blue at -1 over light grey at 0 to orange at 1.
 fn colour(part: f64) -> RGBColor {
     const MIDDLE: RGBColor = RGBColor(232, 235, 239);
     let (end, strength) = if part < 0.0 { (BLUE, -part) } else { (ORANGE, part) };
