@@ -1,7 +1,7 @@
-//! The user interface of a calibration: [`commands`] is the command line, [`report`] the results; [`inspect`] lists the content of
-//! files, [`examine`] what a cost can identify.
+//! The user interface of a calibration. [`commands`] is the command line, and [`report`] writes the results. [`inspect`]
+//! lists the content of files, and [`examine`] lists the parameters that a cost can identify.
 
-// A closed standard output must not end a command: print with `say` and `show`.
+// A closed standard output must not end a command. Commands therefore print with `say` and `show`.
 #![warn(clippy::print_stdout)]
 
 pub mod commands;

@@ -1,8 +1,9 @@
-//! What a cost can identify on a robot and a bar, before anything is measured.
+//! Lists the parameters that a cost can identify on a robot and a bar, before anything is
+//! measured. Used by `identify examine`.
 //!
-//! From the Jacobian of the cost at the nominal parameters, on random poses that robot and bar can take: its rank and dependent
-//! columns, the effect of an error in a fixed parameter on the estimated ones (thesis TFRT-6017, sections 3.2 and 3.3), and the
-//! observability indices of the poses. Used by `identify examine`.
+//! The Jacobian of the cost is computed at the nominal parameters, on random poses that robot and bar can reach together. The
+//! results are its rank and dependent columns, the effect of an error in a fixed parameter on the estimated ones (thesis
+//! TFRT-6017, sections 3.2 and 3.3), and the observability indices of the poses.
 
 mod poses;
 
@@ -20,30 +21,33 @@ use crate::model::{Model, ParameterId, Role, Selection, thesis_fixed};
 use crate::simulate::Design;
 use crate::solver::{Identifiability, Influence, Observability, Options, identifiability, influence};
 
-/// Noise by which the cost `pose` is weighted. Rank and dependence need no realistic values: encoders and robot have the same.
+/// Noise by which the cost `pose` is weighted. Rank and dependence do not need realistic values, so encoders and
+/// robot have the same noise.
 const NOISE: AngleNoise = AngleNoise { encoder_rad: 1e-5, robot_rad: 1e-5 };
 
-/// What one cost identifies.
+/// Result of the examination of one cost.
 #[derive(Debug, Clone)]
 pub struct Examination {
     /// Name of the cost.
     pub cost: CostName,
-    /// With the 47 parameters of the thesis free: both chains and the position of the bar's base.
+    /// Identifiability with the 47 parameters of the thesis free: both chains and the position of the bar's base.
     pub all: Identifiability,
-    /// With these and the two rotations of the base free.
+    /// Identifiability with these parameters and the two rotations of the base free.
     pub tilted: Identifiability,
-    /// Parameters that must be fixed in addition to those of the thesis: on this robot they depend on others or have no effect.
+    /// Parameters that must be fixed in addition to those that the thesis fixes. On this robot, they depend on other
+    /// parameters or have no effect.
     pub further_fixed: Vec<ParameterId>,
-    /// Effect on the free parameters of an error in a fixed one, of the thesis or of those above.
+    /// Effect of an error in a fixed parameter on the free parameters. Fixed parameters are those that the thesis
+    /// fixes and those of `further_fixed`.
     pub influence: Influence,
-    /// Of the thesis' free parameters, in mm and mrad.
+    /// Observability of the free parameters of the thesis, in mm and mrad.
     pub observability: Observability,
 }
 
-/// Examines one cost on the nominal robot and bar.
+/// Examines one cost on the nominal robot and bar. `count` is the number of random poses, and `seed` selects them.
 ///
 /// # Errors
-/// [`TooFewPoses`] where robot and bar have too few poses in common; those of model, cost and solver.
+/// [`TooFewPoses`] if robot and bar have too few poses in common. Also errors of model, cost and solver.
 pub fn examine(
     robot: &RobotConfig,
     bar: &BallBarConfig,
@@ -70,8 +74,9 @@ pub fn examine(
     }
 }
 
-/// Examines the cost with this residual: rank and groups with all geometry free, without and with the rotations of the bar's base;
-/// then influence and observability with the thesis' selection, as far as its parameters are independent.
+/// Examines the cost with this residual. Rank and dependent groups are computed with all geometry free, first without and
+/// then with the rotations of the bar's base. Influence and observability are computed with the free parameters of the
+/// thesis, reduced to those that are independent.
 fn examine_with<R: Residual + Clone>(
     mut model: Model,
     poses: &Poses,
@@ -84,12 +89,13 @@ fn examine_with<R: Residual + Clone>(
         Ok(identifiability(&problem, &model.start(), &options)?)
     };
     let is_base_rotation = |id| matches!(id, ParameterId::BaseRotation { .. });
+    // Rank and groups with all geometry free, without and with the rotations of the base.
     model.free_only(|id| is_geometry(id) && !is_base_rotation(id));
     let all = identify(&model)?;
     model.free_only(is_geometry);
     let tilted = identify(&model)?;
 
-    // From the thesis' selection, fix further parameters until the others are independent.
+    // Beginning with the free parameters of the thesis, fix further parameters until the remaining ones are independent.
     model.select(Selection::Thesis, R::identifies);
     let mut further_fixed = Vec::new();
     let independent = loop {
@@ -102,11 +108,13 @@ fn examine_with<R: Residual + Clone>(
         model.set_roles(to_fix.iter().copied(), Role::Fixed)?;
         further_fixed.extend(to_fix);
     };
+    // Observability of the independent parameters.
     let units: Vec<f64> = model.columns().map(|p| p.id.unit().display_factor().recip()).collect();
     let observability = independent.observability(&units);
+    // Influence of the fixed parameters on the free ones.
     let fixed = thesis_fixed(model.axes()).into_iter().chain(further_fixed.iter().copied());
     let fixed: Vec<ParameterId> = fixed.filter(|id| R::depends_on(*id, model.robot())).collect();
-    // Free, so that the Jacobian has their columns.
+    // The fixed parameters are freed, so that the Jacobian has columns for them.
     model.set_roles(fixed.iter().copied(), Role::Free)?;
     let columns: Vec<usize> = fixed.iter().filter_map(|id| model.column_of(*id)).collect();
     let problem = LoopProblem::new(&model, &poses.joints, &poses.observations, residual, 1.0)?;

@@ -1,4 +1,5 @@
-//! Random poses that robot and bar can take together: random joints of the bar, and the robot's joints by inverse kinematics.
+//! Random poses that robot and bar can reach together. Joint angles of the bar are random, and the robot's joint
+//! positions follow by inverse kinematics.
 
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
@@ -8,7 +9,7 @@ use crate::kinematics::{BAR_JOINTS, Chain, robot_inverse, singularity_margin_rad
 use crate::model::{Observation, PerObservation};
 use crate::simulate::Design;
 
-/// Random bar joints tried for each pose before giving up.
+/// Average number of random bar postures that are tried for each pose before the search gives up.
 const TRIES_PER_POSE: usize = 2000;
 
 /// Robot and bar have too few poses in common.
@@ -22,11 +23,11 @@ pub struct TooFewPoses {
     pub found: usize,
     /// Number of poses needed.
     pub wanted: usize,
-    /// Where the bar stands.
+    /// Position of the bar in the robot's base frame \[m\].
     pub base_m: [f64; 3],
 }
 
-/// Bar and robot joints of each pose.
+/// Joint positions of bar and robot in each pose.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Poses {
     /// Bar joints of each pose.
@@ -36,7 +37,8 @@ pub struct Poses {
 }
 
 impl Poses {
-    /// Poses spread over all joints of the bar, within the robot's limits \[rad\] and the margins of the design.
+    /// Selects `count` poses that are spread over all joints of the bar, within the robot's limits \[rad\] and
+    /// the margins of the design.
     ///
     /// # Errors
     /// [`TooFewPoses`].
@@ -76,7 +78,7 @@ impl Poses {
     }
 }
 
-/// Whether the robot's joints are inside these limits, and its wrist is away from its singular pose.
+/// Whether the robot's joints are within these limits, and its wrist is not near its singular pose.
 fn is_regular(q: &[f64], limits: &[[f64; 2]], design: &Design) -> bool {
     let within = |(q, [low, high]): (&f64, &[f64; 2])| (*low..*high).contains(q);
     q.iter().zip(limits).all(within) && design.wrist_is_bent(q)

@@ -1,10 +1,10 @@
-//! Inspection of a recording of the bar's encoders that another program made.
+//! Inspection of a recording of the bar's encoders that was made by another program.
 
 use super::recording::{encoders, motion, quality};
 use super::{Inspection, UNSAID, stamps, unwrapped};
 use crate::logs::{OtherBarLog, since_first_s};
 
-/// What a table or a bag holds of the bar.
+/// Content of a table or bag with the bar's encoders.
 pub fn bar_log(log: &OtherBarLog) -> Inspection {
     let mut inspection = Inspection::default();
     inspection.fact("the bar", format!("from a {}", log.kind));

@@ -1,5 +1,5 @@
-//! Inspection of rows of a ball in sockets: visits of each socket, ranges and orientations, and how well the nominal robot
-//! seats the ball in the sockets that the rows name.
+//! Inspection of rows with a ball in sockets: number of visits to each socket, ranges of the joints, orientations, and the
+//! distances between ball and sockets with the nominal robot.
 
 use shared::config::{JointKind, RobotConfig};
 
@@ -10,7 +10,8 @@ use crate::logs::{TipRow, drop_copies};
 use crate::model::Model;
 use crate::statistics::{Sizes, extremes};
 
-/// What rows of a ball in sockets hold, and whether the nominal robot puts the ball into the sockets that they name.
+/// Content of rows with a ball in sockets. Also reports whether the nominal robot places the ball in the
+/// sockets that the rows name.
 pub fn contacts(rows: &[TipRow], table: &SocketTable, robot: &RobotConfig) -> Inspection {
     let mut inspection = Inspection::default();
     let visits = |socket: usize| rows.iter().filter(|row| row.part == socket).count();
@@ -31,7 +32,7 @@ pub fn contacts(rows: &[TipRow], table: &SocketTable, robot: &RobotConfig) -> In
     inspection
 }
 
-/// How far each joint goes.
+/// Reports the range of each joint, and warns about revolute joints that hardly moved.
 pub(super) fn ranges(
     inspection: &mut Inspection,
     rows: impl Iterator<Item = Joints> + Clone,
@@ -49,9 +50,10 @@ pub(super) fn ranges(
     }
 }
 
-/// In one orientation only, a socket adds little information: the robot repeats the same error there.
+/// Warns about sockets that are visited in nearly the same orientation only. Such a socket adds little information, because
+/// the robot repeats the same error at each visit.
 fn few_orientations(inspection: &mut Inspection, rows: &[TipRow], table: &SocketTable, chain: &Chain) {
-    /// Largest angle to the first orientation in a socket, below which it is reported \[rad\].
+    /// A socket is reported if all its orientations differ from the first one by less than this \[rad\].
     const TURN_MIN_RAD: f64 = 0.35;
     for (socket, name) in table.names().into_iter().enumerate() {
         let visits = rows.iter().filter(|row| row.part == socket);
@@ -67,10 +69,10 @@ fn few_orientations(inspection: &mut Inspection, rows: &[TipRow], table: &Socket
     }
 }
 
-/// Reports the distances of ball and socket for the nominal robot, with the sockets placed by a fit to the rows.
+/// Reports the distances between ball and socket with the nominal robot. The sockets are located by a fit to the rows.
 fn closure(inspection: &mut Inspection, mut contact: Contact, chain: &Chain, rows: &[TipRow]) {
-    /// Placing the sockets (`place`) and rejecting rows (`screen`) depend on each other: repeated until the same rows are rejected,
-    /// at most this number of times.
+    /// Largest number of rounds. Locating the sockets (`place`) and rejecting rows (`screen`) depend on each other. Both are
+    /// repeated until the rejected rows no longer change.
     const ROUNDS: usize = 4;
     let mut model = contact.fitted_out(Model::alone(chain));
     for _ in 0..ROUNDS {

@@ -1,4 +1,4 @@
-//! Joints over time, thinned to the points that a figure shows: for the page of a refusal.
+//! Joint positions over time for the page of a refusal, thinned to the points that a figure can show.
 
 use std::ops::Range;
 
@@ -11,34 +11,34 @@ use crate::prepare::{BarAngles, bar_angles};
 
 /// Approximate number of pixel columns of a figure.
 const COLUMNS: f64 = 400.0;
-/// Rows have a gap between them if they are further apart than a column and than this number of mean steps.
+/// There is a gap between two rows if their interval is longer than a column, and longer than this number of mean steps.
 const HOLE_STEPS: f64 = 10.0;
 
 /// One joint over time.
 #[derive(Debug, Clone, PartialEq)]
 pub struct JointTrace {
-    /// Such as `b1` or `q1`.
+    /// Name of the joint, such as `b1` or `q1`.
     pub name: String,
     /// Unit of its values, `deg` or `mm`.
     pub unit: &'static str,
-    /// Parts without holes, in the order of time: time after the first row \[s\] and value.
+    /// Parts without gaps, in the order of time. A point is the time after the first row \[s\] and the value.
     pub parts: Vec<Vec<(f64, f64)>>,
 }
 
-/// The recorded encoders, by their counters alone: each part between two changes of the origin begins near zero. Nothing
-/// where the cycles cannot be used at all; time counts from the first valid cycle.
+/// Curves of the recorded encoders, from their counters. Each part between two changes of the counters' origin begins near
+/// zero. Empty if the cycles cannot be used. Times count from the first valid cycle.
 pub fn of_bar(cycles: &[CycleRecord], encoders: &[EncoderInfo]) -> Vec<JointTrace> {
     let Ok(BarAngles { measured, readings, .. }) = bar_angles(cycles, encoders) else { return Vec::new() };
     let measured = (0..BAR_JOINTS).filter(|joint| measured[*joint]);
     curves('b', &readings, measured.map(|joint| (joint, JointKind::Revolute)))
 }
 
-/// The joints of a robot's log; time counts from its first stamp.
+/// Curves of the joints of a robot's log. Times count from its first stamp.
 pub fn of_robot(log: &RobotLog, robot: &RobotConfig) -> Vec<JointTrace> {
     curves('q', &log.q_rad, (0..log.axes()).zip(robot.joint_kinds()))
 }
 
-/// One curve for each joint, with the points that a figure needs of each part without gaps.
+/// One curve for each joint. Each part without gaps is thinned to the points that a figure needs.
 fn curves<R: Row>(
     prefix: char,
     rows: &Stream<R>,
@@ -62,9 +62,9 @@ fn curves<R: Row>(
     joints.map(curve).collect()
 }
 
-/// The first, lowest, highest and last of all points in each column: a line through them looks like that through
-/// all points (Jugel et al. 2014, "M4: a visualization-oriented time series data aggregation"). Points of a column
-/// must follow each other.
+/// Keeps the first, lowest, highest and last point of each column. A line through these points looks like a line
+/// through all points (Jugel et al. 2014, "M4: a visualization-oriented time series data aggregation"). Points of the
+/// same column must be consecutive.
 pub(crate) fn extremes_of_columns<P: Copy>(
     points: &[P],
     column: impl Fn(&P) -> i64,

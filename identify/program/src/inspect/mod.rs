@@ -1,5 +1,5 @@
-//! Content of logs, recordings and tables as an [`Inspection`]: facts, ranges of the joints and warnings, before anything is
-//! solved. For `identify inspect`, and for the pages of a calibration or a refusal.
+//! Lists the content of logs, recordings and tables as an [`Inspection`], before anything is solved: facts, ranges of the
+//! joints, and warnings. Used by `identify inspect`, and by the pages of a calibration or a refusal.
 
 mod bar_log;
 mod contacts;
@@ -20,17 +20,17 @@ use shared::config::JointKind;
 
 use crate::logs::{LogQuality, Row, Unwrapped, ranges, usual_and_longest_step_s};
 
-/// A revolute joint that turned less does not determine its link \[deg\].
+/// If a revolute joint turned by less than this, the data do not determine its link \[deg\].
 const TRAVEL_MIN_DEG: f64 = 5.0;
-/// Name of a fact that is missing in the file.
+/// Name of a fact that states which information the file does not contain.
 pub const UNSAID: &str = "not in the file";
 
-/// Facts about a file, and warnings.
+/// Facts about a file, its joints, and warnings.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Inspection {
     /// Name and value of each fact, in the order of display.
     pub facts: Vec<(String, String)>,
-    /// One row per joint.
+    /// One entry for each joint.
     pub joints: Vec<JointLine>,
     /// Content that reduces the accuracy of a calibration or prevents it, with the remedy.
     pub suspicious: Vec<String>,
@@ -39,19 +39,19 @@ pub struct Inspection {
 /// One joint of a log.
 #[derive(Debug, Clone, PartialEq)]
 pub struct JointLine {
-    /// Such as `b1` or `q1`.
+    /// Name of the joint, such as `b1` or `q1`.
     pub name: String,
     /// Revolute or prismatic, which determines the unit.
     pub kind: JointKind,
     /// Smallest and largest value \[deg, mm\].
     pub range: [f64; 2],
-    /// Fastest between two samples \[deg/s, mm/s\].
+    /// Largest speed between two consecutive samples \[deg/s, mm/s\].
     pub speed_max: f64,
 }
 
 impl Inspection {
     fn fact(&mut self, what: &str, value: impl Into<String>) {
-        // A note of a person may have several lines.
+        // A note that a person wrote may have several lines.
         let lines: Vec<String> = value.into().lines().map(|line| line.trim().to_owned()).collect();
         self.facts.push((what.to_owned(), lines.join(" / ")));
     }
@@ -60,7 +60,8 @@ impl Inspection {
         self.suspicious.push(sentence.into());
     }
 
-    /// Reports in one sentence all joints for which `described` has a text; `of_all` follows.
+    /// Reports all joints for which `described` returns a text, in one sentence. The sentence consists of
+    /// these texts, followed by `of_all`.
     fn suspect_joints(&mut self, described: impl Fn(&JointLine) -> Option<String>, of_all: &str) {
         let found: Vec<String> = self.joints.iter().filter_map(described).collect();
         if !found.is_empty() {
@@ -68,15 +69,15 @@ impl Inspection {
         }
     }
 
-    /// Its joints, neighbours of one unit together.
+    /// The joints, as groups of consecutive joints with the same unit.
     pub(crate) fn joints_by_unit(&self) -> impl Iterator<Item = &[JointLine]> {
         self.joints.chunk_by(|joint, next| joint.kind == next.kind)
     }
 }
 
-/// Reports period and gaps of the time stamps of a log, and what was corrected in them.
+/// Reports period and gaps of the time stamps of a log, and the corrections that were applied to stamps and rows.
 fn stamps(inspection: &mut Inspection, t_s: &[f64], quality: &LogQuality) {
-    /// Longest distance of stamps without a gap, in periods.
+    /// Longest interval between two stamps that does not count as a gap, in periods.
     const GAP_PERIODS: f64 = 5.0;
     let [period_s, longest_gap_s] = usual_and_longest_step_s(t_s);
     inspection
@@ -112,7 +113,7 @@ fn unwrapped(inspection: &mut Inspection, all: &[Unwrapped]) {
     }
 }
 
-/// Range and speed of each joint; joints are named by the prefix and their number.
+/// Range and largest speed of each joint. The name of a joint is `prefix` with its number.
 fn joint_lines<R: Row>(
     prefix: char,
     kinds: impl Iterator<Item = JointKind>,
@@ -135,7 +136,8 @@ fn joint_lines<R: Row>(
     kinds.take(ranges_si.len()).enumerate().map(line).collect()
 }
 
-/// A revolute joint that hardly moves does not determine its link; `check` is what to do if it did move.
+/// Warns about revolute joints that hardly moved, because they do not determine their links. `check` states what to check if
+/// such a joint did move.
 fn suspect_still(inspection: &mut Inspection, check: &str) {
     let is_still = |JointLine { kind, range: [low, high], .. }: &JointLine| {
         *kind == JointKind::Revolute && high - low < TRAVEL_MIN_DEG

@@ -1,5 +1,4 @@
-//! Inspection of a recording of `ballbard`: its description and events, valid cycles, sample times, and the motion
-//! of the encoders.
+//! Inspection of a recording of `ballbard`: description, valid cycles, sample times, motion of the encoders, and events.
 
 use shared::config::JointKind;
 use shared::recording::Recording;
@@ -9,12 +8,13 @@ use super::{Inspection, JointLine, joint_lines, suspect_still};
 use crate::prepare::{BarAngles, bar_angles};
 use crate::report::summary::SIMULATED;
 
-/// No robot moves a bar faster than this; counts that jump are faster \[deg/s\].
+/// No robot moves a bar faster than this \[deg/s\]. A larger speed shows that the counts jumped.
 const SPEED_MAX_DEG_S: f64 = 720.0;
-/// Sample times less certain than this reduce the accuracy of a calibration: 0.5 rad/s times 150 us is the whole budget of 75 urad.
+/// A larger uncertainty of sample times reduces the accuracy of a calibration \[ns\]. At 0.5 rad/s, 150 us correspond to 75
+/// urad, which is the whole error budget.
 const UNCERTAINTY_MAX_NS: u32 = 150_000;
 
-/// What a recording holds.
+/// Content of a recording.
 pub fn recording(recording: &Recording) -> Inspection {
     let mut inspection = Inspection::default();
     facts(&mut inspection, recording);
@@ -63,13 +63,13 @@ fn facts(inspection: &mut Inspection, recording: &Recording) {
     }
 }
 
-/// Which joints have an encoder, in the order of the file.
+/// Reports the joints that have an encoder, in the order of the file.
 pub(super) fn encoders(inspection: &mut Inspection, encoders: &[EncoderInfo]) {
     let joints: Vec<String> = encoders.iter().map(|encoder| format!("b{}", encoder.joint)).collect();
     inspection.fact("encoders", joints.join(" "));
 }
 
-/// Valid cycles, flags, and changes of the counters' origin.
+/// Reports the number of valid cycles, the flags, and changes of the counters' origin.
 pub(super) fn quality(inspection: &mut Inspection, cycles: &[CycleRecord]) {
     let valid = cycles.iter().filter(|cycle| cycle.is_valid()).count();
     let percent = 100.0 * valid as f64 / cycles.len().max(1) as f64;
@@ -93,6 +93,7 @@ pub(super) fn quality(inspection: &mut Inspection, cycles: &[CycleRecord]) {
     }
 }
 
+/// Reports sample times that are uncertain or do not increase, and missing cycles.
 fn times(inspection: &mut Inspection, recording: &Recording) {
     let cycles = &recording.cycles;
     let uncertain = cycles
@@ -117,13 +118,14 @@ fn times(inspection: &mut Inspection, recording: &Recording) {
     }
 }
 
-/// Reports range and speed of each joint, speeds that no bar has, and joints that hardly move.
+/// Reports range and speed of each joint, speeds that are impossible for a bar, and joints that hardly move.
 pub(super) fn motion(inspection: &mut Inspection, cycles: &[CycleRecord], encoders: &[EncoderInfo]) {
     let BarAngles { readings, measured, .. } = match bar_angles(cycles, encoders) {
         Ok(angles) => angles,
         Err(error) => return inspection.suspect(error.to_string()),
     };
-    // Parts between two changes of the counters' origin: angles of different parts cannot be compared.
+    // The readings are divided at changes of the counters' origin, because angles before and after a change cannot be
+    // compared. Only the longest part is inspected.
     let parts = readings.parts_within(f64::INFINITY);
     let Some(longest) = parts.into_iter().max_by_key(std::ops::Range::len) else { return };
     let kinds = std::iter::repeat(JointKind::Revolute);

@@ -1,4 +1,5 @@
-//! Inspection of a robot's own log: clock and stamps, repeated rows, and constant, still and impossibly fast joints.
+//! Inspection of a robot's own log: clock and time stamps, repeated rows, and joints that are constant, hardly
+//! move, or are impossibly fast.
 
 use std::ops::Range;
 
@@ -10,12 +11,13 @@ use crate::logs::{RobotLog, ValueOrigin};
 use crate::prepare::unwrapped_log;
 use crate::statistics::largest_difference;
 
-/// This number of equal rows, after which a joint jumps, was not a standstill: the logger got no new values.
+/// If this number of rows repeat the row before and then a joint jumps, the robot did not stand still. The
+/// logger received no new values.
 const FROZEN_ROWS_MIN: usize = 3;
-/// A larger step of a joint after equal rows is a jump \[rad\].
+/// A larger step of a joint after repeated rows counts as a jump \[rad\].
 const FROZEN_STEP_RAD: f64 = 1e-3;
 
-/// What a robot's log holds.
+/// Content of a robot's log.
 pub fn robot_log(log: &RobotLog, robot: &RobotConfig) -> Inspection {
     let mut inspection = Inspection::default();
     if let Some(name) = &log.robot {
@@ -51,11 +53,11 @@ pub fn robot_log(log: &RobotLog, robot: &RobotConfig) -> Inspection {
     inspection
 }
 
-/// Reports joints that are constant while others move: they were not read.
+/// Warns about joints that are constant while other joints move, because the logger probably did not read them.
 fn suspect_constant_columns(inspection: &mut Inspection, log: &RobotLog) {
     let rows = &log.q_rad;
     let is_long = |part: &Range<usize>| part.len() >= FROZEN_ROWS_MIN;
-    // A range counts at the end of the log, too.
+    // Ranges that extend to the end of the log are reported, too.
     let constant = rows.constant_ranges(is_long, |_, _| true);
     for (joint, part) in (1..).zip(constant).filter_map(|(joint, part)| Some((joint, part?))) {
         let (from_s, to_s) = (rows.t_s[part.start], rows.t_s[part.end - 1]);
@@ -65,7 +67,7 @@ fn suspect_constant_columns(inspection: &mut Inspection, log: &RobotLog) {
     }
 }
 
-/// Reports joints that are faster than those of any robot: stamps or values are wrong.
+/// Warns about joints that are faster than those of any robot. Their stamps or values are wrong.
 fn suspect_fast(inspection: &mut Inspection) {
     /// Twice the speed of the last joint of small robots \[deg/s\].
     const SPEED_MAX_DEG_S: f64 = 3000.0;
@@ -79,7 +81,7 @@ fn suspect_fast(inspection: &mut Inspection) {
         .suspect_joints(reached, ": no robot is so fast; look for rows with a wrong stamp or a wrong value");
 }
 
-/// Number of rows in segments in which all joints are constant, and after which a joint jumps.
+/// Number of rows that repeat the row before, in segments of constant joints that end with a jump of a joint.
 fn repeated_rows(rows: &[Joints]) -> usize {
     let mut count = 0;
     let mut start = 0;

@@ -1,5 +1,6 @@
-//! Inspection of rows of a tracker, a wire or a touch probe: extent of measurements and joints, and the residuals of the
-//! nominal robot when the instrument is fitted to it, with the mistake in the file that most likely explains large ones.
+//! Inspection of rows of a tracker, a wire or a touch probe. It reports the ranges of measurements and joints, and the
+//! residuals of the nominal robot when the instrument is fitted to it. If residuals are large, it names the mistake in the
+//! file that most likely explains them.
 
 use shared::config::RobotConfig;
 use shared::output::named;
@@ -13,12 +14,12 @@ use crate::logs::{LogQuality, MeasuredLengths, MeasuredPoses, TimedPoses, Touche
 use crate::report::rows::OTHER_ROBOT_M;
 use crate::statistics::extremes;
 
-/// Names of stations, targets or faces that are listed, at most.
+/// Largest number of names of stations, targets or faces that are listed.
 const NAMED: usize = 8;
-/// As [`OTHER_ROBOT_M`], of orientations \[rad\].
+/// As [`OTHER_ROBOT_M`], for orientations \[rad\].
 const OTHER_ROBOT_RAD: f64 = 0.1;
 
-/// Rows of a tracker that have the robot's joints.
+/// Content of rows of a tracker that contain the robot's joints.
 pub fn poses(read: &MeasuredPoses, robot: &RobotConfig) -> Inspection {
     let mut inspection = Inspection::default();
     let rows = &read.rows;
@@ -32,8 +33,8 @@ pub fn poses(read: &MeasuredPoses, robot: &RobotConfig) -> Inspection {
     inspection
 }
 
-/// Reports how far each joint goes, the residuals of the nominal robot with the instrument fitted to it, and what may be wrong
-/// if they are large.
+/// Reports the range of each joint, and the residuals of the nominal robot with the instrument fitted to it. If residuals are
+/// large, it also reports their probable cause.
 fn nominal_robot(inspection: &mut Inspection, instrument: &Instrument, robot: &RobotConfig) {
     ranges(inspection, instrument.joints().into_iter(), robot);
     let chain = flange_chain(robot);
@@ -51,7 +52,7 @@ fn nominal_robot(inspection: &mut Inspection, instrument: &Instrument, robot: &R
         error.position_m > OTHER_ROBOT_M || error.rotation_rad.is_some_and(|rad| rad > OTHER_ROBOT_RAD)
     };
     let mut mistakes = instrument.mistakes(robot.axes());
-    // The calibration finds where an instrument or target was moved.
+    // Displacements of an instrument or target are not reported, because the calibration finds them.
     mistakes.retain(|mistake| !matches!(mistake, Mistake::Moved(_)));
     if let Some(likely) = likely(instrument, &chain, &mistakes) {
         inspection.suspect(format!("most likely {likely}"));
@@ -63,7 +64,7 @@ fn nominal_robot(inspection: &mut Inspection, instrument: &Instrument, robot: &R
     }
 }
 
-/// Rows of a tracker on its own clock: their joints are in the robot's log.
+/// Content of rows of a tracker with times on its own clock. The joints of these rows are in the robot's log.
 pub fn timed_poses(read: &TimedPoses) -> Inspection {
     let mut inspection = Inspection::default();
     inspection.fact("rows", format!("{} over {:.1} s", read.rows.len(), read.rows.duration_s()));
@@ -75,7 +76,7 @@ pub fn timed_poses(read: &TimedPoses) -> Inspection {
     inspection
 }
 
-/// Rows of a wire.
+/// Content of rows of a wire.
 pub fn lengths(read: &MeasuredLengths, robot: &RobotConfig) -> Inspection {
     let mut inspection = Inspection::default();
     let rows = &read.rows;
@@ -88,7 +89,7 @@ pub fn lengths(read: &MeasuredLengths, robot: &RobotConfig) -> Inspection {
     inspection
 }
 
-/// Touches of flat faces.
+/// Content of rows of a touch probe or dial gauge that touches flat faces.
 pub fn touches(read: &Touches, robot: &RobotConfig) -> Inspection {
     let mut inspection = Inspection::default();
     let rows = &read.rows;
@@ -104,14 +105,14 @@ pub fn touches(read: &Touches, robot: &RobotConfig) -> Inspection {
     inspection
 }
 
-/// Names of the stations and targets that the rows have.
+/// Reports the names of stations and targets in the rows.
 fn set_ups(inspection: &mut Inspection, lists: [(&str, &Vec<String>); 2]) {
     for (what, names) in lists.into_iter().filter(|(_, names)| !names.is_empty()) {
         inspection.fact(what, format!("{}: {}", names.len(), named(names, NAMED)));
     }
 }
 
-/// The box in which the positions are.
+/// Reports the range of the positions along each axis.
 fn extent(inspection: &mut Inspection, positions_m: impl Iterator<Item = [f64; 3]> + Clone) {
     let axes = ["x", "y", "z"].into_iter().enumerate().map(|(axis, name)| {
         let [low, high] = extremes(positions_m.clone().map(|position_m| position_m[axis] * 1e3));

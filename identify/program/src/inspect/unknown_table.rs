@@ -1,7 +1,8 @@
-//! Proposes a mapping for a table without one, for `identify inspect --propose`. From the bytes of a table and the robot's
-//! file: layout by counting numbers; joints, times, lengths and positions by names, units and ranges of the columns; then
-//! signs, order and orientation by the smallest residuals of the nominal robot. None of it is certain, so the mapping lists
-//! the reason of each choice.
+//! Proposes a mapping for a table that has none, for `identify inspect --propose`. Inputs are the bytes of the table and the
+//! robot's configuration. First, the layout is found by counting numbers. Then the columns of joints, times, lengths and
+//! positions are recognised by their names, units and ranges. Finally, signs and order of the joints and the form of the
+//! orientation are chosen so that the residuals of the nominal robot are smallest. None of these choices is certain, so the
+//! mapping lists the reason of each one.
 
 mod columns;
 mod joints;
@@ -23,17 +24,17 @@ use layout::layout;
 use times::time;
 use trial::ResidualTrial;
 
-/// Words by which a length is recognised.
+/// Words in the name of a column with lengths.
 const LENGTHS: &str = "length cable wire rope distance laenge länge seil draw";
-/// Words by which the socket of a ball is recognised.
+/// Words in the name of a column with the socket of a ball.
 const SOCKETS: &str = "socket nest seat cone";
 
-/// What a table holds, with the mapping that reads it.
+/// Mapping of a table, by the content of the table.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Mapping {
     /// Robot log: joints over time.
     RobotLog(Box<RobotLogMapping>),
-    /// Joints and where a tracker saw the flange.
+    /// Joints and positions of the flange that a tracker measured.
     MeasuredPoses(MeasuredPoseMapping),
     /// Joints and a length.
     MeasuredLengths(MeasuredLengthMapping),
@@ -41,21 +42,21 @@ pub enum Mapping {
     Contacts(ContactMapping),
 }
 
-/// A mapping and what it rests on.
+/// A proposed mapping, with the reasons for it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Proposal {
     /// Mapping for the table.
     pub mapping: Mapping,
-    /// Why it is so.
+    /// Reasons and open questions.
     pub notes: Notes,
 }
 
-/// Why a mapping is as it is.
+/// Reasons for the choices in a mapping, and open questions.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Notes {
-    /// What each choice rests on.
+    /// Reason of each choice.
     pub reasons: Vec<String>,
-    /// What looks wrong, and what to try.
+    /// Open questions: content that looks wrong, and what the user can try.
     pub doubts: Vec<String>,
 }
 
@@ -70,10 +71,10 @@ impl Notes {
 }
 
 impl Proposal {
-    /// The mapping as the text of a file, with reasons and open questions as its comments.
+    /// The mapping as TOML text, with reasons and open questions as comments.
     ///
     /// # Errors
-    /// Where a value cannot be written as TOML.
+    /// If a value cannot be written as TOML.
     pub fn to_toml(&self) -> Result<String, toml::ser::Error> {
         let body = match &self.mapping {
             Mapping::RobotLog(mapping) => config::to_toml(mapping),
@@ -94,13 +95,13 @@ impl Proposal {
     }
 }
 
-/// Why no mapping can be proposed.
+/// Reasons why no mapping can be proposed.
 #[derive(Debug, thiserror::Error)]
 pub enum ProposeError {
     /// The file cannot be read as a table.
     #[error(transparent)]
     Log(#[from] LogError),
-    /// No rows of numbers.
+    /// The table has no rows of numbers.
     #[error(
         "{path}: no rows of numbers with a column for each of {joints} joints; check that --robot is the robot that was logged, or \
          give another table"
@@ -108,10 +109,10 @@ pub enum ProposeError {
     NoTable {
         /// Path of the file.
         path: String,
-        /// Joints of the robot.
+        /// Number of joints of the robot.
         joints: usize,
     },
-    /// No columns look like joints.
+    /// No columns can be recognised as joints.
     #[error(
         "{path}: the columns of the robot's {joints} joints cannot be recognised by name, unit and range; found {found}. Write a \
          mapping as config/robot_log.toml explains"
@@ -119,12 +120,12 @@ pub enum ProposeError {
     NoJoints {
         /// Path of the file.
         path: String,
-        /// Joints of the robot.
+        /// Number of joints of the robot.
         joints: usize,
-        /// Columns that are there.
+        /// Names of the columns in the table.
         found: String,
     },
-    /// Joints, but neither times nor anything measured.
+    /// The table has joints, but neither times nor a measured quantity.
     #[error(
         "{path}: the table has joints, but neither time stamps nor a measured position, length or socket; found {found}. Export \
          one of these too, or write a mapping that names its column, as the files in config/ explain"
@@ -132,17 +133,18 @@ pub enum ProposeError {
     NothingMeasured {
         /// Path of the file.
         path: String,
-        /// Columns that are there.
+        /// Names of the columns in the table.
         found: String,
     },
 }
 
-/// Proposes a mapping for a table of `robot`; `path` is only named.
+/// Proposes a mapping for a table that was recorded with `robot`. `path` is only used in messages. If several sheets of a
+/// workbook have a suitable table, the mapping is for the first of them.
 ///
 /// # Errors
 /// [`ProposeError`].
 pub fn propose(bytes: &[u8], path: &Path, robot: &RobotConfig) -> Result<Proposal, ProposeError> {
-    // Empty unless the file is a workbook with several sheets.
+    // `sheets` is empty unless the file is a workbook with several sheets.
     let sheets = RowsAsText::sheets(bytes);
     let proposals = sheets.iter().map(|sheet| (sheet.as_str(), for_sheet(bytes, path, robot, Some(sheet))));
     let (usable, others): (Vec<_>, Vec<_>) = proposals.partition(|(_, proposal)| proposal.is_ok());
@@ -158,7 +160,7 @@ pub fn propose(bytes: &[u8], path: &Path, robot: &RobotConfig) -> Result<Proposa
     Ok(first)
 }
 
-/// Proposes a mapping for one sheet of a workbook, or for a text file.
+/// Proposes a mapping for one sheet of a workbook, or for a text file (`sheet` is `None`).
 fn for_sheet(
     bytes: &[u8],
     path: &Path,
@@ -172,10 +174,11 @@ fn for_sheet(
         CsvLayout { sheet: sheet.map(str::to_owned), ..layout(&text, robot.axes()).ok_or_else(no_table)? };
     let columns = columns(&text, &csv)?;
     let found = || columns.iter().map(|column| column.name.as_str()).collect::<Vec<_>>().join(", ");
-    // Columns of the robot's own log, as its file names them.
+    // Names of the columns of the robot's own log, from its configuration.
     let log_columns = own_columns(robot);
     let is_own_log = log_columns.iter().all(|name| columns.iter().any(|column| column.name == *name));
-    // Apart from the other notes: they come first, and are replaced if the table is the robot's own log.
+    // Notes on the joints are separate from the other notes. They come first, and they are replaced if the table
+    // is the robot's own log.
     let mut joint_notes = Notes::default();
     let joints = joints(&columns, robot, csv.header, &mut joint_notes);
     if joints.is_none() && !is_own_log {
@@ -184,17 +187,19 @@ fn for_sheet(
     let joints = joints.unwrap_or_default();
     let is_joint = |column: &TableColumn| joints.iter().any(|joint| joint.column == column.name);
     let taken = |column: &TableColumn| is_joint(column) || (is_own_log && log_columns.contains(&column.name));
+    // Recognise the content of all columns that are not joints.
     let others: Vec<&TableColumn> = columns.iter().filter(|column| !taken(column)).collect();
     let mut notes = Notes::default();
     let time = time(&others, &mut notes);
-    // Only a robot's log has a mapping with the time.
+    // Open questions on the time are only kept for a robot's log, because no other mapping contains the time.
     let time_doubts = std::mem::take(&mut notes.doubts);
     let length = others.iter().find(|column| column.has_word(LENGTHS)).copied();
     let position = triple(&others, &["x", "y", "z"]);
     let of_tracker = position.is_some_and(|xyz| xyz[0].has_word(TRACKERS));
     let socket = others.iter().find(|column| column.has_word(SOCKETS));
     let trial = ResidualTrial { bytes, path, robot };
-    // The most specific content decides: a log with times may also have the controller's own positions.
+    // The most specific content determines the kind of mapping. For example, a log with times may also
+    // contain the controller's own positions.
     let mapping = match (time, length, position, socket) {
         (_, _, _, Some(socket)) => contacts(csv, joints, socket, &mut notes),
         (_, Some(length), _, _) => {

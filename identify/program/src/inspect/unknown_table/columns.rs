@@ -1,13 +1,13 @@
-//! The columns of a table by names, units and content, and groups of columns with related names.
+//! The columns of a table with their names, units and numbers, and groups of columns with related names.
 
 use super::Notes;
 use super::layout::{is_date, number};
 use crate::logs::{CsvLayout, LengthUnit, LogError, RowsAsText};
 
-/// Words by which positions are a tracker's and not the controller's own.
+/// Words that show that positions were measured by a tracker and are not the controller's own.
 pub(super) const TRACKERS: &str = "tracker meas measured measurement laser probe smr leica api faro";
 
-/// One column of a table, with those of its cells that are numbers.
+/// One column of a table. Of its cells, only the numbers are stored.
 pub(super) struct TableColumn {
     pub(super) name: String,
     /// The name in lower case, without unit.
@@ -18,7 +18,7 @@ pub(super) struct TableColumn {
 }
 
 impl TableColumn {
-    /// Where the name has this text; a single letter only as a word.
+    /// Position at which the plain name contains this text. A single letter must be a word of its own.
     pub(super) fn find(&self, text: &str) -> Option<usize> {
         let is_part = |beside: Option<char>| beside.is_some_and(char::is_alphanumeric);
         let is_found = |at: usize| {
@@ -28,7 +28,8 @@ impl TableColumn {
         self.plain.match_indices(text).map(|(at, _)| at).find(|at| is_found(*at))
     }
 
-    /// Whether the name has one of these words, a list with spaces between them; digits at its end do not count.
+    /// Whether the name contains one of these words, which are separated by spaces. Digits at the end of a word
+    /// in the name are ignored.
     pub(super) fn has_word(&self, words: &str) -> bool {
         self.plain.split(|character: char| !character.is_alphanumeric()).any(|word| {
             let bare = word.trim_end_matches(|character: char| character.is_ascii_digit());
@@ -45,7 +46,7 @@ impl TableColumn {
         !self.numbers.is_empty() && !self.is_date
     }
 
-    /// Whether more than half of the steps are upwards, and at most 1 % downwards.
+    /// Whether more than half of the steps between consecutive numbers are upwards, and at most 1 % are downwards.
     pub(super) fn rises(&self) -> bool {
         let steps = self.numbers.len().saturating_sub(1);
         let rising = self.numbers.windows(2).filter(|pair| pair[1] > pair[0]).count();
@@ -53,9 +54,9 @@ impl TableColumn {
         2 * rising > steps && 100 * falling <= steps
     }
 
-    /// Unit of a length, by the header or by the size of the numbers, with the reason.
+    /// Unit of a length, from the header or from the size of the numbers, with the reason.
     pub(super) fn length_unit(&self) -> (LengthUnit, String) {
-        /// No arm reaches so far in metres; its positions in millimetres are larger.
+        /// No position of an arm is larger than this in metres. In millimetres, positions are larger.
         const M_MAX: f64 = 20.0;
         match self.unit {
             Some("mm") => (LengthUnit::Mm, "from the header".into()),
@@ -66,7 +67,8 @@ impl TableColumn {
     }
 }
 
-/// Units, each with its other spellings; those of torques, currents, forces and speeds show that a column has no joint angles.
+/// Units with their other spellings. The units of torques, currents, forces and speeds show that a column
+/// does not contain joint angles.
 const UNITS: [&str; 13] = [
     "deg degree degrees ° grad",
     "rad radian radians",
@@ -89,10 +91,11 @@ fn unit_named(text: &str) -> Option<&'static str> {
     spellings.split(' ').next()
 }
 
-/// A name in lower case without unit, and the unit, which is in brackets or the last word: `J1 [deg]`, `x(mm)`, `q1_deg`.
+/// Splits the name of a column into the name in lower case and the unit. The unit is in brackets or the last word, as
+/// in `J1 [deg]`, `x(mm)`, `q1_deg`.
 fn plain_and_unit(name: &str) -> (String, Option<&'static str>) {
     let spaced: String = name.chars().fold(String::new(), |mut out, character| {
-        // A capital after a small letter begins a word: TrackerX.
+        // A capital after a small letter begins a new word, as in `TrackerX`.
         if character.is_uppercase() && out.chars().last().is_some_and(char::is_lowercase) {
             out.push('_');
         }
@@ -106,8 +109,8 @@ fn plain_and_unit(name: &str) -> (String, Option<&'static str>) {
             return (before.trim().to_owned(), Some(unit));
         }
     }
-    // A single letter at the end is part of the name, not a unit: `joint_a` is not in amperes. Columns such as `x_m` lose
-    // nothing: the unit of a length then follows from the size of its numbers.
+    // A single letter at the end belongs to the name and is not a unit: `joint_a` is not in amperes. Columns such as `x_m`
+    // are still read correctly, because the unit of a length is then inferred from the size of its numbers.
     if let Some((before, last)) = name.rsplit_once(['_', ' ', '.'])
         && last.len() > 1
         && let Some(unit) = unit_named(last)
@@ -117,9 +120,9 @@ fn plain_and_unit(name: &str) -> (String, Option<&'static str>) {
     (name, None)
 }
 
-/// The columns with names, units and numbers, read in this layout.
+/// Reads the columns in this layout, with names, units and numbers.
 pub(super) fn columns(text: &RowsAsText<'_>, csv: &CsvLayout) -> Result<Vec<TableColumn>, LogError> {
-    /// Enough to see ranges and steps.
+    /// Largest number of rows that are read, sufficient to determine ranges and steps.
     const ROWS_MAX: usize = 20_000;
     let (header, units, rows) = text.rows(csv, ROWS_MAX)?;
     let column = |(index, name): (usize, &String)| {
@@ -134,8 +137,8 @@ pub(super) fn columns(text: &RowsAsText<'_>, csv: &CsvLayout) -> Result<Vec<Tabl
     Ok(header.iter().enumerate().map(column).collect())
 }
 
-/// One column for each of the words, with names that are otherwise equal, such as `tracker_x`, `tracker_y`, `tracker_z`;
-/// those of a tracker are preferred.
+/// Finds one column for each of the words, with names that are otherwise equal, such as `tracker_x`, `tracker_y`,
+/// `tracker_z`. If there are several such groups, a group of a tracker is preferred.
 pub(super) fn group<'c>(columns: &[&'c TableColumn], words: &[&str]) -> Option<Vec<&'c TableColumn>> {
     let mut found: Vec<Vec<&TableColumn>> = Vec::new();
     for first in columns.iter().filter(|column| column.is_number()) {
@@ -156,12 +159,12 @@ pub(super) fn group<'c>(columns: &[&'c TableColumn], words: &[&str]) -> Option<V
     (preferred < found.len()).then(|| found.swap_remove(preferred))
 }
 
-/// [`group`] of three words.
+/// As [`group`], for three words.
 pub(super) fn triple<'c>(columns: &[&'c TableColumn], words: &[&str; 3]) -> Option<[&'c TableColumn; 3]> {
     group(columns, words).and_then(|group| group.try_into().ok())
 }
 
-/// The column that names the station or target of each row.
+/// Name of the column that contains the station or target of each row. `what` names this content in the note.
 pub(super) fn label_column(
     columns: &[&TableColumn],
     what: &str,

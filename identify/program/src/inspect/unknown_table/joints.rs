@@ -1,4 +1,5 @@
-//! The columns of the joints: candidates by their names, the best of them by names, units and ranges.
+//! Finds the columns of the joints. Candidates are groups of columns with related names. The best candidate is selected
+//! by names, units and ranges.
 
 use std::collections::BTreeMap;
 
@@ -8,22 +9,24 @@ use super::columns::TableColumn;
 use super::{Notes, listed};
 use crate::logs::{JointColumn, JointUnit};
 
-/// Words of columns beside joints that are not joint angles.
+/// Words in the names of columns that belong to joints but do not contain joint angles.
 const NOT_ANGLES: &str = "vel velocity speed qd dq qdd acc tau torque moment effort current strom amp temp temperature force \
                           error dev";
-/// Words of commanded angles.
+/// Words in the names of columns with commanded angles.
 const COMMANDED: &str = "cmd command commanded target soll desired ref reference planned set";
 
-/// Names of joints that have no numbers.
+/// Common names of joints that are not numbered.
 const NAMED_JOINTS: &[[&str; 6]] = &[
     ["shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3"],
     ["base", "shoulder", "elbow", "wrist1", "wrist2", "wrist3"],
     ["s", "l", "u", "r", "b", "t"],
 ];
 
-/// Candidates for the joints: each has `axes` columns whose names differ only in the number, or the usual name, of the joint.
+/// Candidates for the joints. A candidate has `axes` columns, whose names differ only in the number or the
+/// common name of the joint.
 fn families(columns: &[TableColumn], axes: usize) -> Vec<Vec<&TableColumn>> {
-    // Pattern: a name with `#` in place of the joint. Its columns are keyed by the joint's number.
+    // A pattern is a name with `#` in place of the joint. The map contains, for each pattern, its columns by
+    // the number of the joint.
     let mut by_pattern: BTreeMap<String, BTreeMap<usize, &TableColumn>> = BTreeMap::new();
     for column in columns.iter().filter(|column| column.is_number()) {
         let bytes = column.plain.as_bytes();
@@ -47,7 +50,7 @@ fn families(columns: &[TableColumn], axes: usize) -> Vec<Vec<&TableColumn>> {
         }
     }
     let consecutive = |by_number: &BTreeMap<usize, _>| {
-        // From 0 if there is a 0, otherwise from 1.
+        // Numbers begin at 0 if there is a column with 0, otherwise at 1.
         let first = usize::from(!by_number.contains_key(&0));
         (first..first + axes)
             .map(|number| by_number.get(&number).copied())
@@ -56,9 +59,9 @@ fn families(columns: &[TableColumn], axes: usize) -> Vec<Vec<&TableColumn>> {
     by_pattern.values().filter_map(consecutive).collect()
 }
 
-/// Whether the values of all columns, taken in this unit, are within the limits of their joints.
+/// Whether the values of all columns, interpreted in this unit, are within the limits of their joints plus a margin.
 fn are_within(family: &[&TableColumn], robot: &RobotConfig, unit: AngleUnit) -> bool {
-    /// Zeros of controllers and models differ by quarter turns.
+    /// Margin beyond the limits \[deg\]. The zero positions of controllers and models differ by multiples of a quarter turn.
     const MARGIN_DEG: f64 = 190.0;
     family.iter().zip(&robot.joint_limits_deg).all(|(column, [low, high])| {
         let limits_deg = low - MARGIN_DEG..=high + MARGIN_DEG;
@@ -66,19 +69,20 @@ fn are_within(family: &[&TableColumn], robot: &RobotConfig, unit: AngleUnit) -> 
     })
 }
 
-/// The unit of an angle that the header states.
+/// Unit of an angle according to the header.
 fn stated_unit(column: &TableColumn) -> Option<AngleUnit> {
     [AngleUnit::Deg, AngleUnit::Rad].into_iter().find(|unit| column.unit == Some(unit.suffix()))
 }
 
-/// The columns of the joints with their unit: of all candidates the one with the highest score.
+/// The columns of the joints with their unit. They are the candidate with the highest score.
 pub(super) fn joints(
     columns: &[TableColumn],
     robot: &RobotConfig,
     header: bool,
     notes: &mut Notes,
 ) -> Option<Vec<JointColumn>> {
-    // Only revolute joints have limits in degrees; columns of prismatic ones cannot be recognised by range.
+    // A robot with prismatic joints has fewer limits in degrees than axes. Columns of prismatic joints cannot
+    // be recognised by their range.
     let axes = robot.joint_limits_deg.len();
     if axes < robot.axes() {
         return None;
@@ -92,7 +96,7 @@ pub(super) fn joints(
             ));
         }
     }
-    // `max_by_key` takes the last of equals, and the reversed order makes it the first.
+    // `max_by_key` returns the last of several equal maxima. The order is reversed, so that the first candidate is selected.
     let scored = choices.iter().rev().map(|family| (score(family, robot), family));
     let (_, family) = scored.filter(|(score, _)| *score > -5).max_by_key(|(score, _)| *score)?;
     let unit = angle_unit(family, notes);
@@ -116,7 +120,7 @@ pub(super) fn joints(
     Some(family.iter().map(|column| JointColumn::new(column.name.clone(), unit)).collect())
 }
 
-/// Of a table without header: the first neighbouring columns that are neither times nor millimetres.
+/// Candidate in a table without header: the first consecutive columns that are neither times nor millimetres.
 fn first_neighbours<'c>(columns: &'c [TableColumn], robot: &RobotConfig) -> Option<Vec<&'c TableColumn>> {
     let numeric: Vec<&TableColumn> = columns.iter().filter(|column| column.is_number()).collect();
     let are_angles = |family: &&[&TableColumn]| {
@@ -125,7 +129,8 @@ fn first_neighbours<'c>(columns: &'c [TableColumn], robot: &RobotConfig) -> Opti
     numeric.windows(robot.joint_limits_deg.len()).find(are_angles).map(<[&TableColumn]>::to_vec)
 }
 
-/// Empirical weights: a certain contradiction outweighs all favourable signs, and -5 or less excludes a candidate.
+/// Score of a candidate, with empirical weights. A certain contradiction outweighs all favourable signs, and a score of -5
+/// or less excludes a candidate.
 fn score(family: &[&TableColumn], robot: &RobotConfig) -> i32 {
     let has = |words| i32::from(family.iter().any(|column| column.has_word(words)));
     let still = family.iter().all(|column| column.numbers.windows(2).all(|pair| pair[0] == pair[1]));
@@ -139,9 +144,9 @@ fn score(family: &[&TableColumn], robot: &RobotConfig) -> i32 {
         - 9 * i32::from(!are_within(family, robot, AngleUnit::Deg))
 }
 
-/// The unit by the size of the values; a note states whether the header agrees.
+/// Unit of the angles, from the size of their values. A note states whether the header agrees.
 pub(super) fn angle_unit(family: &[&TableColumn], notes: &mut Notes) -> AngleUnit {
-    /// Joints of robots turn by little more than a turn either way.
+    /// Largest angle in radians, because joints of robots turn by little more than one turn in each direction.
     const RAD_MAX: f64 = 6.7;
     let stated = family.iter().copied().find_map(stated_unit);
     let largest = family.iter().map(|column| column.largest()).fold(0.0, f64::max);

@@ -1,8 +1,8 @@
-//! Delimiter, decimal sign and header of a table, by counting numbers.
+//! Finds delimiter, decimal sign and header of a table by counting numbers.
 
 use crate::logs::{CsvLayout, RowsAsText, is_comment};
 
-/// A cell as a number.
+/// Parses a cell as a finite number.
 pub(super) fn number(cell: &str, decimal_comma: bool) -> Option<f64> {
     let cell = if decimal_comma { cell.replace(',', ".") } else { cell.to_owned() };
     cell.parse::<f64>().ok().filter(|number| number.is_finite())
@@ -17,14 +17,17 @@ fn cells(line: &str, delimiter: char) -> Vec<&str> {
     line.split(delimiter).map(|cell| cell.trim().trim_matches('"')).collect()
 }
 
-/// Delimiter, decimal sign and header of a table: of all choices the one that gives most numbers in rows of equal width.
+/// Delimiter, decimal sign and header of a table. The selected layout is the one that results in the most numbers
+/// in rows of equal width.
 pub(super) fn layout(text: &RowsAsText<'_>, axes: usize) -> Option<CsvLayout> {
     let lines: Vec<&str> = text.lines().collect();
     let choices =
         [(';', false), (';', true), ('\t', false), ('\t', true), (',', false), ('|', false), (' ', false)];
-    // `max_by_key` takes the last of equals, and the reversed order makes it the first: with equal counts no decimal comma.
+    // `max_by_key` returns the last of several equal maxima. The order is reversed, so that the first choice, without decimal
+    // comma, is selected if counts are equal.
     let best = choices.into_iter().rev().filter_map(|(delimiter, decimal_comma)| {
-        // Of a row of numbers, which may have up to 30 % of other cells: the number of all cells, and of numbers or dates.
+        // Number of all cells in a row, and number of cells with numbers or dates. `None` if fewer than `axes` cells have
+        // numbers, or if more than 30 % of the cells have neither numbers nor dates.
         let row_size = |line: &str| {
             let cells = cells(line, delimiter);
             let numbers =
@@ -38,13 +41,14 @@ pub(super) fn layout(text: &RowsAsText<'_>, axes: usize) -> Option<CsvLayout> {
         Some((total, delimiter, decimal_comma, first, width))
     });
     let (_, delimiter, decimal_comma, first, width) = best.max_by_key(|(total, ..)| *total)?;
-    // Lines of the same width above the numbers, from the lowest: lines of units, then a header.
+    // Lines above the numbers that have the same width, from the lowest to the highest. The highest line is the header, and
+    // the lines below it contain units.
     let above: Vec<usize> = (0..first)
         .rev()
         .filter(|&line| !lines[line].trim().is_empty() && !is_comment(lines[line]))
         .take_while(|&line| cells(lines[line], delimiter).len() == width)
         .collect();
-    // Mostly empty cells.
+    // A title has mostly empty cells.
     let is_title = |line: &&usize| {
         cells(lines[**line], delimiter).iter().filter(|cell| cell.is_empty()).count() * 2 > width
     };

@@ -1,5 +1,6 @@
-//! What the names of the columns leave open, by the nominal robot: with a tracker signs, order and unit of the joints, and the form
-//! of the orientation, by its residuals; with a wire whether positions are those of the flange.
+//! Determines what the names of the columns leave open, by residuals of the nominal robot. With a tracker, these
+//! are signs, order and unit of the joints, and the form of the orientation. With a wire, it is whether positions
+//! are those of the flange.
 
 use std::path::Path;
 
@@ -17,7 +18,7 @@ use crate::logs::{
 };
 use crate::report::rows::OTHER_ROBOT_M;
 
-/// Determines by residuals of the nominal robot what the names of the columns leave open.
+/// Table and robot, for the choices that the names of the columns leave open.
 pub(super) struct ResidualTrial<'a> {
     pub(super) bytes: &'a [u8],
     pub(super) path: &'a Path,
@@ -25,7 +26,7 @@ pub(super) struct ResidualTrial<'a> {
 }
 
 impl ResidualTrial<'_> {
-    /// The rows as this mapping reads them.
+    /// Reads the rows with this mapping. `None` if they cannot be read.
     fn rows(&self, mapping: &MeasuredPoseMapping) -> Option<Instrument> {
         let read = MeasuredPoses::read(self.bytes, self.path, mapping).ok()?;
         Some(Tracker::new(&read.rows).into())
@@ -36,17 +37,19 @@ impl ResidualTrial<'_> {
         misfit(&some_of(&self.rows(mapping)?), &flange_chain(self.robot))
     }
 
-    /// The mapping with signs, order and unit of the joints corrected, and with the columns of the orientation, as they fit
-    /// the nominal robot best.
+    /// Corrects signs, order and unit of the joints in the mapping, and adds the columns of the orientation. Both are chosen
+    /// so that the rows fit the nominal robot best.
     pub(super) fn corrected(
         &self,
         mut mapping: MeasuredPoseMapping,
         others: &[&TableColumn],
         notes: &mut Notes,
     ) -> MeasuredPoseMapping {
-        /// The nominal robot is within this of the right reading; any wrong one is further away \[rad\].
+        /// If the orientation is read correctly, the nominal robot deviates from it by less than this \[rad\]. With any
+        /// wrong reading, it deviates more.
         const FITS_RAD: f64 = 0.1;
-        // Positions alone show mistakes in the joints; the orientation is tried with corrected joints.
+        // Mistakes in the joints are found by the positions alone. The orientation is tried
+        // afterwards, with corrected joints.
         if let Some(rows) = self.rows(&mapping) {
             let chain = flange_chain(self.robot);
             match likely(&rows, &chain, &Mistake::of_joints(mapping.joints.len())) {
@@ -96,8 +99,8 @@ impl ResidualTrial<'_> {
         }
     }
 
-    /// The mapping with these columns of positions, if the flange of the nominal robot is at them: they may also be those of a
-    /// tool, or in another frame.
+    /// Adds these columns to the mapping as positions of the flange, if the flange of the nominal robot is at these
+    /// positions. Otherwise they may be positions of a tool, or in another frame.
     pub(super) fn with_flange(
         &self,
         mapping: MeasuredLengthMapping,
@@ -134,7 +137,7 @@ fn undo(joints: &mut [JointColumn], mistake: JointMistake) {
     }
 }
 
-/// All readings of the columns whose names are those of an orientation.
+/// All possible readings of those columns whose names are usual for an orientation.
 fn orientations(columns: &[&TableColumn]) -> Vec<RotationColumns> {
     const THREE: [[&str; 3]; 5] = [
         ["rx", "ry", "rz"],
