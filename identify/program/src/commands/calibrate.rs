@@ -1,5 +1,5 @@
-//! `identify calibrate`. Each instrument has a subcommand with its own options, so that none can be accepted and ignored. All
-//! of them make an [`ExperimentFile`] of their options, which [`driver::calibrate`] calibrates.
+//! `identify calibrate`. Each instrument has a subcommand with its own options, so that no option can be accepted and then
+//! ignored. Each subcommand converts its options to an [`ExperimentFile`], which [`driver::calibrate`] calibrates.
 
 mod bar;
 mod driver;
@@ -89,20 +89,20 @@ pub struct CommonArguments {
 }
 
 impl CommonArguments {
-    /// An experiment without data sets.
+    /// An experiment with these settings, but without data sets.
     fn experiment(&self) -> anyhow::Result<ExperimentFile> {
         let identify = self.identify_config()?;
         Ok(ExperimentFile { robot: self.robot.clone(), identify, ..ExperimentFile::default() })
     }
 
-    /// The configuration file, overridden by the options.
+    /// Settings of the configuration file, overridden by the options.
     fn identify_config(&self) -> anyhow::Result<IdentifyConfig> {
         let Self { free, fix, .. } = self;
         let file = self.config.as_deref();
         let mut config: IdentifyConfig = file.map_or_else(|| Ok(IdentifyConfig::default()), config::load)?;
         config.loss = self.loss.or(config.loss);
         config.require_mm = self.result.require.or(config.require_mm);
-        // Options override the file.
+        // A parameter of an option is removed from the opposite list of the file.
         if let Some(both) = fix.iter().find(|id| free.contains(id)) {
             anyhow::bail!("{both} is in --free and in --fix; leave it out of one");
         }
@@ -129,7 +129,7 @@ pub struct ResultArguments {
     require: Option<f64>,
 }
 
-/// A length above zero, with or without its unit \[mm\].
+/// Parses a length above zero, with or without its unit \[mm\].
 fn millimetres(text: &str) -> Result<f64, String> {
     let number = text.strip_suffix("mm").unwrap_or(text).trim().parse::<f64>().ok();
     number
@@ -170,7 +170,7 @@ pub fn run(arguments: &CalibrateArguments) -> anyhow::Result<()> {
 }
 
 impl RowArguments {
-    /// Calibrates from the files that `add` adds to an experiment.
+    /// Calibrates from the files of rows that `add` adds to an experiment.
     fn calibrate(&self, add: impl FnOnce(&mut ExperimentFile)) -> anyhow::Result<()> {
         let mut experiment = self.common.experiment()?;
         add(&mut experiment);

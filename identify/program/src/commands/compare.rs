@@ -1,4 +1,4 @@
-//! `identify compare`: tests whether calibrations of one robot agree ([`Consistency`]); prints a table and writes a page.
+//! `identify compare` tests whether calibrations of one robot agree ([`Consistency`]), prints a table and writes a page.
 
 use std::path::PathBuf;
 

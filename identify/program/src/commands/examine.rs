@@ -1,4 +1,5 @@
-//! `identify examine`: prints for each cost which parameters of a nominal robot and bar it can identify ([`crate::examine`]).
+//! `identify examine` prints, for each cost, which parameters of a nominal robot and bar
+//! it can identify ([`crate::examine`]).
 
 use std::path::PathBuf;
 
@@ -30,7 +31,7 @@ pub struct ExamineArguments {
     seed: u64,
 }
 
-/// From the cost that needs most encoders to the one that needs none.
+/// All costs, from the one that needs most encoders to the one that needs none.
 const ALL: [CostName; 5] =
     [CostName::Pose, CostName::Transform, CostName::PositionAngles, CostName::Position, CostName::Length];
 

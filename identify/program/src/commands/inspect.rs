@@ -1,5 +1,5 @@
-//! `identify inspect`: reads each file as the kind that its content and the options determine, and prints its content and
-//! what is suspicious in it. With `--propose` it writes a mapping for a table instead.
+//! `identify inspect` reads each file and prints its content and suspicious findings. The kind of a file follows from its
+//! content and the options. With `--propose`, the command writes a mapping for a table instead.
 
 use std::fs::File;
 use std::io::{ErrorKind, Write};
@@ -66,7 +66,7 @@ struct InspectSettings {
     rows: Option<RowMapping>,
 }
 
-/// Mapping of rows of a tracker, a wire, a touch probe, or a ball in sockets with their table.
+/// Mapping of rows, by instrument. For a ball in sockets, the table of the sockets is included.
 enum RowMapping {
     Contacts(SocketTable, ContactMapping),
     Poses(MeasuredPoseMapping),
@@ -75,7 +75,8 @@ enum RowMapping {
 }
 
 impl RowMapping {
-    /// Recognises the instrument by the keys of the file: a wire has `length`, a touch probe `face`, a tracker neither.
+    /// Reads a mapping. The instrument is recognised by the keys of the file: a wire has `length`, a touch probe `face`,
+    /// a tracker neither of them.
     fn load(path: &Path) -> anyhow::Result<Self> {
         let table = Source::find(path).text()?.parse::<toml::Table>();
         let has = |key: &str| table.as_ref().is_ok_and(|table| table.contains_key(key));
@@ -92,7 +93,7 @@ impl RowMapping {
         })
     }
 
-    /// Checks that its joints, if it has any, are the axes of the robot; `path` is that of the mapping.
+    /// Checks that the joints of the mapping, if it has any, are the axes of the robot. `path` is the path of the mapping.
     fn check_joints(&self, robot: &RobotConfig, path: &Path) -> Result<(), LogError> {
         let joints = match self {
             Self::Contacts(_, mapping) => &mapping.joints,
@@ -176,7 +177,7 @@ fn propose(path: &Path, robot: &RobotConfig, out: &Path) -> anyhow::Result<()> {
 }
 
 impl InspectSettings {
-    /// What is in a file: a bag may have both the robot and the bar.
+    /// Inspections of a file. A bag may contain both the robot and the bar.
     fn inspected(&self, path: &Path) -> anyhow::Result<Vec<Inspection>> {
         if let (Some(mapping), Some(robot)) = (&self.rows, &self.robot) {
             return Ok(vec![mapping.inspected(path, robot)?]);

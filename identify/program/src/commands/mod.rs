@@ -1,5 +1,5 @@
-//! The command line: [`IdentifyArguments::from_words`] parses it, and [`run`] calls the module of the command. Each module reads files,
-//! calls `identify-core`, and prints and writes the result with [`crate::report`].
+//! The command line. [`IdentifyArguments::from_words`] parses it, and [`run`] calls the module of the command. Each of these
+//! modules reads files, calls `identify-core`, and prints and writes the result with [`crate::report`].
 
 mod calibrate;
 mod compare;
@@ -78,11 +78,12 @@ enum IdentifyCommand {
 }
 
 impl IdentifyArguments {
-    /// Parses the words of a command line, the program's name first. Without a subcommand, `plan` plans a path, `simulate`
-    /// simulates the ball-bar, and `calibrate` uses the ball-bar or, with `--experiment`, the instruments of that file.
+    /// Parses the words of a command line, of which the first is the program's name. Without a subcommand, `plan`
+    /// plans a path and `simulate` simulates the ball-bar. `calibrate` uses the ball-bar or, with `--experiment`,
+    /// the instruments of that file.
     ///
     /// # Errors
-    /// Those of clap; help and version are errors, too.
+    /// Errors of clap. Requests for help or the version are returned as errors, too.
     pub fn from_words(words: impl IntoIterator<Item = OsString>) -> Result<Self, clap::Error> {
         let mut words: Vec<OsString> = words.into_iter().collect();
         if let Some(subcommand) = default_subcommand(&words) {
@@ -92,7 +93,7 @@ impl IdentifyArguments {
     }
 }
 
-/// The subcommand that is meant if an option directly follows the command.
+/// The default subcommand of a command, if an option directly follows the command. `None` if no default is needed.
 fn default_subcommand(words: &[OsString]) -> Option<&'static str> {
     let [_, command, option, ..] = words else { return None };
     let option = option.to_str()?;
@@ -118,7 +119,7 @@ fn load_log_mapping(path: &Path, robot: &RobotConfig) -> anyhow::Result<RobotLog
     Ok(mapping)
 }
 
-/// Checks that an arm can follow the bar in all its directions.
+/// Checks that an arm has enough axes to follow the bar in all directions.
 fn ensure_follows_bar(robot: &RobotConfig) -> anyhow::Result<()> {
     const AXES_MIN: usize = 6;
     anyhow::ensure!(
@@ -130,7 +131,8 @@ fn ensure_follows_bar(robot: &RobotConfig) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Checks before any work that files can be created in a directory, or in its nearest parent if it does not exist yet.
+/// Checks, before any work, that files can be created in a directory. If the directory does not exist yet, its
+/// nearest existing parent is checked.
 fn ensure_can_write(directory: &Path) -> anyhow::Result<()> {
     let parents = directory.ancestors();
     let mut parents = parents.map(|path| if path.as_os_str().is_empty() { Path::new(".") } else { path });
@@ -149,7 +151,7 @@ fn ensure_can_write(directory: &Path) -> anyhow::Result<()> {
     })
 }
 
-/// Runs a command; an error's text is meant for the user.
+/// Runs a command. The text of an error is intended for the user.
 pub fn run(arguments: IdentifyArguments) -> anyhow::Result<()> {
     match arguments.command {
         IdentifyCommand::Calibrate(arguments) => calibrate::run(&arguments),

@@ -8,21 +8,22 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 use crate::solver::{Progress, Watch};
 
-/// Ctrl-C was pressed, or [`interrupt`] was called.
+/// True after Ctrl-C was pressed or [`interrupt`] was called.
 static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 /// Set when the handler of Ctrl-C has been installed.
 static HANDLER: OnceLock<()> = OnceLock::new();
-/// Whether the running command polls [`INTERRUPTED`] to keep its partial result: then the first Ctrl-C does not end the program.
+/// Whether the running command polls [`INTERRUPTED`] to keep its partial result. If so, the first Ctrl-C
+/// does not end the program.
 static POLLED: AtomicBool = AtomicBool::new(false);
-/// The bar of the running command; Ctrl-C removes it from the terminal.
+/// Progress bar of the running command. The handler of Ctrl-C removes it from the terminal.
 static SHOWN: Mutex<Option<ProgressBar>> = Mutex::new(None);
 
 /// Exit code of a program that Ctrl-C ended, by the convention of shells.
 const EXIT_INTERRUPTED: i32 = 130;
-/// Work that is shorter than this shows no progress.
+/// No progress is shown for work that takes less time than this.
 const PATIENCE: Duration = Duration::from_millis(500);
 
-/// Ends the running command as the first Ctrl-C does, and any later one until [`allow_commands`].
+/// Ends the running command in the same way as the first Ctrl-C. Later commands also end, until [`allow_commands`] is called.
 pub fn interrupt() {
     INTERRUPTED.store(true, Ordering::Relaxed);
 }
@@ -32,22 +33,22 @@ pub fn allow_commands() {
     INTERRUPTED.store(false, Ordering::Relaxed);
 }
 
-/// A progress bar, if there is a terminal. Ctrl-C ends the program immediately with exit code 130. If the command keeps its partial
-/// result, the first Ctrl-C only requests its end, and the second one ends the program.
+/// A progress bar, which is visible only on a terminal. Ctrl-C ends the program immediately with exit code 130. If the
+/// command keeps its partial result, the first Ctrl-C only requests its end, and the second one ends the program.
 #[derive(Debug)]
 pub struct OnTerminal {
     bar: ProgressBar,
-    /// Name of the current part of the work.
+    /// Name of the current stage of the work.
     stage: Mutex<String>,
 }
 
 impl OnTerminal {
-    /// For a command that polls for Ctrl-C and keeps its partial result.
+    /// Progress bar of a command that polls for Ctrl-C and keeps its partial result.
     pub fn new() -> Self {
         Self::with_polling(true)
     }
 
-    /// For a command without partial results: Ctrl-C ends the program at any point.
+    /// Progress bar of a command without partial results. Ctrl-C ends the program at any point.
     pub fn all_or_nothing() -> Self {
         Self::with_polling(false)
     }
@@ -70,26 +71,26 @@ impl OnTerminal {
         let bar = style.map_or_else(|_| bar.clone(), |style| bar.clone().with_style(style));
         *SHOWN.lock().unwrap_or_else(PoisonError::into_inner) = Some(bar.clone());
         let shown = bar.clone();
-        // If the thread cannot be started, nothing is shown.
+        // If the thread cannot be started, the bar remains hidden.
         let _ = std::thread::Builder::new().spawn(move || {
             std::thread::sleep(PATIENCE);
             if !shown.is_finished() {
                 shown.set_draw_target(ProgressDrawTarget::stderr());
-                // Redraws also between reports of progress.
+                // The bar is also redrawn between reports of progress.
                 shown.enable_steady_tick(PATIENCE);
             }
         });
         Self { bar, stage: Mutex::default() }
     }
 
-    /// Shows a sentence about work of unknown length; false once Ctrl-C was pressed.
+    /// Shows a sentence about work of unknown length. Returns false after Ctrl-C was pressed.
     pub fn show_sentence(&self, sentence: impl FnOnce() -> String) -> bool {
         self.set_template("{msg}");
         self.bar.set_message(sentence());
         !INTERRUPTED.load(Ordering::Relaxed)
     }
 
-    /// Shows that `done` of `all` items are done; false once Ctrl-C was pressed.
+    /// Shows that `done` of `all` items are done. Returns false after Ctrl-C was pressed.
     pub fn show_count(&self, done: usize, all: usize, items: &str) -> bool {
         self.set_template(&format!("{{wide_bar}} {{pos}}/{{len}} {items}, {{eta}} left"));
         self.bar.set_length(all as u64);

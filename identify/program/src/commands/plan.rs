@@ -1,5 +1,6 @@
-//! `identify plan`: searches a path for the bar, a place for the bar, or poses for a tracker or wire that give a calibration
-//! much information ([`crate::plan`]), or checks a path; prints the expected accuracy, and writes path, programs and page.
+//! `identify plan` searches for a path of the bar, a position of the bar, or poses for a tracker or wire that give a
+//! calibration much information ([`crate::plan`]). It can also check a path. It prints the expected accuracy, and
+//! writes path, programs and page.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -100,14 +101,15 @@ fn above_zero(option: &str, value: f64) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Distance from the last axis at which a message proposes the target, so that the turn of this axis can be measured \[m\].
+/// A message proposes to mount the target at this distance from the last axis, so that the turn of this
+/// axis can be measured \[m\].
 const OFF_AXIS_M: f64 = 0.1;
 /// Largest coordinate in a cell \[m\].
 const CELL_M_MAX: f64 = 100.0;
 /// Largest coordinate that a robot reaches \[m\].
 pub(super) const REACH_M_MAX: f64 = 10.0;
 
-/// Coordinates as typed are finite, and of a size that metres have.
+/// Checks that coordinates are finite, and not larger than a limit that is plausible for metres.
 pub(super) fn in_metres(option: &str, numbers: &[f64], limit_m: f64) -> anyhow::Result<()> {
     let list = |divisor: f64| {
         numbers.iter().map(|number| (number / divisor).to_string()).collect::<Vec<_>>().join(",")
@@ -126,7 +128,7 @@ pub(super) fn in_metres(option: &str, numbers: &[f64], limit_m: f64) -> anyhow::
     Ok(())
 }
 
-/// Takes the posture as typed, if one is: a number for each axis.
+/// Sets the posture of the design to the typed one, if there is one. It must have one number for each axis.
 pub(super) fn set_posture(design: &mut Design, typed: &[f64], robot: &RobotConfig) -> anyhow::Result<()> {
     let (given, axes) = (typed.len(), robot.axes());
     anyhow::ensure!(
@@ -270,7 +272,7 @@ struct CheckPathArguments {
     log_mapping: Option<PathBuf>,
 }
 
-/// Robot, bar and obstacles, as configured.
+/// Robot, bar, obstacles and limits, as configured.
 struct Loaded {
     robot: RobotConfig,
     bar: BallBarConfig,
@@ -318,7 +320,7 @@ impl Loaded {
             .with(Some(self.bodies.clone()), self.acceleration_rad_s2)
     }
 
-    /// Information of a run of this length, in addition to that of an earlier calibration if one is given.
+    /// Information of a run of this length. If an earlier calibration is given, its information is added.
     fn information(&self, duration_s: f64) -> anyhow::Result<Information> {
         let chains = (&self.arm, &self.bar_chain);
         let information = Information::new((&self.robot, &self.bar), chains, self.criterion, duration_s)?;
@@ -341,7 +343,7 @@ pub fn run(arguments: &PlanArguments) -> anyhow::Result<()> {
     }
 }
 
-/// Searches a path, checks it, and writes the planned path, the robot's joints, the page and programs.
+/// Searches for a path, checks it, and writes the planned path, the robot's joints, the page and programs.
 fn find_path(arguments: &PathArguments) -> anyhow::Result<()> {
     let mut loaded = arguments.cell.load(arguments.criterion)?;
     ensure_programs_can_be_written(&arguments.program, &loaded.robot)?;
@@ -390,7 +392,7 @@ fn find_path(arguments: &PathArguments) -> anyhow::Result<()> {
     })
 }
 
-/// Searches for the given time or until Ctrl-C, with progress on the terminal.
+/// Searches until the given time has elapsed or Ctrl-C is pressed. Progress is shown on the terminal.
 fn search_path(
     arguments: &PathArguments,
     constraints: &Constraints<'_>,
@@ -408,13 +410,13 @@ fn search_path(
     Ok(found?)
 }
 
-/// Checks before the search that the programs can be written.
+/// Checks, before the search, that the requested programs can be written.
 fn ensure_programs_can_be_written(asked: &[Language], robot: &RobotConfig) -> anyhow::Result<()> {
     asked.iter().try_for_each(|language| plan::can_be_programmed(*language, robot)).context("--program")
 }
 
-/// Writes the requested programs, or that of the robot's maker. A requested one that cannot be written is an error; without a request
-/// the reason is printed.
+/// Writes the requested programs. Without a request, writes the program for the robot's maker. If a requested program cannot
+/// be written, an error is returned. Without a request, the reason is only printed.
 fn write_programs(
     asked: &[Language],
     robot: &RobotConfig,
@@ -439,7 +441,7 @@ fn write_programs(
     Ok(())
 }
 
-/// Selects poses of the candidates, and writes their table with its mapping, the page and programs.
+/// Selects poses from the candidates, and writes their table with its mapping, the page and programs.
 fn select_poses(arguments: &PosesArguments) -> anyhow::Result<()> {
     let PosesArguments { measures, out, count, anchor, noise_mm, noise_mrad, seed, .. } = arguments;
     let robot: RobotConfig = config::load(&arguments.robot)?;
@@ -448,7 +450,7 @@ fn select_poses(arguments: &PosesArguments) -> anyhow::Result<()> {
     ensure_valid(arguments)?;
     let bodies = arguments.around.bodies(flange_chain(&robot).reach_m())?;
     let candidates = candidates(arguments, &robot, &bodies)?;
-    // Poses of a table are taken as reachable: only those that are drawn here are checked for collisions.
+    // Only random poses are checked for collisions. Poses of a table are assumed to be reachable.
     let bodies = arguments.candidates.is_none().then_some(&bodies);
     let request = PoseRequest {
         robot: &robot,
@@ -501,7 +503,7 @@ fn select_poses(arguments: &PosesArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Checks the options that describe measurement and candidates.
+/// Checks the options that describe measurement and candidate poses.
 fn ensure_valid(arguments: &PosesArguments) -> anyhow::Result<()> {
     let PosesArguments { measures, anchor, noise_mm, noise_mrad, .. } = arguments;
     above_zero("noise-mm", *noise_mm)?;
@@ -527,7 +529,7 @@ fn ensure_valid(arguments: &PosesArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The postures to choose from: those of the table that is given, or random ones.
+/// The candidate postures: those of the given table, or random ones.
 fn candidates(
     arguments: &PosesArguments,
     robot: &RobotConfig,

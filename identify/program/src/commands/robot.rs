@@ -1,4 +1,4 @@
-//! `identify robot`: makes a robot's configuration from a URDF, lists the known ones, or checks and draws one.
+//! `identify robot` creates a robot's configuration from a URDF, lists the known ones, or checks and draws one.
 
 use std::fs::File;
 use std::io::{ErrorKind, Write};
@@ -68,7 +68,7 @@ pub fn run(arguments: &RobotArguments) -> anyhow::Result<()> {
     }
 }
 
-/// The given path; default: the name of the file `like` with another ending, in the current directory.
+/// The path `given` by the user. By default, it is the name of the file `like` with another ending, in the current directory.
 fn output_path(given: Option<&PathBuf>, like: &Path, ending: &str) -> PathBuf {
     given
         .cloned()
@@ -116,7 +116,7 @@ fn run_import(arguments: &ImportArguments) -> anyhow::Result<()> {
 fn run_list() -> anyhow::Result<()> {
     for (name, source) in Source::robots() {
         let robot = source.text().and_then(|text| config::parse::<RobotConfig>(&text, source.path()));
-        // A file that is wrong hides none of the others.
+        // A file with an error must not prevent the listing of the others.
         let described = robot.map_or_else(|error| error.to_string(), |robot| robot.name);
         let place = match &source {
             Source::File(file) => file.display().to_string(),

@@ -1,5 +1,5 @@
-//! `identify simulate`: writes measurements of a robot with known errors, and their true values, as the files that `identify
-//! calibrate` reads.
+//! `identify simulate` writes measurements of a robot with known errors, and the true values of its parameters. The files
+//! have the formats that `identify calibrate` reads.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -250,7 +250,8 @@ pub(super) fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
 
 /// Largest difference of the rates of two clocks [ppm].
 const SKEW_PPM_MAX: f64 = 1e4;
-/// Clocks count nanoseconds since 1970 in 64 bits, which overflow at 9.2e9 s; this leaves room for a run of any length \[s\].
+/// Largest time of a clock \[s\]. Clocks count nanoseconds since 1970 in 64 bits, which overflow at 9.2e9 s. The limit leaves
+/// room for a run of any length.
 const CLOCK_S_MAX: f64 = 9e9;
 
 fn ensure_within(option: &str, value: f64, limit: f64) -> anyhow::Result<()> {

@@ -1,5 +1,6 @@
-//! `identify study`: simulates the experiments of a study that have no stored result, on all processors, then writes tables
-//! and page of all results. With `--shard` it computes and stores a part of them; `merge` joins the parts.
+//! `identify study` simulates the experiments of a study that have no stored result, on all processors. Then it writes
+//! tables and a page with all results. With `--shard`, it computes and stores only one part of the experiments. `merge`
+//! joins the results of all parts.
 
 use std::io::IsTerminal;
 use std::num::NonZeroUsize;
@@ -21,7 +22,7 @@ const LINES: usize = 20;
 
 const EXAMPLE: &str = "Example: identify study thesis --figures 3.2 --seeds 3 --out study";
 
-/// What `[[figures]]` may vary, for `--help`.
+/// Text for `--help` about the conditions that `[[figures]]` may vary.
 fn conditions() -> String {
     let mut text = format!("{EXAMPLE}\n\nConditions of `vary` and `with` in the file of a study:\n");
     for (key, meaning) in study::CONDITIONS {
@@ -102,7 +103,7 @@ pub fn run(arguments: &StudyArguments) -> anyhow::Result<()> {
     conclude(out, &definition, &results)
 }
 
-/// Runs experiments on all processors and stores each result.
+/// Runs the missing experiments on all processors and stores each result.
 fn compute(
     definition: &Definition,
     missing: &[Trial<'_>],
@@ -112,7 +113,7 @@ fn compute(
     let processors = std::thread::available_parallelism().ok();
     let threads = threads.or(processors).map_or(1, NonZeroUsize::get).min(missing.len().max(1));
     let on_terminal = OnTerminal::new();
-    // The bar is on a terminal only; the log of a batch job gets lines.
+    // The progress bar is visible on a terminal only. The log of a batch job contains lines instead.
     let (is_watched, begun) = (std::io::stderr().is_terminal(), Instant::now());
     let (next, stop) = (AtomicUsize::new(0), AtomicBool::new(false));
     let (sender, receiver) = mpsc::channel::<TrialRows>();
@@ -175,7 +176,7 @@ fn conclude(out: &Path, definition: &Definition, results: &Results) -> anyhow::R
     ensure_one_succeeded(results)
 }
 
-/// An error if every estimate failed.
+/// Returns an error if every estimate failed.
 fn ensure_one_succeeded(results: &Results) -> anyhow::Result<()> {
     let rows = || results.done().values().flat_map(|trial| &trial.rows);
     let reason = rows().next().and_then(|row| row.failed.as_deref());

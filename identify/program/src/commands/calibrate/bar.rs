@@ -1,5 +1,6 @@
-//! `identify calibrate bar`: converts the options to an experiment. The `driver` of all calibrations uses this module to read
-//! the recordings of the ball-bar with the robot's logs ([`runs`]), and to split a run at a change point ([`solved`]).
+//! `identify calibrate bar`, which converts its options to an experiment. For all calibrations, the `driver`
+//! uses this module to read the recordings of the ball-bar with the robot's logs ([`runs`]), and to split a run
+//! at a change point ([`solved`]).
 
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -75,7 +76,7 @@ pub struct BarArguments {
     pub(super) truth: Option<PathBuf>,
 }
 
-/// The options as an experiment.
+/// Converts the options to an experiment.
 fn experiment(arguments: &BarArguments) -> anyhow::Result<ExperimentFile> {
     let BarArguments { recording, robot_log, bar, force_log, .. } = arguments;
     let runs = recording.len();
@@ -126,13 +127,13 @@ pub(super) fn run(arguments: &BarArguments) -> anyhow::Result<()> {
     calibrate(experiment(arguments)?, &arguments.common.result, arguments.truth.as_deref())
 }
 
-/// The files of one run as they were read, or a part of the run; parts share the files.
+/// Content of the files of one run, or of a part of the run. Parts of a run share the files.
 #[derive(Clone)]
 pub(super) struct RunFiles<'a> {
     pub(super) recording_path: &'a Path,
     pub(super) log_path: &'a Path,
     pub(super) recording: Arc<BarLog>,
-    /// Cycles of the recording that belong to the part.
+    /// Range of the cycles of the recording that belong to this run or part.
     cycles: Range<usize>,
     pub(super) log: Arc<RobotLog>,
     pub(super) bar: BallBarConfig,
@@ -155,7 +156,8 @@ impl RunFiles<'_> {
         self.recording.cycles().get(self.cycles.clone()).unwrap_or_default()
     }
 
-    /// The parts before and after an instant, counted from the first valid sample \[s\]; `None` if one of them is empty.
+    /// Splits the run at a time, which counts from the first valid sample \[s\]. `None` if one of the
+    /// two parts would be empty.
     fn cut(&self, at_s: f64) -> Option<[Self; 2]> {
         let angles = bar_angles(self.cycles(), self.recording.encoders()).ok()?;
         let first = angles.first_time();
@@ -165,7 +167,7 @@ impl RunFiles<'_> {
         Some([part(self.cycles.start..boundary)?, part(boundary..self.cycles.end)?])
     }
 
-    /// A line on the part of the recording that the robot's log covers, if it is not all of it.
+    /// A line about the part of the recording that the robot's log covers; `None` if it covers the whole recording.
     pub(super) fn covered(&self, prepared: &Prepared) -> Option<String> {
         let SampleCounts { recorded, outside_robot_log, .. } = prepared.counts;
         let overlap_s = prepared.alignment.overlap_s;
@@ -186,7 +188,7 @@ impl RunFiles<'_> {
         !matches!(&*self.recording, BarLog::Other(other) if !other.is_dated)
     }
 
-    /// Content of the recording and of the robot's log, without curves.
+    /// Inspections of the recording and of the robot's log, without curves.
     pub(super) fn sources(&self, robot: &RobotConfig) -> [InspectedLog; 2] {
         let recording = || match &*self.recording {
             BarLog::Recording(recording) => inspect::recording(recording),
@@ -208,7 +210,8 @@ impl RunFiles<'_> {
         [InspectedLog { curves: of_bar, ..recording }, InspectedLog { curves: of_robot, ..robot_log }]
     }
 
-    /// Operator, robot and bar of the recording; `None` if another program made it.
+    /// Description of the measurement from the recording. For a file of another program, it states only that the data were
+    /// simulated, and is `None` for measured data.
     pub(super) fn measured(&self) -> Option<MeasurementEntry> {
         match &*self.recording {
             BarLog::Recording(recording) => Some((&recording.run).into()),
@@ -217,7 +220,7 @@ impl RunFiles<'_> {
     }
 }
 
-/// Reads the runs of an experiment.
+/// Reads the files of all runs of an experiment.
 pub(super) fn runs<'a>(
     experiment: &'a ExperimentFile,
     robot: &RobotConfig,
@@ -256,7 +259,8 @@ pub(super) fn runs<'a>(
     Ok(files)
 }
 
-/// Reads the recording of a run. Logs anomalies and, for a file of another program, what it does not contain.
+/// Reads the recording of a run. For a file of another program, also logs its anomalies and the information
+/// that it does not contain.
 fn load_recording(
     path: &Path,
     bar: &BallBarConfig,
@@ -287,14 +291,14 @@ pub(super) fn load_log(path: &Path, robot: &RobotConfig, options: &LogOptions) -
     Ok(log)
 }
 
-/// Solves; with `split_at_changes` it replaces a run that is refused for a change point at a known instant by its two
-/// parts, and solves again.
+/// Solves the runs with `solve`. With `split_at_changes`, a run that is refused because of a change point at a known time is
+/// replaced by its two parts, and all runs are solved again.
 pub(super) fn solved<T>(
     split_at_changes: bool,
     runs: &mut Vec<RunFiles<'_>>,
     solve: impl Fn(&[RunInput<'_>]) -> Result<T, CalibrateError>,
 ) -> Result<T, CalibrateError> {
-    /// Largest number of cuts of one run: a run with more changes is not usable.
+    /// Largest number of cuts of one run. A run with more change points is not usable.
     const CUTS_MAX: usize = 8;
     loop {
         let inputs: Vec<RunInput<'_>> = runs.iter().map(RunFiles::input).collect();
@@ -305,7 +309,7 @@ pub(super) fn solved<T>(
         let CalibrateError::Prepare { run, error } = &refused else { return Err(refused) };
         let cut = |at_s| {
             let changed = runs.get(*run)?;
-            // The parts of a run share its recording.
+            // All parts of a run share its recording.
             let parts = runs.iter().filter(|part| Arc::ptr_eq(&part.recording, &changed.recording));
             if parts.count() > CUTS_MAX { None } else { Some((at_s, changed.cut(at_s)?)) }
         };

@@ -1,5 +1,5 @@
-//! Runs every calibration: reads the files of an experiment, solves, validates on held-out data, writes the results with their
-//! page, and prints the summary. Inconsistent or insufficient data give the page of a refusal instead.
+//! Runs every calibration. It reads the files of an experiment, solves, validates on held-out data, writes the results with
+//! their page, and prints the summary. If data are inconsistent or insufficient, it writes the page of a refusal instead.
 
 use std::path::Path;
 
@@ -34,15 +34,17 @@ use crate::report::table;
 use crate::simulate::{Comparison, Truth};
 use crate::threads::both;
 
-/// Reads, calibrates, writes and prints. With the `truth` of a simulated experiment its first data set is compared with it.
+/// Reads the files of an experiment, calibrates, writes the results and prints the summary. If the `truth` of a simulated
+/// experiment is given, the first data set is compared with it.
 ///
 /// # Errors
-/// What is wrong with the data or their files; refused data leave a page.
+/// Errors in the data or their files. If data are refused, a page is written before the error is returned.
 pub(super) fn calibrate(
     mut experiment: ExperimentFile,
     result: &ResultArguments,
     truth: Option<&Path>,
 ) -> anyhow::Result<()> {
+    // Read configurations and data.
     let directory = &result.out;
     let robot = &config::load::<RobotConfig>(&experiment.robot)?;
     ensure_can_write(directory)?;
@@ -62,11 +64,13 @@ pub(super) fn calibrate(
     let (inputs, bars) = both(|| experiment.inputs(), || bar::runs(experiment, robot, &logs));
     let (mut bars, inputs) = (bars?, inputs?);
     experiment.ensure_distinct(&inputs)?;
+    // Solve and validate, or write the page of a refusal.
     let validated = solved_and_validated(experiment, robot, &rows, &mut bars, &on_terminal);
     drop(on_terminal);
     let (calibration, evidence) =
         validated.map_err(|error| refused(directory, robot, experiment, &bars, error))?;
 
+    // Collect the content of calibration.toml.
     let mut file = calibration_file(inputs, robot, &bars, &beside, &calibration, &evidence);
     file.noise = NoiseEntry::all(&calibration.runs, experiment.identify.noise);
     let validity = Validity::of(calibration.poses(), &flange_chain(robot));
@@ -78,16 +82,17 @@ pub(super) fn calibrate(
     let required_m = experiment.identify.require_mm.map(|mm| mm * 1e-3);
     let mut file = file.with_verdict(&evidence.workspace, &limits, required_m);
     let bars_with_source = bars.iter().map(|run| (&run.bar, Source::find(run.bar_path)));
-    // The runs of the files of rows are the last ones.
+    // The runs of the files of rows come last.
     let runs_of_rows = &calibration.runs[calibration.runs.len() - rows.len()..];
     let mappings = experiment.rows().map(|(_, file)| file.mapping.as_path());
     let others = runs_of_rows.iter().zip(mappings);
     file.scale = Some(scale_sentence(bars_with_source, others, &evidence.workspace.budget));
 
+    // Write the files, then the page.
     let line_numbers: Vec<&[u64]> = beside.iter().map(|beside| beside.lines.as_slice()).collect();
     let residuals = residuals_csv(&calibration, &line_numbers)?;
     let bar = bars.first().map(|run| &run.bar);
-    // Without a log, the controller's joints are those of the first table.
+    // Without a robot's log, the joint columns of the first table are those of the controller.
     let table = beside.first().filter(|_| bars.is_empty());
     let table = table.map(|beside| RobotLogMapping { joints: beside.joints.clone(), ..Default::default() });
     let log_mapping = logs.mapping.as_ref().or(table.as_ref());
@@ -103,6 +108,7 @@ pub(super) fn calibrate(
         configuration: &experiment.write(directory)?,
     };
     let page = page.write(directory).with_context(|| directory.display().to_string())?;
+    // Print comparison, tables and summary.
     if let Some(truth) = &truth {
         show(wrapped(&(table::comparison(&Comparison::new(&calibration, truth)) + "\n")))?;
     }
@@ -113,7 +119,7 @@ pub(super) fn calibrate(
     conclude(&file, verbose.as_deref(), &summary(&file, &evidence.workspace, &written, &page), &page)
 }
 
-/// Reads every file of rows, with what it contains beside its rows.
+/// Reads every file of rows, with its other content.
 fn rows_of(
     experiment: &ExperimentFile,
     robot: &RobotConfig,
@@ -130,7 +136,8 @@ fn rows_of(
     })
 }
 
-/// Solves all data sets together, and validates on held-out data; a run of `bars` that is split at a change point becomes two.
+/// Solves all data sets together, and validates on held-out data. If a run is split at a change point, `bars`
+/// contains its two parts afterwards.
 fn solved_and_validated(
     experiment: &ExperimentFile,
     robot: &RobotConfig,
@@ -149,7 +156,7 @@ fn solved_and_validated(
     Ok((calibration, evidence))
 }
 
-/// The content of `calibration.toml` for any instruments, without the figures of files of rows.
+/// The content of `calibration.toml` for any instruments, without the statistics of files of rows.
 fn calibration_file(
     inputs: Vec<InputFile>,
     robot: &RobotConfig,
@@ -185,7 +192,8 @@ fn calibration_file(
     file
 }
 
-/// The name of the bar if nothing else was used, otherwise each instrument with its number of data sets.
+/// Name of the instruments: the name of the bar if no other instrument was used, otherwise each instrument with
+/// its number of data sets.
 fn instruments(bars: &[RunFiles<'_>], runs: &[Run]) -> String {
     if let (Some(first), true) = (bars.first(), bars.len() == runs.len()) {
         return first.bar.name.clone();
@@ -198,12 +206,12 @@ fn instruments(bars: &[RunFiles<'_>], runs: &[Run]) -> String {
     counted.collect::<Vec<_>>().join(", ")
 }
 
-/// What the result reports of its data sets: for the terminal, the page and the files.
+/// Results of all data sets: text for terminal and page, and entries for files.
 #[derive(Default)]
 struct Tables {
-    /// For the page, and for the terminal where all is printed.
+    /// Text for the page, and for the terminal with `--verbose`.
     text: String,
-    /// Lines of the terminal about files of `--validate`.
+    /// Lines for the terminal about files of `--validate`.
     validation_lines: String,
     entries: Vec<RowsEntry>,
     validations: Vec<ValidationEntry>,

@@ -1,6 +1,6 @@
-//! The [`ExperimentFile`]: paths and settings of one calibration, with any mix of instruments on one robot. All subcommands
-//! of `identify calibrate` make one, and `--experiment FILE` reads it. It is written beside every result, so that one
-//! command repeats the calibration.
+//! The [`ExperimentFile`] contains paths and settings of one calibration, with any mix of instruments on one robot. All
+//! subcommands of `identify calibrate` create one from their options, and `--experiment FILE` reads one. It is written beside
+//! every result, so that one command repeats the calibration.
 
 use std::path::{Component, Path, PathBuf};
 
@@ -30,7 +30,7 @@ pub struct ExperimentArguments {
     result: ResultArguments,
 }
 
-/// A run with the ball-bar.
+/// Files of a run with the ball-bar.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BarRunFiles {
@@ -44,24 +44,24 @@ pub struct BarRunFiles {
     pub force_log: Option<PathBuf>,
 }
 
-/// Everything that was measured on one robot, and how it is calibrated. Paths count from the file's directory.
+/// Everything that was measured on one robot, and how it is calibrated. Paths are relative to the directory of the file.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ExperimentFile {
     /// The robot's configuration.
     pub robot: PathBuf,
-    /// Which column or joint of recordings of other programs is what.
+    /// Mapping of the columns or joints of recordings by other programs.
     pub recording_mapping: Option<PathBuf>,
-    /// Kind of the robot's logs; absent: recognised by their content.
+    /// Kind of the robot's logs. If absent, it is recognised by the content of the logs.
     pub log_format: Option<LogFormat>,
-    /// Which column or joint of the robot's logs is what.
+    /// Mapping of the columns or joints of the robot's logs.
     pub log_mapping: Option<PathBuf>,
-    /// Which column of the force logs is what.
+    /// Mapping of the columns of the force logs.
     pub force_mapping: Option<PathBuf>,
-    /// Take the bar as rigid although the robot's log has a force.
+    /// Treat the bar as rigid although the robot's log has a force.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub ignore_force: bool,
-    /// Calibrate a run in two parts where an encoder slips, a clock jumps or the bar is moved at one instant.
+    /// If an encoder slips, a clock jumps or the bar is moved at one time, calibrate the run in two parts.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub split_at_changes: bool,
     /// Runs with the ball-bar.
@@ -79,10 +79,10 @@ pub struct ExperimentFile {
     /// Files of touch probes or dial gauges.
     #[serde(default, rename = "touch", skip_serializing_if = "Vec::is_empty")]
     pub touches: Vec<RowFile>,
-    /// How to calibrate: the keys of identify.toml.
+    /// Settings of the calibration: the keys of `identify.toml`.
     #[serde(default)]
     pub identify: IdentifyConfig,
-    /// The file it was read from.
+    /// Path of the file from which the experiment was read.
     #[serde(skip)]
     pub(super) read_from: Option<PathBuf>,
 }
@@ -117,7 +117,7 @@ impl Validate for ExperimentFile {
     }
 }
 
-/// Checks that the files beside a file of rows suit its instrument.
+/// Checks that the additional files of a file of rows suit its instrument.
 fn check_row_file(kind: RowInstrument, index: usize, file: &RowFile) -> Result<(), Violation> {
     let key = kind.key();
     for (is_right, name, problem, remedy) in [
@@ -166,7 +166,8 @@ impl ExperimentFile {
         self.kinds().into_iter().flat_map(|(kind, files)| files.iter().map(move |file| (kind, file)))
     }
 
-    /// Sets which rows of each file are held out, if this was left open: a later version may have other defaults.
+    /// Stores the rule and the seed by which rows of each file are held out. If they were left open, a later
+    /// version could choose other defaults.
     pub(super) fn state(&mut self, rows: &[Rows]) {
         let Self { trackers, wires, contacts, touches, .. } = self;
         let files = trackers.iter_mut().chain(wires).chain(contacts).chain(touches);
@@ -175,7 +176,7 @@ impl ExperimentFile {
         }
     }
 
-    /// Every file of the calibration with its checksum, those of rows first.
+    /// Every file of the calibration with its checksum. Files of rows come first.
     pub(super) fn inputs(&self) -> anyhow::Result<Vec<InputFile>> {
         let input = |(role, path): (&str, &mut PathBuf)| {
             InputFile::of(role, path).with_context(|| format!("cannot read {}", path.display()))
@@ -183,8 +184,8 @@ impl ExperimentFile {
         self.clone().files_mut().into_iter().map(input).collect()
     }
 
-    /// The same files with their roles, to change their paths. There is one list, so that no file lacks its checksum or its path
-    /// beside a result.
+    /// Every file with its role, and its path for changes. Both the checksums and the paths beside a result use this list, so
+    /// that neither can lack a file.
     fn files_mut(&mut self) -> Vec<(&'static str, &mut PathBuf)> {
         let Self { robot, recording_mapping, log_mapping, force_mapping, bars, .. } = self;
         let Self { trackers, wires, contacts, touches, .. } = self;
@@ -226,9 +227,9 @@ impl ExperimentFile {
         files
     }
 
-    /// Refuses a data set that is given twice: its measurements would count twice, and intervals would be too narrow. Refuses to
-    /// validate with the rows that are fitted.
-    /// `inputs` are the files of the experiment with their checksums.
+    /// Refuses a data set that is given twice, because its measurements would count twice, and confidence intervals
+    /// would be too narrow. Also refuses a file of `--validate` with the rows that are fitted. `inputs` are the files of
+    /// the experiment with their checksums.
     pub(super) fn ensure_distinct(&self, inputs: &[InputFile]) -> anyhow::Result<()> {
         let bars = self.bars.iter().map(|run| [&run.recording, &run.robot_log]);
         let rows = self.rows().map(|(_, rows)| [&rows.file, &rows.mapping]);
@@ -263,22 +264,22 @@ impl ExperimentFile {
         Ok(())
     }
 
-    /// Writes it beside a result and returns its text. Its paths are relative to the directory, so that the folder with the
-    /// data and the result can be moved or copied.
+    /// Writes the experiment beside a result and returns its text. Paths are relative to the directory, so that the folder
+    /// with the data and the result can be moved or copied.
     pub(super) fn write(&self, directory: &Path) -> anyhow::Result<String> {
         let mut moved = self.clone();
-        // A red verdict has written no other file before.
+        // After a red verdict, no other file was written, so the directory may not exist.
         std::fs::create_dir_all(directory).with_context(|| directory.display().to_string())?;
-        // Without links, as `..` is resolved there.
+        // Symbolic links are resolved, because `..` refers to the parent of the real directory.
         let canonical_directory =
             directory.canonicalize().with_context(|| directory.display().to_string())?;
         for (_, path) in moved.files_mut() {
             let file = match Source::find(path) {
-                // It is in the program.
+                // The file is built into the program and has no path.
                 Source::BuiltIn(..) => continue,
                 Source::File(file) => file,
             };
-            // A missing file is still named.
+            // The path of a missing file is written, too.
             let found = file.canonicalize().or_else(|_| std::path::absolute(&file));
             let found = found.with_context(|| path.display().to_string())?;
             *path = relative(&found, &canonical_directory).unwrap_or(found);
@@ -288,8 +289,9 @@ impl ExperimentFile {
         Ok(text)
     }
 
-    /// Moves the experiment's file of an earlier calibration from `directory` to `place`, where its results are now, with
-    /// paths that are valid there. The file that the present experiment was read from stays.
+    /// Moves the experiment file of an earlier calibration from `directory` to `place`, where the results of that
+    /// calibration are now. Its paths are changed accordingly. If the present experiment was read from this file,
+    /// the file remains in `directory`.
     pub(super) fn set_aside(&self, directory: &Path, place: &Path) -> anyhow::Result<()> {
         let file = directory.join(NAME);
         let present = self.read_from.as_ref();
@@ -299,7 +301,7 @@ impl ExperimentFile {
         }
         match Self::load(&file) {
             Ok(experiment) => experiment.write(place).map(drop)?,
-            // It cannot be read, because an older program wrote it or it was edited: copied unchanged.
+            // If the file cannot be read, because an older program wrote it or it was edited, it is copied unchanged.
             Err(_) => {
                 std::fs::copy(&file, place.join(NAME))
                     .map(drop)
@@ -320,12 +322,12 @@ impl ExperimentFile {
     }
 }
 
-/// The relative path from a directory to a file, both without links; `None` if they are unrelated: their common folder is far above
-/// the directory, or a shared one such as `/tmp`.
+/// Relative path from a directory to a file; symbolic links are resolved in both. `None` if they are unrelated: their common
+/// folder is far above the directory, or it is a shared folder such as `/tmp`.
 fn relative(file: &Path, directory: &Path) -> Option<PathBuf> {
-    /// Enough from `project/results/monday/earlier` to `project/data`.
+    /// Largest number of steps upwards, sufficient from `project/results/monday/earlier` to `project/data`.
     const UP_MAX: usize = 3;
-    /// `/tmp` is one folder.
+    /// Smallest number of common folders. `/tmp` is one folder.
     const COMMON_FOLDERS_MIN: usize = 2;
     let both = file.components().zip(directory.components());
     let common = both.take_while(|(of_file, of_directory)| of_file == of_directory).count();

@@ -1,4 +1,4 @@
-//! A refused calibration: its page, and a message with the path of the page.
+//! A refused calibration: writes its page, and returns a message with the path of the page.
 
 use std::path::Path;
 
@@ -12,8 +12,9 @@ use crate::calibrate::CalibrateError;
 use crate::calibrate::refusal::CalibrationRefusal;
 use crate::report::page::{RefusedPage, WrittenRefusal};
 
-/// The error of a calibration, as the terminal shows it, with the place of its page. Without a page, because the data are not the
-/// cause or because it cannot be written, it is the error alone. `runs` are those with the ball-bar, as far as they were read.
+/// Writes the page of a refused calibration, and returns the error as the terminal shows it, with the path of the page. If
+/// the data are not the cause of the error, or if the page cannot be written, the error has no path. `runs` are the runs with
+/// the ball-bar that were read before the error.
 pub(super) fn refused(
     directory: &Path,
     robot: &RobotConfig,

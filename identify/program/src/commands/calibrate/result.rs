@@ -1,4 +1,4 @@
-//! Writes the files of a calibration as far as its verdict allows, and prints its tables and summary.
+//! Writes those files of a calibration that its verdict allows, and prints its tables and summary.
 
 use std::path::{Path, PathBuf};
 
@@ -14,9 +14,10 @@ use crate::report::result::file::{CalibrationFile, replace};
 use crate::report::summary::wrapped;
 use crate::report::verdict::Grade;
 
-/// Writes what the verdict allows and returns the paths: nothing if the calibrated robot predicts held-out data worse than the
-/// nominal one, and nothing that could be applied if it predicts them no better. An earlier calibration is set aside if one of
-/// its files would stay beside the new ones.
+/// Writes the files that the verdict allows and returns their paths. If the calibrated robot predicts held-out data
+/// significantly worse than the nominal robot, no file is written. If it predicts them no better, no file that
+/// could be applied is written. An earlier calibration is moved to another directory if one of its files would
+/// remain beside the new ones.
 pub(super) fn write_files(
     file: &CalibrationFile,
     residuals: &str,
@@ -48,13 +49,13 @@ fn is_red(file: &CalibrationFile) -> bool {
     file.verdict.as_ref().is_some_and(|verdict| verdict.grade == Grade::Red)
 }
 
-/// Sentences on all that limits a calibration beside what its verdict names.
+/// Sentences about all limits of a calibration that the verdict does not name.
 pub(super) fn limited(file: &CalibrationFile) -> String {
     let others = file.other_limits();
     others.map(|limit| format!("{} {}\n", if limit.serious { '!' } else { '-' }, limit.sentence)).collect()
 }
 
-/// Prints the tables of --verbose and the summary; a red verdict is an error.
+/// Prints the tables of `--verbose` and the summary. A red verdict is returned as an error.
 pub(super) fn conclude(
     file: &CalibrationFile,
     verbose: Option<&str>,

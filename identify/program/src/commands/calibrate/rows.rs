@@ -1,7 +1,7 @@
-//! `identify calibrate tracker`, `wire`, `contact` and `touch`: instruments whose measurements are rows of a table,
-//! each a pose of the robot and what was measured there. Options of these commands, and for the `driver` the reading of
-//! such files to [`Rows`]: joints are in the rows, or follow from the robot's log by aligning the clocks. A
-//! [`ValidationFile`] is one of `--validate`.
+//! `identify calibrate tracker`, `wire`, `contact` and `touch`. The measurements of these instruments are rows of a table.
+//! Each row contains a pose of the robot and the quantity that was measured there. This module contains the options of these
+//! commands, and reads such files to [`Rows`] for the `driver`. The joints are in the rows, or follow from the robot's log
+//! after an alignment of the clocks. A [`ValidationFile`] is a file of `--validate`.
 
 use std::collections::BTreeMap;
 use std::fmt::Display;
@@ -78,13 +78,13 @@ pub struct RowFile {
     /// config/contact.toml of a ball in sockets, config/touch.toml of a tip on faces
     #[arg(long, help_heading = "Input", value_name = "FILE")]
     pub mapping: PathBuf,
-    /// Of a tracker whose rows have times in place of joints: the robot's own log.
+    /// The robot's own log, for a tracker whose rows have times in place of joints.
     #[arg(skip)]
     pub robot_log: Option<PathBuf>,
-    /// Of a ball in sockets, which needs it: the table of these.
+    /// Table of the sockets. It is required for a ball in sockets.
     #[arg(skip)]
     pub sockets: Option<PathBuf>,
-    /// Of a touch probe: what is known of the faces.
+    /// Known distances and angles of the faces, for a touch probe.
     #[arg(skip)]
     pub faces: Option<PathBuf>,
     /// Which rows are held out together; default: regions of poses, otherwise single rows
@@ -107,7 +107,7 @@ pub struct RowFile {
     pub validate_mapping: Option<PathBuf>,
 }
 
-/// The instruments whose measurements are rows.
+/// Instruments whose measurements are rows of a table.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum RowInstrument {
     Tracker,
@@ -117,7 +117,7 @@ pub(super) enum RowInstrument {
 }
 
 impl RowInstrument {
-    /// The name of its blocks in an experiment's file.
+    /// Name of the instrument's blocks in an experiment's file.
     pub(super) const fn key(self) -> &'static str {
         match self {
             Self::Tracker => "tracker",
@@ -127,7 +127,7 @@ impl RowInstrument {
         }
     }
 
-    /// What its rows are, for display.
+    /// Description of the instrument's rows, for display.
     pub(super) const fn role(self) -> &'static str {
         match self {
             Self::Tracker => "measured poses",
@@ -138,24 +138,24 @@ impl RowInstrument {
     }
 }
 
-/// Content of a file beside its rows.
+/// Content of a file in addition to its rows.
 #[derive(Default)]
 pub(super) struct Beside {
     /// Line number of each row.
     pub(super) lines: Vec<u64>,
-    /// Columns of the joints; empty where the rows have times.
+    /// Columns of the joints. Empty if the rows have times instead.
     pub(super) joints: Vec<JointColumn>,
-    /// Names that the file gives to stations of the instrument and to targets on the flange, by the prefix of their parameters:
-    /// `tracker` has `tracker_x` for the first name, `tracker2_x` for the second and so on.
+    /// Names in the file of the instrument's stations and of the targets on the flange. The key is the prefix of their
+    /// parameters: `tracker` has `tracker_x` for the first name, `tracker2_x` for the second and so on.
     pub(super) names: BTreeMap<String, Vec<String>>,
-    /// How its clock and the robot's were brought together, where rows have times.
+    /// Time alignment with the robot's log, if the rows have times.
     pub(super) aligned: Option<Aligned>,
-    /// It is marked as simulated.
+    /// Whether the file is marked as simulated.
     pub(super) simulated: bool,
 }
 
 impl Beside {
-    /// Which parameters belong to which station or target, where there are several of a kind.
+    /// Lines that state which parameters belong to which station or target. A prefix with only one name has no line.
     pub(super) fn set_ups(&self) -> String {
         let line = |(prefix, names): (&String, &Vec<String>)| {
             let parameters = |(place, name): (usize, &String)| format!("{prefix}{}_* {name}", further(place));
@@ -166,16 +166,18 @@ impl Beside {
     }
 }
 
-/// Clocks of a tracker and the robot.
+/// Result of the time alignment of a tracker with the robot.
 pub(super) struct Aligned {
     alignment: Alignment,
     /// Reference time of the alignment, on the tracker's clock.
     t_ref: UtcNs,
-    /// The tracker's times have a date.
+    /// Whether the tracker's times contain a date.
     is_dated: bool,
-    /// The robot stood still at each row: the clocks follow from the standstills, not from a solve.
+    /// Whether the robot stood still at each row. If so, the rate of the clocks follows from the
+    /// standstills, not from a solve.
     stood: bool,
-    /// Number of rows outside the robot's log, or taken in motion where the others were taken at standstills.
+    /// Number of rows that are not used. They are outside the robot's log, or were taken in motion although the other
+    /// rows were taken at standstills.
     left_out: usize,
 }
 
@@ -186,7 +188,7 @@ pub(super) struct WithLogs<'a> {
     pub(super) options: &'a PrepareOptions,
 }
 
-/// Reads the rows of a file by its mapping; `data_set` is its number in messages.
+/// Reads the rows of a file with its mapping. `data_set` is the number of the data set in messages.
 pub(super) fn read(
     kind: RowInstrument,
     options: &RowFile,
@@ -203,7 +205,8 @@ pub(super) fn read(
     Ok((rows, Beside { simulated, ..beside }))
 }
 
-/// Reads `file`, whose rows have joints, by the mapping in another file; `options` have the table of sockets or faces.
+/// Reads `file`, whose rows contain joints, with the mapping in `mapping_file`. `options` contains the path of the
+/// table of sockets or faces.
 fn rows_with_joints(
     kind: RowInstrument,
     options: &RowFile,
@@ -269,7 +272,7 @@ fn rows_with_joints(
     })
 }
 
-/// Logs remarks on a file.
+/// Logs remarks about a file as warnings.
 pub(super) fn warn_of(file: &Path, remarks: impl IntoIterator<Item = impl Display>) {
     remarks.into_iter().for_each(|remark| tracing::warn!("{}: {remark}", file.display()));
 }
@@ -279,8 +282,8 @@ fn names_by_prefix(prefixes: [(&str, Vec<String>); 2]) -> BTreeMap<String, Vec<S
     given.map(|(prefix, names)| (prefix.to_owned(), names)).collect()
 }
 
-/// Reads rows of a tracker that have times in place of joints, and takes their joints from the robot's own log after an
-/// alignment of the clocks.
+/// Reads rows of a tracker that have times in place of joints. Aligns the clocks, and then takes the joints of the rows
+/// from the robot's own log.
 fn timed_poses(
     options: &RowFile,
     robot_log: &Path,
@@ -317,21 +320,21 @@ fn timed_poses(
 }
 
 impl Aligned {
-    /// The clocks at the solution; `run` is the tracker's data set, from 0. At standstills the solve does not estimate the
-    /// skew, and that of the alignment is reported.
+    /// Entry of the clocks at the solution; `run` is the tracker's data set, from 0. At standstills, the solve does not
+    /// estimate the skew, so the skew of the alignment is reported.
     pub(super) fn clock(&self, run: usize, calibration: &Calibration) -> Option<ClockEntry> {
         let solved = ClockEntry::solved(calibration, run, (self.t_ref, self.is_dated), &self.alignment)?;
         let skew_ppm = if self.stood { self.alignment.skew * 1e6 } else { solved.skew_ppm };
         Some(ClockEntry { skew_ppm, ..solved })
     }
 
-    /// Number of rejected rows, as a sentence.
+    /// A line with the number of rows that are not used.
     pub(super) fn line(&self) -> String {
         format!("{} rows left out: outside the robot's log, or not at its standstills\n", self.left_out)
     }
 }
 
-/// A file of `--validate`: the same instrument, but no data of the calibration.
+/// A file of `--validate`: rows of the same instrument that the calibration does not use.
 pub(super) struct ValidationFile<'a> {
     path: &'a Path,
     instrument: Instrument,
@@ -340,7 +343,7 @@ pub(super) struct ValidationFile<'a> {
 }
 
 impl<'a> ValidationFile<'a> {
-    /// Reads those of a data set before the fit, so that a missing file is reported immediately.
+    /// Reads all validation files of a data set. This is done before the fit, so that a missing file is reported immediately.
     pub(super) fn read_all(
         kind: RowInstrument,
         options: &'a RowFile,
@@ -366,8 +369,8 @@ impl<'a> ValidationFile<'a> {
         options.validate.iter().map(read_file).collect()
     }
 
-    /// Errors of the nominal and the calibrated robot on the file; `data_set` is the one with the same instrument, from 1, and
-    /// `seed` selects its held-out rows.
+    /// Errors of the nominal and the calibrated robot on the file. `data_set` is the number (from 1) of the data set with the
+    /// same instrument, and `seed` selects the held-out rows of the file.
     pub(super) fn validate(
         &self,
         seed: u64,
