@@ -351,6 +351,7 @@ fn find_path(arguments: &PathArguments) -> anyhow::Result<()> {
     set_posture(&mut loaded.design, &arguments.posture, &loaded.robot)?;
     loaded.design.duration_s = arguments.duration.as_secs_f64();
     let (constraints, information) = (loaded.constraints(), loaded.information(loaded.design.duration_s)?);
+    // Search for a path and check it.
     let found = search_path(arguments, &constraints, &information)?;
     let robot_path = plan::robot_path(&loaded.robot.name, &constraints, &found.route)
         .map_err(|(t_s, error)| anyhow::anyhow!("the robot cannot follow the path at {t_s:.3} s: {error}"))?;
@@ -361,6 +362,7 @@ fn find_path(arguments: &PathArguments) -> anyhow::Result<()> {
         checked.violations.is_empty(),
         "the path that was found violates its constraints; give another --seed, or a lower --speed"
     );
+    // Write path, joints, page and programs.
     let out = &arguments.out;
     fs::create_dir_all(out).with_context(|| format!("cannot create {}", out.display()))?;
     let route = &found.route;
@@ -473,6 +475,7 @@ fn select_poses(arguments: &PosesArguments) -> anyhow::Result<()> {
             "--count {count} is too few: `identify calibrate` needs at least {count_min} of these poses, or data of other instruments with them"
         ))?;
     }
+    // Select the poses, then write table, mapping, page and programs.
     let planned = plan::poses(&request, &candidates, *count, bodies, *seed)?;
     show(path::poses(&planned, candidates.len()))?;
     fs::create_dir_all(out).with_context(|| format!("cannot create {}", out.display()))?;

@@ -118,6 +118,7 @@ fn compute(
     let (next, stop) = (AtomicUsize::new(0), AtomicBool::new(false));
     let (sender, receiver) = mpsc::channel::<TrialRows>();
     std::thread::scope(|scope| -> anyhow::Result<()> {
+        // Each thread runs the next experiment and sends its result, until none is missing.
         for _ in 0..threads {
             let (sender, next, stop) = (sender.clone(), &next, &stop);
             scope.spawn(move || {
@@ -130,6 +131,7 @@ fn compute(
             });
         }
         drop(sender);
+        // The results are stored in this thread, which also shows the progress.
         let mut done = 0;
         for rows in receiver {
             done += 1;

@@ -25,7 +25,7 @@ pub struct ParameterEstimates {
     /// Identified value and sigma in each calibration, in SI units; `None` if the parameter was not identified there. Whole
     /// turns are added to angles, so that each angle lies within half a turn of the first.
     pub values: Vec<Option<(f64, f64)>>,
-    /// Mean weighted by the inverse variances.
+    /// Mean of the values, weighted by the inverse variances.
     pub mean: f64,
     /// p-value: probability of differences at least this large if all calibrations measured the same robot. `None` if only
     /// one calibration identified the parameter.
@@ -50,7 +50,7 @@ pub struct Consistency {
     pub apart: Vec<Option<Sizes>>,
 }
 
-/// Calibrations that cannot be compared.
+/// Reasons why calibrations cannot be compared.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ConsistencyError {
     /// Fewer than two files were given.

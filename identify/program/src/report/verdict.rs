@@ -152,6 +152,7 @@ impl CalibrationFile {
             );
             (Grade::Red, Some(reason))
         } else {
+            // Each of these closures returns a reason for grade amber, if its condition applies.
             let not_better = predicted.iter().find(|one| !one.is_better()).map(|not_better| {
                 format!(
                     "The calibrated robot predicts held-out data no better than the nominal robot: {}.",

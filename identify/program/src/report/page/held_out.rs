@@ -92,7 +92,7 @@ fn panel(title: &str, y: &str, segments: &[&HeldOutSegment], calibrated: bool, v
         let samples = segments.iter().skip(first).step_by(2).flat_map(|segment| &segment.stages[stage]);
         dots("", colour, samples.filter_map(|(t_s, error)| Some((time.at(*t_s), value(error)?))).collect())
     });
-    // A horizontal line over each segment at its RMS.
+    // A horizontal line over each segment, at the RMS of its errors.
     let rms_lines = |(stage, colour): (usize, RGBColor)| {
         let ends = segments.iter().filter_map(|segment| {
             let rms = value(&segment.rms()[stage])?;

@@ -63,7 +63,7 @@ impl Page<'_> {
         replace(directory, "report.html", &self.render().into_string())
     }
 
-    /// The page.
+    /// Renders the page as HTML.
     pub fn render(&self) -> Markup {
         let title = format!("Calibration of {}", self.file.robot);
         let has_bars = !self.evidence.runs.is_empty();

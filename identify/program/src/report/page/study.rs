@@ -39,7 +39,7 @@ impl StudyPage<'_> {
         Ok([replace(directory, "summary.json", &summary)?, replace(directory, "study.html", &page)?])
     }
 
-    /// The page.
+    /// Renders the page as HTML.
     pub fn render(&self) -> Markup {
         let study = &self.definition.study;
         let (claims, answers): (Vec<&StatementAnswer>, Vec<&StatementAnswer>) =

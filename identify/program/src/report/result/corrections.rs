@@ -16,7 +16,7 @@ use crate::model::ParameterId;
 pub struct Correction {
     /// Name of the corrected quantity, such as `joint 2`, `link 3 alpha`, or column `motor2_rad` of the log.
     pub what: String,
-    /// `deg`, `rad`, `mm` or, in a log, `m`.
+    /// Unit of the number: `deg`, `rad`, `mm` or, in a log, `m`.
     pub unit: String,
     /// Number to add, rounded to the digits that controllers accept: 0.0001 mm, 0.00001 deg.
     pub add: f64,

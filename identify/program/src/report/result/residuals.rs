@@ -33,7 +33,7 @@ struct ResidualRow {
 
 impl ResidualRow {
     fn measured(self, Deviation { apart, rotation_rad }: Deviation) -> Self {
-        // Six decimals of mm and mrad; NaN becomes an empty cell.
+        // Numbers have six decimals of mm and mrad. NaN becomes an empty cell.
         let thousandths = |value: f64| value.is_finite().then(|| format!("{:.6}", value * 1e3));
         let rotation_mrad = rotation_rad.and_then(thousandths);
         match apart {

@@ -18,7 +18,7 @@ use crate::instrument::{HoldOut, PoseError};
 pub struct HeldOutEntry {
     /// Number of predicted segments.
     pub segments: usize,
-    /// Error of the nominal robot, with the bar fitted to it.
+    /// Error of the nominal robot. The bar was fitted to it on the rest of the run.
     pub nominal: PoseError,
     /// Error of the calibrated robot if the fit does not use the segment.
     pub calibrated: PoseError,
@@ -164,7 +164,7 @@ fn pooled_rms(groups: impl Iterator<Item = (usize, f64)>) -> f64 {
 }
 
 impl HeldOutEntry {
-    /// The line for the terminal.
+    /// The entry as a line for the terminal.
     pub(in crate::report) fn line(&self) -> String {
         let Self { segments, nominal, calibrated, fitted } = self;
         let [before, after, fit] = [nominal, calibrated, fitted].map(|error| error.position_m * 1e3);

@@ -47,7 +47,7 @@ impl PathPage<'_> {
         replace(directory, "path.html", &self.render().into_string())
     }
 
-    /// The page.
+    /// Renders the page as HTML.
     pub fn render(&self) -> Markup {
         let title = format!("Path for {}", self.robot);
         let sigmas_of = |is_robot: bool| {

@@ -50,7 +50,7 @@ impl PosesPage<'_> {
         replace(directory, "poses.html", &self.render().into_string())
     }
 
-    /// The page.
+    /// Renders the page as HTML.
     pub fn render(&self) -> Markup {
         let planned = self.planned;
         let title = format!("Poses for {}", self.robot);

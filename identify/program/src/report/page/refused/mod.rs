@@ -43,7 +43,7 @@ pub struct RefusedPage<'a> {
 pub struct WrittenRefusal {
     /// Path of the page.
     pub page: PathBuf,
-    /// Directory to which an earlier calibration was moved. `None` if there was no earlier calibration.
+    /// Directory to which an earlier calibration was moved. `None` if the directory contained no earlier calibration.
     pub set_aside: Option<PathBuf>,
 }
 
@@ -60,7 +60,7 @@ impl RefusedPage<'_> {
         Ok(WrittenRefusal { page: replace(directory, "report.html", &text)?, set_aside })
     }
 
-    /// The page. `set_aside` is the directory to which an earlier calibration is moved.
+    /// Renders the page. `set_aside` is the directory to which an earlier calibration is moved.
     pub fn render(&self, set_aside: Option<&Path>) -> Markup {
         let title = format!("Calibration of {}: refused", self.robot);
         let body = html! {
