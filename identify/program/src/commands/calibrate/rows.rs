@@ -173,8 +173,8 @@ pub(super) struct Aligned {
     t_ref: UtcNs,
     /// Whether the tracker's times contain a date.
     is_dated: bool,
-    /// Whether the robot stood still at each row. If so, the rate of the clocks follows from the
-    /// standstills, not from a solve.
+    /// Whether the robot stood still at each row. If so, difference and rate of the clocks follow from the standstills, not
+    /// from a solve.
     stood: bool,
     /// Number of rows that are not used. They are outside the robot's log, or were taken in motion although the other
     /// rows were taken at standstills.

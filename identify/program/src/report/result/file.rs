@@ -437,7 +437,8 @@ impl CalibrationFile {
 
     /// Text of `dh.csv`, with one row for each parameter of each link of [`Deployment::Dh`]. The columns are
     /// `chain,link,parameter,unit,nominal,identified,correction,sigma,deployment,held_out_mm`. Numbers are in SI units, except
-    /// `held_out_mm`. Links are numbered from 1 in the order of the chain. Fixed parameters that are taken as exact have no sigma.
+    /// `held_out_mm`. Links are numbered from 1 in the order of the chain. Fixed parameters that are taken as exact have
+    /// an empty sigma.
     ///
     /// # Errors
     /// [`FileError::Csv`].
