@@ -24,15 +24,15 @@ use crate::solver::LossName;
 #[serde(rename_all = "snake_case")]
 #[value(rename_all = "snake_case")]
 pub enum CostName {
-    /// Position and rotation, whitened by the noise of all angles; five encoders, or all but that of joint 3.
+    /// Position and rotation, weighted by the noise of all angles; needs all five encoders, or all but that of joint 3.
     Pose,
-    /// All entries of robot minus bar (thesis eq. 2.4); five encoders.
+    /// All entries of the difference between the transforms of robot and bar (thesis eq. 2.4); needs all five encoders.
     Transform,
-    /// Position and two angles of the cardan (thesis eq. 2.3); encoders 1, 2, 4 and 5.
+    /// Position and two angles of the cardan (thesis eq. 2.3); needs encoders 1, 2, 4 and 5.
     PositionAngles,
-    /// Position (thesis eq. 2.2); encoders 1 and 2.
+    /// Position (thesis eq. 2.2); needs encoders 1 and 2.
     Position,
-    /// Distance from the bar's base against its length (thesis eq. 2.1); no encoder.
+    /// Distance from the bar's base minus the length of the bar (thesis eq. 2.1); needs no encoder.
     Length,
 }
 

@@ -45,15 +45,15 @@ pub struct ExpectedPosition {
     pub with_plate_m: f64,
 }
 
-/// Criterion of a plan.
+/// Quantity that a plan minimises.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum Criterion {
     /// RMS position error over the robot's workspace (I-optimal)
     #[default]
     Position,
-    /// Volume of the ellipsoid of the robot's parameters (D-optimal)
+    /// Volume of the confidence ellipsoid of the robot's parameters (D-optimal)
     Determinant,
-    /// The most uncertain parameter of the robot, in position errors over the workspace
+    /// Largest RMS position error over the workspace that the uncertainty of a single robot parameter causes
     Worst,
 }
 

@@ -38,7 +38,7 @@ pub enum Language {
     Krl,
     /// Universal Robots URScript
     Urscript,
-    /// FANUC, as text that its controllers and its offline tools turn into a program
+    /// FANUC: text that FANUC controllers and offline tools convert to a program
     Fanuc,
 }
 

@@ -4,18 +4,18 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Weight of samples that do not fit.
+/// Robust loss, which reduces the weight of samples with large residuals.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "snake_case")]
 #[value(rename_all = "snake_case")]
 pub enum LossName {
-    /// Every sample has its full weight.
+    /// Least squares: every sample keeps its full weight.
     None,
-    /// Beyond the scale the influence of a residual is constant: for few outliers.
+    /// Beyond a limit the influence of a residual stays constant; for few outliers.
     Huber,
-    /// Beyond the scale the influence of a residual decreases.
+    /// Beyond a limit the influence of a residual decreases.
     Cauchy,
-    /// A gross outlier has no influence: for many outliers.
+    /// The influence of a gross outlier is almost zero; for many outliers.
     GemanMcclure,
 }
 

@@ -10,15 +10,15 @@ use crate::simulate::{BarLoad, Effects, StaticErrors};
 
 /// Keys of the conditions that are neither effects nor parameters, with their meanings.
 pub const CONDITIONS: [(&str, &str); 9] = [
-    ("points", "pairs of robot and bar angles"),
-    ("encoders", "joints of the bar with an encoder: 5, 4, 2 or 0"),
-    ("stations", "places of the bar: 1 or 2"),
-    ("static_errors", "1: table 3.1 of the thesis; 0: none"),
-    ("time_difference_ms", "the bar is sampled later than the robot by this time"),
-    ("encoder_bits", "the step of an encoder with this many bits for each turn"),
-    ("wire_rows", "postures that a draw-wire measures"),
-    ("wire_noise_um", "noise of its lengths"),
-    ("bar_play_um", "how much longer the bar is under tension, and shorter under compression"),
+    ("points", "number of pairs of robot and bar angles"),
+    ("encoders", "number of bar joints with an encoder: 5, 4 (not joint 3), 2 (joints 1 and 2) or 0"),
+    ("stations", "number of positions of the bar: 1 or 2"),
+    ("static_errors", "errors of the links; 1: table 3.1 of the thesis, 0: none"),
+    ("time_difference_ms", "time by which the bar is sampled later than the robot"),
+    ("encoder_bits", "resolution of the encoders: number of bits per turn"),
+    ("wire_rows", "number of postures at which a draw-wire measures"),
+    ("wire_noise_um", "standard deviation of the noise of the draw-wire's lengths"),
+    ("bar_play_um", "elongation of the bar under tension, and shortening under compression"),
 ];
 
 /// A condition that is not valid.

@@ -22,9 +22,10 @@ use rows::{ContactArguments, RowFile, TouchArguments, TrackerArguments};
 
 const AFTER_HELP: &str = "Example: identify calibrate --recording runs/monday-1.mcap --robot-log monday-1.csv --robot irb2400_16 \
     --out monday-1\n\n\
-    Without a command the options are those of `bar`. `identify calibrate --experiment FILE --out DIR`\n\
-    calibrates from any mix of instruments, as config/experiment.toml explains, and repeats a result from\n\
-    the experiment.toml beside it.";
+    Without a command, `identify calibrate` has the options of `identify calibrate bar`.\n\
+    `identify calibrate --experiment FILE --out DIR` calibrates from any mix of instruments;\n\
+    config/experiment.toml explains FILE. The directory of every result contains an experiment.toml,\n\
+    from which this command repeats the calibration.";
 
 /// The instruments, each with its options.
 #[derive(Debug, Args)]
@@ -36,52 +37,53 @@ pub struct CalibrateArguments {
 
 #[derive(Debug, Subcommand)]
 enum CalibrateCommand {
-    /// From recordings of the ball-bar and the robot's own logs
+    /// Calibrate from recordings of the ball-bar and logs of the robot
     #[command(
         after_help = "Example: identify calibrate bar --recording runs/monday-1.mcap --robot-log monday-1.csv --robot irb2400_16 --out monday-1"
     )]
     Bar(Box<bar::BarArguments>),
-    /// From poses with one measured length each: a draw-wire or a telescoping bar
+    /// Calibrate from lengths that a draw-wire or a telescoping bar measured at poses of the robot
     #[command(
         after_help = "Example: identify calibrate wire lengths.csv --mapping measured_length --robot irb120_3 --out wire"
     )]
     Wire(RowArguments),
-    /// From positions or poses measured by a tracker
+    /// Calibrate from positions or poses measured by a laser tracker
     #[command(
         after_help = "Example: identify calibrate tracker poses.csv --mapping measured_pose --robot ur10 --out tracker"
     )]
     Tracker(TrackerArguments),
-    /// From a ball on the flange that is seated in sockets whose distances are known
+    /// Calibrate from poses at which a ball on the flange is seated in sockets at known distances
     #[command(
         after_help = "Example: identify calibrate contact contacts.csv --sockets sockets.toml --mapping contact --robot irb120_3 --out contact"
     )]
     Contact(ContactArguments),
-    /// From a tip on the flange that touches flat faces: a touch probe or a dial gauge
+    /// Calibrate from poses at which a touch probe or dial gauge on the flange touches flat faces
     #[command(
         after_help = "Example: identify calibrate touch touches.csv --faces faces.toml --mapping touch --robot irb120_3 --out touch"
     )]
     Touch(TouchArguments),
-    /// From any mix of them; `identify calibrate --experiment` means this
+    /// Calibrate from any mix of instruments; used by `identify calibrate --experiment`
     #[command(hide = true, after_help = "Example: identify calibrate --experiment cell3.toml --out cell3")]
     Experiment(experiment::ExperimentArguments),
 }
 
-/// What every calibration needs.
+/// Options of every calibration except that of an experiment's file.
 #[derive(Debug, Args)]
 pub struct CommonArguments {
-    /// The robot's configuration, or the name of one in `identify robot list`, such as irb2400_16
+    /// Configuration file of the robot, or a name that `identify robot list` prints, such as irb2400_16
     #[arg(long, help_heading = "Input", value_name = "FILE")]
     robot: PathBuf,
-    /// Settings of the calibration; default: those of config/identify.toml
+    /// File with the settings of the calibration; default: the settings in config/identify.toml
     #[arg(long, help_heading = "Input", value_name = "FILE")]
     config: Option<PathBuf>,
-    /// Weight of samples that do not fit; default: huber, or none with a cost of the ball-bar other than pose
+    /// Robust loss, which reduces the weight of samples with large residuals; default: huber, but none for the
+    /// ball-bar with another cost than pose
     #[arg(long, help_heading = "Estimation")]
     loss: Option<LossName>,
-    /// Also free these parameters, such as ra6,rd6: with commas, or --free several times
+    /// Parameters to estimate in addition, such as ra6,rd6; separate them by commas, or repeat --free
     #[arg(long, help_heading = "Estimation", value_name = "NAMES", value_delimiter = ',')]
     free: Vec<ParameterId>,
-    /// Fix these parameters, such as ra6,rd6: with commas, or --fix several times
+    /// Parameters not to estimate, such as ra6,rd6; separate them by commas, or repeat --fix
     #[arg(long, help_heading = "Estimation", value_name = "NAMES", value_delimiter = ',')]
     fix: Vec<ParameterId>,
     #[command(flatten)]
@@ -120,11 +122,12 @@ pub struct ResultArguments {
     /// Directory for all results: report.html, calibration.toml, corrections.csv and others
     #[arg(long, help_heading = "Output", value_name = "DIR")]
     out: PathBuf,
-    /// Print every parameter, the source of its uncertainty, terms, held-out figures and all limitations
+    /// Also print every parameter with the source of its uncertainty, the error terms, the errors on
+    /// held-out data, and all limitations
     #[arg(long, help_heading = "Output")]
     verbose: bool,
-    /// Largest permitted position error of the calibrated robot, such as 0.2mm; the verdict reports whether it is met; default: no
-    /// requirement
+    /// Largest permitted position error of the calibrated robot, such as 0.2mm; the verdict reports whether the
+    /// robot meets it. Default: no limit
     #[arg(long, help_heading = "Estimation", value_name = "MM", value_parser = millimetres)]
     require: Option<f64>,
 }
@@ -137,7 +140,7 @@ fn millimetres(text: &str) -> Result<f64, String> {
         .ok_or_else(|| format!("`{text}` is not a length above zero; give millimetres, such as 0.2mm"))
 }
 
-/// What calibrations from tables of measured rows have in common.
+/// Options of every calibration from a table of measurements.
 #[derive(Debug, Args)]
 pub struct RowArguments {
     #[command(flatten)]

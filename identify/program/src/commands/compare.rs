@@ -12,10 +12,10 @@ use crate::report::side_by_side;
 
 #[derive(Debug, Args)]
 pub struct CompareArguments {
-    /// Directories of calibrations, or their calibration.json
+    /// Directories of two or more calibrations, or their calibration.json files
     #[arg(required = true, num_args = 2.., value_name = "CALIBRATIONS")]
     calibrations: Vec<PathBuf>,
-    /// Page with figures to write
+    /// File for a page with figures
     #[arg(long, help_heading = "Output", value_name = "FILE.html")]
     out: Option<PathBuf>,
 }

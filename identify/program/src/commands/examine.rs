@@ -14,13 +14,13 @@ use crate::report::examination::examinations;
 
 #[derive(Debug, Args)]
 pub struct ExamineArguments {
-    /// The robot's configuration, or the name of one in `identify robot list`, such as irb2400_16
+    /// Configuration file of the robot, or a name that `identify robot list` prints, such as irb2400_16
     #[arg(long, help_heading = "Input", value_name = "FILE")]
     robot: PathBuf,
-    /// The bar's configuration; by default ball_bar.toml in config or /etc/ballbard, or the one that is built in
+    /// Configuration file of the bar. `ball_bar` is ball_bar.toml in config, else in /etc/ballbard, else the built-in one
     #[arg(long, help_heading = "Input", value_name = "FILE", default_value = "ball_bar")]
     bar: PathBuf,
-    /// Costs to examine; default: all
+    /// Cost functions to examine, separated by commas; default: all
     #[arg(long, help_heading = "Estimation", value_delimiter = ',')]
     cost: Vec<CostName>,
     /// Number of random poses

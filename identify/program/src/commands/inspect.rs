@@ -23,36 +23,39 @@ use crate::report::table;
 
 #[derive(Debug, Args)]
 pub struct InspectArguments {
-    /// Recordings of the ball-bar and logs of the robot, of any kind that `calibrate` reads
+    /// Recordings of the ball-bar, logs of the robot or tables of measurements, in any format that `calibrate` reads
     #[arg(required = true, value_name = "FILES")]
     files: Vec<PathBuf>,
-    /// The robot's configuration, or the name of one in `identify robot list`, such as irb2400_16: how its log becomes joint angles
+    /// Configuration file of the robot, or a name that `identify robot list` prints, such as irb2400_16;
+    /// needed to read the robot's logs
     #[arg(long, help_heading = "Input", value_name = "FILE")]
     robot: Option<PathBuf>,
-    /// The bar's configuration, such as config/ball_bar.toml: how counters of other programs become angles
+    /// Configuration file of the bar, such as config/ball_bar.toml; converts the counters in
+    /// recordings of other programs to angles
     #[arg(long, help_heading = "Input", value_name = "FILE")]
     bar: Option<PathBuf>,
-    /// Kind of the robot's logs; default: recognised by their content
+    /// Format of the robot's logs; default: detected from their content
     #[arg(long, help_heading = "Input", value_name = "KIND", requires = "robot")]
     log_format: Option<LogFormat>,
-    /// Mapping of the columns or joints of the robot's logs, such as config/robot_log.toml
+    /// Mapping file for the robot's logs (names their columns or joints), such as config/robot_log.toml
     #[arg(long, help_heading = "Input", value_name = "FILE", requires = "robot")]
     log_mapping: Option<PathBuf>,
-    /// Mapping of the columns or joints of other programs' recordings, such as config/bar_log.toml
+    /// Mapping file for recordings of other programs (names their columns or joints), such as config/bar_log.toml
     #[arg(long, help_heading = "Input", value_name = "FILE", requires = "bar")]
     recording_mapping: Option<PathBuf>,
-    /// Mapping of the columns of rows of a tracker, a wire or a touch probe, such as config/measured_pose.toml,
-    /// config/measured_length.toml or config/touch.toml; all files are then read as such rows
+    /// Mapping file for tables of a tracker, wire or touch probe (names their columns), such as config/measured_pose.toml,
+    /// config/measured_length.toml or config/touch.toml; all FILES are then read as such tables
     #[arg(long, help_heading = "Input", value_name = "FILE", requires = "robot", conflicts_with_all = ["log_mapping", "log_format", "bar", "recording_mapping", "sockets"])]
     mapping: Option<PathBuf>,
-    /// Table of the sockets that a ball is seated in, such as config/sockets.toml: the files are rows of it
+    /// File with the positions or distances of sockets, such as config/sockets.toml; all FILES are then read as
+    /// tables of a ball seated in them
     #[arg(long, help_heading = "Input", value_name = "FILE", requires = "robot", requires = "contact_mapping",
           conflicts_with_all = ["log_mapping", "log_format", "bar", "recording_mapping"])]
     sockets: Option<PathBuf>,
-    /// Mapping of the columns of such rows, such as config/contact.toml
+    /// Mapping file for tables of a ball in sockets (names their columns), such as config/contact.toml
     #[arg(long, help_heading = "Input", value_name = "FILE", requires = "sockets")]
     contact_mapping: Option<PathBuf>,
-    /// Propose a mapping of the columns of a table of joints, and write it to this file
+    /// Propose a mapping for a table of joints, and write it to this file
     #[arg(long, help_heading = "Output", value_name = "FILE", requires = "robot", conflicts_with_all = ["log_mapping", "log_format", "bar", "recording_mapping", "sockets", "mapping"])]
     propose: Option<PathBuf>,
 }

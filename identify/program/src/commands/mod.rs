@@ -30,9 +30,9 @@ const AFTER_HELP: &str = "Example: identify calibrate --recording runs/monday-1.
     --out monday-1\n\n\
     Exit codes:\n  \
     0    success\n  \
-    1    failure; refused data or a red verdict of calibrate, a violated constraint of\n       \
-         plan check, a blocked move of plan poses, a study that was\n       \
-         interrupted or in which every estimate failed\n  \
+    1    failure, or: calibrate refuses the data or its verdict is red; plan check finds\n       \
+         a violated constraint; plan poses finds a blocked move; study is interrupted,\n       \
+         or all its estimates fail\n  \
     2    usage error: an unknown option or invalid value\n  \
     130  ended by Ctrl-C";
 
@@ -49,7 +49,7 @@ pub struct IdentifyArguments {
 enum IdentifyCommand {
     /// Identify the robot's geometry from measurements: bar, tracker, wire, contact, touch.
     Calibrate(Box<calibrate::CalibrateArguments>),
-    /// List what each cost can identify on a robot and a bar, before anything is measured.
+    /// List which parameters each cost function can identify for a robot and a bar; needs no measurements.
     #[command(after_help = "Example: identify examine --robot irb2400_16 --cost pose")]
     Examine(examine::ExamineArguments),
     /// Describe recordings, robot logs and tables, and list suspicious content.
@@ -58,13 +58,13 @@ enum IdentifyCommand {
     /// Compare calibrations of one robot: do they agree within their uncertainty?
     #[command(after_help = "Example: identify compare monday-1 tuesday-1 --out days.html")]
     Compare(compare::CompareArguments),
-    /// Import a robot's configuration from a URDF, list the known ones, or check and draw one.
+    /// Import a robot's configuration from a URDF, list the known configurations, or check and draw one.
     #[command(after_help = "Example: identify robot check irb2400_16")]
     Robot(robot::RobotArguments),
-    /// Plan a path or poses that give a calibration much information, or check a path.
+    /// Plan a path or poses for an accurate calibration, or check a path.
     #[command(after_help = "Example: identify plan --robot irb2400_16 --base 1.0,0.05,0.35 --out path")]
     Plan(Box<plan::PlanArguments>),
-    /// Simulate an experiment with known errors: its measurements and the true values.
+    /// Simulate an experiment with known errors, and write its measurements and the true values.
     #[command(after_help = "Example: identify simulate --robot irb2400_16 --out demo")]
     Simulate(simulate::SimulateArguments),
     /// Simulate thousands of experiments and compare estimators on them, as in chapter 3 of the thesis.

@@ -35,7 +35,7 @@ pub struct PlanArguments {
 
 #[derive(Debug, Subcommand)]
 enum PlanCommand {
-    /// Find a path; `identify plan` without a command means this.
+    /// Find a path; `identify plan` without a command does the same.
     #[command(
         after_help = "Example: identify plan path --robot irb2400_16 --duration 2m --floor 0 --out path"
     )]
@@ -48,7 +48,7 @@ enum PlanCommand {
         after_help = "Example: identify plan poses --robot ur10 --measures positions --count 50 --out poses"
     )]
     Poses(Box<PosesArguments>),
-    /// Check a path of the robot: violated constraints at 1 kHz, and the expected result of a calibration.
+    /// Check a path of the robot for violated constraints every millisecond, and print the expected accuracy of a calibration.
     #[command(
         after_help = "Example: identify plan check robot_path.csv --robot irb2400_16 --base 1.0,0.05,0.35"
     )]
@@ -58,25 +58,26 @@ enum PlanCommand {
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Planning")]
 struct CellArguments {
-    /// The robot's configuration, or the name of one in `identify robot list`, such as irb2400_16
+    /// Configuration file of the robot, or a name that `identify robot list` prints, such as irb2400_16
     #[arg(long, help_heading = "Input", value_name = "FILE")]
     robot: PathBuf,
-    /// The bar's configuration; by default ball_bar.toml in config or /etc/ballbard, or the one that is built in
+    /// Configuration file of the bar. `ball_bar` is ball_bar.toml in config, else in /etc/ballbard, else the built-in one
     #[arg(long, help_heading = "Input", value_name = "FILE", default_value = "ball_bar")]
     bar: PathBuf,
     /// Centre of the bar's gimbal in the robot's base frame [m]; default: 1.0,0.05,0.35, or 1.7,0.05,0.6 if link 2 is longer
     /// than a metre
     #[arg(long, value_name = "X,Y,Z", value_parser = numbers::<3>, allow_hyphen_values = true)]
     base: Option<[f64; 3]>,
-    /// Highest speed of a robot joint [rad/s, m/s]
+    /// Highest speed of a robot joint [rad/s, or m/s for a linear axis]
     #[arg(long, value_name = "RAD_S", default_value_t = Design::IRB_2400.robot_speed_rad_s)]
     speed: f64,
-    /// Highest acceleration of a robot joint [rad/s^2, m/s^2]
+    /// Highest acceleration of a robot joint [rad/s^2, or m/s^2 for a linear axis]
     #[arg(long, value_name = "RAD_S2", default_value_t = 5.0)]
     acceleration: f64,
     #[command(flatten)]
     around: Around,
-    /// A calibration of this robot and bar, or its directory: the path is the one that adds most to its information
+    /// Earlier calibration of this robot and bar: calibration.json or its directory. Its
+    /// information is added to that of the path
     #[arg(long, help_heading = "Input", value_name = "PATH")]
     calibration: Option<PathBuf>,
 }
@@ -85,13 +86,14 @@ struct CellArguments {
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Planning")]
 struct Around {
-    /// A box in the cell with edges along the axes of the robot's base frame: two opposite corners [m] (repeatable)
+    /// Obstacle: a box with edges parallel to the axes of the robot's base frame, given by two
+    /// opposite corners [m] (repeatable)
     #[arg(long = "box", value_name = "X,Y,Z,X,Y,Z", value_parser = numbers::<6>, allow_hyphen_values = true)]
     boxes: Vec<[f64; 6]>,
     /// Height of the floor in the robot's base frame [m]; default: no floor
     #[arg(long, value_name = "Z", allow_hyphen_values = true)]
     floor: Option<f64>,
-    /// Radius of the robot's links [mm]; default: a twentieth of its reach
+    /// Radius of the robot's links for collision checks [mm]; default: a twentieth of the robot's reach
     #[arg(long, value_name = "MM")]
     link_radius_mm: Option<f64>,
 }
@@ -160,26 +162,27 @@ impl Around {
 struct PathArguments {
     #[command(flatten)]
     cell: CellArguments,
-    /// Criterion of the best path
+    /// Quantity that the path minimises
     #[arg(long, value_enum, default_value_t)]
     criterion: Criterion,
-    /// Directory for the path: path.toml, robot_path.csv, path.html, a program for the robot's controller
+    /// Directory for path.toml, robot_path.csv, path.html and a program for the robot's controller
     #[arg(long, help_heading = "Output", value_name = "DIR")]
     out: PathBuf,
-    /// A posture of the robot near which the motion begins, one number for each axis [deg, mm]; it selects elbow and wrist;
-    /// default: 0,20,10,0,60,0 for six axes, otherwise a random one
+    /// Posture of the robot near which the motion begins, one number for each axis [deg, or mm for a linear axis]; it
+    /// selects the configuration of elbow and wrist. Default: 0,20,10,0,60,0 for six axes, otherwise random
     #[arg(long, value_name = "Q1,Q2,..", value_delimiter = ',', allow_hyphen_values = true)]
     posture: Vec<f64>,
     /// Length of the run, such as 90s or 2m; a plain number is seconds
     #[arg(long, default_value = "2m", value_parser = parse_duration)]
     duration: Duration,
-    /// Time to search for better paths, such as 50s; then the best one is checked every millisecond
+    /// Time limit of the search for better paths, such as 50s; afterwards the best path is checked at every millisecond
     #[arg(long, default_value = "50s", value_parser = parse_duration)]
     budget: Duration,
-    /// Programs for controllers; default: that of the robot's maker, by its name
+    /// Languages of the programs for robot controllers, separated by commas; default: the language of the robot's
+    /// manufacturer, detected from the robot's name
     #[arg(long, help_heading = "Output", value_enum, value_delimiter = ',')]
     program: Vec<Language>,
-    /// Seed of the paths that are tried
+    /// Seed of the search for paths
     #[arg(long, default_value_t = 1)]
     seed: u64,
 }
@@ -189,22 +192,22 @@ struct PathArguments {
 struct PlaceArguments {
     #[command(flatten)]
     cell: CellArguments,
-    /// Criterion of the best path at a place
+    /// Quantity that the path at each position of the bar minimises
     #[arg(long, value_enum, default_value_t)]
     criterion: Criterion,
-    /// Lengths of the rod to compare [m]; default: that of the bar
+    /// Rod lengths to compare [m], separated by commas; default: the length of the bar's rod
     #[arg(long, value_name = "M", value_delimiter = ',')]
     lengths: Vec<f64>,
-    /// Lowest and highest gimbal over the robot's base frame [m]
+    /// Lowest and highest position of the bar's gimbal above the robot's base frame [m]
     #[arg(long, value_name = "LOW,HIGH", value_parser = numbers::<2>, allow_hyphen_values = true, default_value = "0,1")]
     height: [f64; 2],
     /// Length of the run, such as 90s or 2m; a plain number is seconds
     #[arg(long, default_value = "2m", value_parser = parse_duration)]
     duration: Duration,
-    /// Time to search for places, such as 60s
+    /// Time limit of the search, such as 60s
     #[arg(long, default_value = "60s", value_parser = parse_duration)]
     budget: Duration,
-    /// Seed of the places that are tried
+    /// Seed of the search for positions of the bar
     #[arg(long, default_value_t = 1)]
     seed: u64,
 }
@@ -212,47 +215,48 @@ struct PlaceArguments {
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Planning")]
 struct PosesArguments {
-    /// The robot's configuration, or the name of one in `identify robot list`, such as irb2400_16
+    /// Configuration file of the robot, or a name that `identify robot list` prints, such as irb2400_16
     #[arg(long, help_heading = "Input", value_name = "FILE")]
     robot: PathBuf,
     /// What is measured at each pose
     #[arg(long, value_enum)]
     measures: MeasuredQuantity,
-    /// Directory for poses.csv, its mapping poses.toml, poses.html and a program for the robot's controller. The exit code is 1
-    /// if no path without collision was found for a move: the table marks it as BLOCKED, and programs stop there
+    /// Directory for poses.csv, its mapping poses.toml, poses.html and a program for the robot's controller. If no path
+    /// without collision was found for a move, poses.csv marks it as BLOCKED, programs stop there, and the exit code is 1
     #[arg(long, help_heading = "Output", value_name = "DIR")]
     out: PathBuf,
-    /// Number of poses to choose
+    /// Number of poses to select
     #[arg(long, default_value_t = 50)]
     count: usize,
-    /// A table of poses that the robot reaches, to choose from; default: random ones within half a turn of its joints
+    /// Table of reachable poses to select from; default: random poses with each joint within half a turn of zero
     #[arg(long, help_heading = "Input", value_name = "FILE", requires = "mapping", conflicts_with_all = ["draw", "boxes", "floor", "link_radius_mm"])]
     candidates: Option<PathBuf>,
-    /// Which columns of the table are the joints: the mapping of any file that `calibrate tracker`, `wire`, `contact` or `touch`
-    /// reads
+    /// Mapping file that names the joint columns of --candidates; any mapping for `calibrate tracker`, `wire`,
+    /// `contact` or `touch` is accepted
     #[arg(long, help_heading = "Input", value_name = "FILE", requires = "candidates")]
     mapping: Option<PathBuf>,
-    /// Random poses to choose from
+    /// Number of random poses to select from
     #[arg(long, value_name = "N", default_value_t = 2000)]
     draw: usize,
     #[command(flatten)]
     around: Around,
-    /// Reflector, middle of the probe, or the wire's end in the flange's frame [m]
+    /// Position of the reflector, of the probe's centre, or of the end of the wire in the flange frame [m]
     #[arg(long, value_name = "X,Y,Z", value_parser = numbers::<3>, allow_hyphen_values = true, default_value = "0,0,0.1")]
     target: [f64; 3],
-    /// Outlet of a wire in the robot's base frame [m]; needed with --measures lengths, and with no other
+    /// Outlet of the draw-wire in the robot's base frame [m]; required with --measures lengths, refused otherwise
     #[arg(long, value_name = "X,Y,Z", value_parser = numbers::<3>, allow_hyphen_values = true)]
     anchor: Option<[f64; 3]>,
     /// Standard deviation of a measured coordinate or length, including the repeatability of the robot [mm]
     #[arg(long, value_name = "MM", default_value_t = 0.05)]
     noise_mm: f64,
-    /// Standard deviation of a measured orientation about each axis [mrad]; default: 0.1, with --measures poses only
+    /// Standard deviation of a measured orientation about each axis [mrad], for --measures poses only; default: 0.1
     #[arg(long, value_name = "MRAD")]
     noise_mrad: Option<f64>,
-    /// Programs for controllers; default: that of the robot's maker, by its name
+    /// Languages of the programs for robot controllers, separated by commas; default: the language of the robot's
+    /// manufacturer, detected from the robot's name
     #[arg(long, help_heading = "Output", value_enum, value_delimiter = ',')]
     program: Vec<Language>,
-    /// Wait of a program at each pose, such as 3s
+    /// Time for which a program waits at each pose, such as 3s
     #[arg(long, help_heading = "Output", default_value = "3s", value_parser = parse_duration)]
     stand: Duration,
     /// Seed of the random poses
@@ -262,12 +266,13 @@ struct PosesArguments {
 
 #[derive(Debug, Args)]
 struct CheckPathArguments {
-    /// The robot's joints on the path, of any kind that `calibrate` reads
+    /// File with the robot's joints along the path, in any log format that `calibrate` reads
     #[arg(value_name = "PATH")]
     path: PathBuf,
     #[command(flatten)]
     cell: CellArguments,
-    /// Mapping of the columns or joints of the path, such as config/robot_log.toml; default: `[log]` of the robot's configuration
+    /// Mapping file for PATH (names its columns or joints), such as config/robot_log.toml; default:
+    /// `[log]` of the robot's configuration
     #[arg(long, help_heading = "Input", value_name = "FILE")]
     log_mapping: Option<PathBuf>,
 }

@@ -20,10 +20,10 @@ pub struct RobotArguments {
 
 #[derive(Debug, Subcommand)]
 enum RobotCommand {
-    /// Make a configuration from a URDF: Denavit-Hartenberg links for the joints between two of its links.
+    /// Convert the joints between two links of a URDF to a configuration with Denavit-Hartenberg parameters.
     #[command(after_help = "Example: identify robot import arm.urdf --tip tool0 --out arm.toml")]
     Import(ImportArguments),
-    /// List the robots whose names `--robot` takes in place of a file.
+    /// List the robots that `--robot` accepts by name instead of by file.
     #[command(after_help = "Example: identify robot list")]
     List,
     /// Describe and draw a configuration: axes, conventions, limits, reach, and suspicious values.
@@ -36,10 +36,11 @@ struct ImportArguments {
     /// The robot's URDF
     #[arg(value_name = "URDF")]
     urdf: PathBuf,
-    /// Link with the robot's base frame; default: base_link, base, link0 or link_0, else the link that has the first axis
+    /// URDF link with the robot's base frame; default: base_link, base, link0 or link_0, else the
+    /// link that carries the first axis
     #[arg(long, help_heading = "Input", value_name = "LINK")]
     base: Option<String>,
-    /// Link that is the flange; default: tool0 or flange, else the end of the longest row of axes, without a gripper
+    /// URDF link that is the flange; default: tool0 or flange, else the end of the longest chain of axes, without a gripper
     #[arg(long, help_heading = "Input", value_name = "LINK")]
     tip: Option<String>,
     /// File for the configuration; default: the URDF's name with .toml, in the current directory
@@ -52,7 +53,7 @@ struct ImportArguments {
 
 #[derive(Debug, Args)]
 struct CheckRobotArguments {
-    /// The robot's configuration, or the name of one in `identify robot list`, such as irb2400_16
+    /// Configuration file of the robot, or a name that `identify robot list` prints, such as irb2400_16
     #[arg(value_name = "FILE")]
     robot: PathBuf,
     /// File for the picture (SVG); default: the configuration's name with .svg, in the current directory

@@ -19,11 +19,11 @@ use crate::simulate::{self, BarLoad, Effects, Experiment, StaticErrors};
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
 enum RobotErrors {
-    /// Table 3.1 of the thesis
+    /// Errors of table 3.1 of the thesis
     Thesis,
-    /// Drawn by --robot-seed, 1 mm|mrad standard deviation
+    /// Random errors with a standard deviation of 1 mm or 1 mrad; --robot-seed selects them
     Drawn,
-    /// The nominal robot of the data sheet
+    /// No errors: robot and bar have their nominal parameters
     None,
 }
 
@@ -39,13 +39,13 @@ pub struct SimulateArguments {
 
 #[derive(Debug, Subcommand)]
 enum SimulateCommand {
-    /// A recording of the ball-bar and the robot's own log
+    /// Simulate a recording of the ball-bar and a log of the robot
     #[command(after_help = "Example: identify simulate bar --robot irb2400_16 --errors drawn --out demo")]
     Bar(Box<SimulateBarArguments>),
-    /// Poses at which a ball on the flange is seated in sockets
+    /// Simulate poses at which a ball on the flange is seated in sockets
     #[command(after_help = "Example: identify simulate contact --robot irb120_3 --rows 200 --out seats")]
     Contact(SimulateContactArguments),
-    /// Poses at which a tip on the flange touches the faces of a block
+    /// Simulate poses at which a tip on the flange touches the faces of a block
     #[command(after_help = "Example: identify simulate touch --robot irb120_3 --block-mm 100 --out cube")]
     Touch(SimulateTouchArguments),
 }
@@ -54,29 +54,30 @@ enum SimulateCommand {
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Simulation")]
 struct ArmArguments {
-    /// The robot's configuration, or the name of one in `identify robot list`, such as irb2400_16
+    /// Configuration file of the robot, or a name that `identify robot list` prints, such as irb2400_16
     #[arg(long, help_heading = "Input", value_name = "FILE")]
     robot: PathBuf,
-    /// Directory for the rows, their mapping, sockets.toml or faces.toml, and truth.toml
+    /// Directory for the table of measurements, its mapping, sockets.toml or faces.toml, and truth.toml
     #[arg(long, help_heading = "Output", value_name = "DIR")]
     out: PathBuf,
-    /// Position of the plate's frame or of the block's centre in the robot's base frame [m]; default: where the robot
-    /// reaches it in most postures
+    /// Position of the plate's frame or of the block's centre in the robot's base frame [m]; default: a position that the
+    /// robot reaches in most postures
     #[arg(long, value_name = "X,Y,Z", value_parser = numbers::<3>, allow_hyphen_values = true)]
     place: Option<[f64; 3]>,
     /// Seed of poses, noise and errors of the measured objects
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Seed of the robot's errors: give the same one to simulate one robot with another set-up; default: as --seed
+    /// Seed of the robot's errors; give the same one to simulate the same robot with another
+    /// set-up. Default: the value of --seed
     #[arg(long, value_name = "SEED")]
     robot_seed: Option<u64>,
-    /// Standard deviation of the error of each link parameter [mm|mrad]
+    /// Standard deviation of the error of each link parameter [mm, or mrad for angles]
     #[arg(long, value_name = "MM", default_value_t = 1.0)]
     errors_mm_mrad: f64,
-    /// White noise of each joint [urad|um]
+    /// White noise of each joint [urad, or um for a linear axis]
     #[arg(long, value_name = "URAD", default_value_t = LABORATORY.robot_noise_urad)]
     robot_noise_urad: f64,
-    /// Sinusoidal error of each robot gear, amplitude [urad]
+    /// Amplitude of the sinusoidal error of each robot gear [urad]
     #[arg(long, value_name = "URAD", default_value_t = LABORATORY.gear_sine_urad)]
     gear_sine_urad: f64,
 }
@@ -97,16 +98,17 @@ impl ArmArguments {
 struct SimulateContactArguments {
     #[command(flatten)]
     arm: ArmArguments,
-    /// Places of the sockets on their plate, such as config/sockets.toml; default: six on two levels, by the robot's size
+    /// File with the positions of the sockets on their plate, such as config/sockets.toml; default: six sockets at three
+    /// heights, scaled to the robot's reach
     #[arg(long, help_heading = "Input", value_name = "FILE")]
     sockets: Option<PathBuf>,
-    /// Write the sockets' distances into sockets.toml instead of their places
+    /// Write the distances between the sockets to sockets.toml instead of their positions
     #[arg(long)]
     distances: bool,
     /// Number of poses to simulate
     #[arg(long, value_name = "N", default_value_t = 200)]
     rows: usize,
-    /// Repeatability of the seated ball, standard deviation along each axis [um]
+    /// Repeatability of the seated ball: standard deviation along each axis [um]
     #[arg(long, value_name = "UM", default_value_t = 5.0)]
     seating_um: f64,
 }
@@ -116,19 +118,19 @@ struct SimulateContactArguments {
 struct SimulateTouchArguments {
     #[command(flatten)]
     arm: ArmArguments,
-    /// Edge of the block [mm]; default: by the robot's size
+    /// Edge length of the block [mm]; default: scaled to the robot's reach
     #[arg(long, value_name = "MM")]
     block_mm: Option<f64>,
-    /// Write a table of faces without known distances and angles
+    /// Write faces.toml without the distances and angles of the faces
     #[arg(long)]
     unknown: bool,
     /// Number of touches to simulate
     #[arg(long, value_name = "N", default_value_t = 300)]
     rows: usize,
-    /// Repeatability of a touch, standard deviation [um]
+    /// Repeatability of a touch: standard deviation [um]
     #[arg(long, value_name = "UM", default_value_t = 2.0)]
     touch_um: f64,
-    /// Travel of a dial gauge in place of a touch probe [mm]
+    /// Travel of a dial gauge [mm]; 0 simulates a touch probe
     #[arg(long, value_name = "MM", default_value_t = 0.0)]
     gauge_mm: f64,
 }
@@ -136,10 +138,10 @@ struct SimulateTouchArguments {
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Simulation")]
 struct SimulateBarArguments {
-    /// The robot's configuration, or the name of one in `identify robot list`, such as irb2400_16
+    /// Configuration file of the robot, or a name that `identify robot list` prints, such as irb2400_16
     #[arg(long, help_heading = "Input", value_name = "FILE")]
     robot: PathBuf,
-    /// The bar's configuration; by default ball_bar.toml in config or /etc/ballbard, or the one that is built in
+    /// Configuration file of the bar. `ball_bar` is ball_bar.toml in config, else in /etc/ballbard, else the built-in one
     #[arg(long, help_heading = "Input", value_name = "FILE", default_value = "ball_bar")]
     bar: PathBuf,
     /// Directory for recording.mcap, robot_log.csv and truth.toml
@@ -148,8 +150,8 @@ struct SimulateBarArguments {
     /// Seed of path, encoder offsets and noise
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Seed of drawn errors and of the phases of gears and encoders: give the same one to simulate another run of one robot and
-    /// bar; default: as --seed
+    /// Seed of random errors and of the phases of gears and encoders; give the same one to simulate another run of the same
+    /// robot and bar. Default: the value of --seed
     #[arg(long, value_name = "SEED")]
     robot_seed: Option<u64>,
     /// Errors of robot and bar
@@ -159,23 +161,23 @@ struct SimulateBarArguments {
     /// than a metre
     #[arg(long, value_name = "X,Y,Z", value_parser = numbers::<3>, allow_hyphen_values = true)]
     base: Option<[f64; 3]>,
-    /// A posture of the robot near which the motion begins, one number for each axis [deg, mm]; it selects elbow and wrist;
-    /// default: 0,20,10,0,60,0 for six axes, otherwise a random one
+    /// Posture of the robot near which the motion begins, one number for each axis [deg, or mm for a linear axis]; it
+    /// selects the configuration of elbow and wrist. Default: 0,20,10,0,60,0 for six axes, otherwise random
     #[arg(long, value_name = "Q1,Q2,..", value_delimiter = ',', allow_hyphen_values = true)]
     posture: Vec<f64>,
     /// Length of the run, such as 90s or 2m; a plain number is seconds
     #[arg(long, default_value = "2m", value_parser = parse_duration)]
     duration: Duration,
-    /// The path that the robot drives, such as path.toml of `identify plan`; default: a random one
+    /// Path that the robot follows, such as path.toml of `identify plan`; default: a random path
     #[arg(long, help_heading = "Input", value_name = "FILE", conflicts_with_all = ["base", "posture", "duration"])]
     path: Option<PathBuf>,
-    /// Time of the robot's clock when the recording begins [s], at most 9e9; default: 3712.345678901
+    /// Reading of the robot's clock when the recording begins [s], at most 9e9; default: 3712.345678901
     #[arg(long, value_name = "S", allow_hyphen_values = true)]
     robot_clock_s: Option<f64>,
-    /// Rate of the robot's clock against the bar's, -10000 to 10000 [ppm]
+    /// Rate error of the robot's clock relative to the bar's clock [ppm], -10000 to 10000
     #[arg(long, value_name = "PPM", default_value_t = 25.0, allow_hyphen_values = true)]
     skew_ppm: f64,
-    /// None of the effects below, to test the estimator alone
+    /// Simulate none of the effects from --robot-noise-urad to --base-tilt-urad, to test the estimator alone
     #[arg(long, conflicts_with_all = Effects::KEYS)]
     exact: bool,
     /// White noise of each robot joint [urad]
@@ -184,34 +186,34 @@ struct SimulateBarArguments {
     /// White noise of each bar encoder [urad]
     #[arg(long, value_name = "URAD", default_value_t = LABORATORY.encoder_noise_urad)]
     encoder_noise_urad: f64,
-    /// Sinusoidal error of each robot gear, amplitude [urad]
+    /// Amplitude of the sinusoidal error of each robot gear [urad]
     #[arg(long, value_name = "URAD", default_value_t = LABORATORY.gear_sine_urad)]
     gear_sine_urad: f64,
-    /// Ripple of each cycloid gear, amplitude [urad]
+    /// Amplitude of the ripple of each cycloid gear [urad]
     #[arg(long, value_name = "URAD", default_value_t = LABORATORY.cycloid_urad)]
     cycloid_urad: f64,
     /// Half of the backlash of each robot gear [urad]
     #[arg(long, value_name = "URAD", default_value_t = LABORATORY.backlash_urad)]
     backlash_urad: f64,
-    /// Eccentricity of each bar encoder: error with one period per turn, amplitude [urad]
+    /// Eccentricity of each bar encoder: amplitude of the error with one period per turn [urad]
     #[arg(long, value_name = "URAD", default_value_t = LABORATORY.encoder_eccentricity_urad)]
     encoder_eccentricity_urad: f64,
-    /// Ellipticity of each bar encoder: error with two periods per turn, amplitude [urad]
+    /// Ellipticity of each bar encoder: amplitude of the error with two periods per turn [urad]
     #[arg(long, value_name = "URAD", default_value_t = LABORATORY.encoder_ellipticity_urad)]
     encoder_ellipticity_urad: f64,
     /// Resolution of each bar encoder, if coarser than its counts [urad]
     #[arg(long, value_name = "URAD", default_value_t = LABORATORY.encoder_step_urad)]
     encoder_step_urad: f64,
-    /// Tilt of the bar's base against the robot's [urad]
+    /// Tilt of the bar's base relative to the robot's base [urad]
     #[arg(long, value_name = "URAD", default_value_t = LABORATORY.base_tilt_urad)]
     base_tilt_urad: f64,
     /// Largest force along the bar [N]; above 0 the robot's log has a column `force_N`
     #[arg(long, value_name = "N", default_value_t = 0.0)]
     force_n: f64,
-    /// Elongation of the bar for each newton of tension [um/N]
+    /// Elongation of the bar per newton of tension [um/N]
     #[arg(long, value_name = "UM", default_value_t = 0.0, requires = "force_n")]
     compliance_um_per_n: f64,
-    /// Play of the bar: elongation under any tension, and shortening under compression [um]
+    /// Half of the bar's play: the bar is longer by this under tension, and shorter by this under compression [um]
     #[arg(long, value_name = "UM", default_value_t = 0.0, requires = "force_n")]
     bar_play_um: f64,
     /// White noise of the force in the log [N]

@@ -24,35 +24,38 @@ const EXAMPLE: &str = "Example: identify study thesis --figures 3.2 --seeds 3 --
 
 /// Text for `--help` about the conditions that `[[figures]]` may vary.
 fn conditions() -> String {
-    let mut text = format!("{EXAMPLE}\n\nConditions of `vary` and `with` in the file of a study:\n");
+    let mut text = format!("{EXAMPLE}\n\nConditions that `vary` and `with` of a study's file may set:\n");
     for (key, meaning) in study::CONDITIONS {
         text += &format!("  {key:<20}{meaning}\n");
     }
-    text += &format!("  {}\n  effects of `identify simulate`\n", Effects::KEYS.join(", "));
-    text + "  rd3, bd1, rbeta2, ..  further error of one parameter [mm|mrad]"
+    text += &format!(
+        "  {}\n  as the options of `identify simulate` with these names\n",
+        Effects::KEYS.join(", ")
+    );
+    text + "  rd3, bd1, rbeta2, ..  additional error of this parameter [mm, or mrad for angles]"
 }
 
 #[derive(Debug, Args)]
 #[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true, after_help = EXAMPLE, after_long_help = conditions())]
 pub struct StudyArguments {
-    /// `thesis` for the shipped study of the thesis' simulations, or the file of another one, such as
-    /// config/studies/thesis.toml
+    /// File of the study, such as config/studies/thesis.toml, or `thesis` for the shipped study, which
+    /// repeats the simulations of the thesis
     #[arg(value_name = "STUDY", required = true)]
     study: Option<String>,
     /// Directory for trials.jsonl, points.csv, points.parquet, summary.json and study.html; existing results of the same
     /// study are not computed again
     #[arg(long, help_heading = "Output", value_name = "DIR", required = true)]
     out: Option<PathBuf>,
-    /// Experiments of each point; default: `seeds` of the file
+    /// Number of experiments for each point of a figure; default: `seeds` of the study's file
     #[arg(long, help_heading = "Simulation", value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     seeds: Option<u32>,
-    /// Only these figures, by their numbers; default: all
+    /// Numbers of the figures to compute; default: all
     #[arg(long, help_heading = "Simulation", value_name = "NUMBER", num_args = 1..)]
     figures: Vec<String>,
-    /// Part of the work for one of several machines, such as 3/16; `identify study merge` puts the parts together
+    /// Compute only part K of N, such as 3/16, so that N machines can divide the work; `identify study merge` joins the parts
     #[arg(long, help_heading = "Simulation", value_name = "K/N")]
     shard: Option<Shard>,
-    /// Experiments at once; default: one for each processor. The results do not depend on it
+    /// Number of experiments that run at the same time; default: one for each processor. The results do not depend on it
     #[arg(long, help_heading = "Simulation", value_name = "N")]
     threads: Option<NonZeroUsize>,
     #[command(subcommand)]
@@ -61,14 +64,14 @@ pub struct StudyArguments {
 
 #[derive(Debug, Subcommand)]
 enum StudyCommand {
-    /// Put the results of all shards together.
+    /// Join the results of all shards of a study.
     #[command(after_help = "Example: identify study merge shard-1 shard-2 --out merged")]
     Merge(MergeArguments),
 }
 
 #[derive(Debug, Args)]
 struct MergeArguments {
-    /// Directories of all shards
+    /// Result directories of all shards
     #[arg(value_name = "SHARD", required = true)]
     shards: Vec<PathBuf>,
     /// Directory for the merged results

@@ -12,15 +12,15 @@ use serde::{Deserialize, Serialize};
 use super::standing::poses;
 use crate::kinematics::{Chain, Joints};
 
-/// What is held out together.
+/// How rows are grouped. Rows of one group are held out together.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, clap::ValueEnum, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum HoldOut {
-    /// Single poses, with all rows that follow each other at the same joints: between their neighbours, which the fit has seen.
+    /// Single poses, each with all rows measured at it. The fit uses the neighbours of a held-out pose.
     Rows,
-    /// Segments of the file, a twenty-fifth of it each: other times, mostly other poses.
+    /// 25 segments of the file. A held-out segment has other times than the fitted rows, and mostly other poses.
     Blocks,
-    /// Boxes of the workspace, a fifth of its longest side wide: places where the fit has seen nothing.
+    /// Boxes of the workspace; their edge is a fifth of the workspace's longest side. The fit uses no pose in a held-out box.
     #[default]
     Regions,
 }

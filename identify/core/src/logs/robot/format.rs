@@ -14,17 +14,17 @@ const HEADER_BYTES_MAX: usize = 1 << 16;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum LogFormat {
-    /// Text table with a header: the robot's own columns, or those that a mapping names.
+    /// Text table with a header; the robot's configuration or a mapping file determines the columns.
     Csv,
-    /// Output of `record.py` of Universal Robots' RTDE client: blanks between cells, columns `actual_q_0` and so on.
+    /// Output of `record.py` of Universal Robots' RTDE client: cells separated by blanks, columns such as `actual_q_0`.
     UrRtde,
-    /// ROS 2 bag in MCAP with `sensor_msgs/JointState`.
+    /// ROS 2 bag in MCAP (`.mcap`) with `sensor_msgs/JointState` messages.
     Ros2Mcap,
-    /// ROS 2 bag in SQLite (`.db3`) with `sensor_msgs/JointState`.
+    /// ROS 2 bag in SQLite (`.db3`) with `sensor_msgs/JointState` messages.
     Ros2Db3,
     /// ABB EGM: `EgmRobot` messages, each preceded by its length.
     Egm,
-    /// KUKA RSI: `<Rob>` telegrams one after the other.
+    /// KUKA RSI: a sequence of `<Rob>` telegrams.
     Rsi,
 }
 

@@ -28,50 +28,54 @@ use crate::threads::both;
 /// Options of a calibration with the ball-bar.
 #[derive(Debug, Args)]
 pub struct BarArguments {
-    /// Recording of the ball-bar (.mcap; or a CSV of counters, or a ROS 2 bag); several runs of one robot are solved together
+    /// Recording of the ball-bar: .mcap, CSV with counters, or ROS 2 bag. Repeat the option to solve
+    /// several runs of one robot together
     #[arg(long, help_heading = "Input", value_name = "FILE", required = true)]
     pub(super) recording: Vec<PathBuf>,
-    /// Mapping of the columns or joints of other programs' recordings, such as config/bar_log.toml
+    /// Mapping file for recordings of other programs (names their columns or joints), such as config/bar_log.toml
     #[arg(long, help_heading = "Input", value_name = "FILE")]
     pub(super) recording_mapping: Option<PathBuf>,
-    /// The robot's own log (CSV, ROS 2 bag, UR RTDE, ABB EGM, KUKA RSI), one for each recording in the same order
+    /// Log of the robot (CSV, ROS 2 bag, UR RTDE, ABB EGM, KUKA RSI); repeat the option to give one for
+    /// each recording, in the same order
     #[arg(long, help_heading = "Input", value_name = "FILE", required = true)]
     pub(super) robot_log: Vec<PathBuf>,
-    /// Kind of the robot's logs; default: recognised by their content
+    /// Format of the robot's logs; default: detected from their content
     #[arg(long, help_heading = "Input", value_name = "KIND")]
     pub(super) log_format: Option<LogFormat>,
-    /// Mapping of the columns or joints of the robot's logs, such as config/robot_log.toml; default: `[log]` of the robot's
-    /// configuration
+    /// Mapping file for the robot's logs (names their columns or joints), such as config/robot_log.toml; default:
+    /// `[log]` of the robot's configuration
     #[arg(long, help_heading = "Input", value_name = "FILE")]
     pub(super) log_mapping: Option<PathBuf>,
-    /// Force on the bar (.csv with t_s and force_N), one for each recording, on the robot's clock or the bar's; a force in the
-    /// robot's log is then not read
+    /// File with the force on the bar (.csv with t_s and force_N), timed by the robot's clock or the bar's; one for each
+    /// recording. A force in the robot's log is then ignored
     #[arg(long, help_heading = "Input", value_name = "FILE")]
     pub(super) force_log: Vec<PathBuf>,
-    /// Mapping of the columns of the force logs, such as config/force_log.toml
+    /// Mapping file for the force logs (names their columns), such as config/force_log.toml
     #[arg(long, help_heading = "Input", value_name = "FILE", requires = "force_log")]
     pub(super) force_mapping: Option<PathBuf>,
-    /// Treat the bar as rigid although the robot's log has a force
+    /// Treat the bar as rigid, even if the robot's log contains the force on it
     #[arg(long, help_heading = "Estimation", conflicts_with = "force_log")]
     pub(super) ignore_force: bool,
-    /// The bar's configuration, one for all recordings or one for each; by default ball_bar.toml in config or /etc/ballbard, or
-    /// the one that is built in
+    /// Configuration file of the bar: one for all recordings, or one for each. `ball_bar` is ball_bar.toml in config, else
+    /// in /etc/ballbard, else the built-in one
     #[arg(long, help_heading = "Input", value_name = "FILE", default_value = "ball_bar")]
     pub(super) bar: Vec<PathBuf>,
-    /// Where an encoder slips, a clock jumps or the bar is moved at one instant, calibrate the run in two parts, each with its
-    /// own clocks, base and offsets
+    /// If an encoder slips, a clock jumps or the bar is moved at one instant, split the run there. Each part has its own
+    /// clock parameters, bar base and encoder offsets
     #[arg(long, help_heading = "Estimation")]
     pub(super) split_at_changes: bool,
     #[command(flatten)]
     pub(super) common: CommonArguments,
-    /// Cost; default: the best that the encoders allow
+    /// Cost function; default: the first one in this list whose encoders the bar has
     #[arg(long, help_heading = "Estimation")]
     pub(super) cost: Option<CostName>,
-    /// Joint of each encoder: find, recorded, or a list of joints in the order of the recording's encoders, negative where one
-    /// counts the other way than recorded, such as 1,2,-3,5,4; default: find
+    /// Joint and direction of each encoder. `find` corrects the recorded ones if they do not fit, `recorded` refuses the run
+    /// instead. A list such as 1,2,-3,5,4 has the joint of each recorded encoder, negative if it counts opposite to the
+    /// recorded direction. Default: find
     #[arg(long, help_heading = "Estimation", value_name = "ENCODERS", allow_hyphen_values = true)]
     pub(super) encoders: Option<EncoderMapChoice>,
-    /// True parameters of a simulated experiment (the first one), to compare with
+    /// File with the true parameters of a simulated experiment, to compare with the result; only
+    /// the first recording is compared
     #[arg(long, help_heading = "Input", value_name = "FILE")]
     pub(super) truth: Option<PathBuf>,
 }

@@ -20,10 +20,10 @@ use crate::report::result::file::InputFile;
 /// Name of the file beside a result.
 const NAME: &str = "experiment.toml";
 
-/// Options of a calibration from a mix.
+/// Options of a calibration from an experiment's file.
 #[derive(Debug, Args)]
 pub struct ExperimentArguments {
-    /// Everything that was measured on one robot and how it is calibrated, such as config/experiment.toml
+    /// File that lists all measurements of one robot and the settings of the calibration, such as config/experiment.toml
     #[arg(long, help_heading = "Input", value_name = "FILE", required = true)]
     experiment: PathBuf,
     #[command(flatten)]

@@ -36,14 +36,14 @@ use crate::report::rows as rows_report;
 pub struct TrackerArguments {
     #[command(flatten)]
     pub(super) rows: RowArguments,
-    /// The robot's own log (CSV, ROS 2 bag, UR RTDE, ABB EGM, KUKA RSI), where the rows have times on the tracker's clock in place
-    /// of joints: the clocks are brought together by the motion
+    /// Log of the robot (CSV, ROS 2 bag, UR RTDE, ABB EGM, KUKA RSI), if the rows have times of the tracker's clock instead
+    /// of joints. The clocks are aligned by comparing the motions
     #[arg(long, help_heading = "Input", value_name = "FILE")]
     pub(super) robot_log: Option<PathBuf>,
-    /// Kind of the robot's log; default: recognised by its content
+    /// Format of the robot's log; default: detected from its content
     #[arg(long, help_heading = "Input", value_name = "KIND", requires = "robot_log")]
     pub(super) log_format: Option<LogFormat>,
-    /// Mapping of the columns or joints of the robot's log, such as config/robot_log.toml
+    /// Mapping file for the robot's log (names its columns or joints), such as config/robot_log.toml
     #[arg(long, help_heading = "Input", value_name = "FILE", requires = "robot_log")]
     pub(super) log_mapping: Option<PathBuf>,
 }
@@ -53,7 +53,7 @@ pub struct TrackerArguments {
 pub struct ContactArguments {
     #[command(flatten)]
     pub(super) rows: RowArguments,
-    /// Positions of the sockets on their plate, or their distances, such as config/sockets.toml
+    /// File with the positions of the sockets on their plate, or with their distances, such as config/sockets.toml
     #[arg(long, help_heading = "Input", value_name = "FILE")]
     pub(super) sockets: PathBuf,
 }
@@ -63,19 +63,20 @@ pub struct ContactArguments {
 pub struct TouchArguments {
     #[command(flatten)]
     pub(super) rows: RowArguments,
-    /// Distances and angles of the faces, such as config/faces.toml; default: none is known
+    /// File with the known distances and angles of the faces, such as config/faces.toml; default: none are known
     #[arg(long, help_heading = "Input", value_name = "FILE")]
     pub(super) faces: Option<PathBuf>,
 }
 
-/// A file of rows: options of its command, and the keys of its block in an experiment's file.
+/// A table of measurements with its options. They are options of a command, and keys of a block in an experiment's file.
 #[derive(Debug, Clone, Default, PartialEq, Args, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RowFile {
-    /// Table of measurements (.csv, .xlsx), a row for each pose, in the order of the robot's motion
+    /// Table of measurements (.csv, .xlsx) with one row for each pose, in the order of the robot's motion
     pub file: PathBuf,
-    /// Mapping of the columns of the file, such as config/measured_pose.toml of a tracker, config/measured_length.toml of a wire,
-    /// config/contact.toml of a ball in sockets, config/touch.toml of a tip on faces
+    /// Mapping file for the table (names its columns), such as config/measured_pose.toml for a tracker,
+    /// config/measured_length.toml for a wire, config/contact.toml for a ball in sockets,
+    /// config/touch.toml for a touch probe
     #[arg(long, help_heading = "Input", value_name = "FILE")]
     pub mapping: PathBuf,
     /// The robot's own log, for a tracker whose rows have times in place of joints.
@@ -87,22 +88,25 @@ pub struct RowFile {
     /// Known distances and angles of the faces, for a touch probe.
     #[arg(skip)]
     pub faces: Option<PathBuf>,
-    /// Which rows are held out together; default: regions of poses, otherwise single rows
+    /// How rows are grouped for cross-validation, where rows of one group are held out together. Default: regions for a
+    /// tracker, but rows if it has several stations; rows for other instruments
     #[arg(long, help_heading = "Estimation", value_enum)]
     pub hold_out: Option<HoldOut>,
-    /// Seed that selects the held-out rows; default: 1042
+    /// Seed that selects the held-out groups; default: 1042
     #[arg(long, help_heading = "Estimation")]
     pub seed: Option<u64>,
-    /// Highest number of waves per turn that the errors of joints may have, 3 to 127; default: 64 with a tracker, otherwise by
-    /// the number of rows. The lowest of all files counts
+    /// Highest order of periodic joint errors [waves per turn], 3 to 127; default: 64 for `calibrate tracker`, otherwise
+    /// derived from the number of rows
     #[arg(long, help_heading = "Estimation", value_name = "N",
           value_parser = clap::value_parser!(u8).range(i64::from(*Waves::OF_AXIS.start())..=i64::from(*Waves::OF_AXIS.end())))]
     pub joint_waves: Option<u8>,
-    /// Other files of the same instrument, which may have another position, to check the robot
+    /// Tables of the same kind of instrument, possibly at another position, with which the calibrated robot is
+    /// checked; separate them by commas
     #[arg(long, help_heading = "Input", value_name = "FILES", value_delimiter = ',')]
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub validate: Vec<PathBuf>,
-    /// Mapping of the columns of these; default: that of --mapping. Their rows have joints, also if the others have times
+    /// Mapping file for the tables of --validate; default: the file of --mapping. Rows of these tables need joints, even if
+    /// the calibrated rows have times
     #[arg(long, help_heading = "Input", value_name = "FILE", requires = "validate")]
     pub validate_mapping: Option<PathBuf>,
 }
