@@ -17,8 +17,8 @@ const BALL_BAR: &str = "ball_bar";
 
 #[derive(Debug, Clone, Args)]
 pub struct ConfigurationFiles {
-    /// Directory with daemon.toml and ball_bar.toml; default: `config` in this directory, then /etc/ballbard, then the
-    /// built-in configuration
+    /// Directory with daemon.toml and ball_bar.toml; default: `config` in the current directory, else /etc/ballbard,
+    /// else the built-in configuration
     #[arg(long, help_heading = "Input", value_name = "DIR")]
     config: Option<PathBuf>,
 }
@@ -78,7 +78,7 @@ impl ConfigurationFiles {
 /// Directory of the program's state.
 #[derive(Debug, Clone, Args)]
 pub struct StateDirectory {
-    /// Directory for reference marks, token and certificate; default: $STATE_DIRECTORY as systemd sets it,
+    /// Directory for reference marks, token and certificate; default: $STATE_DIRECTORY (set by systemd), else
     /// /var/lib/ballbard if it exists, else `ballbard` in $XDG_STATE_HOME or ~/.local/state
     #[arg(long = "state", help_heading = "Input", value_name = "DIR")]
     directory: Option<PathBuf>,

@@ -23,8 +23,8 @@ const POLL: Duration = Duration::from_millis(200);
 
 #[derive(Debug, Args)]
 pub struct HomeArguments {
-    /// Without a service: network interface of the coupler, such as eth1, or `simulated`, where the joints turn
-    /// automatically. Default: use the running service, which has the bus
+    /// Home without a service, on the network interface to which the coupler is connected, such as eth1, or on `simulated`,
+    /// where the joints turn automatically. Default: home on the bus of the running service
     #[arg(long, help_heading = "Connection", value_name = "INTERFACE", conflicts_with = "service")]
     bus: Option<String>,
     #[command(flatten)]

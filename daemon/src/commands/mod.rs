@@ -29,9 +29,9 @@ use shared::version::version;
 const AFTER_HELP: &str = "Example: ballbard run --bus eth1\n\n\
     Exit codes:\n  \
     0  success\n  \
-    1  failure; a check that found what stops a run, a tune that found a problem,\n     \
-       a smoke test that did not pass, a run that is rated BAD or has no valid cycle\n  \
-    2  usage error: an unknown option or invalid value, a missing --bus";
+    1  failure, or: check finds a problem that prevents a run; tune finds a problem;\n     \
+       a smoke test does not pass; a run is rated BAD or has no valid cycle\n  \
+    2  usage error: an unknown option, an invalid value, or no --bus";
 /// Number of interfaces that a message lists.
 const INTERFACES_MAX: usize = 8;
 
@@ -48,7 +48,7 @@ enum Command {
     /// Keep the bus in operation and record on request.
     #[command(after_help = "Example: ballbard run --bus eth1")]
     Run(serve::RunArguments),
-    /// Begin a run of the running service.
+    /// Begin a run in the running service.
     #[command(after_help = "Example: ballbard start --name monday-1 --duration 2m")]
     Start(requests::StartArguments),
     /// End the current run; returns when its file is finished.
@@ -57,7 +57,7 @@ enum Command {
     /// Print the state of the service.
     #[command(after_help = "Example: ballbard status --timing")]
     Status(requests::StatusArguments),
-    /// Put a marker into the run.
+    /// Add a marker to the current run.
     #[command(after_help = "Example: ballbard mark collision")]
     Mark(requests::MarkArguments),
     /// Change the note of a finished run; the recording itself is unchanged.
@@ -78,16 +78,16 @@ enum Command {
     /// List the recordings in the bin, or remove all of them.
     #[command(after_help = "Example: ballbard bin --empty")]
     Bin(requests::BinArguments),
-    /// Show a QR code with which a phone opens the service's page without typing the token.
+    /// Show a QR code that opens the service's page on a phone without typing the token.
     #[command(after_help = "Example: ballbard pair")]
     Pair(ServiceArguments),
     /// Record one run and exit.
     #[command(after_help = "Example: ballbard record --bus eth1 --name monday-1 --duration 2m")]
     Record(record::RecordArguments),
-    /// Find the encoders' reference marks and check their order and direction, joint by joint.
+    /// Find the reference mark of each encoder, and check the order and direction of the encoders, joint by joint.
     #[command(after_help = "Example: ballbard home")]
     Home(home::HomeArguments),
-    /// Check a bus before its first use, and write a report to send back.
+    /// Check a bus before its first use, and write a report.
     #[command(after_help = "Example: ballbard smoke --bus eth1 --report smoke.json")]
     Smoke(smoke::SmokeArguments),
     /// Check this machine's real-time settings and print the commands that fix them.

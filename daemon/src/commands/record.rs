@@ -21,25 +21,26 @@ use crate::segment::faults::FaultWindow;
 
 #[derive(Debug, Args)]
 pub struct RecordArguments {
-    /// Name of the run and of its file, in which spaces and the like become `-`; default: date and time
+    /// Name of the run and of its file; characters other than letters, digits and `-_.+` become `-`. Default: date and time
     #[arg(long, help_heading = "Recording")]
     name: Option<String>,
-    /// Duration: 90 (seconds), 90s or 2m; default: until Ctrl-C, or to the end of a replay
+    /// Duration of the run, such as 90 (seconds), 90s or 2m; default: until Ctrl-C, or to the end of a replay
     #[arg(long, help_heading = "Recording", value_parser = shared::time::parse_duration)]
     duration: Option<Duration>,
-    /// Network interface of the coupler, such as eth1; `simulated` records generated data without hardware
+    /// Network interface to which the coupler is connected, such as eth1; `simulated` records generated data without hardware
     #[arg(long, help_heading = "Connection", value_name = "INTERFACE")]
     bus: Option<String>,
-    /// Let the encoders of the simulated bus follow this recording
+    /// Recording whose motion the encoders of the simulated bus repeat
     #[arg(long, help_heading = "Simulation", value_name = "FILE")]
     replay: Option<PathBuf>,
     /// If the bus does not come up, print the problem and retry until it does
     #[arg(long, help_heading = "Connection")]
     wait: bool,
-    /// Inject a fault into the simulated bus, such as lost:0.01 or gone:3@10s-15s (repeatable; an invalid one lists all)
+    /// Inject a fault into the simulated bus, such as lost:0.01 or gone:3@10s-15s (repeatable; an
+    /// invalid fault lists all faults)
     #[arg(long = "fault", help_heading = "Simulation", value_name = "FAULT[@FROM[-UNTIL]]")]
     faults: Vec<FaultWindow>,
-    /// Virtual time: as fast as the machine allows (simulated bus only)
+    /// Run on virtual time, as fast as the machine allows (simulated bus only)
     #[arg(long, help_heading = "Simulation")]
     fast: bool,
     #[command(flatten)]

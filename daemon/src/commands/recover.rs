@@ -11,7 +11,7 @@ use super::Format;
 
 #[derive(Debug, Args)]
 pub struct RecoverArguments {
-    /// The recording, `.mcap.active` or `.mcap`
+    /// Recording to repair, a file with the ending .mcap.active or .mcap
     file: PathBuf,
     #[command(flatten)]
     format: Format,

@@ -25,7 +25,7 @@ pub struct SegmentArguments {
     /// Network interface to serve, such as one end of a veth pair
     #[arg(long, help_heading = "Connection")]
     interface: String,
-    /// Recording whose motion the encoders repeat, with its terminals, each time the line `play` is typed
+    /// Recording whose motion the encoders repeat each time the line `play` is typed; it determines the number of terminals
     #[arg(long, help_heading = "Simulation", value_name = "FILE", conflicts_with_all = ["terminals", "lines"])]
     replay: Option<PathBuf>,
     /// Number of EL5021 terminals behind the EK1100, at most 16
@@ -35,14 +35,15 @@ pub struct SegmentArguments {
     /// Signal periods per revolution of the simulated encoders
     #[arg(long, help_heading = "Simulation", default_value_t = 3600)]
     lines: u32,
-    /// Revision of the terminals, 16 to 22: up to 18 status bits are in other objects, 22 also measures frequency
+    /// Revision of the terminals, 16 to 22: up to 18, some status bits are in other objects than
+    /// 0x6000; 22 also measures frequency
     #[arg(long, help_heading = "Simulation", default_value_t = 20, value_parser = clap::value_parser!(u8).range(16..=22))]
     revision: u8,
-    /// Seed of the motion, of the devices' clocks and of random faults
+    /// Seed of the motion, of the clocks of the devices and of random faults
     #[arg(long, help_heading = "Simulation", default_value_t = SegmentConfig::default().seed)]
     seed: u64,
-    /// Inject a fault, such as lost:0.01 or gone:3@10s-15s (repeatable; an invalid one lists all). Lines on the standard
-    /// input switch faults, too: `on gone:3`, `off gone:3`
+    /// Inject a fault, such as lost:0.01 or gone:3@10s-15s (repeatable; an invalid fault lists all faults). Lines such as
+    /// `on gone:3` and `off gone:3` on standard input also switch faults
     #[arg(long = "fault", help_heading = "Simulation", value_name = "FAULT[@FROM[-UNTIL]]")]
     faults: Vec<FaultWindow>,
 }

@@ -30,29 +30,30 @@ const BLOCKING_THREADS_MAX: usize = 8;
 
 #[derive(Debug, Args)]
 pub struct RunArguments {
-    /// Network interface of the coupler, such as eth1; `simulated` serves generated data without hardware
+    /// Network interface to which the coupler is connected, such as eth1; `simulated` serves generated data without hardware
     #[arg(long, help_heading = "Connection", value_name = "INTERFACE")]
     bus: Option<String>,
-    /// Inject a fault into the simulated bus, such as lost:0.01 or gone:3@10s-15s (repeatable; an invalid one lists all)
+    /// Inject a fault into the simulated bus, such as lost:0.01 or gone:3@10s-15s (repeatable; an
+    /// invalid fault lists all faults)
     #[arg(long = "fault", help_heading = "Simulation", value_name = "FAULT[@FROM[-UNTIL]]")]
     faults: Vec<FaultWindow>,
     /// Directory for the recordings; default: `directory` of daemon.toml
     #[arg(long, help_heading = "Output", value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Port on 127.0.0.1, 0 for any free one; default: `port` of daemon.toml
+    /// Port on 127.0.0.1; 0 selects a free port; default: `port` of daemon.toml
     #[arg(long, help_heading = "Connection")]
     port: Option<u16>,
     /// Accept remote clients on this address (TLS, token from the state directory)
     #[arg(long, help_heading = "Connection", value_name = "ADDRESS:PORT")]
     listen: Option<SocketAddr>,
-    /// Certificates for --listen, PEM; default: a self-signed one in the state directory
+    /// Certificate chain for --listen (PEM); default: a self-signed certificate in the state directory
     #[arg(long, help_heading = "Connection", value_name = "FILE", requires_all = ["listen", "key"])]
     certificate: Option<PathBuf>,
-    /// Private key of --certificate, PEM
+    /// Private key of --certificate (PEM)
     #[arg(long, help_heading = "Connection", value_name = "FILE", requires = "certificate")]
     key: Option<PathBuf>,
-    /// Accept remote clients through a reverse proxy of this machine, which handles TLS and forwards requests to this Unix
-    /// socket (token from the state directory)
+    /// Accept remote clients through a reverse proxy on this machine. The proxy handles TLS and forwards requests to this
+    /// Unix socket (token from the state directory)
     #[arg(long, help_heading = "Connection", value_name = "SOCKET", value_parser = socket_path)]
     behind_proxy: Option<PathBuf>,
     /// Publish runs for Foxglove while they are recorded, at ws://127.0.0.1:PORT/foxglove (wss:// with --listen)

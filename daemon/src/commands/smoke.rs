@@ -20,19 +20,19 @@ use crate::whole_file;
 
 #[derive(Debug, Args)]
 pub struct SmokeArguments {
-    /// Network interface of the coupler, such as eth1; `simulated` tests the simulated bus
+    /// Network interface to which the coupler is connected, such as eth1; `simulated` tests the simulated bus
     #[arg(long, help_heading = "Connection", value_name = "INTERFACE")]
     bus: Option<String>,
-    /// What to check: a file, or a name in `config` or /etc/ballbard
+    /// File with the checks, or the name of a file in `config` or /etc/ballbard
     #[arg(long, help_heading = "Input", value_name = "FILE", default_value = "smoke")]
     checks: PathBuf,
-    /// Output file of the report; default: smoke-INTERFACE.json in this directory
+    /// Output file of the report; default: smoke-INTERFACE.json in the current directory
     #[arg(long, help_heading = "Output", value_name = "FILE")]
     report: Option<PathBuf>,
-    /// Inject a fault into the simulated bus, such as lost:0.01 or noise:3,0.1 (repeatable; an invalid one lists all)
+    /// Inject a fault into the simulated bus, such as lost:0.01 or noise:3,0.1 (repeatable; an invalid fault lists all faults)
     #[arg(long = "fault", help_heading = "Simulation", value_name = "FAULT[@FROM[-UNTIL]]")]
     faults: Vec<FaultWindow>,
-    /// Virtual time: as fast as the machine allows (simulated bus only)
+    /// Run on virtual time, as fast as the machine allows (simulated bus only)
     #[arg(long, help_heading = "Simulation")]
     fast: bool,
     #[command(flatten)]

@@ -36,7 +36,7 @@ pub struct About {
     /// Name or serial number of the bar
     #[arg(long, default_value = "", hide_default_value = true)]
     pub bar: String,
-    /// Payload of the robot beside the bar
+    /// Payload of the robot in addition to the bar
     #[arg(long, default_value = "", hide_default_value = true)]
     pub payload: String,
     /// Free text about the run

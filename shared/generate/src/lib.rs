@@ -32,7 +32,7 @@ pub struct GenerateArguments {
 enum What {
     /// Print completions for a shell
     Completions {
-        /// Shell to complete in
+        /// Shell for which completions are printed
         shell: Shell,
     },
     /// Write man pages: one for the program and one for each command

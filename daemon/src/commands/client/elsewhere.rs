@@ -39,13 +39,13 @@ use crate::control::api::{Fingerprint, token_in};
 #[derive(Debug, Clone, Args)]
 #[command(next_help_heading = "Connection")]
 pub struct ElsewhereArguments {
-    /// Use the service of another machine, https://HOST:PORT as its `ballbard status` prints
+    /// Use the service of another machine; `ballbard status` on that machine prints its URL, https://HOST:PORT
     #[arg(long, value_name = "URL", requires_all = ["token_file", "fingerprint"], conflicts_with_all = ["port", "config"])]
     service: Option<Address>,
-    /// For --service: a copy of the file `token` in its state directory
+    /// For --service: copy of the file `token` from the state directory of that service
     #[arg(long, value_name = "FILE", requires = "service")]
     token_file: Option<PathBuf>,
-    /// For --service: the fingerprint of its certificate, as its `ballbard status` prints
+    /// For --service: fingerprint of that service's certificate; `ballbard status` on that machine prints it
     #[arg(long, value_name = "SHA256", requires = "service")]
     fingerprint: Option<Fingerprint>,
 }

@@ -15,21 +15,22 @@ use crate::control::recordings::table::{Layout, write_csv};
 
 #[derive(Debug, Args)]
 pub struct ExportArguments {
-    /// The recording: a file, or the name of a run
+    /// Recording to export: a file, or the name of a run
     recording: PathBuf,
-    /// Comma-separated values, the only format: time stamp and counters, then angles and validity, events and marks
+    /// Write comma-separated values (the only format): time stamp, counters, angles, validity, events and marks
     #[arg(long, help_heading = "Output")]
     csv: bool,
-    /// Output file; `-` for standard output; default: beside the recording, or here for a name, with the ending .csv
+    /// Output file, or `-` for standard output; default: the path of the recording with the ending .csv, or NAME.csv in the
+    /// current directory if RECORDING is the name of a run
     #[arg(long, help_heading = "Output", value_name = "FILE")]
     out: Option<PathBuf>,
     /// Replace an existing table
     #[arg(long, help_heading = "Output")]
     force: bool,
-    /// Seconds since the first cycle (`t_s`) instead of `time_utc`
+    /// Write seconds since the first cycle (`t_s`) instead of `time_utc`
     #[arg(long, help_heading = "Output")]
     relative: bool,
-    /// For spreadsheets of continental Europe: semicolons between columns, commas in numbers
+    /// Write a table for spreadsheets in continental Europe: semicolons between columns, decimal commas in numbers
     #[arg(long, help_heading = "Output")]
     excel: bool,
     #[command(flatten)]

@@ -23,13 +23,14 @@ use crate::run::About;
 
 #[derive(Debug, Args)]
 pub struct StartArguments {
-    /// Name of the run and of its file, in which spaces and the like become `-`; default: date, robot, bar and a number
+    /// Name of the run and of its file; characters other than letters, digits and `-_.+` become `-`.
+    /// Default: date, robot, bar and a number
     #[arg(long, help_heading = "Recording")]
     name: Option<String>,
-    /// Duration: 90 (seconds), 90s or 2m; default: until stopped
+    /// Duration of the run, such as 90 (seconds), 90s or 2m; default: until stopped
     #[arg(long, help_heading = "Recording", value_parser = shared::time::parse_duration)]
     duration: Option<Duration>,
-    /// Reason to begin although the check stops the run; stored in the file
+    /// Begin the run even if the check finds a problem that prevents it; this reason is stored in the file
     #[arg(long, help_heading = "Recording")]
     reason: Option<String>,
     #[command(flatten)]
@@ -57,7 +58,7 @@ pub struct BinArguments {
 
 #[derive(Debug, Args)]
 pub struct StatusArguments {
-    /// Also print lateness and duration of the run's cycles
+    /// Also print the timing of the run: lateness, round trip and duration of its cycles, and the longest waits for the disk
     #[arg(long, help_heading = "Output")]
     timing: bool,
     #[command(flatten)]
@@ -66,7 +67,7 @@ pub struct StatusArguments {
 
 #[derive(Debug, Args)]
 pub struct MarkArguments {
-    /// Text of the marker; default: a number
+    /// Text of the marker; default: `mark N`, where N counts the markers without a text
     text: Option<String>,
     #[command(flatten)]
     service: ServiceArguments,
@@ -76,7 +77,7 @@ pub struct MarkArguments {
 pub struct NoteArguments {
     /// Name of the run
     name: String,
-    /// The new note; "" for none
+    /// New note; "" removes the note
     note: String,
     #[command(flatten)]
     service: ServiceArguments,
@@ -84,7 +85,7 @@ pub struct NoteArguments {
 
 #[derive(Debug, Args)]
 pub struct RunsArguments {
-    /// Directory of the recordings; default: those of the running service, or `directory` of daemon.toml
+    /// Directory of the recordings; default: the directories of the running service, else `directory` of daemon.toml
     #[arg(conflicts_with = "service")]
     directory: Option<PathBuf>,
     #[command(flatten)]

@@ -162,8 +162,8 @@ fn operations() -> Vec<(Operation, MethodRouter<ApiState>)> {
         ),
         (
             Operation::get_other("/runs/{name}/csv", "text/csv", "A finished recording as a table.").with_options(&[
-                ("relative", "Seconds since the first cycle (`t_s`) instead of `time_utc`."),
-                ("excel", "For spreadsheets of continental Europe: semicolons between columns, commas in numbers."),
+                ("relative", "Write seconds since the first cycle (`t_s`) instead of `time_utc`."),
+                ("excel", "Write a table for spreadsheets in continental Europe: semicolons between columns, decimal commas in numbers."),
             ]),
             get(download_csv),
         ),
