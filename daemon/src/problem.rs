@@ -25,7 +25,7 @@ pub enum Level {
     Bad,
 }
 
-/// A fact with what is derived from it.
+/// A detected problem with its severity, text and remedy.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Problem {
     /// Serialised as `code` and `fields`.
@@ -34,12 +34,12 @@ pub struct Problem {
     pub fact: Box<Fact>,
     /// How serious it is.
     pub severity: Level,
-    /// Bar joints that give no valid samples because of it.
+    /// Bar joints that have no valid samples because of the problem.
     #[serde(default)]
     pub joints: Vec<u8>,
-    /// Description with the figures.
+    /// Description of the problem, including its values.
     pub text: String,
-    /// Action for the person at the machine; may be empty.
+    /// What the person at the machine should do; may be empty.
     pub remedy: String,
 }
 
@@ -85,10 +85,10 @@ macro_rules! facts {
         #[derive(JsonSchema)]
         #[allow(dead_code, reason = "describes the JSON of a fact")]
         struct Described {
-            /// Stable name of the problem; the manual explains each.
+            /// Name of the problem for programs, which does not change between versions. The manual explains each code.
             #[schemars(extend("enum" = CODES))]
             code: String,
-            /// Figures and places; units are suffixes.
+            /// Values and locations of the problem; the end of each name is the unit.
             fields: serde_json::Map<String, serde_json::Value>,
         }
     };

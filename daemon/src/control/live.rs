@@ -58,30 +58,30 @@ pub struct Live {
     pub headline: Headline,
     /// The state, for programs.
     pub status: Status,
-    /// One for each encoder, in bus order.
+    /// Angle and state of each encoder, in bus order.
     pub joints: Vec<Joint>,
-    /// What a person should correct while there is time.
+    /// Problems that a person should correct before they disturb the run.
     pub warnings: Vec<Problem>,
-    /// How long runs may last before the disk is full \[h\].
+    /// Recording time until the disk is full \[h\].
     pub disk_hours: Option<f64>,
-    /// The grade of the run if it ended now.
+    /// The grade that the run would have if it ended now.
     pub verdict: Option<Verdict>,
     /// Duration of the run so far \[s\].
     pub run_s: Option<f64>,
-    /// Where the rod has pointed since the run began.
+    /// Directions of the rod since the run began.
     pub coverage: Coverage,
-    /// Set when counters lose their origin, so that angles count from zero again; reset when a run begins.
+    /// Set when counters restart, so that angles count from zero again. Absent if this has not happened since the run began.
     pub restarted: Option<Restarted>,
 }
 
-/// Angles count from zero again.
+/// The latest restart of the counters, after which angles count from zero again.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Restarted {
     /// Time on the host's monotonic clock \[ms\].
     pub at_ms: i64,
     /// Time since the run began \[s\].
     pub run_s: Option<f64>,
-    /// Cells of the sphere that were visited before and are not among those of the coverage.
+    /// Number of cells that were visited before the latest restart; the coverage does not contain them.
     pub cells_before: usize,
 }
 
@@ -92,35 +92,38 @@ pub struct Joint {
     pub joint: u8,
     /// Name of the joint.
     pub name: String,
-    /// Its angle; absent while it is stale \[deg\].
+    /// Angle of the joint; absent without a valid sample in the last second \[deg\].
     pub angle_deg: Option<f64>,
-    /// The angle counts from the reference mark; otherwise from its position at the first sample.
+    /// The angle counts from the reference mark. Otherwise it counts from the position at the first sample.
     pub from_mark: bool,
-    /// Its speed; absent while it is stale or new \[deg/s\].
+    /// Speed of the joint, averaged over half a second; absent without recent valid samples \[deg/s\].
     pub speed_deg_per_s: Option<f64>,
-    /// Severity of its state.
+    /// Severity of the joint's state.
     pub level: Level,
-    /// Its problem, in a few words.
+    /// Problem of the joint, in a few words; absent if there is none.
     pub problem: Option<String>,
-    /// It has turned as far as a calibration needs, since the run began or since the first sample.
+    /// The joint has turned as far as a calibration needs since the latest run began. If there was
+    /// no run, since the first sample.
     pub has_moved: bool,
-    /// Range of its angle since then, while its counter had one origin \[deg\].
+    /// Difference of the largest and smallest angle in that time. If the counter restarted, the largest
+    /// difference between two restarts \[deg\].
     pub range_deg: f64,
 }
 
-/// Directions of the rod, in cells of 10 degrees of joint 1 (columns) and joint 2 (rows).
+/// Directions of the rod that were visited, as a grid of cells: columns are joint 1, rows are joint
+/// 2, both in steps of 10 degrees.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Coverage {
-    /// Row by row from -180 degrees, four cells to a hexadecimal digit.
+    /// One bit for each cell, set if it was visited: row by row from -180 degrees, four cells in a hexadecimal digit.
     pub cells: String,
     /// Number of visited cells.
     pub visited: usize,
-    /// Time since the last new cell of the run \[s\]; absent before the first, and without a run.
+    /// Time since a cell was visited for the first time in the run \[s\]; absent before the first cell, and without a run.
     pub newest_s: Option<f64>,
-    /// The cell that the rod is in now, column and row.
+    /// Column and row of the rod's current cell; absent if an angle is unknown.
     pub here: Option<(usize, usize)>,
-    /// Angles of both joints are absolute: homed, and `mark_deg` is in `ball_bar.toml`. Otherwise rows and columns start at an
-    /// arbitrary angle.
+    /// The angles of both joints are absolute, because they are homed and `ball_bar.toml` has `mark_deg`. Otherwise rows and
+    /// columns start at an arbitrary angle.
     pub absolute: bool,
 }
 

@@ -21,18 +21,18 @@ pub struct RunMark {
     pub text: String,
 }
 
-/// Cycles that are not valid for one reason, in one encoder or in all of them.
+/// Cycles that are invalid for the same reason, in one encoder or in all encoders.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Flagged {
-    /// Bar joint, 1 to 5; none for all joints together.
+    /// Bar joint of the encoder, 1 to 5; absent if all encoders are invalid.
     pub joint: Option<u8>,
-    /// The reason, in words.
+    /// The reason, as text.
     pub reason: String,
-    /// Number of the first cycle.
+    /// Number of the first of these cycles in the run.
     pub first: u64,
-    /// Number of such cycles in the run.
+    /// How many cycles of the run are invalid for this reason.
     pub cycles: u64,
-    /// Number of periods in which they follow each other.
+    /// Number of uninterrupted sequences that these cycles form.
     pub periods: u64,
 }
 

@@ -255,14 +255,15 @@ pub struct RunMetadata {
 /// Name of the bus with simulated encoder signals.
 pub const SIMULATED_BUS: &str = "simulated";
 
-/// The recording whose counts a replay played on the simulated bus. A replay of a replay has the origin of the first.
+/// The original recording whose counts a replay repeats on the simulated bus. If a replay is replayed, this
+/// is still the original recording.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct ReplayOrigin {
-    /// Name of that run.
+    /// Name of the original run.
     pub name: String,
-    /// Beginning of that run.
+    /// Beginning of the original run.
     pub started: UtcNs,
-    /// Network interface that it was recorded from, or [`SIMULATED_BUS`].
+    /// Network interface from which the original run was recorded, or `simulated`.
     pub bus: String,
 }
 
@@ -272,7 +273,7 @@ pub struct Provenance {
     /// The encoder counts were simulated.
     #[serde(default)]
     pub simulated: bool,
-    /// The recording that a replay played.
+    /// The original recording, if this run is a replay.
     #[serde(default)]
     pub replay_of: Option<ReplayOrigin>,
 }

@@ -5,7 +5,7 @@ use std::fmt;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// One duration over all cycles of a run \[ns\].
+/// Statistics of one duration over all cycles of a run \[ns\].
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Durations {
     /// Median over all cycles.
@@ -16,43 +16,43 @@ pub struct Durations {
     pub p999_ns: u64,
     /// Longest duration of all cycles.
     pub max_ns: u64,
-    /// How many cycles took how long, shortest first; bins without a cycle are left out.
+    /// Histogram of the duration, shortest first. Bins without a cycle are left out.
     pub histogram: Vec<Bin>,
 }
 
-/// One bin of a histogram: longer than the limit of the bin before, up to its own.
+/// One bin of a histogram. Its durations are longer than the limit of the previous bin, up to `up_to_ns`.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Bin {
-    /// Limit, included \[ns\].
+    /// Upper limit of the bin; included \[ns\].
     pub up_to_ns: u64,
     /// Number of cycles in the bin.
     pub cycles: u64,
 }
 
-/// How long the disk kept the recorder waiting.
+/// Longest waits of the recorder for the disk.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(default)]
 pub struct DiskTiming {
-    /// Longest synchronisation: what a power cut may cost beyond a period \[ns\].
+    /// Longest synchronisation. A power failure may lose the cycles of this time and of one synchronisation period \[ns\].
     pub sync_longest_ns: u64,
-    /// Longest write: what a kill of the program may cost beyond a period \[ns\].
+    /// Longest write. A crash of the program may lose the cycles of this time and of one writing period \[ns\].
     pub write_longest_ns: u64,
-    /// Most cycles that waited to be written, as time \[ns\].
+    /// Longest duration of the cycles that waited to be written \[ns\].
     pub backlog_longest_ns: u64,
 }
 
-/// Timing of the loop. Runs on virtual time have none.
+/// Timing of the real-time cycle. Runs on virtual time have no timing.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct TimingSummary {
-    /// Number of all measured cycles.
+    /// Number of cycles whose timing was measured.
     pub cycles: u64,
-    /// From a cycle's deadline until its thread ran.
+    /// Lateness: time from a cycle's deadline until the cycle thread ran.
     pub lateness: Durations,
-    /// From handing the frame to the wire until the reply was there; cycles with a reply only.
+    /// Round trip: time from sending the frame until the reply arrived. Only cycles with a reply are included.
     pub round_trip: Durations,
-    /// From waking up until the cycle's record was handed over.
+    /// Duration of a cycle: time from the wake-up of its thread until its record was passed to the recorder.
     pub duration: Durations,
-    /// How long the disk kept the recorder waiting.
+    /// Longest waits of the recorder for the disk.
     #[serde(default)]
     pub disk: DiskTiming,
 }

@@ -25,11 +25,16 @@ pub(super) fn text(live: &Live) -> Result<String, fmt::Error> {
     let Live { status, warnings, disk_hours, joints, .. } = live;
     let one_in = |state: ServiceState| one_if(status.state == state);
     let (recording, ready) = (one_in(ServiceState::Writing), one_in(ServiceState::Waiting));
-    add(&mut registry, "recording", "A run's cycles reach the disk: 1, else 0", recording);
-    add(&mut registry, "ready", "A run can begin: 1, else 0", ready);
+    add(
+        &mut registry,
+        "recording",
+        "1 if a run is recorded and its cycles reach the disk in time, else 0",
+        recording,
+    );
+    add(&mut registry, "ready", "1 if a run can begin, else 0", ready);
     add(&mut registry, "warnings", "Warnings on the page", warnings.len() as f64);
     if let Some(hours) = disk_hours {
-        add(&mut registry, "disk_left_hours", "How long runs can last before the disk is full", *hours);
+        add(&mut registry, "disk_left_hours", "Recording time until the disk is full", *hours);
     }
     add_totals(&mut registry, status);
     add_problems(&mut registry, status, warnings);
@@ -44,8 +49,8 @@ fn add_totals(registry: &mut Registry, status: &Status) {
     let Totals { cycles, cycles_valid, cycles_late, cycles_lost, problems } = &status.totals;
     let counts = [
         ("cycles", "Bus cycles since the service began", cycles),
-        ("cycles_valid", "Cycles among them in which every encoder was valid", cycles_valid),
-        ("cycles_late", "Cycles among them that missed their deadline", cycles_late),
+        ("cycles_valid", "Bus cycles in which every encoder was valid", cycles_valid),
+        ("cycles_late", "Bus cycles that missed their deadline", cycles_late),
         ("cycles_lost", "Cycles of runs lost between bus and file", cycles_lost),
     ];
     for (name, help, count) in counts {
@@ -55,7 +60,7 @@ fn add_totals(registry: &mut Registry, status: &Status) {
     for (code, times) in problems {
         began.get_or_create(&[("code", code.clone())]).inc_by(*times);
     }
-    registry.register("problems", "How often each problem began, by its code", began);
+    registry.register("problems", "Number of times that each problem began, by code", began);
     let build = Family::<[(&'static str, String); 1], Gauge>::default();
     build.get_or_create(&[("version", version().to_owned())]).set(1);
     registry.register("build_info", "Version and commit of the program", build);
@@ -68,15 +73,19 @@ fn add_problems(registry: &mut Registry, status: &Status, warnings: &[Problem]) 
         let severity = if problem.severity == Level::Bad { "bad" } else { "check" };
         active.get_or_create(&[("code", problem.code().to_owned()), ("severity", severity.to_owned())]).inc();
     }
-    registry.register("problem", "Problems now, by code and severity", active);
+    registry.register("problem", "Number of current problems, by code and severity", active);
 }
 
 fn add_run(registry: &mut Registry, status: &Status) {
     let Some(run) = &status.run else { return };
     let mut figures = vec![
-        ("run_cycles_taken", "Cycles that were due", run.cycles_taken as f64),
+        (
+            "run_cycles_taken",
+            "Cycles since the run began, including those that are not written yet",
+            run.cycles_taken as f64,
+        ),
         ("run_cycles_synced", "Cycles safe on disk", run.cycles as f64),
-        ("run_cycles_valid", "Cycles among them in which every encoder is valid", run.cycles_valid as f64),
+        ("run_cycles_valid", "Cycles safe on disk in which every encoder is valid", run.cycles_valid as f64),
         ("run_cycles_lost", "Cycles lost between bus and file", run.cycles_lost as f64),
         ("run_file_bytes", "Length of the file", run.bytes as f64),
         ("run_unsynced_seconds", "Duration of cycles that a power failure would lose", run.unsynced_s),

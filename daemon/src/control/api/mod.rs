@@ -134,16 +134,16 @@ impl FromRef<ApiState> for Service {
 fn operations() -> Vec<(Operation, MethodRouter<ApiState>)> {
     vec![
         (
-            Operation::get::<Status>("/status", "State of the service; a run counts as far as it is on disk."),
+            Operation::get::<Status>("/status", "State of the service, its bus and the current run."),
             get(status),
         ),
-        (Operation::get::<Live>("/live", "Current content of the page."), get(live)),
+        (Operation::get::<Live>("/live", "Current content of the web page."), get(live)),
         (
             Operation::get_other(
                 "/events",
                 "text/event-stream",
-                "Server-sent events: one named `minute` with the angles of the last minute, then ten a second whose data are \
-                 those of `/live`.",
+                "Server-sent events: first one named `minute` with the angles of the last minute, then ten each second, each \
+                 with the same data as `/live`.",
             ),
             get(events),
         ),
@@ -151,56 +151,62 @@ fn operations() -> Vec<(Operation, MethodRouter<ApiState>)> {
             Operation::get::<Vec<CheckLine>>("/check", "Runs the pre-flight check."),
             get(check),
         ),
-        (Operation::get::<Vec<RunLine>>("/runs", "Recordings, the latest first."), get(list_runs)),
+        (Operation::get::<Vec<RunLine>>("/runs", "Lists the recordings, the latest first."), get(list_runs)),
         (
             Operation::get_other(
                 "/runs/{name}/mcap",
                 "application/octet-stream",
-                "File of a finished recording.",
+                "The file of a finished recording.",
             ),
             get(download_mcap),
         ),
         (
             Operation::get_other("/runs/{name}/csv", "text/csv", "A finished recording as a table.").with_options(&[
-                ("relative", "Write seconds since the first cycle (`t_s`) instead of `time_utc`."),
-                ("excel", "Write a table for spreadsheets in continental Europe: semicolons between columns, decimal commas in numbers."),
+                ("relative", "Column `t_s` (seconds since the first cycle) instead of `time_utc`."),
+                ("excel", "Format for spreadsheets in continental Europe: semicolons between columns, decimal commas."),
             ]),
             get(download_csv),
         ),
-        (Operation::get::<Curves>("/runs/{name}/plot", "Angles of a recording, thinned for a plot."), get(curves)),
+        (
+            Operation::get::<Curves>(
+                "/runs/{name}/plot",
+                "Angles of a recording for a plot, at reduced resolution.",
+            ),
+            get(curves),
+        ),
         (
             Operation::post::<StartRequest, Reply>(
                 "/start",
-                "Begins a run; the reply follows when its file is created.",
+                "Begins a run; the reply is sent when the file of the run has been created.",
             ),
             post(start),
         ),
         (
             Operation::post::<StopRequest, Reply>(
                 "/stop",
-                "Ends the run or the homing; the reply follows when the file is finished, or has the result of the homing.",
+                "Ends the run or the homing; the reply has the finished run, or the result of the homing.",
             ),
             post(stop),
         ),
         (
             Operation::post::<HomeRequest, Reply>(
                 "/home",
-                "Begins a homing; the status has its progress and result.",
+                "Begins a homing; `/status` contains its progress and result.",
             ),
             post(home),
         ),
-        (Operation::post::<MarkRequest, Reply>("/mark", "Puts a marker into the run."), post(mark)),
+        (Operation::post::<MarkRequest, Reply>("/mark", "Adds a marker to the current run."), post(mark)),
         (
             Operation::post::<NoteRequest, Reply>(
                 "/note",
-                "Changes the note of a finished recording; its file stays as it is.",
+                "Changes the note of a finished recording; the file of the recording is not changed.",
             ),
             post(change_note),
         ),
         (
             Operation::post::<NameRequest, NameReply>(
                 "/name",
-                "Name that a run would get from this input, and whether it is valid; changes nothing.",
+                "Returns the name that a run with this input would get, and whether the name is valid; changes nothing.",
             ),
             post(name),
         ),
@@ -211,15 +217,15 @@ fn operations() -> Vec<(Operation, MethodRouter<ApiState>)> {
         (
             Operation::post::<PairRequest, PairReply>(
                 "/pair",
-                "Links and QR codes that admit a phone without the token; each code works once.",
+                "Returns links and QR codes with which a phone opens the page without the token; the code in them works once.",
             ),
             post(pairing::pair),
         ),
-        (Operation::get::<Vec<RunLine>>("/bin", "Recordings in the bin, the latest first."), get(bin::list)),
+        (Operation::get::<Vec<RunLine>>("/bin", "Lists the recordings in the bin, the latest first."), get(bin::list)),
         (
             Operation::post::<DeleteRequest, Reply>(
                 "/restore",
-                "Moves a recording out of the bin; the reply has its new name.",
+                "Moves a recording out of the bin; the reply has the name that the recording has now.",
             ),
             post(bin::restore),
         ),

@@ -22,17 +22,18 @@ const REFUSALS: [(StatusCode, &str); 14] = [
         StatusCode::FORBIDDEN,
         "the request has a foreign origin or host, or passed a proxy without --behind-proxy",
     ),
-    (StatusCode::NOT_FOUND, "no such path, recording or run"),
-    (StatusCode::METHOD_NOT_ALLOWED, "the path has another method; this reply has no body"),
+    (StatusCode::NOT_FOUND, "the path, the recording or the run does not exist"),
+    (StatusCode::METHOD_NOT_ALLOWED, "the path exists, but not with this method; the reply has no body"),
     (StatusCode::REQUEST_TIMEOUT, "the request did not arrive within 5 seconds"),
     (
         StatusCode::CONFLICT,
-        "the state of the service forbids it: a run is active, none is, or the check found what stops a run",
+        "the state of the service does not permit the request: a run is active, no run is active, or the check found a problem \
+         that prevents a run",
     ),
-    (StatusCode::PAYLOAD_TOO_LARGE, "the request is longer than 64 kB, or was cut"),
+    (StatusCode::PAYLOAD_TOO_LARGE, "the request is longer than 64 kB, or is incomplete"),
     (StatusCode::UNSUPPORTED_MEDIA_TYPE, "the body is not declared as application/json"),
-    (StatusCode::UNPROCESSABLE_ENTITY, "a value of the body is invalid, or a field is unknown"),
-    (StatusCode::TOO_MANY_REQUESTS, "too many wrong tokens in the last minute"),
+    (StatusCode::UNPROCESSABLE_ENTITY, "a value in the body is invalid, or a field is unknown"),
+    (StatusCode::TOO_MANY_REQUESTS, "too many requests with a wrong token in the last minute"),
     (
         StatusCode::INTERNAL_SERVER_ERROR,
         "the disk reports an error, the file of a run could not be finished, or a QR code could not be made",
@@ -142,10 +143,11 @@ pub(super) fn document(operations: &[Operation]) -> Value {
         "info": {
             "title": "ballbard",
             "version": env!("CARGO_PKG_VERSION"),
-            "description": "The acquisition service. Programs of its machine use 127.0.0.1 under a loopback name and need no token. \
-                With --listen other machines have access over TLS, and with --behind-proxy through a reverse proxy; both need the \
-                token. The loopback port accepts nothing from a proxy. Requests with a foreign origin are refused; those \
-                that change something carry JSON.",
+            "description": "The interface of the acquisition service. Programs on the same machine connect to 127.0.0.1 or \
+                localhost and need no token. Other machines need the token. They connect over TLS if the service was started \
+                with --listen, or through a reverse proxy if it was started with --behind-proxy. The loopback port refuses \
+                requests that passed a proxy. All ports refuse requests from web pages of another origin. Requests that change \
+                something have a JSON body.",
         },
         "paths": paths,
         // None on the service's machine; one of the others from elsewhere.
@@ -163,7 +165,7 @@ pub(super) fn document(operations: &[Operation]) -> Value {
                     "type": "apiKey",
                     "in": "cookie",
                     "name": COOKIE,
-                    "description": "The same, as a browser stores it after it opened the page with /?token=TOKEN.",
+                    "description": "Cookie with the token. A browser stores it when it opens the page with /?token=TOKEN.",
                 },
             },
         },

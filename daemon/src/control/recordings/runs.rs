@@ -28,46 +28,47 @@ const PART_CHARS_MAX: usize = 30;
 pub struct RunLine {
     /// Name of the recording.
     pub name: String,
-    /// Path of its file.
+    /// Path of the file.
     pub file: PathBuf,
-    /// When it began \[ns since 1970\], if the file has it. Exceeds a JavaScript number: see `started_ms`.
+    /// Beginning of the run \[ns since 1970\]; absent if the file does not contain it. JavaScript numbers cannot represent
+    /// it exactly; use `started_ms` there.
     pub started: Option<UtcNs>,
-    /// When it began \[ms since 1970\].
+    /// Beginning of the run \[ms since 1970\]; absent if the file does not contain it.
     #[serde(default)]
     pub started_ms: Option<i64>,
     /// Duration \[s\].
     pub length_s: f64,
-    /// Bus cycles in it.
+    /// Number of bus cycles in the file.
     pub cycles: u64,
-    /// Cycles in which every encoder is valid.
+    /// Number of these cycles in which every encoder is valid.
     pub cycles_valid: u64,
-    /// Cycles that were lost between bus and file.
+    /// Number of cycles that were lost between bus and file.
     pub cycles_lost: u64,
-    /// Its grade; absent before it is finished.
+    /// Grade of the recording; absent until the recording is finished.
     pub verdict: Option<Verdict>,
-    /// Why it has no grade, or why it ended.
+    /// Why the run ended; if the recording has no grade, the reason for that.
     pub cause: String,
-    /// It was interrupted and recovered.
+    /// The recording was interrupted, and its file was recovered later.
     pub recovered: bool,
     /// Length of the file \[bytes\].
     pub bytes: u64,
-    /// Person who recorded it.
+    /// Name of the person who recorded.
     pub operator: String,
     /// Name or serial number of the robot.
     pub robot: String,
     /// Name or serial number of the bar.
     pub bar: String,
-    /// Payload of the robot beside the bar.
+    /// Payload of the robot in addition to the bar.
     pub payload: String,
     /// Free text, recorded or added later.
     pub note: String,
     /// Whether it is simulated, or a replay.
     #[serde(flatten)]
     pub provenance: Provenance,
-    /// Its first markers, among them the reason why it began despite a problem.
+    /// The first markers of the run. One of them is the reason why the run began despite a problem, if it did.
     #[serde(default)]
     pub marks: Vec<RunMark>,
-    /// The command that calibrates with it and the robot's log; absent without valid cycles.
+    /// The command that calibrates a robot from this recording and the robot's log; absent without valid cycles.
     #[serde(default)]
     pub next: Option<String>,
 }
@@ -203,12 +204,12 @@ pub fn finished(disk: &dyn Disk, name: String, file: PathBuf) -> RunLine {
 /// Largest number of points of a plot.
 const CURVE_POINTS: u64 = 1500;
 
-/// Angles of a whole run for a plot.
+/// Angles of a whole run for a plot, at reduced resolution.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Curves {
     /// Time since the first cycle \[s\].
     pub t_s: Vec<f64>,
-    /// The encoders, in bus order.
+    /// One curve for each encoder, in bus order.
     pub joints: Vec<Curve>,
 }
 
@@ -217,7 +218,8 @@ pub struct Curves {
 pub struct Curve {
     /// Bar joint, 1 to 5.
     pub joint: u8,
-    /// Angle since the first sample with the origin of its counts; absent without a sample \[deg\].
+    /// Angle at each time in `t_s`, relative to the first sample after the counter last restarted; absent
+    /// without a valid sample \[deg\].
     pub angle_deg: Vec<Option<f64>>,
 }
 

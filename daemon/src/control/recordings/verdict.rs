@@ -26,7 +26,7 @@ const CAUSES_MAX: usize = 3;
 pub struct Verdict {
     /// Severity of the worst reason.
     pub level: Level,
-    /// Reasons, for people; empty if all is well.
+    /// Reasons for the grade, as text; empty if the grade is `good`.
     pub reasons: Vec<String>,
 }
 
