@@ -96,7 +96,7 @@ macro_rules! facts {
 
 const REPLACE_TERMINAL: &str =
     "power the terminals off and on; if the problem persists, replace the named terminal";
-const CHECK_DISK: &str = "check its cable, its power, or its network connection";
+const CHECK_DISK: &str = "check the cable, the power or the network connection of the disk";
 const REDUCE_LOAD: &str = "run `ballbard tune`; end programs that load the processor";
 
 facts! {
@@ -113,8 +113,8 @@ facts! {
     BusDeviceMissing = "bus_device_missing", Bad { position: usize, expected: Vec<String>, found: Vec<String> } =>
         format!("{} and all behind it do not answer: {}", device(*position), expected_and_found(expected, found)),
         format!(
-            "check {} (bus position {position}): its power, and that it and those behind it sit firmly on the one \
-             before; if it was taken away, correct the list of encoders in ball_bar.toml",
+            "check the power of {} (bus position {position}), and press it and the terminals behind it firmly onto the \
+             device before; if it was removed, correct the list of encoders in ball_bar.toml",
             device(*position)
         );
     /// There are more devices than configured.
@@ -224,7 +224,7 @@ facts! {
     /// Counts may have a new origin.
     CountsRestarted = "counts_restarted", Check { joint: Option<u8>, because: String } =>
         format!("counts may have a new origin: {because}"),
-        "home again if runs use reference marks; a calibration accounts for it";
+        "home again if runs use reference marks; a calibration estimates the new offsets";
     /// Cycles were started after their deadline.
     CyclesLate = "cycles_late", Check =>
         "cycles were started after their deadline",
@@ -239,7 +239,7 @@ facts! {
             "{} cannot be written: it is not a directory, is read-only, or belongs to another user",
             directory.display()
         ),
-        "correct that, or choose another directory with --out or `directory` in daemon.toml";
+        "correct this directory, or choose another one with --out or `directory` in daemon.toml";
     /// Less space than the floor.
     DiskFull = "disk_full", Bad { directory: PathBuf, floor_mb: u64 } =>
         format!("less than {floor_mb} MB are free on the disk of {} (disk floor)", directory.display()),
@@ -284,13 +284,13 @@ facts! {
     /// Cycles wait to be written.
     DiskBacklog = "disk_backlog", Bad { backlog_s: f64, limit_s: f64 } =>
         format!(
-            "the disk accepts nothing: {backlog_s:.1} s of cycles wait to be written, above {limit_s:.0} s cycles are lost"
+            "the disk accepts nothing: {backlog_s:.1} s of cycles wait to be written; above {limit_s:.0} s cycles are lost"
         ),
-        "find the programs that keep it busy";
+        "find the programs that keep the disk busy";
     /// Cycles wait to be synchronised.
     DiskSlow = "disk_slow", Check { unsynced_s: f64 } =>
         format!("the disk is slow: a power failure now would cost the last {unsynced_s:.1} s of the run"),
-        "find the programs that keep it busy";
+        "find the programs that keep the disk busy";
     /// Little space is left.
     DiskSpaceLow = "disk_space_low", Check { left_h: f64 } =>
         format!("the disk has room for {left_h:.1} hours"),
@@ -298,7 +298,7 @@ facts! {
     /// Files were left behind by a crash.
     FilesLeft = "files_left", Check { files: Vec<PathBuf> } =>
         format!(
-            "not finished since a crash: {}",
+            "files that a crash left unfinished: {}",
             files.iter().map(|file| file.display().to_string()).collect::<Vec<_>>().join(", ")
         ),
         "run `ballbard recover` on each";
@@ -309,7 +309,7 @@ facts! {
     /// The encoders are being homed.
     HomingActive = "homing_active", Check =>
         "the encoders are being homed",
-        "wait until that is done, or end it with `ballbard stop`";
+        "wait until the homing has ended, or stop it with `ballbard stop`";
     /// The control's thread takes no requests.
     ServiceBusy = "service_busy", Bad =>
         "too many requests wait for the service",
@@ -329,7 +329,7 @@ facts! {
     /// Reference marks could not be saved.
     MarksUnwritable = "marks_unwritable", Check { error: String } =>
         format!("{error}, so reference marks could not be saved"),
-        "let this user write there, or choose another directory with --state";
+        "permit this user to write to that directory, or choose another one with --state";
     /// Priority, core or locked memory were not granted.
     RealtimeDenied = "realtime_denied", Check { report: String } =>
         report,
@@ -364,7 +364,7 @@ facts! {
     /// A joint turns faster than its terminal interpolates.
     JointFast = "joint_fast", Check { joint: u8, speed_deg_per_s: f64, limit_deg_per_s: f64 } =>
         format!(
-            "joint {joint} turns at {:.0} degrees/s; above {limit_deg_per_s:.0} its terminal omits the finest steps",
+            "joint {joint} turns at {:.0} degrees/s; above {limit_deg_per_s:.0} its terminal does not resolve the finest steps",
             speed_deg_per_s.abs()
         ),
         "move the robot more slowly";

@@ -123,8 +123,9 @@ fn page(file: &str) -> String {
 #[test]
 fn the_page_on_configuration_has_every_key_and_comment_of_the_shipped_files() {
     let about = "\
-Both programs refuse unknown keys and name the nearest known one. Units are the endings of the keys. *In the file* is the
-default, except in mappings, tables and experiments, which are examples. An absent key has the default that its meaning states.
+Both programs refuse unknown keys, and suggest the most similar known key. The unit of a value is the ending of its key. The
+column *in the file* shows the default; in mappings, tables and experiments it shows an example. If a key can be absent, the
+column *meaning* states its default.
 ";
     let entries = std::fs::read_dir(repository("config")).unwrap();
     let names = entries.map(|entry| entry.unwrap().file_name().into_string().unwrap());

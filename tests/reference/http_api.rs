@@ -67,7 +67,7 @@ fn schema(name: &str, schema: &Value) -> String {
 fn the_page_on_the_http_interface_is_the_openapi_document() {
     let document = ballbard::control::api::document();
     let mut page = format!("{}\n\n", text(&document["info"]["description"]));
-    page += "The document itself is `GET /api/openapi.json`.\n\n## Operations\n\n";
+    page += "`GET /api/openapi.json` returns the OpenAPI document.\n\n## Operations\n\n";
     page += "| request | meaning | body | reply |\n|---|---|---|---|\n";
     for (path, methods) in members(&document["paths"]) {
         for (method, operation) in members(methods) {
@@ -83,7 +83,8 @@ fn the_page_on_the_http_interface_is_the_openapi_document() {
             let _ = writeln!(page, "| {method} `{path}` | {meaning} | {body} | {reply} |");
         }
     }
-    page += "\n## Refusals\n\nA refused request gets one of these codes and a [Refusal](#refusal).\n\n| code | reason |\n|---|---|\n";
+    page += "\n## Refusals\n\nThe reply to a refused request has one of these status codes, and a [Refusal](#refusal) as body.\n\n\
+        | code | reason |\n|---|---|\n";
     for (code, response) in members(&document["components"]["responses"]) {
         let _ = writeln!(page, "| {code} | {} |", text(&response["description"]));
     }

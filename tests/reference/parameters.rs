@@ -8,9 +8,10 @@ use identify::model::{Group, Owner, ParameterId};
 use super::check;
 
 const ABOUT: &str = "\
-Names are those of `--free`, `--fix`, `[priors]` and the result files. Links, joints and axes count from 1.
-Result files have the SI unit; `[priors]`, the terminal and the report have the displayed unit.
-In a calibration from several data sets, a parameter that each of them has for itself is called `NAME@2` in the second one.
+The options `--free` and `--fix`, `[priors]` and the result files use these names. Links, joints and axes are numbered from 1.
+Values in result files have the SI unit; values in `[priors]`, on the terminal and in the report have the displayed unit.
+The last column shows which parameters have a separate value for each data set. In a calibration from several data sets,
+the value for the second data set is called `NAME@2`.
 ";
 
 /// Parameters of one table row, grouped by their names without digits.

@@ -295,7 +295,7 @@ macro_rules! parameters {
 }
 
 parameters! {
-    /// Link parameter of the robot: `ra1`, `rd1`, `ralpha1`, `rtheta1`, `rbeta2`.
+    /// Denavit-Hartenberg parameter of a robot link, such as `ra1`, `rd1`, `ralpha1`, `rtheta1` or `rbeta2`.
     Robot {
         /// Index of the link, from 0.
         link: usize = 0..AXES_MAX,
@@ -306,7 +306,7 @@ parameters! {
         is ParameterBlock::of_link(Owner::Robot, parameter),
         at |geometry| geometry.robot.links.get_mut(link).map(|link| link.number_mut(parameter));
 
-    /// Error of a robot axis beyond its link: `rsin1_1` (sine of drive 1's angle) .. `rtool_5`.
+    /// Error of a robot axis in addition to its link parameters, such as `rsin1_1` (sine of drive 1's angle) or `rtool_5`.
     Joint {
         /// Index of the axis, from 0.
         axis: usize = 0..AXES_MAX,
@@ -317,8 +317,7 @@ parameters! {
         is ParameterBlock::new(Owner::Robot, Group::Term(term.group()), term.unit()),
         at |geometry| geometry.joints.amplitude_mut(axis, term);
 
-    /// Error of a robot axis with an integer number of waves per turn, three or more: `rsin17_1` (sine of 17 times drive 1's
-    /// angle).
+    /// Periodic error of a robot axis with three or more waves per turn, such as `rsin17_1` (sine of 17 times drive 1's angle).
     JointWave {
         /// Index of the axis, from 0.
         axis: usize = 0..AXES_MAX,
@@ -335,7 +334,8 @@ parameters! {
             None
         };
 
-    /// Link parameter of the ball-bar: `ba1`, `bd1`, `balpha1`, `btheta1`; `btheta` is the offset of the encoder.
+    /// Denavit-Hartenberg parameter of a link of the ball-bar, such as `ba1`, `bd1`, `balpha1` or `btheta1`. `btheta` is
+    /// the offset of the link's encoder.
     Bar {
         /// Index of the link, from 0.
         link: usize = 0..BAR_JOINTS,
@@ -351,7 +351,7 @@ parameters! {
         },
         at |geometry| geometry.bar_links.get_mut(link).map(|link| link.number_mut(parameter));
 
-    /// Position of the bar's base: `ox`, `oy`, `oz`.
+    /// Position of the bar's base in the robot's base frame: `ox`, `oy`, `oz`.
     Base {
         /// Coordinate of the position.
         axis: Axis = Axis::ALL,
@@ -360,7 +360,8 @@ parameters! {
         is ParameterBlock::new(Owner::BallBar, Group::Placement, Unit::Metre).of_run(),
         at |geometry| geometry.base.origin_m.get_mut(axis.index());
 
-    /// Rotation of the bar's base about x, then y: `orx`, `ory`. A rotation about z would duplicate `btheta1`.
+    /// Rotation of the bar's base about x, then about y: `orx`, `ory`. A rotation about z would
+    /// have the same effect as `btheta1`.
     BaseRotation {
         /// Axis of the rotation.
         axis: Axis = [Axis::X, Axis::Y],
@@ -373,7 +374,7 @@ parameters! {
             Axis::Z => None,
         };
 
-    /// Periodic error of a bar encoder: `bsin1_1` (sine of joint 1's reading) .. `bcos2_5`.
+    /// Periodic error of a bar encoder, such as `bsin1_1` (sine of joint 1's reading) or `bcos2_5`.
     EncoderWave {
         /// Index of the joint, from 0.
         joint: usize = 0..BAR_JOINTS,
@@ -386,8 +387,8 @@ parameters! {
         is ParameterBlock::new(Owner::BallBar, Group::Term(TermGroup::EncoderHarmonics), Unit::Radian).of_run(),
         at |geometry| geometry.encoder_waves.get_mut(joint).map(|waves| waves.amplitude_mut(order, phase));
 
-    /// Offset of a bar encoder, in addition to `btheta`, after its counter lost its origin during the run: `boffset1_2`
-    /// (encoder 2 after the first loss).
+    /// Offset of a bar encoder in addition to `btheta`, after the counter lost its origin during the run, such as
+    /// `boffset1_2` (encoder 2 after the first loss).
     EncoderOffset {
         /// Index of the counter origin, from 1; origin 0 uses `btheta` alone.
         origin: usize = 1..=ParameterId::LAST_ORIGIN,
@@ -404,14 +405,14 @@ parameters! {
         is ParameterBlock::new(Owner::BallBar, Group::Force, Unit::MetrePerNewton),
         at |geometry| Some(&mut geometry.elongation.compliance_m_per_n);
 
-    /// Half of the bar's axial play, with the sign of the force: `bplay`.
+    /// Half of the bar's axial play: the bar is longer by `bplay` under tension, and shorter under compression.
     BarPlay
         called "bplay",
         is ParameterBlock::new(Owner::BallBar, Group::Force, Unit::Metre),
         at |geometry| Some(&mut geometry.elongation.play_m);
 
-    /// Elongation of the bar by direction, with an integer number of waves per turn of its first two joints: `bdsin2_1` (sine
-    /// of twice joint 1's reading) .. `bdcos3_2`.
+    /// Periodic elongation of the bar with the angle of one of its first two joints, such as `bdsin2_1` (sine of twice
+    /// joint 1's reading) or `bdcos3_2`.
     BarWave {
         /// Index of the joint, from 0.
         joint: usize = 0..DIRECTION_JOINTS,
@@ -424,7 +425,8 @@ parameters! {
         is ParameterBlock::new(Owner::BallBar, Group::Term(TermGroup::BarLength), Unit::Metre).of_run(),
         at |geometry| geometry.bar_waves.get_mut(joint).map(|waves| waves.amplitude_mut(order, phase));
 
-    /// Attachment point of a wire or telescoping bar, in the flange frame: `attachment_x` ..., the second `attachment2_x` ...
+    /// Attachment point of a wire or telescoping bar in the flange frame: `attachment_x` ... A second
+    /// attachment point has `attachment2_x` ...
     Attachment {
         /// Index of the attachment point on the flange, from 0.
         target: usize = 0..ParameterId::SET_UPS_MAX,
@@ -435,7 +437,7 @@ parameters! {
         is ParameterBlock::new(Owner::Wire, Group::Placement, Unit::Metre),
         at |geometry| geometry.wire.attachments_m.get_mut(target)?.get_mut(axis.index());
 
-    /// Anchor point of the wire, in the robot's base: `anchor_x` ..., the second `anchor2_x` ...
+    /// Anchor point of the wire in the robot's base frame: `anchor_x` ... A second anchor point has `anchor2_x` ...
     Anchor {
         /// Index of the anchor point in the cell, from 0.
         station: usize = 0..ParameterId::SET_UPS_MAX,
@@ -446,13 +448,14 @@ parameters! {
         is ParameterBlock::new(Owner::Wire, Group::Placement, Unit::Metre),
         at |geometry| geometry.wire.anchors_m.get_mut(station)?.get_mut(axis.index());
 
-    /// Measured length minus distance: `length_offset`.
+    /// Measured length minus the distance between anchor and attachment point: `length_offset`.
     LengthOffset
         called "length_offset",
         is ParameterBlock::new(Owner::Wire, Group::Placement, Unit::Metre),
         at |geometry| Some(&mut geometry.wire.offset_m);
 
-    /// Pose of a tracker in the robot's base: `tracker_x` .. `tracker_rz`, in its second station `tracker2_x` ...
+    /// Pose of a tracker in the robot's base frame: `tracker_x` .. `tracker_rz`. A second station of
+    /// the tracker has `tracker2_x` ...
     Tracker {
         /// Index of the station, from 0.
         station: usize = 0..ParameterId::SET_UPS_MAX,
@@ -463,7 +466,7 @@ parameters! {
         is ParameterBlock::placed(Owner::Tracker, coordinate),
         at |geometry| Some(geometry.tracker.places.get_mut(station)?.coordinate_mut(coordinate));
 
-    /// Pose of the tracker's target in the flange frame: `probe_x` .. `probe_rz`, the second target `probe2_x` ...
+    /// Pose of the tracker's target in the flange frame: `probe_x` .. `probe_rz`. A second target has `probe2_x` ...
     Probe {
         /// Index of the target, from 0.
         target: usize = 0..ParameterId::SET_UPS_MAX,
@@ -481,7 +484,7 @@ parameters! {
         is ParameterBlock::new(Owner::Scale, Group::Scale, Unit::Ratio),
         at |geometry| Some(&mut geometry.scale);
 
-    /// Centre of the ball that is seated in sockets, in the flange frame: `ball_x` ...
+    /// Centre of the ball in the flange frame: `ball_x` ...
     Ball {
         /// Coordinate of the centre.
         axis: Axis = Axis::ALL,
@@ -490,7 +493,7 @@ parameters! {
         is ParameterBlock::new(Owner::Contact, Group::Placement, Unit::Metre),
         at |geometry| geometry.contact.ball_m.get_mut(axis.index());
 
-    /// Position of the ball's centre when seated in a socket, in the robot's base: `socket1_x` ...
+    /// Position of the ball's centre in the robot's base frame when the ball is seated in a socket: `socket1_x` ...
     Socket {
         /// Index of the socket, from 0.
         socket: usize = 0..ParameterId::SOCKETS_MAX,
@@ -501,7 +504,7 @@ parameters! {
         is ParameterBlock::new(Owner::Contact, Group::Placement, Unit::Metre),
         at |geometry| geometry.contact.sockets_m.get_mut(socket)?.get_mut(axis.index());
 
-    /// Centre of the tip's ball that touches faces, in the flange frame: `tip_x` ...
+    /// Centre of the tip's ball in the flange frame: `tip_x` ...
     Tip {
         /// Coordinate of the centre.
         axis: Axis = Axis::ALL,
@@ -510,8 +513,8 @@ parameters! {
         is ParameterBlock::new(Owner::Touch, Group::Placement, Unit::Metre),
         at |geometry| geometry.touch.tip_m.get_mut(axis.index());
 
-    /// Plane of the tip's centre at contact with a face, `n.x = d` in the robot's base: `face1_nx`, `face1_ny`, `face1_nz`,
-    /// `face1_d`
+    /// Plane in which the tip's centre lies while the tip touches a face, `n.x = d` in the robot's base frame: `face1_nx`,
+    /// `face1_ny`, `face1_nz`, `face1_d`.
     Face {
         /// Index of the face, from 0.
         face: usize = 0..ParameterId::SET_UPS_MAX,
@@ -534,7 +537,7 @@ parameters! {
         is ParameterBlock::new(Owner::Clocks, Group::Clock, Unit::Second),
         at |geometry| Some(&mut geometry.clock.shift_s);
 
-    /// Relative rate of the robot's clock minus one.
+    /// Rate of the robot's clock relative to the bar's clock, minus one.
     ClockSkew
         called "clock_skew",
         is ParameterBlock::new(Owner::Clocks, Group::Clock, Unit::Ratio),
