@@ -23,7 +23,7 @@ const SIDE: f64 = 0.2;
 pub struct ContactExperiment<'a> {
     /// Configuration of the nominal robot.
     pub robot: &'a RobotConfig,
-    /// Nominal positions of the sockets; `None` for six sockets on several levels, scaled to the robot. The true positions
+    /// Nominal positions of the sockets; `None` for six sockets at three heights, scaled to the robot. The true positions
     /// differ from them by random errors of the table's uncertainty.
     pub sockets: Option<SocketTable>,
     /// Position of the plate's frame in the robot's base frame \[m\]. If `None`, the plate is near the positions that the
