@@ -96,7 +96,7 @@ pub struct RowFile {
     #[arg(long, help_heading = "Estimation")]
     pub seed: Option<u64>,
     /// Highest order of periodic joint errors [waves per turn], 3 to 127; default: 64 for `calibrate tracker`, otherwise
-    /// derived from the number of rows
+    /// derived from the number of rows. The lowest value of all files applies
     #[arg(long, help_heading = "Estimation", value_name = "N",
           value_parser = clap::value_parser!(u8).range(i64::from(*Waves::OF_AXIS.start())..=i64::from(*Waves::OF_AXIS.end())))]
     pub joint_waves: Option<u8>,
