@@ -1,8 +1,12 @@
-//! The page's content ten times a second: angles, speeds, state and warnings, derived from each status of the control. An angle
-//! is the difference of unwrapped counts to the reference mark or to the first sample; a speed is a mean over half a second.
+//! Computes the content of the web page ten times a second: angles, speeds, state and warnings.
 //!
-//! One stepper derives it, so the cost does not depend on the number of pages, and neither control nor cycle is involved.
-//! Pages receive the latest moment and may miss others: nothing is queued.
+//! Input is the latest [`Status`] of the control, with one counter value for each encoder. The [`Observer`] unwraps the
+//! counters. An angle is the number of counts since the reference mark, or since the first sample if the mark is unknown. A
+//! speed is the mean over half a second. Output is a [`Moment`], which all pages share.
+//!
+//! One stepper computes the content for all pages, so the cost does not depend on the number of pages. It only reads the
+//! published status, so it disturbs neither the control nor the bus cycle. Pages receive the latest moment. A slow page
+//! misses moments, because nothing is queued.
 
 use std::collections::{BTreeSet, VecDeque};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -28,23 +32,23 @@ use crate::scheduler::{Pending, Scheduler};
 
 /// Update period of pages.
 const PERIOD: Duration = Duration::from_millis(100);
-/// An encoder without a valid sample for longer is stale: its last value is not shown \[ns\].
+/// If the last valid sample of an encoder is older, the encoder is stale and the page does not show its value \[ns\].
 const STALE_NS: i64 = NS_PER_S;
-/// Speeds are averaged over this time: one bus cycle more or less is 2 % of it \[ns\].
+/// Time over which speeds are averaged. One bus cycle more or less changes this time by 2 % at 100 Hz \[ns\].
 const SPEED_NS: i64 = NS_PER_S / 2;
-/// Beyond this angle from its start a joint winds up its cable \[deg\].
+/// Beyond this angle from the reference mark or the first sample, the cable of a joint winds up \[deg\].
 const WOUND_DEG: f64 = 360.0;
-/// Closer to a singular pose, errors of two joints act as errors of the pose, magnified by more than 1 / sin(10 degrees) = 5.8
-/// \[deg\].
+/// Distance to a singular pose below which a warning appears \[deg\]. At a smaller distance, errors of two joints appear as
+/// errors of the pose, magnified by more than 1 / sin(10 degrees) = 5.8.
 const SINGULAR_DEG: f64 = 10.0;
-/// A joint that does not move within this time of a run causes a warning \[s\].
+/// A joint that has not moved by this time of a run causes a warning \[s\].
 const MOVE_WITHIN_S: f64 = 15.0;
-/// Space for a shorter time causes a warning \[h\].
+/// If the disk has space for less recording time, a warning appears \[h\].
 const DISK_HOURS_MIN: f64 = 4.0;
-/// Highest frequency at which an EL5021 counts (8 to 10 bits; with more bits the limit is lower): a larger step means another
-/// origin \[1/s\].
+/// Highest signal frequency that an EL5021 counts at 8 to 10 bits; with more bits the limit is lower \[1/s\]. If the counter
+/// has changed faster, it has restarted at another origin.
 const LINES_PER_S_MAX: f64 = 250_000.0;
-/// Cells of the sphere in each direction.
+/// Number of cells of the sphere in each direction.
 const CELLS: usize = 36;
 /// Width of a cell, in joint 1 and in joint 2 \[deg\].
 const CELL_DEG: f64 = 360.0 / CELLS as f64;
@@ -127,16 +131,16 @@ pub struct Coverage {
     pub absolute: bool,
 }
 
-/// The content of a page, as value and as JSON.
+/// The content of the page at one moment, as a value and as JSON.
 #[derive(Debug, Default)]
 pub struct Moment {
-    /// The content as value.
+    /// The content as a value.
     pub live: Live,
-    /// The same as JSON.
+    /// The content as JSON text.
     pub json: String,
 }
 
-/// History that a new page receives \[ms\].
+/// Duration of the history that a new page receives \[ms\].
 const MINUTE_MS: i64 = 60_000;
 
 /// Angles of the last minute, for a new page.
@@ -144,13 +148,13 @@ const MINUTE_MS: i64 = 60_000;
 pub struct Minute {
     /// Times on the host's monotonic clock \[ms\].
     pub at_ms: VecDeque<i64>,
-    /// For each encoder, in bus order, rounded to a hundredth; absent while it was stale \[deg\].
+    /// Angles of each encoder, in bus order, rounded to 0.01 degrees; `None` while the encoder was stale \[deg\].
     pub angles_deg: Vec<VecDeque<Option<f64>>>,
 }
 
 impl Minute {
     fn add(&mut self, live: &Live) {
-        // On a busy machine two polls may have the same time.
+        // On a busy machine two polls may have the same time. The second moment is then omitted.
         if self.at_ms.back() == Some(&live.at_ms) {
             return;
         }
@@ -171,19 +175,19 @@ impl Minute {
 /// The page's content and its history, shared by all pages.
 #[derive(Debug, Clone)]
 pub(super) struct Watched {
-    /// Receives the latest moment.
+    /// Channel with the latest moment.
     pub latest: watch::Receiver<Arc<Moment>>,
     minute: Arc<Mutex<Minute>>,
 }
 
 impl Watched {
-    /// The moments of the last minute.
+    /// The angles of the last minute.
     pub fn minute(&self) -> Minute {
         self.minute.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 }
 
-/// Starts to derive and publish one moment after the other, until the sender of the status is dropped.
+/// Starts the stepper that computes and publishes moments. It ends when the sender of the status is dropped.
 pub(super) fn watch(
     settings: Arc<Settings>,
     disk: Arc<dyn Disk>,
@@ -194,7 +198,8 @@ pub(super) fn watch(
     let minute = Arc::<Mutex<Minute>>::default();
     let watched = Watched { latest, minute: Arc::clone(&minute) };
     let mut observer = Observer::new(&settings);
-    // In a task, because the disk may hang. The check reports a file that cannot be read.
+    // Read the reference marks in a task, because the disk may hang. A file that cannot be read is ignored here, because the
+    // pre-flight check reports it.
     let task_scheduler = Arc::clone(scheduler);
     let read_marks = move || {
         let (disk, marks_file) = (Arc::clone(&disk), settings.marks_file.clone());
@@ -206,7 +211,7 @@ pub(super) fn watch(
             return None;
         }
         let status = status.borrow().clone();
-        // Marks change only when a homing ends.
+        // Marks change only when a homing ends, so they are read again at that moment.
         let is_homing = status.homing.as_ref().is_some_and(|homing| !homing.is_over);
         if std::mem::replace(&mut was_homing, is_homing) && !is_homing {
             marks = read_marks();
@@ -216,7 +221,8 @@ pub(super) fn watch(
         }
         let live = observer.next(&status, now);
         minute.lock().unwrap_or_else(PoisonError::into_inner).add(&live);
-        // A number that JSON cannot express would be an error of ours; an old moment is better than none.
+        // Serialisation fails only for a number that JSON cannot express, which would be a programming error. Pages then keep
+        // the previous moment.
         if let Ok(json) = serde_json::to_string(&live) {
             moments.send_replace(Arc::new(Moment { live, json }));
         }
@@ -227,36 +233,38 @@ pub(super) fn watch(
     Ok(watched)
 }
 
-/// Follows the counters from one status to the next.
+/// Computes each moment from the latest status and from the history of the counters.
 #[derive(Default)]
 pub struct Observer {
     tracks: Vec<Track>,
-    /// Reference marks, if they are known.
+    /// Reference marks; `None` until they have been read, or if none are stored.
     pub homing: Option<HomingConfig>,
     rate_hz: u32,
     without_clocks: bool,
     /// Name of the current run.
     run: Option<String>,
     run_begun: MonoNs,
-    /// Number of the counters' origin in the previous status.
+    /// Origin number of the counters in the previous status. The number increases when a terminal restarts its counter.
     origin: u32,
     coverage: VisitedCells,
     restarted: Option<Restarted>,
 }
 
 impl Observer {
-    /// For the encoders of a service.
+    /// Creates an observer for the encoders of a service.
     pub fn new(settings: &Settings) -> Self {
         let tracks = settings.bar.encoders.iter().map(Track::new).collect();
         let without_clocks = !settings.daemon.distributed_clocks;
         Self { tracks, rate_hz: settings.daemon.rate_hz, without_clocks, ..Self::default() }
     }
 
-    /// The moment that follows from `status`.
+    /// Computes the moment that belongs to `status` at the time `now`.
     pub fn next(&mut self, status: &Status, now: MonoNs) -> Live {
         self.follow_run(status, now);
-        // A run begins with origin 0 again, while the counters continue. So does the next session of a bus that was closed, such as
-        // after the cycle thread died, but then the counters may have restarted.
+        // A larger origin number means that a terminal has restarted its counter, so the tracks begin again. A smaller number
+        // is normal: each run begins with origin 0, although the counters continue. After the bus was closed, for example
+        // because the cycle thread died, the next session begins with origin 0, too. The counters may then have restarted, so
+        // a status without encoders also resets the tracks.
         if status.encoders.is_empty() || status.origin > self.origin {
             self.tracks.iter_mut().for_each(|track| track.counter = None);
         }
@@ -298,7 +306,8 @@ impl Observer {
         live
     }
 
-    /// The grade if the run ended now; `None` before anything is on disk. Joints get time to move.
+    /// Grade that the run would get if it ended now; `None` before any cycle is on disk. During the first seconds the travel
+    /// of the joints is not graded.
     fn verdict_so_far(&self, run: &RunStatus, joints: &[Joint], run_s: f64) -> Option<Verdict> {
         let has_had_time = run_s > MOVE_WITHIN_S;
         let turned = joints.iter().filter(|_| has_had_time).map(|joint| (joint.joint, joint.range_deg));
@@ -316,7 +325,7 @@ impl Observer {
         })
     }
 
-    /// Angles count from zero again, so the cells visited before cannot be compared with new ones.
+    /// Clears the coverage, because angles count from zero again and new cells cannot be compared with the earlier cells.
     fn restart_coverage(&mut self, in_run: bool, now: MonoNs) {
         let before = self.restarted.map_or(0, |restarted| restarted.cells_before);
         let cells_before = before + self.coverage.cells.len();
@@ -325,7 +334,7 @@ impl Observer {
         self.restarted = Some(Restarted { at_ms: now.0 / 1_000_000, run_s, cells_before });
     }
 
-    /// All figures of a run count from its beginning.
+    /// Resets everything that is measured per run, if a new run has begun.
     fn follow_run(&mut self, status: &Status, now: MonoNs) {
         let run = status.run.as_ref().map(|run| run.name.clone());
         if run != self.run && run.is_some() {
@@ -337,7 +346,7 @@ impl Observer {
         self.run = run;
     }
 
-    /// The reference mark of each encoder, if its terminal still has it.
+    /// Reference mark of each encoder \[counts\]; `None` if the latch of the terminal no longer agrees with the mark.
     fn marks(&self, status: &Status) -> Vec<Option<u32>> {
         let Some(homing) = &self.homing else { return Vec::new() };
         let info = |track: &Track| EncoderInfo { joint: track.config.joint, scale: track.config.scale() };
@@ -353,7 +362,7 @@ impl Observer {
         self.tracks.iter().find(|track| track.config.joint == joint)
     }
 
-    /// See [`Coverage::absolute`].
+    /// Whether the angles of joints 1 and 2 are absolute; see [`Coverage::absolute`].
     fn is_absolute(&self) -> bool {
         [1, 2].iter().all(|joint| self.track(*joint).is_some_and(|track| track.bar_angle_deg().is_some()))
     }
@@ -390,7 +399,7 @@ impl Observer {
     }
 }
 
-/// Histograms are long, and a page does not need them ten times a second.
+/// Removes the histograms of durations. They are long, and a page does not need them ten times a second.
 fn without_histograms(status: &Status) -> Status {
     let mut status = status.clone();
     let timings = [
@@ -405,24 +414,24 @@ fn without_histograms(status: &Status) -> Status {
     status
 }
 
-/// One encoder's counter.
+/// The angle of one encoder over time, from its counter.
 struct Track {
     config: EncoderConfig,
-    /// From counts to radians; with reference mark and offset zero, so that it converts differences of counts.
+    /// Converts counts to radians. Reference mark and offset are zero, so that it converts differences of counts.
     scale: EncoderScale,
-    /// The reference mark that its angle counts from; otherwise that is the first sample.
+    /// Reference mark from which the angle counts \[counts\]; `None` if the angle counts from the first sample.
     mark: Option<u32>,
-    /// Extends the counts over wraps of the counter; with the extended count at angle zero.
+    /// Extends the counts beyond the range of the counter, together with the extended count at angle zero.
     counter: Option<(Unwrapper, i64)>,
     /// Time of the latest sample.
     sampled: MonoNs,
-    /// Angle at the latest sample.
+    /// Angle at the latest sample \[deg\].
     angle_deg: Option<f64>,
     /// Times and angles \[deg\] of the samples within [`SPEED_NS`].
     recent: VecDeque<(MonoNs, f64)>,
-    /// Lowest and highest angle since the run began, while the counter had one origin \[deg\].
+    /// Lowest and highest angle since the run began or the counter last restarted \[deg\].
     range_deg: Option<(f64, f64)>,
-    /// The largest range since the run began.
+    /// Largest range of the angle since the run began, over all restarts of the counter \[deg\].
     widest_deg: f64,
 }
 
@@ -445,7 +454,7 @@ impl Track {
         (self.range_deg, self.widest_deg) = (None, 0.0);
     }
 
-    /// Takes a new valid sample; returns whether the angle counts from zero again although it was known before.
+    /// Adds a valid sample that is new. Returns true if the angle was known before and now counts from zero again.
     fn add_sample(&mut self, sample: Option<&EncoderStatus>, at: MonoNs, mark: Option<u32>) -> bool {
         let Some(sample) = sample.filter(|_| at.0 != 0 && at != self.sampled) else { return false };
         let is_continuous = self.is_continuous(sample.count, at);
@@ -467,7 +476,7 @@ impl Track {
         has_restarted
     }
 
-    /// Whether the joint can have turned this far since the last sample; otherwise the counter has restarted.
+    /// Whether the joint can have turned this far since the last sample. If not, the counter has restarted.
     fn is_continuous(&self, count: u32, at: MonoNs) -> bool {
         let Some((unwrapper, _)) = &self.counter else { return false };
         let turned_counts = f64::from(unwrapper.distance(count).unsigned_abs());
@@ -475,11 +484,11 @@ impl Track {
         lines <= LINES_PER_S_MAX * at.seconds_since(self.sampled).max(0.0)
     }
 
-    /// Counts from this sample on, relative to the mark if there is one.
+    /// Restarts the angle at this sample. The angle counts from the mark if there is one, otherwise from this sample.
     fn restart(&mut self, count: u32, mark: Option<u32>) {
         self.mark = mark;
         let unwrapper = EncoderScale { reference_counts: mark.unwrap_or(0), ..self.scale }.unwrapper();
-        // On a copy: the caller takes this sample itself.
+        // Use a copy, because the caller passes this sample to the unwrapper again.
         let mut copy = unwrapper;
         let first = copy.next(count);
         self.counter = Some((unwrapper, mark.map_or(first, i64::from)));
@@ -498,7 +507,7 @@ impl Track {
         (lasted_s > 0.0).then(|| (last_deg - first_deg) / lasted_s)
     }
 
-    /// The joint's angle in the bar's model, if it is known.
+    /// Angle of the joint in the model of the bar; `None` if the mark or its angle `mark_deg` is unknown \[deg\].
     fn bar_angle_deg(&self) -> Option<f64> {
         self.mark?;
         Some(self.angle_deg? + self.config.mark_deg?)
@@ -524,7 +533,8 @@ impl Track {
         let (joint, from_mark) = (self.config.joint, self.mark.is_some());
         let wound_deg = self.angle_deg.filter(|angle_deg| angle_deg.abs() > WOUND_DEG);
         let wound = wound_deg.map(|turned_deg| Fact::JointWound { joint, turned_deg, from_mark });
-        // Singular is the rod along the first axis of the bar (sin b2 = 0) or along the last one (sin b4 = 0).
+        // The pose is singular if the rod is parallel to the first axis of the bar (sin b2 = 0) or to the last one (sin b4 =
+        // 0).
         let distance_deg =
             self.bar_angle_deg().filter(|_| [2, 4].contains(&joint)).map(singular_distance_deg);
         let near_deg = distance_deg.filter(|distance_deg| *distance_deg < SINGULAR_DEG);
@@ -537,7 +547,7 @@ impl Track {
     }
 }
 
-/// Why an encoder gives no value, from the status word of its terminal.
+/// Text for the page: why an encoder has no value, from the status word of its terminal.
 fn sample_problem(sample: Option<&EncoderStatus>) -> String {
     let Some(sample) = sample else { return "no bus".into() };
     let status = el5021::StatusWord(sample.status);
@@ -551,13 +561,13 @@ fn sample_problem(sample: Option<&EncoderStatus>) -> String {
     text.into()
 }
 
-/// Distance to the nearest multiple of half a turn, where sin = 0.
+/// Distance to the nearest multiple of 180 degrees, where the sine is zero \[deg\].
 fn singular_distance_deg(angle_deg: f64) -> f64 {
     let within = angle_deg.rem_euclid(180.0);
     within.min(180.0 - within)
 }
 
-/// Joint speed above which an EL5021 omits the finest steps (Beckhoff, each +-15 %).
+/// Joint speed above which an EL5021 omits the finest steps \[deg/s\]. The signal frequencies are those of Beckhoff, +-15 %.
 fn full_resolution_deg_per_s(encoder: &EncoderConfig) -> f64 {
     let lines_per_s = match encoder.interpolation_bits {
         ..=8 => 9000.0,
@@ -570,7 +580,7 @@ fn full_resolution_deg_per_s(encoder: &EncoderConfig) -> f64 {
     360.0 * lines_per_s / f64::from(encoder.lines.max(1))
 }
 
-/// Row or column of an angle.
+/// Index of the row or column that contains an angle.
 fn cell(angle_deg: f64) -> usize {
     (((angle_deg + 180.0).rem_euclid(360.0) / CELL_DEG) as usize).min(CELLS - 1)
 }
@@ -578,7 +588,7 @@ fn cell(angle_deg: f64) -> usize {
 /// Cells of the sphere that the rod has visited.
 #[derive(Default)]
 struct VisitedCells {
-    /// Row by row (joint 2), each with the columns of joint 1.
+    /// Indices of the visited cells: row (joint 2) times [`CELLS`] plus column (joint 1).
     cells: BTreeSet<usize>,
     newest: Option<MonoNs>,
     here: Option<(usize, usize)>,
@@ -592,7 +602,7 @@ impl VisitedCells {
         }
     }
 
-    /// For the page; `now` only during a run.
+    /// Returns the coverage for the page. The age of the newest cell is shown only during a run, when `now` is given.
     fn to_coverage(&self, now: Option<MonoNs>, absolute: bool) -> Coverage {
         let digit = |first: usize| {
             let visited = (first..first + 4).map(|cell| u32::from(self.cells.contains(&cell)));
@@ -624,7 +634,7 @@ mod tests {
     const COUNTS_PER_DEG: f64 = 14_745_600.0 / 360.0;
     const START: i64 = 5_000_000;
 
-    /// An observer of the shipped bar, and its time.
+    /// An observer of the default bar, with the time and the counters' state of the simulated statuses.
     struct ObservedBar {
         observer: Observer,
         now: MonoNs,
@@ -648,7 +658,8 @@ mod tests {
             Self { observer: Observer::new(&settings), now: MonoNs(NS_PER_S), origin: 0, latch: START as u32 }
         }
 
-        /// The moment a tenth of a second later with all joints at these angles; one without an angle is not valid.
+        /// Returns the moment a tenth of a second later, with the joints at these angles. A joint without an angle has an
+        /// invalid sample.
         fn at(&mut self, angles_deg: [Option<f64>; 5], run: Option<&str>) -> Live {
             self.now = self.now.plus_ns(NS_PER_S / 10);
             let latch = self.latch;
@@ -745,7 +756,7 @@ mod tests {
         let live = bench.at([Some(1000.0); 5], None);
         assert_eq!(live.joints[0].angle_deg, Some(0.0));
         assert!(subjects(&live).is_empty() && live.joints[0].has_moved, "{live:?}");
-        // A run begins with origin 0: nothing has happened to the counters.
+        // A run begins with origin 0, although the counters have not restarted.
         bench.origin = 0;
         let live = bench.at([Some(1010.0); 5], Some("one"));
         assert!((live.joints[0].angle_deg.unwrap() - 10.0).abs() < 1e-3, "{live:?}");
@@ -755,7 +766,7 @@ mod tests {
     fn a_new_session_of_the_bus_turns_no_joint() {
         let mut bench = ObservedBar::new(|_| {});
         bench.turn(1, 100.0, 50.0);
-        // The cycle thread has died, and the next session begins with origin 0, too.
+        // After the cycle thread has died, the next session begins with origin 0, too.
         bench.observer.next(&Status::default(), bench.now);
         let live = bench.at([Some(1000.0); 5], None);
         assert!(live.joints.iter().all(|joint| joint.angle_deg == Some(0.0)), "{live:?}");
@@ -799,7 +810,7 @@ mod tests {
         assert_eq!(subjects(&live), [("joint_singular", 2)]);
         assert!(live.joints.iter().all(|joint| joint.from_mark));
         assert!(live.warnings[0].text.contains("6.0 degrees"), "{:?}", live.warnings);
-        // Homed again, at a mark 40 degrees further.
+        // A second homing stores a mark that is 40 degrees away from the first mark.
         let further = START as u32 + (40.0 * COUNTS_PER_DEG) as u32;
         (bench.latch, bench.observer.homing) =
             (further, Some(HomingConfig::new(UtcNs(0), &encoders, &[further; 5])));
@@ -812,7 +823,7 @@ mod tests {
         let (mut bench, mut minute) = (ObservedBar::new(|_| {}), Minute::default());
         for step in 0..700 {
             let angle_deg = (step != 650).then_some(f64::from(step) * 0.01);
-            // An encoder is stale only after a second: one missing sample makes no gap.
+            // An encoder is stale only after a second, so one missing sample makes no gap.
             minute.add(&bench.at([angle_deg; 5], None));
         }
         let last_ms = *minute.at_ms.back().unwrap();
@@ -840,7 +851,7 @@ mod tests {
         let set: u32 =
             live.coverage.cells.chars().map(|digit| digit.to_digit(16).unwrap().count_ones()).sum();
         assert_eq!((live.coverage.cells.len(), set), (CELLS * CELLS / 4, 9));
-        // Counters that restart begin a new map; the earlier cells stay counted.
+        // Counters that restart begin a new map. The number of earlier cells is kept.
         assert_eq!(live.restarted, None);
         bench.origin += 1;
         let live = bench.at([Some(0.0); 5], Some("one"));

@@ -1,11 +1,12 @@
-//! The messages of a run as they are written, for other programs. A slow listener misses some; the recorder never waits.
+//! Publishes the messages of a run to other programs while the recorder writes them. A listener that reads too slowly misses
+//! messages. The recorder never waits for a listener.
 
 use std::sync::Arc;
 
 use shared::recording::{Tap, Topic};
 use tokio::sync::broadcast;
 
-/// Messages in the queue of a listener: some seconds of a run at 100 Hz.
+/// Capacity of a listener's queue, in messages. It holds a few seconds of a run at 100 Hz.
 const WAITING_MAX: usize = 1024;
 
 /// One message of a run.
@@ -13,7 +14,7 @@ const WAITING_MAX: usize = 1024;
 pub struct Message {
     /// Topic of the message.
     pub topic: &'static Topic,
-    /// As in the file \[ns since 1970\].
+    /// Log time of the message, as in the file \[ns since 1970\].
     pub log_time_ns: u64,
     /// Content, encoded in CDR.
     pub data: Vec<u8>,
@@ -27,7 +28,8 @@ pub struct LiveTap {
 }
 
 impl LiveTap {
-    /// Without a listener yet. Besides programs and pages of this machine, pages of these web origins may listen.
+    /// Creates a tap without listeners. Programs and pages of this machine may always listen. Pages of the web origins in
+    /// `origins` may listen, too.
     pub fn new(origins: Vec<String>) -> Self {
         Self { messages: broadcast::Sender::new(WAITING_MAX), origins }
     }
@@ -37,18 +39,19 @@ impl LiveTap {
         let messages = self.messages.clone();
         Box::new(move |topic, log_time_ns, data| {
             if messages.receiver_count() > 0 {
-                // The listener may have gone by now.
+                // The last listener may have disconnected since the check above; the error is then irrelevant.
                 let _ = messages.send(Arc::new(Message { topic, log_time_ns, data: data.to_vec() }));
             }
         })
     }
 
-    /// Receives messages from now on, and the number of those that were missed.
+    /// Subscribes to all messages from now on. If the listener is too slow, the receiver returns the number of missed
+    /// messages.
     pub fn listen(&self) -> broadcast::Receiver<Arc<Message>> {
         self.messages.subscribe()
     }
 
-    /// Additional origins whose pages may listen.
+    /// Web origins, other than this machine, whose pages may listen.
     pub fn origins(&self) -> &[String] {
         &self.origins
     }

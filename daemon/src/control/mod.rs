@@ -1,8 +1,8 @@
-//! The acquisition service: keeps the bus in operation, records runs, homes the encoders, answers clients.
+//! The acquisition service: keeps the bus in operation, records runs, homes the encoders, and answers clients.
 //!
-//! [`machine`] decides, [`controller`] executes and makes the [`status`]; [`service`] is the interface for other threads,
-//! [`api`] the one over HTTP. [`live`] makes the content of a page ten times a second; [`recordings`] manages finished
-//! runs.
+//! The module [`machine`] decides which state follows from an event. [`controller`] executes the decisions and publishes the
+//! [`status`]. [`service`] is the interface for other threads of this process, and [`api`] is the interface over HTTP.
+//! [`live`] computes the content of the web page ten times a second. [`recordings`] manages the finished runs.
 
 pub mod api;
 pub(crate) mod controller;

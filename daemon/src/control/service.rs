@@ -1,6 +1,8 @@
-//! The interface of the service for other threads: [`Service`] starts its steppers, sends requests to the
-//! [`controller`](super::controller) through a queue, and reads what needs the disk in tasks with a time limit. The API uses
-//! it.
+//! The interface of the service for other threads; the API uses it.
+//!
+//! [`Service`] starts two steppers: the control, which owns the [`controller`](super::controller), and the stepper of the
+//! page's content. A request enters a queue and is executed by the control, which returns the reply through a channel.
+//! Requests that need the disk first run in a task with a time limit, because a disk may hang.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
@@ -26,7 +28,7 @@ use crate::problem::{Fact, Problem};
 use crate::run::{self, RunDetails, RunError, Setup, Stop, Storage};
 use crate::scheduler::{Pending, Scheduler, Stepper, Threads};
 
-/// Receives why the service has ended.
+/// Channel that receives the result of the service when it has ended.
 type ServiceEnd = Receiver<Result<(), ServiceError>>;
 
 /// Handle of the service. Clones refer to the same service.
@@ -43,39 +45,40 @@ pub struct Service {
     scheduler: Arc<dyn Scheduler>,
 }
 
-/// Queue of requests to the control's thread, which takes them within milliseconds; further ones are refused.
+/// Capacity of the queue of requests to the control. The control empties the queue within milliseconds. If the queue is full,
+/// a request is refused.
 const COMMANDS_MAX: usize = 64;
-/// Requests that may wait for the disk at the same time.
+/// Number of requests that may wait for the disk at the same time.
 const DISK_TASKS_MAX: usize = 4;
-/// How long each may wait; then the reply is made without the disk.
+/// How long a request may wait for the disk. After this time the service replies without a result from the disk.
 const DISK_TIMEOUT: Duration = Duration::from_secs(1);
-/// The same for a list of hundreds of recordings.
+/// How long the list of hundreds of recordings may take.
 pub(super) const LIST_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// Why the service cannot start, or has ended without a request.
+/// Reason why the service cannot start, or has ended without a request.
 #[derive(Debug, thiserror::Error)]
 pub enum ServiceError {
-    /// Another process records into its directory.
+    /// Another process records into the directory of this service.
     #[error(transparent)]
     Run(#[from] RunError),
-    /// The system refused its thread.
+    /// The operating system refused to start a thread.
     #[error("cannot start the service's thread: {0}; end other programs, and start it again")]
     Thread(#[from] std::io::Error),
-    /// One of its threads has died.
+    /// A thread of the service has died.
     #[error("a thread of the service has ended (the log shows why); start the service again")]
     Died,
 }
 
 impl Service {
-    /// Starts the service: finishes left-over runs, brings the bus up and keeps it up. If another process uses the directory,
-    /// the service ends and [`join`](Self::join) returns the error.
+    /// Starts the service. It recovers runs that a crash left unfinished, brings the bus into operation, and keeps it in
+    /// operation. If another process uses the directory, the service ends and [`join`](Self::join) returns the error.
     pub fn start(settings: Settings) -> Result<Self, ServiceError> {
         let scheduler = Threads::on(Clock::Real);
         let storage = Storage::new(&settings.daemon, &*scheduler)?;
         Self::start_in(scheduler, storage, settings)
     }
 
-    /// [`start`](Self::start) on another disk or clock.
+    /// Starts the service like [`start`](Self::start), on another disk or clock.
     pub fn start_in(
         scheduler: Arc<dyn Scheduler>,
         storage: Storage,
@@ -87,7 +90,7 @@ impl Service {
         Self::start_with(scheduler, settings, storage, Arc::new(connect))
     }
 
-    /// [`start`](Self::start) with another source of sessions.
+    /// Starts the service like [`start`](Self::start), with another function that connects to the bus.
     pub(crate) fn start_with(
         scheduler: Arc<dyn Scheduler>,
         settings: Settings,
@@ -118,17 +121,17 @@ impl Service {
         Ok(Self { commands, ending, status, live, settings, disk, outcome, disk_tasks, scheduler })
     }
 
-    /// The status of the last step of the control.
+    /// The status after the last step of the control.
     pub fn status(&self) -> Status {
         self.status.borrow().clone()
     }
 
-    /// The content of the page, ten times a second.
+    /// Channel with the content of the page, updated ten times a second.
     pub fn live(&self) -> watch::Receiver<Arc<Moment>> {
         self.live.latest.clone()
     }
 
-    /// The page's content of the last minute.
+    /// The angles of the last minute, for a new page.
     pub(super) fn minute(&self) -> Minute {
         self.live.minute()
     }
@@ -138,7 +141,7 @@ impl Service {
         self.scheduler.clock().now()
     }
 
-    /// Receives every change of the status.
+    /// Channel that receives every change of the status.
     pub fn watch(&self) -> watch::Receiver<Status> {
         self.status.clone()
     }
@@ -148,7 +151,7 @@ impl Service {
         &self.settings
     }
 
-    /// Begins a run; completes when its file is created, or refused.
+    /// Begins a run. Completes when the file of the run has been created, or when the request is refused.
     pub(super) async fn begin(&self, request: StartRequest) -> Result<Answer, Refusal> {
         let named = request.name.is_some();
         let details =
@@ -161,12 +164,12 @@ impl Service {
         begun.await.map_err(|_| ending())
     }
 
-    /// Ends the run; also returns a channel that receives it once it is over.
+    /// Ends the run. Also returns a channel that receives the result of the run once it is finished.
     pub(super) async fn stop(&self, cause: String) -> Result<(Answer, oneshot::Receiver<LastRun>), Refusal> {
         self.ask(|controller| controller.stop(cause)).await
     }
 
-    /// Begins a homing; refused if the marks could not be saved, so that joints are not turned in vain.
+    /// Begins a homing. Refuses if the marks could not be saved, so that nobody turns the joints in vain.
     pub(super) async fn home(&self) -> Result<Answer, Refusal> {
         match self.ask_disk(DISK_TIMEOUT, |settings, disk| settings.marks_file.problem(disk)).await {
             Some(None) => self.ask(Controller::home).await,
@@ -175,7 +178,7 @@ impl Service {
         }
     }
 
-    /// Sets a marker; returns its run and text, `None` between runs.
+    /// Sets a marker. Returns the name of the run and the text of the marker; `None` if no run is in progress.
     pub(super) async fn mark(
         &self,
         text: Option<String>,
@@ -192,7 +195,7 @@ impl Service {
         self.ask(move |controller| preflight::check(controller, found.as_ref())).await
     }
 
-    /// The name that a run would get; `None` if the disk does not answer.
+    /// The name that a run would get; `None` if the disk does not respond in time.
     pub(super) async fn name(&self, request: NameRequest) -> Option<NameReply> {
         let find = move |settings: &Settings, disk: &dyn Disk| {
             name_reply(&request, disk, &settings.daemon.directory)
@@ -205,7 +208,7 @@ impl Service {
         Arc::clone(&self.disk)
     }
 
-    /// Result of `find` on a thread that may wait for the disk; `None` after the time `within`.
+    /// Runs `find` on a thread that may wait for the disk. Returns `None` if the result is not there after the time `within`.
     pub(super) async fn ask_disk<T: Send + 'static>(
         &self,
         within: Duration,
@@ -219,14 +222,14 @@ impl Service {
                 let _ = result.send(find(&settings, &*disk));
                 drop(permit);
             };
-            // If no thread can be started, `result` is dropped and `found` fails.
+            // If no thread can be started, `result` is dropped, so that awaiting `found` returns an error.
             drop(Pending::start(&*self.scheduler, "disk request", work));
             found.await.ok()
         };
         self.within(within, found).await.flatten()
     }
 
-    /// Output of a future, or `None` after this time.
+    /// Output of a future; `None` if the future has not completed after this time.
     pub(super) async fn within<T>(&self, time: Duration, future: impl Future<Output = T>) -> Option<T> {
         tokio::select! {
             biased;
@@ -235,7 +238,7 @@ impl Service {
         }
     }
 
-    /// Runs a future to its end, also if the receiver of its output is dropped.
+    /// Runs a future to its end, even if the receiver of its output is dropped.
     pub(super) fn spawn<T: Send + 'static>(
         &self,
         future: impl Future<Output = T> + Send + 'static,
@@ -252,7 +255,8 @@ impl Service {
         self.ending.stop(cause);
     }
 
-    /// Waits for the end of the service, after which the run's file is finished, also if the control's thread has died.
+    /// Waits for the end of the service, even if the thread of the control has died. Afterwards the file of the run is
+    /// finished.
     pub fn join(&self) -> Result<(), ServiceError> {
         let outcome = self.outcome.lock().unwrap_or_else(PoisonError::into_inner).take();
         outcome.map_or(Ok(()), |outcome| outcome.recv().unwrap_or(Err(ServiceError::Died)))
@@ -264,13 +268,13 @@ impl Service {
         let _ = self.watch().wait_for(|_| false).await;
     }
 
-    /// Ends the control's thread by a panic.
+    /// Makes the thread of the control panic.
     #[cfg(test)]
     pub(crate) fn kill_control(&self) {
         let _ = self.commands.try_send(Box::new(|_| panic!("the test ends this thread")));
     }
 
-    /// Executes a request in the control's thread, publishes the status, and returns the reply.
+    /// Executes a request in the thread of the control, publishes the status, and returns the reply.
     async fn ask<T: Send + 'static>(
         &self,
         request: impl FnOnce(&mut Controller) -> T + Send + 'static,
@@ -279,7 +283,7 @@ impl Service {
         let command = move |controller: &mut Controller| {
             let answer = request(controller);
             controller.publish();
-            // The client may have gone in the meantime; its request is executed regardless.
+            // If the client has disconnected, its request is executed regardless.
             let _ = reply.send(answer);
         };
         self.commands.try_send(Box::new(command)).map_err(|error| match error {
@@ -294,12 +298,12 @@ fn ending() -> Refusal {
     Problem::from(Fact::ServiceEnding {}).into()
 }
 
-/// The controller with its queue of commands.
+/// The controller with its queue of commands, as a stepper.
 struct Control {
     /// `None` once the service has ended.
     controller: Option<Controller>,
     commands: Receiver<Command>,
-    /// Commands for the next step.
+    /// Commands that the next step executes.
     waiting: Vec<Command>,
     ended: SyncSender<Result<(), ServiceError>>,
 }
@@ -325,7 +329,7 @@ impl Stepper for Control {
     fn poll(&mut self, now: MonoNs) -> Option<Duration> {
         let outcome = match catch_unwind(AssertUnwindSafe(|| self.step(now))) {
             Ok(Some(pause)) => return Some(pause),
-            // Drop the controller's resources before anybody learns of its end.
+            // Drop the resources of the controller before its end becomes visible to others.
             Ok(None) => self.controller.take()?.into_outcome().map_err(ServiceError::Run),
             Err(_) => {
                 self.controller.take()?.abandon();
@@ -349,10 +353,10 @@ fn disk_silent() -> Answer {
     Answer::Refused(Fact::DiskSilent { directory: None, silent_s: None }.into())
 }
 
-/// A longer duration is a typing error.
+/// Longest duration of a run. A request for a longer run is taken for a typing error.
 const DURATION_MAX: Duration = Duration::from_secs(366 * 86_400);
 
-/// The run from a request, with the reference marks on disk.
+/// Builds the details of the run from a request and from the reference marks on disk.
 fn details(request: StartRequest, settings: &Settings, disk: &dyn Disk) -> Result<RunDetails, Refusal> {
     let Settings { daemon, marks_file, .. } = settings;
     let homing = marks_file
@@ -414,7 +418,7 @@ pub(crate) mod tests {
     use crate::segment::simulated::{SegmentConfig, SimulatedSegment, SmoothMotion};
     use crate::segment::{FRAME_BYTES_MAX, FrameWire, InProcessWire};
 
-    /// A wire whose driver panics on demand.
+    /// A wire that panics when the flag is set.
     struct Deadly(InProcessWire, Arc<AtomicBool>);
 
     impl FrameWire for Deadly {
@@ -444,7 +448,7 @@ pub(crate) mod tests {
         }
     }
 
-    /// A disk whose driver panics in the recorder's thread on demand.
+    /// A disk that panics in the recorder's thread when the flag is set.
     #[derive(Debug, Default)]
     struct DeadlyDisk(AtomicBool);
 
@@ -456,7 +460,7 @@ pub(crate) mod tests {
         }
     }
 
-    /// A disk that is full for this number of the recorder's writes.
+    /// A disk that refuses this number of the recorder's writes with "no space left".
     #[derive(Debug, Default)]
     struct FullDisk(AtomicU32);
 
@@ -478,7 +482,7 @@ pub(crate) mod tests {
         let disk = Arc::new(FullDisk::default());
         let (service, _) = simulated_with(directory.path(), disk.clone(), || {});
         record(&service, "full");
-        // Once in the run's place, once in the spare one.
+        // The first refused write is in the directory of the run, the second in the spare directory.
         disk.0.store(2, Ordering::Release);
         let last = wait_until(&service, "its end", |status| status.last.is_some()).last.unwrap();
         let error = last.error.unwrap();
@@ -495,7 +499,7 @@ pub(crate) mod tests {
         tokio::runtime::Builder::new_current_thread().enable_time().build().unwrap()
     }
 
-    /// The shipped settings, with all output in `directory`.
+    /// The default configuration, with all output in `directory`.
     pub(crate) fn settings(directory: &Path) -> Settings {
         let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("../config");
         let daemon: DaemonConfig = config::load(&shipped.join("daemon.toml")).unwrap();
@@ -510,12 +514,12 @@ pub(crate) mod tests {
         }
     }
 
-    /// A service on the simulated bus in `directory`; setting the flag ends the cycle's thread.
+    /// Starts a service on the simulated bus in `directory`. Setting the returned flag ends the thread of the cycle.
     pub(crate) fn simulated(directory: &Path) -> (Service, Arc<AtomicBool>) {
         simulated_with(directory, Arc::new(SystemDisk), || {})
     }
 
-    /// [`simulated`] on this disk; `on_connect` is called whenever the bus is brought up.
+    /// Starts a service like [`simulated`], on this disk. `on_connect` is called whenever the bus is brought into operation.
     fn simulated_with(
         directory: &Path,
         disk: Arc<dyn Disk>,
@@ -537,7 +541,7 @@ pub(crate) mod tests {
         (Service::start_with(scheduler, settings, storage, Arc::new(connect)).unwrap(), deadly)
     }
 
-    /// Begins a run and waits until it is being written.
+    /// Begins a run and waits until its cycles reach the file.
     pub(crate) fn record(service: &Service, name: &str) {
         wait_until(service, "the bus", |status| status.state == ServiceState::Waiting);
         let request = StartRequest { name: Some(name.into()), ..StartRequest::default() };

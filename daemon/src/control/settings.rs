@@ -1,4 +1,4 @@
-//! Configuration of a service.
+//! Everything that is configured when the service starts: bus, injected faults, configuration files, publication of messages.
 
 use shared::config::{BallBarConfig, DaemonConfig};
 
@@ -24,5 +24,5 @@ pub struct Settings {
     pub live_tap: Option<LiveTap>,
 }
 
-/// Begins to bring the bus into operation; retried until it is.
+/// Starts to bring the bus into operation. The controller calls this function again until the bus operates.
 pub(crate) type Connect = dyn Fn() -> Result<Opening, RunError> + Send + Sync;

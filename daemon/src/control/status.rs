@@ -120,8 +120,7 @@ pub struct Headline {
 }
 
 impl Status {
-    /// The state as text for page and commands. It depends on the disk: a run whose cycles do not reach the disk is not
-    /// shown as recording.
+    /// The state as text for the page and the commands. A run whose cycles do not reach the disk is not shown as recording.
     pub fn headline(&self) -> Headline {
         let (word, level) = match self.state {
             ServiceState::Waiting if self.severity > Level::Good => ("CHECK", self.severity),
@@ -218,7 +217,7 @@ pub struct LastRun {
 }
 
 impl LastRun {
-    /// A run with a file.
+    /// Creates the status of a run that has a finished file.
     pub fn of(name: String, summary: RunSummary) -> Self {
         let RunSummary { path, cycles, cycles_valid, cycles_lost, cause, provenance, timing } = summary;
         let file = path.display().to_string();
@@ -228,10 +227,10 @@ impl LastRun {
     }
 }
 
-/// Start of the marker that states why a run began although the check stops it.
+/// Prefix of the marker that a run gets if it was begun although the pre-flight check reports a reason not to.
 pub const IN_SPITE_OF: &str = "begun in spite of";
 
-/// The command that follows a run.
+/// Command that calibrates with the file of a run. Names with special characters are quoted for the shell.
 pub fn next_command(name: &str, file: &str) -> String {
     let quoted = |text: &str| {
         let is_plain = |c: char| c.is_alphanumeric() || "/._-+".contains(c);
@@ -485,7 +484,7 @@ pub struct Refusal {
 }
 
 impl Refusal {
-    /// For a request that is wrong in itself.
+    /// Creates a refusal for an invalid request, as opposed to a problem of the machine.
     pub fn new(error: impl Into<String>) -> Self {
         Self { error: error.into(), problems: Vec::new() }
     }
