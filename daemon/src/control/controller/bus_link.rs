@@ -1,5 +1,6 @@
-//! The bus of the service, or the attempt to bring it into operation, which is repeated until it succeeds. Each poll gives the
-//! change of the bus' state as an event for the machine. The encoders are graded by their valid samples in the last second.
+//! Brings the bus of the service into operation and reports each change of its state as an event for the machine. A failed
+//! attempt is repeated after a pause until it succeeds. While the bus operates, the fraction of valid samples of each encoder
+//! in the last second is measured.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -15,15 +16,17 @@ use crate::problem::{Fact, Problem};
 use crate::run::{BUS_FLAGS, Opening, RunError, Session};
 use crate::scheduler::{Died, Pending, Scheduler, received};
 
-/// Pauses between attempts to bring the bus up.
+/// Pause after the first failed attempt to bring the bus into operation. The pause doubles with each failure.
 const RETRY_FIRST: Duration = Duration::from_secs(1);
+/// Longest pause between two attempts.
 const RETRY_LONGEST: Duration = Duration::from_secs(30);
-/// Without a cycle for longer the thread of the cycle is in trouble, or this PC.
+/// If the last cycle is older, the thread of the cycle or this PC has a problem.
 const CYCLE_AGE_MAX: Duration = Duration::from_secs(2);
-/// A bus or an encoder without samples for this number of cycles is reported: with one frame in a hundred lost, three
-/// losses in a row occur once in a million cycles.
+/// A bus or an encoder is reported as silent after this number of cycles without samples. If one frame in a hundred is lost,
+/// three losses in a row occur once in a million cycles.
 const SILENT_CYCLES: u32 = 3;
-/// The same in time, for fast cycles: shorter outages of a device are not reported to people.
+/// Minimum time without samples before a bus or an encoder is reported as silent. With fast cycles, shorter outages of a
+/// device are not reported to people.
 const SILENT_MIN: Duration = Duration::from_millis(50);
 
 /// Keeps a bus in operation, and reports changes of its state.
@@ -33,7 +36,7 @@ pub(super) struct BusLink {
     state: LinkState,
     /// Pause after the next failed attempt.
     pause: Duration,
-    /// Connected until the cycle of a closed bus has ended.
+    /// Receives the end of the cycle of a bus that is being closed.
     closing: Option<Receiver<()>>,
 }
 
@@ -44,37 +47,37 @@ enum LinkState {
     Connecting(Pending<Result<Session, RunError>>),
     Up {
         session: Box<Session>,
-        /// The problem that was reported, while there is one.
+        /// The problem that was last reported; `None` if the bus has no problem.
         trouble: Option<Problem>,
         recent: RecentCounts,
     },
 }
 
-/// The counts at each poll of the last [`WINDOW_NS`].
+/// The counts of cycles at each poll during the last [`WINDOW_NS`].
 #[derive(Default)]
 struct RecentCounts(VecDeque<Counts>);
 
-/// Counts of the bus in operation until one poll.
+/// Numbers of cycles since the bus came into operation, at one poll.
 struct Counts {
     at: MonoNs,
     cycles: u64,
-    /// Valid cycles of each encoder.
+    /// Number of valid cycles of each encoder.
     valid: [u64; MAX_ENCODERS],
 }
 
-/// An encoder is graded over this time before a run begins, because one sample proves nothing \[ns\].
+/// Time over which the fraction of valid samples is measured, because one sample is not representative \[ns\].
 const WINDOW_NS: i64 = NS_PER_S;
 
 impl RecentCounts {
     fn add(&mut self, at: MonoNs, (cycles, valid): (u64, [u64; MAX_ENCODERS])) {
         self.0.push_back(Counts { at, cycles, valid });
-        // The poll before the window is its beginning.
+        // The latest poll before the window is kept, as the beginning of the window.
         while self.0.get(1).is_some_and(|second| at.ns_since(second.at) >= WINDOW_NS) {
             self.0.pop_front();
         }
     }
 
-    /// Share of valid cycles of each encoder; `None` before the first cycle.
+    /// Fraction of valid cycles of each encoder; `None` before the first cycle.
     fn valid_shares(&self) -> Option<[f64; MAX_ENCODERS]> {
         let (first, last) = (self.0.front()?, self.0.back()?);
         let cycles = last.cycles.checked_sub(first.cycles).filter(|cycles| *cycles > 0)?;
@@ -85,25 +88,25 @@ impl RecentCounts {
 }
 
 impl BusLink {
-    /// The first attempt begins with the first poll.
+    /// Creates a link without a bus. The first poll starts the first attempt.
     pub fn new(connect: Arc<Connect>, scheduler: Arc<dyn Scheduler>) -> Self {
         let state = LinkState::Down { retry_at: scheduler.clock().now() };
         Self { connect, scheduler, state, pause: RETRY_FIRST, closing: None }
     }
 
-    /// The bus, while it is in operation.
+    /// The session of the bus while it is in operation, otherwise `None`.
     pub fn session(&self) -> Option<&Session> {
         let LinkState::Up { session, .. } = &self.state else { return None };
         Some(session)
     }
 
-    /// Share of valid cycles of each encoder in the last second, in bus order; `None` before the first cycle.
+    /// Fraction of valid cycles of each encoder in the last second, in bus order; `None` before the first cycle.
     pub fn valid_shares(&self) -> Option<[f64; MAX_ENCODERS]> {
         let LinkState::Up { recent, .. } = &self.state else { return None };
         recent.valid_shares()
     }
 
-    /// The change of the bus' state since the last poll.
+    /// Checks the bus. Returns an event if the state of the bus has changed since the last poll.
     pub fn poll(&mut self, now: MonoNs) -> Option<MachineEvent> {
         match &mut self.state {
             LinkState::Down { retry_at } => {
@@ -130,7 +133,7 @@ impl BusLink {
                     return None;
                 }
                 if current.is_none() {
-                    // Cycles that the bus lost are not counted against the encoders.
+                    // Start the window again, so that cycles that the bus lost are not counted against the encoders.
                     *recent = RecentCounts::default();
                 }
                 trouble.clone_from(&current);
@@ -139,7 +142,7 @@ impl BusLink {
         }
     }
 
-    /// Requests the end of the cycle, see [`is_closed`](Self::is_closed).
+    /// Requests the end of the cycle. [`is_closed`](Self::is_closed) returns true once it has ended.
     pub fn close(&mut self) {
         let down = LinkState::Down { retry_at: MonoNs(i64::MAX) };
         if let LinkState::Up { session, .. } = std::mem::replace(&mut self.state, down) {
@@ -147,12 +150,12 @@ impl BusLink {
         }
     }
 
-    /// Whether the cycle has ended.
+    /// Whether the cycle of a closed bus has ended.
     pub fn is_closed(&self) -> bool {
         self.closing.as_ref().is_none_or(|closing| received(closing).is_some())
     }
 
-    /// Starts a task that brings the bus up.
+    /// Starts a task that brings the bus into operation.
     fn attempt(&self) -> Pending<Result<Session, RunError>> {
         let (connect, mut opening) = (Arc::clone(&self.connect), None::<Opening>);
         Pending::until(&*self.scheduler, "bus", move || match &mut opening {
@@ -187,14 +190,14 @@ impl BusLink {
     }
 }
 
-/// Why the latest cycles gave no samples of the whole bus, as far as the bus is the cause.
+/// The problem of the bus if the latest cycles contain no samples of the whole bus. `None` if the bus is not the cause.
 fn trouble_of(session: &Session, now: MonoNs) -> Option<Problem> {
     let live = &session.live;
     let age = now.ns_since(live.at());
     if age > CYCLE_AGE_MAX.as_nanos() as i64 {
         return Some(Fact::CycleStalled { age_s: age / 1_000_000_000 }.into());
     }
-    // Relative to the latest cycle: a delay of the cycles themselves does not count as a fault of the bus.
+    // Compare with the latest cycle instead of the present time, so that a delay of the cycle is not reported as a bus fault.
     if live.at().ns_since(live.whole_at()) <= silent_ns(session) {
         return None;
     }
@@ -206,7 +209,7 @@ fn trouble_of(session: &Session, now: MonoNs) -> Option<Problem> {
     let silent: Vec<u8> =
         readings.filter(|(_, encoder)| !encoder.valid).map(|(info, _)| info.joint).collect();
     let all_silent = silent.is_empty() || silent.len() == session.encoders.len();
-    // The coupler is at position 0, the terminal of the first encoder at 1.
+    // The coupler is at position 0, so the terminal of the first encoder is at position 1.
     let first_silent = live.encoders().iter().position(|encoder| !encoder.valid).map(|index| index + 1);
     let position = first_silent.filter(|_| !all_silent);
     let of_flags = || Fact::of_flags(reasons, &session.bus, silent.clone(), position);
@@ -214,19 +217,19 @@ fn trouble_of(session: &Session, now: MonoNs) -> Option<Problem> {
     Some(Problem::from(fact).with_joints(silent, all_silent))
 }
 
-/// Time without valid samples after which bus or encoder is silent.
+/// Time without valid samples after which a bus or an encoder is silent \[ns\].
 fn silent_ns(session: &Session) -> i64 {
     (session.period * SILENT_CYCLES).max(SILENT_MIN).as_nanos() as i64
 }
 
-/// For each encoder, in bus order, whether it has given no valid sample for [`SILENT_CYCLES`] and [`SILENT_MIN`].
+/// For each encoder, in bus order: whether it has had no valid sample for [`SILENT_CYCLES`] and [`SILENT_MIN`].
 pub(super) fn are_silent(session: &Session) -> [bool; MAX_ENCODERS] {
     let live = &session.live;
     let (latest, silent_ns) = (live.at(), silent_ns(session));
     live.valid_at().map(|valid_at| latest.ns_since(valid_at) > silent_ns)
 }
 
-/// A problem for each encoder that gives no valid sample although the bus works.
+/// A problem for each encoder that has no valid samples although the bus works.
 pub(super) fn silent_encoders(session: &Session) -> Vec<Problem> {
     let readings = session.encoders.iter().zip(session.live.encoders()).zip(are_silent(session));
     let silent = readings.filter(|(_, is_silent)| *is_silent);
@@ -254,7 +257,8 @@ mod tests {
         for tenth in 1..20 {
             assert_eq!(at(tenth, 5 + 10 * u64::from(tenth), 5 + 10 * u64::from(tenth)), Some(1.0));
         }
-        // Silent for half a second, then back for as long: the share changes gradually in both directions.
+        // The encoder is silent for half a second and then valid for half a second. The fraction changes gradually in both
+        // directions.
         let shares: Vec<f64> = (20..41)
             .map(|tenth| {
                 let silent = u64::from(tenth.min(25) - 20);

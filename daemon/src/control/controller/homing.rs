@@ -1,4 +1,4 @@
-//! Homing in the service: its steps as text, and the file of reference marks at the end.
+//! A homing as the service runs it: shows the steps as text and writes the file of reference marks at the end.
 
 use shared::time::MonoNs;
 
@@ -7,12 +7,12 @@ use crate::homing::{self, FoundMark, HomingError, HomingStep, MarksFile};
 use crate::run::{ActiveHoming, Session, Setup};
 use crate::scheduler::Pending;
 
-/// A homing, until the next one.
+/// The current homing, or the last one until another homing begins.
 pub struct Homing {
     active: ActiveHoming,
     setup: Setup,
     status: HomingStatus,
-    /// Saves the marks that were found.
+    /// Task that saves the marks that were found.
     saving: Option<Pending<Result<(), HomingError>>>,
 }
 
@@ -32,18 +32,18 @@ impl Homing {
         self.active.stop.stop(cause);
     }
 
-    /// Its progress, for people.
+    /// Progress of the homing as text, for people.
     pub fn status(&self) -> &HomingStatus {
         &self.status
     }
 
-    /// When the marks were handed to the disk, while they are being written.
+    /// Time at which the writing of the marks began; `None` if no marks are being written.
     pub fn saving_since(&self) -> Option<MonoNs> {
         self.saving.as_ref().map(Pending::since)
     }
 
-    /// Handles the steps since the last poll. Returns whether the homing has just ended; its status then has the outcome, and
-    /// after a success the file `marks` is written.
+    /// Handles the steps since the last poll. Returns true if the homing has just ended. Its status then contains the
+    /// outcome. After a success the file `marks` has been written.
     pub fn poll(&mut self, marks: &MarksFile) -> bool {
         while let Some(step) = self.active.take_step() {
             show_step(&mut self.status, step);
@@ -70,7 +70,7 @@ impl Homing {
         }));
     }
 
-    /// Ends the homing with this outcome; returns true, as [`Self::poll`] does at the end.
+    /// Ends the homing with this outcome. Returns true, which [`Self::poll`] passes on.
     fn finish(&mut self, marks: &MarksFile, saved: Result<(), HomingError>) -> bool {
         self.saving = None;
         self.status.is_over = true;

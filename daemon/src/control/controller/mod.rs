@@ -1,9 +1,9 @@
-//! Executes the actions that the [`machine`](crate::control::machine) decides: it brings the bus up, begins and ends runs and
-//! homings, and replies to clients.
+//! Executes the actions that the [`machine`](crate::control::machine) decides: it brings the bus into operation, begins and
+//! ends runs and homings, and replies to clients.
 //!
-//! Each step takes the requests of clients and polls the bus, the run, the homing and the tasks of the disk. Changes are events
-//! for the machine. At its end the step publishes the status, which `view` derives. No step waits for the disk. The thread that
-//! calls [`Controller::poll`] is in `service`.
+//! Each step first executes the requests of clients. It then polls the bus, the homing, the run and the tasks that use the
+//! disk. Each change is an event for the machine, which returns actions. At the end the step publishes the status, which
+//! `view` computes. No step waits for the disk. The thread that calls [`Controller::poll`] is in `service`.
 
 mod bus_link;
 pub mod homing;
@@ -34,24 +34,24 @@ use homing::Homing;
 use marks::Marks;
 use problem_log::ProblemLog;
 
-/// How often bus and recorder are polled when no command arrives.
+/// Time between two steps when no command arrives.
 const POLL: Duration = Duration::from_millis(100);
-/// The same while a client waits for the file of a run, or while the bus is closed at the end of the service.
+/// Time between two steps while a client waits for the file of a run, or while the bus is closed at the end of the service.
 const OPENING_POLL: Duration = Duration::from_millis(5);
 /// Cause of a run's end if the control thread panics.
 const CONTROL_DIED: &str = "the control thread has ended; the log shows why";
-/// Without anything new on disk for this long a run is not being written \[sync periods\].
+/// If no cycle has reached the disk for this long, the state falls back from writing to sampling \[sync periods\].
 const STALLED_SYNC_PERIODS: u32 = 3;
 
 /// A request to the service, executed at the beginning of a step.
 pub(super) type Command = Box<dyn FnOnce(&mut Controller) + Send>;
 
-/// Counts of session and run that [`Totals`] includes already.
+/// Counts of the session and the run that are already included in [`Totals`].
 #[derive(Debug, Default)]
 struct Counted {
-    /// All cycles, valid ones and late ones of the session.
+    /// Counts of the session: all cycles, valid cycles and late cycles.
     cycles: [u64; 3],
-    /// Lost cycles of the run.
+    /// Number of lost cycles of the run.
     lost: u64,
 }
 
@@ -63,22 +63,22 @@ pub(super) struct Controller {
     bus: BusLink,
     homing: Option<Homing>,
     run: Option<ActiveRun>,
-    /// Requested duration of the run.
+    /// Requested duration of the run; `None` if it lasts until it is stopped.
     duration: Option<Duration>,
     marks: Marks,
-    /// Clients that wait for the file of the run that is being opened, each with the reply for a success.
+    /// Clients that wait until the file of the run has been created. Each has the reply that it receives on success.
     start_clients: Vec<(oneshot::Sender<Answer>, Answer)>,
     /// Clients that wait for the end of the run.
     stop_clients: Vec<oneshot::Sender<LastRun>>,
-    /// Claims the directory of the recordings and recovers earlier runs.
+    /// Task that claims the directory of the recordings and recovers earlier runs.
     preparing: Option<Pending<Result<Option<Claim>, RunError>>>,
     claim: Option<Claim>,
-    /// The run that has ended, until the machine reports its end.
+    /// Summary of the run that has ended, until the machine reports its end.
     summary: Option<RunSummary>,
-    /// Why the file of the run that ends could not be finished regularly.
+    /// Why the file of the ending run could not be finished regularly.
     failure: Option<String>,
     last: Option<LastRun>,
-    /// Reads the grade of the last run.
+    /// Task that reads the grade of the last run.
     grading: Option<Pending<Option<Verdict>>>,
     runs_over: u64,
     storage: Storage,
@@ -87,16 +87,16 @@ pub(super) struct Controller {
     problems: ProblemLog,
     totals: Totals,
     counted: Counted,
-    /// Requests the end of the service.
+    /// Set by the handles of the service when they request its end.
     ending: Stop,
-    /// The machine permits the end of the service.
+    /// Whether the machine permits the end of the service.
     may_exit: bool,
-    /// When the end of the service was requested.
+    /// Time at which the end of the service was requested.
     leaving_since: Option<MonoNs>,
     scheduler: Arc<dyn Scheduler>,
     /// Time of this step.
     now: MonoNs,
-    /// Result of the service, while its bus is being closed.
+    /// Result of the service. It is set once the service ends and its bus is being closed.
     outcome: Option<Result<(), RunError>>,
 }
 
@@ -141,8 +141,8 @@ impl Controller {
         }
     }
 
-    /// Handles the commands and polls bus, disk, homing and run. Returns the time until the next step, or `None` once the
-    /// service has ended, on request or because it has no place to record to.
+    /// Executes the commands and polls bus, disk, homing and run. Returns the time until the next step. Returns `None` once
+    /// the service has ended, on request or because the directory of the recordings cannot be claimed.
     pub fn poll(&mut self, now: MonoNs, commands: Vec<Command>) -> Option<Duration> {
         self.now = now;
         if self.outcome.is_some() {
@@ -173,18 +173,19 @@ impl Controller {
         Some(Duration::ZERO)
     }
 
-    /// Why the service has ended.
+    /// Result of the service after its end.
     pub fn into_outcome(self) -> Result<(), RunError> {
         self.outcome.unwrap_or(Ok(()))
     }
 
-    /// Ends the service after its last handle was dropped.
+    /// Requests the end of the service after its last handle was dropped.
     pub fn dropped(&self) {
         self.ending.stop("the service was dropped");
     }
 
-    /// Whether the service can end: not before the file of a run is finished. For a file that is still to be created, the recovery
-    /// of earlier runs and the saving of reference marks it waits for [`DISK_WAIT_AT_END`] only: the next service repeats them.
+    /// Whether the service can end. It never ends before the file of a run is finished. It waits at most [`DISK_WAIT_AT_END`]
+    /// for the creation of a file, the recovery of earlier runs and the saving of reference marks. The next service repeats
+    /// the recovery.
     fn is_over(&self) -> bool {
         let Some(since) = self.leaving_since else { return false };
         let saving_since = self.homing.as_ref().and_then(Homing::saving_since);
@@ -208,7 +209,7 @@ impl Controller {
         self.handle(MachineEvent::Shutdown(cause.to_owned()));
     }
 
-    /// After a panic of this thread: decides nothing, but finishes the run's file with the cause.
+    /// Called after a panic of this thread. Makes no further decisions, but finishes the file of the run with the cause.
     pub fn abandon(mut self) {
         self.status.send_modify(|status| {
             let problem = Problem::from(Fact::ThreadEnded { thread: "control".into() });
@@ -225,9 +226,10 @@ impl Controller {
         self.bus.close();
     }
 
-    /// Begins a run; `named`: a person chose its name. The reply follows once its file is created, or refused.
+    /// Begins a run. `named` is true if a person chose the name. The reply follows once the file has been created, or the run
+    /// is refused.
     pub fn start(&mut self, details: Box<RunDetails>, named: bool) -> oneshot::Receiver<Answer> {
-        // The cable may have been pulled since the last poll.
+        // Poll the bus first, because the cable may have been pulled since the last poll.
         self.poll_bus();
         let answer = self.handle(MachineEvent::Start { run: details, named }).unwrap_or(Answer::Idle);
         let (reply, begun) = oneshot::channel();
@@ -239,7 +241,7 @@ impl Controller {
         begun
     }
 
-    /// Ends the run or the homing; the receiver gets the run once it is over.
+    /// Ends the run or the homing. The receiver returns the run once it is over.
     pub fn stop(&mut self, cause: String) -> (Answer, oneshot::Receiver<LastRun>) {
         let answer = self.handle(MachineEvent::Stop(cause)).unwrap_or(Answer::Idle);
         let (over, last) = oneshot::channel();
@@ -255,7 +257,8 @@ impl Controller {
         self.handle(MachineEvent::Home).unwrap_or(Answer::Idle)
     }
 
-    /// Lets the machine decide and executes its actions; events that result are handled in turn.
+    /// Passes an event to the machine and executes its actions. If an action causes another event, that event is handled,
+    /// too.
     fn handle(&mut self, event: MachineEvent) -> Option<Answer> {
         let mut answer = None;
         for action in self.machine.handle(event) {
@@ -279,7 +282,7 @@ impl Controller {
                     let error = Some(cause.clone());
                     self.answer_stops(&LastRun { name: run, cause, error, ..LastRun::default() });
                 }
-                // The link retries on its own whenever it is down.
+                // The link connects again on its own when it is down.
                 Action::Connect => {}
                 Action::BeginHoming => match self.bus.session() {
                     Some(session) => self.homing = Some(Homing::begin(session)),
@@ -300,7 +303,7 @@ impl Controller {
         answer
     }
 
-    /// Puts a marker with this text, or else a number, into the run; returns the run and the text, nothing without a run.
+    /// Puts a marker into the run, with this text or else a number. Returns the run and the text, or `None` without a run.
     pub fn mark(&mut self, text: Option<String>, at: MonoNs) -> Result<Option<(String, String)>, String> {
         let current_run = self.run.as_ref().filter(|run| !run.stop.is_stopped());
         let Some((run, name)) = current_run.zip(self.machine.run()) else { return Ok(None) };
@@ -312,7 +315,7 @@ impl Controller {
         Ok(Some((name.to_owned(), text)))
     }
 
-    /// Why nothing can begin although the machine permitted it.
+    /// Why no run or homing can begin although the machine permitted it.
     fn no_bus(&self) -> Problem {
         self.machine.bus_fault().cloned().unwrap_or_else(|| Fact::BusStarting {}.into())
     }
@@ -327,7 +330,7 @@ impl Controller {
         Ok(())
     }
 
-    /// Answers the clients that requested the run: it has its file, or gets none.
+    /// Replies to the clients that requested the run, when its file has been created or could not be created.
     fn answer_starts(&mut self, outcome: Result<(), Problem>) {
         self.handle(match &outcome {
             Ok(()) => MachineEvent::Opened,
@@ -340,7 +343,8 @@ impl Controller {
         }
     }
 
-    /// Claims the directory of the recordings unless that is done, and finishes the files of earlier runs.
+    /// Starts a task that claims the directory of the recordings, unless it is claimed, and recovers the files of earlier
+    /// runs.
     pub fn prepare_storage(&mut self) {
         let (storage, is_claimed) = (self.storage.clone(), self.claim.is_some());
         self.preparing = Some(Pending::start(&*self.scheduler, "leftovers", move || {
@@ -355,18 +359,18 @@ impl Controller {
     fn poll_preparation(&mut self) -> Result<(), RunError> {
         let Some(outcome) = self.preparing.as_ref().and_then(Pending::poll) else { return Ok(()) };
         self.preparing = None;
-        // If the task died, files that it did not finish are still there.
+        // If the task died, the files that it did not recover still exist, and a later preparation recovers them.
         let claim = outcome.unwrap_or(Ok(None))?;
         self.claim = self.claim.take().or(claim);
         self.handle(MachineEvent::Recovered);
         Ok(())
     }
 
-    /// Publishes a run that is over as the last one.
+    /// Publishes a run that is over as the last run.
     fn run_finished(&mut self, name: String, cause: String) {
         let summary = self.summary.take();
         let error = self.failure.take().or_else(|| summary.is_none().then(|| cause.clone()));
-        // All clients get the cause that the file states.
+        // All clients get the same cause as the file.
         let cause = match &summary {
             Some(summary) if error.is_none() => summary.cause.clone(),
             _ => cause,
@@ -387,9 +391,9 @@ impl Controller {
         self.last = Some(last);
     }
 
-    /// Starts to read the grade of a run, as the list of runs reads it.
+    /// Starts a task that reads the grade of a run from its file, as the list of runs does.
     fn grade(&mut self, last: &LastRun) {
-        // The grade of an earlier run is dropped, also if this one has no file.
+        // A task that reads the grade of an earlier run is dropped, even if this run has no file.
         self.grading = last.file.clone().map(|file| {
             let (disk, name) = (self.storage.disk(), last.name.clone());
             let read = move || runs::finished(&*disk, name, file.into()).verdict;
@@ -404,7 +408,7 @@ impl Controller {
         }
     }
 
-    /// Answers the clients that requested the end of the run.
+    /// Replies to the clients that requested the end of the run.
     fn answer_stops(&mut self, run: &LastRun) {
         for client in self.stop_clients.drain(..) {
             let _ = client.send(run.clone());
@@ -449,7 +453,7 @@ impl Controller {
         }
     }
 
-    /// Passes the recorder's outcome to the machine, which then has the run published by [`Self::run_finished`].
+    /// Passes the outcome of the recorder to the machine. The machine then has [`Self::run_finished`] publish the run.
     fn run_is_over(&mut self, outcome: Result<RunSummary, RunError>) {
         if let Some(run) = self.run.take() {
             self.count_lost(run.progress.get().lost);
@@ -473,12 +477,12 @@ impl Controller {
         }
     }
 
-    /// Adds the counts of session and run since the last time, and logs problems that began or ended.
+    /// Adds the counts of session and run since the last step, and logs problems that began or ended.
     fn update_totals(&mut self) {
         if let Some(session) = self.bus.session() {
             let counts = session.live.totals();
             let before = std::mem::replace(&mut self.counted.cycles, counts);
-            // A new session counts from zero.
+            // A new session counts from zero. If the count has decreased, all of it is new.
             let [cycles, valid, late] = std::array::from_fn(|index| {
                 counts[index].checked_sub(before[index]).unwrap_or(counts[index])
             });

@@ -1,5 +1,6 @@
-//! The pre-flight check: conditions of a run, each with its remedy if it does not hold. Its input is the status, the controller
-//! and what another thread found on disk. `ballbard check` and the page show it; a line can stop `ballbard start`.
+//! The pre-flight check: the conditions for a run, each with a remedy if it is not met. Inputs are the status, the
+//! controller, and what a task found on the disk. `ballbard check` and the page show the result. A line with a severe problem
+//! prevents `ballbard start`.
 
 use std::io;
 use std::path::PathBuf;
@@ -16,10 +17,10 @@ use crate::log;
 use crate::problem::{Fact, Level, Problem};
 use crate::run::Session;
 
-/// An older sample does not show the present state of the encoders \[ms\].
+/// If the latest sample is older, it does not show the present state of the encoders \[ms\].
 const SAMPLE_AGE_MS_MAX: i64 = 1000;
 
-/// Findings on disk, collected by a thread that may wait for it.
+/// What was found on the disk, collected by a thread that may wait for the disk.
 pub(in crate::control) struct DiskFindings {
     homing: Result<Option<HomingConfig>, String>,
     left_behind: Result<Vec<PathBuf>, io::Error>,
@@ -38,7 +39,8 @@ impl DiskFindings {
     }
 }
 
-/// All lines; each is independent of the others. `found` is `None` if the disk did not answer.
+/// Computes all lines of the check. Each line is independent of the others. `found` is `None` if the disk did not respond in
+/// time.
 pub(in crate::control) fn check(controller: &Controller, found: Option<&DiskFindings>) -> Vec<CheckLine> {
     let status = controller.status();
     let findings = [
@@ -56,13 +58,14 @@ pub(in crate::control) fn check(controller: &Controller, found: Option<&DiskFind
     findings.into_iter().map(|(subject, finding)| line(subject, finding)).collect()
 }
 
-/// Subject of the line that stops a run whatever the severity of its problems.
+/// Subject of the line about the disk, which prevents a run whatever the severity of its problems.
 const DISK: &str = "disk";
 
-/// A text if all is well, otherwise the problems.
+/// A text if the condition is met, otherwise the problems.
 type CheckResult = Result<String, Vec<Problem>>;
 
-/// A line stops a run if one of its problems is [`Level::Bad`]. That of the disk always does: a slow disk can cost the run.
+/// Converts a result into a line. A line prevents a run if one of its problems is [`Level::Bad`]. The line of the disk
+/// prevents a run with any problem, because even a slow disk can cost the run.
 fn line(subject: &str, finding: CheckResult) -> CheckLine {
     let problems = match finding {
         Ok(finding) => {
@@ -85,7 +88,7 @@ fn line(subject: &str, finding: CheckResult) -> CheckLine {
     }
 }
 
-/// These problems, or the text if there are none.
+/// Returns the problems, or the text if there are no problems.
 fn none_of(problems: impl IntoIterator<Item = Problem>, text: impl Into<String>) -> CheckResult {
     let problems: Vec<_> = problems.into_iter().collect();
     if problems.is_empty() { Ok(text.into()) } else { Err(problems) }
@@ -100,7 +103,7 @@ fn encoders(status: &Status) -> CheckResult {
     if status.sample_age_ms.is_none_or(|age| age > SAMPLE_AGE_MS_MAX) {
         return Err(vec![Fact::NoSamples {}.into()]);
     }
-    // Shares and limits are those of the grade of a run; an encoder that is silent now has share 0.
+    // Fractions and limits are those of the grade of a run. An encoder that is silent now counts as never valid.
     let share =
         |encoder: &EncoderStatus| if encoder.silent { 0.0 } else { encoder.valid_share.unwrap_or(1.0) };
     let problem = |encoder: &EncoderStatus| {
@@ -117,7 +120,8 @@ fn cables(status: &Status) -> CheckResult {
     none_of(status.bad_cables.iter().cloned(), "no port has counted an error")
 }
 
-/// A run needs no marks, because the calibration estimates the offsets. But invalid ones would remain unnoticed.
+/// Checks the reference marks. A run needs no marks, because the calibration estimates the offsets. This check exists because
+/// invalid marks would otherwise remain unnoticed.
 fn reference_marks(controller: &Controller, found: Option<&DiskFindings>) -> CheckResult {
     let found = found.ok_or_else(unanswered)?;
     let homing = match &found.homing {
@@ -132,7 +136,7 @@ fn reference_marks(controller: &Controller, found: Option<&DiskFindings>) -> Che
     let Some(session) = controller.bus.session() else {
         return Ok("checked when the bus is in operation".into());
     };
-    // On a copy, because only the result is of interest.
+    // Use a copy of the encoders, because only the list of stale marks is needed.
     let stale = homing.apply(&mut session.encoders.clone(), &session.live.latches());
     if stale.is_empty() {
         return Ok(format!("valid for all joints, homed {}", homing.homed));
@@ -140,17 +144,18 @@ fn reference_marks(controller: &Controller, found: Option<&DiskFindings>) -> Che
     Err(vec![Fact::MarksStale { joints: stale }.into()])
 }
 
-/// A homing takes a person minutes: this reports beforehand whether its result can be saved.
+/// Checks whether reference marks can be saved. A homing takes a person minutes, so the check reports this beforehand.
 fn state(controller: &Controller, found: Option<&DiskFindings>) -> CheckResult {
     let file = controller.settings.marks_file.path().display();
     let unsavable = found.ok_or_else(unanswered)?.unsavable.clone();
     none_of(unsavable, format!("reference marks can be saved in {file}"))
 }
 
-/// Measured with five turning encoders at 100 Hz. Three take 132, and longer chunks compress better: 125 at 1000 Hz.
+/// Size of a cycle in the file, measured with five turning encoders at 100 Hz \[bytes\]. Three encoders need 132 bytes. At
+/// 1000 Hz a cycle needs 125 bytes, because longer chunks compress better.
 const BYTES_PER_CYCLE: f64 = 170.0;
 
-/// How long runs can last in this space \[h\].
+/// Recording time that fits into this space \[h\].
 pub(in crate::control) fn hours_left(usable_bytes: u64, rate_hz: u32) -> f64 {
     usable_bytes as f64 / (BYTES_PER_CYCLE * f64::from(rate_hz.max(1)) * 3600.0)
 }
@@ -184,7 +189,7 @@ fn clock() -> CheckResult {
     }
 }
 
-/// The kernel's state, which the NTP or PTP daemon sets.
+/// Whether the kernel reports the clock as synchronised. The NTP or PTP daemon sets this state.
 #[allow(unsafe_code, reason = "nix offers no adjtimex")]
 fn clock_is_synchronised() -> io::Result<bool> {
     // SAFETY: `timex` is a plain C structure for which all zeros mean "change nothing", and it outlives the call.
@@ -248,7 +253,7 @@ mod tests {
         assert!((minutes - 1.0).abs() < 0.05, "{minutes}");
     }
 
-    /// The line of the encoders, where joint 2 had this share of valid samples in the last second.
+    /// Returns the line of the encoders if joint 2 had this fraction of valid samples in the last second.
     fn line(valid: bool, silent: bool, valid_share: f64) -> CheckLine {
         let good =
             EncoderStatus { joint: 1, valid: true, valid_share: Some(1.0), ..EncoderStatus::default() };
@@ -261,13 +266,13 @@ mod tests {
 
     #[test]
     fn the_last_second_of_an_encoder_decides_and_not_its_last_sample() {
-        // One bad sample among a hundred.
+        // One invalid sample among a hundred.
         assert_eq!(line(false, false, 0.99).remedy, None);
-        // One good sample after a second without.
+        // One valid sample after a second without valid samples.
         assert!(line(true, false, 0.01).stops);
-        // One that is silent now, however good it was.
+        // An encoder that is silent now, although it was valid for 90 % of the second.
         assert!(line(false, true, 0.9).stops);
-        // A bad contact: a warning that does not stop a run.
+        // A bad contact causes a warning that does not prevent a run.
         let contact = line(true, false, 0.9);
         assert!(contact.remedy.is_some() && !contact.stops, "{contact:?}");
         assert!(contact.finding.contains("joint 2") && contact.finding.contains("90 %"), "{contact:?}");

@@ -1,5 +1,5 @@
-//! Logs begin and end of each problem of bus, encoders and links, and counts how often each began. The storage logs those
-//! of the disk, also while this thread waits.
+//! Logs when a problem of the bus, an encoder or a link begins and ends, and counts how often each problem began. Problems of
+//! the disk are logged by the storage, because the storage also logs while this thread waits.
 
 use std::collections::BTreeMap;
 
@@ -7,20 +7,20 @@ use shared::time::MonoNs;
 
 use crate::problem::{Fact, Problem};
 
-/// Problems that hold now, and the number of beginnings of each code.
+/// The current problems, and how often each problem code began.
 #[derive(Debug, Default)]
 pub(super) struct ProblemLog {
-    /// Their [keys](Fact::key).
+    /// [Keys](Fact::key) of the current problems.
     active: Vec<(&'static str, usize)>,
-    /// When bus and encoders stopped giving samples.
+    /// Start of each current outage, by the name of the bus or the encoder that delivers no samples.
     outages: BTreeMap<String, MonoNs>,
     began: BTreeMap<String, u64>,
 }
 
 impl ProblemLog {
-    /// Takes all problems of this moment.
+    /// Updates the log with all current problems.
     pub fn update<'a>(&mut self, now: MonoNs, problems: impl Iterator<Item = &'a Problem>) {
-        // These occur at every start.
+        // These two problems occur at every start, so they are not counted.
         let is_fault =
             |problem: &&Problem| !matches!(*problem.fact, Fact::BusStarting {} | Fact::DiskRecovering { .. });
         let problems: Vec<&Problem> = problems.filter(is_fault).collect();
@@ -58,7 +58,8 @@ fn logged_subject(problem: &Problem) -> Option<String> {
     }
 }
 
-/// The source of samples that the problem interrupts: its end is logged, too. Counted errors of a link have no end.
+/// Name of the bus or encoder whose samples are interrupted by the problem. The end of such a problem is logged, too. Errors
+/// counted by a link have no end, so they return `None`.
 fn silent_subject(problem: &Problem) -> Option<String> {
     match &*problem.fact {
         Fact::EncoderInvalid { joints, .. } => {

@@ -1,4 +1,4 @@
-//! The status of the service, derived from its parts.
+//! Computes the status of the service from the state of the controller.
 
 use shared::recording::schema::{EncoderInfo, MAX_ENCODERS};
 use shared::time::MonoNs;
@@ -21,7 +21,7 @@ impl Controller {
         run_problems.into_iter().chain(self.storage.problem()).chain(recovering).collect()
     }
 
-    /// Problems of the bus and the encoders; a run continues with them.
+    /// Problems of the bus and the encoders. A run continues despite these problems.
     fn bus_problems(&self) -> Vec<Problem> {
         let fault = match self.machine.state() {
             State::Fault => self.machine.fault(),
@@ -33,7 +33,7 @@ impl Controller {
         }
     }
 
-    /// The status, for programs and people.
+    /// The complete status, for programs and people.
     pub(super) fn status(&self) -> Status {
         let mut problems = self.bus_problems();
         for problem in self.disk_problems() {
@@ -95,7 +95,8 @@ impl Controller {
     }
 }
 
-/// Adds devices, links and encoders; `ball_bar.toml` has at most [`MAX_ENCODERS`].
+/// Adds devices, links and encoders to the status. The array sizes suffice, because `ball_bar.toml` has at most
+/// [`MAX_ENCODERS`].
 fn add_bus(status: &mut Status, session: &Session, valid_shares: Option<[f64; MAX_ENCODERS]>) {
     let live = &session.live;
     status.devices = session.devices().iter().map(|device| device.name.clone()).collect();
@@ -115,7 +116,7 @@ fn add_bus(status: &mut Status, session: &Session, valid_shares: Option<[f64; MA
     status.encoders = session.encoders.iter().enumerate().map(encoder).collect();
 }
 
-/// Zero means "never".
+/// Age of a time; `None` if the time is 0, which means "never" \[ms\].
 fn age_ms(at: MonoNs, now: MonoNs) -> Option<i64> {
     (at.0 != 0).then(|| now.ns_since(at) / 1_000_000)
 }

@@ -1,23 +1,26 @@
 //! The states of the acquisition, as a pure function of events.
 //!
-//! The thesis' five states (waiting, opening, sampling, writing, closing), one for homing, and a fault that lasts until its
-//! cause is removed, automatically or by a person. Each run that was opened ends with exactly one [`Action::Finished`] or
-//! [`Action::NotBegun`] that states the cause.
+//! There are seven states: the five of the thesis (waiting, opening, sampling, writing, closing), one for homing, and a
+//! fault. The fault lasts until its cause is removed, automatically or by a person. Each run that was opened ends with
+//! exactly one [`Action::Finished`] or [`Action::NotBegun`]; both report the cause.
 //!
-//! | from | on | to |
+//! | from | event | to |
 //! |---|---|---|
 //! | fault | bus in operation, disk ready | waiting |
 //! | waiting | start | opening |
 //! | waiting | home | homing |
 //! | homing | marks saved, stop, failure | waiting |
-//! | opening | file created; cannot be created | sampling; waiting |
+//! | opening | file created | sampling, or closing if the end of the run was requested |
+//! | opening | file cannot be created | waiting |
 //! | sampling | a second of it is on disk | writing |
 //! | writing | nothing new on disk for three seconds | sampling |
 //! | sampling, writing | stop, duration, disk too full, no sample for `full_fault_s`, signal, bus lost for good | closing |
-//! | closing | file finished; could not be | waiting, or fault if the bus is not in operation; fault |
-//! | waiting | bus gives no samples | fault |
+//! | closing | file finished | waiting, or fault if the bus is not in operation |
+//! | closing | file could not be finished | fault |
+//! | waiting | bus delivers no samples | fault |
 //!
-//! A run continues while the cycle restores the bus: its records state the fault. In opening the end of a run waits for its file.
+//! If the bus delivers no samples for a while, a run continues while the cycle restores the bus. The records of the run
+//! contain the fault. If the end of a run is requested in the state opening, the run ends once its file has been created.
 
 mod transitions;
 
@@ -37,53 +40,54 @@ pub enum MachineEvent {
     BusUp,
     /// The bus cannot be brought into operation, or the thread of its cycle has ended.
     BusDown(Problem),
-    /// The bus gives no samples; the cycle is restoring it.
+    /// The bus delivers no samples. The cycle is restoring the bus.
     BusTroubled(Problem),
-    /// A run is requested. If no person chose its name, a run that is active already satisfies the request.
+    /// A run is requested. If no person chose the name, a run that is active already satisfies the request.
     Start {
-        /// Its name and details.
+        /// Name and details of the run.
         run: Box<RunDetails>,
-        /// The name was chosen by a person.
+        /// Whether a person chose the name.
         named: bool,
     },
     /// Homing of the encoders is requested.
     Home,
-    /// Homing is over, whether marks were found or not.
+    /// The homing is over, whether marks were found or not.
     HomingOver,
-    /// The run's file is created.
+    /// The file of the run has been created.
     Opened,
-    /// The run's file cannot be created.
+    /// The file of the run cannot be created.
     OpenFailed(Problem),
     /// More of the run is on disk.
     Synced,
-    /// Nothing has reached the disk for too long.
+    /// No cycle has reached the disk for too long.
     Stalled,
     /// The end of the run is requested, with the cause.
     Stop(String),
-    /// The run ends for a reason of its own: its duration, a disk that is too full, no sample for `full_fault_s`.
+    /// The run ends without a request, because its duration is over, the disk is too full, or no sample arrived for
+    /// `full_fault_s`.
     Ended(String),
-    /// The run's file is finished.
+    /// The file of the run is finished.
     Closed,
-    /// The run's file could not be finished regularly.
+    /// The file of the run could not be finished regularly.
     CloseFailed(Problem),
-    /// The files of earlier runs are recovered: those from before the start of the service, or of a run that failed.
+    /// The files of earlier runs have been recovered. Such a run was interrupted before the service started, or it failed.
     Recovered,
     /// The end of the service is requested, with the cause.
     Shutdown(String),
 }
 
-/// Output of the state machine, to be executed.
+/// Output of the state machine, which the controller executes.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Action {
     /// Bring the bus into operation.
     Connect,
-    /// Create the file of this run and begin to sample.
+    /// Create the file of this run and start to sample.
     Open(Box<RunDetails>),
     /// Determine the encoders' reference marks.
     BeginHoming,
     /// End the homing, with the cause.
     EndHoming(String),
-    /// End the run's cycles, with the cause.
+    /// End the cycles of the run, with the cause.
     End(String),
     /// A run is over.
     Finished {
@@ -96,14 +100,14 @@ pub enum Action {
     NotBegun {
         /// Name of the run.
         run: String,
-        /// Why it has no file.
+        /// Why the run has no file.
         problem: Problem,
     },
     /// Recover the file of a failed run.
     Recover,
     /// Reply to the client.
     Answer(Answer),
-    /// End the service, since no run and no homing is active any more.
+    /// End the service, because its end was requested and no run or homing is active any more.
     Exit,
 }
 
@@ -112,16 +116,16 @@ pub enum Action {
 pub enum Answer {
     /// The run, or the homing, begins.
     Beginning,
-    /// A homing is active, or was until this command.
+    /// A homing is active, or was active until this command stopped it.
     Homing,
-    /// This run is active already, and is the requested one.
+    /// The requested run, which has this name, is active already.
     Running(String),
-    /// Another run is active.
+    /// Another run is active; its name.
     Busy(String),
-    /// It cannot begin, and why.
+    /// The run or homing cannot begin because of this problem.
     Refused(Problem),
     /// The run is being ended.
     Stopping(String),
-    /// There is nothing to end.
+    /// There is no run or homing to end.
     Idle,
 }

@@ -1,4 +1,4 @@
-//! Properties for every order of events, and the usual sequences.
+//! Tests of properties that hold for every order of events, and of the usual sequences.
 
 use proptest::prelude::*;
 
@@ -17,7 +17,7 @@ fn problem(error: &str) -> Problem {
     Fact::RunRefused { error: error.into() }.into()
 }
 
-/// A machine whose disk is ready, after these events, and their actions.
+/// Returns a machine with a ready disk after these events, together with the actions of all events.
 fn after(events: impl IntoIterator<Item = MachineEvent>) -> (StateMachine, Vec<Action>) {
     let mut machine = StateMachine::default();
     machine.handle(MachineEvent::Recovered);
@@ -46,7 +46,7 @@ fn any_event() -> impl Strategy<Value = MachineEvent> {
     ]
 }
 
-/// A run is open from its `Open` to its `Finished` or `NotBegun`.
+/// Checks the runs in these actions. A run is open from its `Open` to its `Finished` or `NotBegun`. Returns the open run.
 fn check_runs(actions: &[Action]) -> Result<Option<String>, TestCaseError> {
     let mut open: Option<String> = None;
     for action in actions {

@@ -1,4 +1,5 @@
-//! Transitions of the state machine: one method per event, which gives the actions for the controller.
+//! Transitions of the state machine. Each event has one method, which changes the state and returns the actions for the
+//! controller.
 
 use super::{Action, Answer, MachineEvent, State};
 use crate::problem::{Fact, Problem};
@@ -8,11 +9,11 @@ use crate::run::RunDetails;
 #[derive(Debug, Clone)]
 pub struct StateMachine {
     state: State,
-    /// Present in the states `Opening`, `Sampling`, `Writing` and `Closing`.
+    /// The current run. Present in the states `Opening`, `Sampling`, `Writing` and `Closing`.
     run: Option<CurrentRun>,
     /// Why the bus is not in operation; `None` if it is.
     bus_fault: Option<Problem>,
-    /// Why nothing can be recorded before the disk is ready.
+    /// Why nothing can be recorded to the disk; `None` if the disk is ready.
     disk_fault: Option<Problem>,
     /// The end of the service is requested.
     leaving: bool,
@@ -22,7 +23,7 @@ pub struct StateMachine {
 #[derive(Debug, Clone)]
 struct CurrentRun {
     name: String,
-    /// Cause of its end, once that is requested.
+    /// Cause of the end of the run, once the end is requested.
     cause: Option<String>,
 }
 
@@ -43,12 +44,12 @@ impl StateMachine {
         self.state
     }
 
-    /// Why the bus is not in operation, also during a run.
+    /// Why the bus is not in operation. It can be present during a run, too.
     pub fn bus_fault(&self) -> Option<&Problem> {
         self.bus_fault.as_ref()
     }
 
-    /// Why no run can begin, as far as bus and disk are the cause.
+    /// Fault of the bus or the disk that prevents a run; `None` if there is no such fault.
     pub fn fault(&self) -> Option<&Problem> {
         self.bus_fault.as_ref().or(self.disk_fault.as_ref())
     }
@@ -58,13 +59,13 @@ impl StateMachine {
         self.run.as_ref().map(|run| run.name.as_str())
     }
 
-    /// Why the run ends, while its file is being finished.
+    /// Cause of the end of the run, while the file of the run is being finished.
     pub fn cause(&self) -> Option<&str> {
         self.run.as_ref().filter(|_| self.state == State::Closing)?.cause.as_deref()
     }
 
-    /// Handles one event; the actions are to be executed in order. An event that has no meaning in the current state changes
-    /// nothing.
+    /// Handles one event. The returned actions must be executed in order. An event that has no meaning in the current state
+    /// changes nothing.
     pub fn handle(&mut self, event: MachineEvent) -> Vec<Action> {
         match event {
             MachineEvent::BusUp => self.set_bus_fault(None),
@@ -101,7 +102,7 @@ impl StateMachine {
         actions
     }
 
-    /// Nothing can begin; a current run or homing continues.
+    /// Nothing new can begin. A current run or homing continues.
     fn bus_troubled(&mut self, problem: Problem) -> Vec<Action> {
         self.bus_fault = Some(problem);
         self.set_idle_state();
@@ -121,7 +122,8 @@ impl StateMachine {
         vec![Action::Answer(answer)]
     }
 
-    /// The answer to a start or a homing that is impossible because of a run, whose name goes to `answer_for_run`, or a fault.
+    /// Answer to a start or a homing that is impossible. If a run prevents it, the answer is `answer_for_run` with the name
+    /// of the run. If a fault prevents it, the request is refused.
     fn occupied(&self, answer_for_run: fn(String) -> Answer) -> Answer {
         match (self.run(), self.fault()) {
             (Some(run), _) => answer_for_run(run.to_owned()),
@@ -195,13 +197,14 @@ impl StateMachine {
         actions
     }
 
-    /// The cycles have ended already, so no action follows.
+    /// Records that the cycles of the run have ended. No action follows, because there are no cycles left to end.
     fn ended(&mut self, cause: &str) -> Vec<Action> {
         self.end_run(cause);
         Vec::new()
     }
 
-    /// The first cause is kept. A run without a file is closed once it has one.
+    /// Ends the run with this cause. If the end was requested before, the first cause is kept. A run whose file is still
+    /// being created enters the state closing once the file has been created.
     fn end_run(&mut self, cause: &str) -> Vec<Action> {
         let Some(run) = self.run.as_mut().filter(|run| run.cause.is_none()) else { return Vec::new() };
         run.cause = Some(cause.to_owned());
@@ -212,7 +215,7 @@ impl StateMachine {
     }
 
     fn closed(&mut self, failure: Option<Problem>) -> Vec<Action> {
-        // A recorder that fails ends its run without a request.
+        // If the recorder fails, its run ends without a request.
         if let Some(problem) = &failure {
             self.end_run(&problem.text);
         }
@@ -251,14 +254,14 @@ impl StateMachine {
         matches!(self.state, State::Fault | State::Waiting)
     }
 
-    /// Between runs a fault of bus or disk decides the state.
+    /// Sets the state when nothing is active: fault if bus or disk have a fault, otherwise waiting.
     fn set_idle_state(&mut self) {
         if self.is_idle() {
             self.state = if self.fault().is_some() { State::Fault } else { State::Waiting };
         }
     }
 
-    /// Exits if that is requested and nothing is active any more.
+    /// Exits if the end of the service was requested and nothing is active any more.
     fn idle_or_exit(&mut self) -> Option<Action> {
         self.set_idle_state();
         (self.leaving && self.is_idle()).then_some(Action::Exit)

@@ -1,4 +1,4 @@
-//! The bin: a deleted recording is kept with its note in the subfolder `.bin` until the bin is emptied.
+//! The bin: a deleted recording and its note are kept in the subfolder `.bin` until the bin is emptied.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -8,27 +8,27 @@ use shared::recording::{Disk, FINISHED_ENDING};
 use super::runs::{self, RunLine, free_name, stem};
 use super::{note, unless_absent};
 
-/// Folder of deleted recordings, in the directory of the others.
+/// Folder of the deleted recordings, inside the directory of the recordings.
 const FOLDER: &str = ".bin";
 
-/// The bin of each directory: they are separate, so that deleting and restoring are renames.
+/// The bin of each directory. Each directory has its own bin, so that deleting and restoring are renames on one disk.
 fn bins(directories: &[PathBuf]) -> Vec<PathBuf> {
     directories.iter().map(|directory| directory.join(FOLDER)).collect()
 }
 
-/// The recordings in the bins of these directories, the latest first.
+/// Lists the recordings in the bins of these directories, the latest first.
 pub fn list(disk: &dyn Disk, directories: &[PathBuf]) -> io::Result<Vec<RunLine>> {
     runs::list(disk, &bins(directories))
 }
 
-/// Moves the recording of this name out of the bin; returns its new name, or `None` if no bin has it.
+/// Moves the recording of this name out of the bin. Returns its new name, or `None` if no bin contains the recording.
 pub fn restore(disk: &dyn Disk, directories: &[PathBuf], name: &str) -> io::Result<Option<String>> {
     let Some(file) = runs::find(disk, &bins(directories), name)? else { return Ok(None) };
     let Some(directory) = file.parent().and_then(Path::parent) else { return Ok(None) };
     move_to_free_name(disk, &file, directory).map(Some)
 }
 
-/// Removes every recording in the bins from the disk, with its note; returns their number.
+/// Removes all recordings in the bins, with their notes, from the disk. Returns the number of removed recordings.
 pub fn empty(disk: &dyn Disk, directories: &[PathBuf]) -> io::Result<u64> {
     let mut files = runs::files(disk, &bins(directories))?;
     files.retain(|file| stem(file, FINISHED_ENDING).is_some());
@@ -39,14 +39,15 @@ pub fn empty(disk: &dyn Disk, directories: &[PathBuf]) -> io::Result<u64> {
     Ok(files.len() as u64)
 }
 
-/// Moves a finished recording into the bin of its directory; returns its name there.
+/// Moves a finished recording into the bin of its directory. Returns the name of the recording in the bin.
 pub fn put(disk: &dyn Disk, recording: &Path) -> io::Result<String> {
     let bin = recording.parent().unwrap_or(Path::new(".")).join(FOLDER);
     disk.make_directory(&bin)?;
     move_to_free_name(disk, recording, &bin)
 }
 
-/// Moves a recording and its note to a free name. The note is moved last: it is found only beside its recording.
+/// Moves a recording and its note to a free name. The note is moved last, because a note is found only through the recording
+/// next to it.
 fn move_to_free_name(disk: &dyn Disk, file: &Path, directory: &Path) -> io::Result<String> {
     let name = free_name(disk, directory, &stem(file, FINISHED_ENDING).unwrap_or_default());
     let new_file = directory.join(format!("{name}.{FINISHED_ENDING}"));

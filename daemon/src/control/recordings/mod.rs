@@ -10,7 +10,8 @@ use std::io;
 
 use shared::recording::is_absent;
 
-/// A default value if a file or directory does not exist: directories are created when a run needs them.
+/// Replaces the error "does not exist" of a file or directory by a default value. A missing directory is normal, because
+/// directories are created when a run needs them.
 fn unless_absent<T: Default>(outcome: io::Result<T>) -> io::Result<T> {
     match outcome {
         Err(error) if is_absent(&error) => Ok(T::default()),

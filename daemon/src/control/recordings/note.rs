@@ -1,5 +1,5 @@
-//! Notes that people change after a run. The recording stays unchanged: the note is a file beside it, and replaces the
-//! recorded one in lists and tables.
+//! Notes that people change after a run. The recording stays unchanged. The changed note is saved in a file next to the
+//! recording, and replaces the recorded note in lists and tables.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -14,24 +14,24 @@ use crate::whole_file;
 
 #[derive(Debug, Serialize, Deserialize)]
 struct Note {
-    /// Start of the run concerned: another recording may get the name.
+    /// Start of the run that the note belongs to. It detects that another recording got the same name later.
     run_started: UtcNs,
     note: String,
 }
 
-/// The file of the note of a recording.
+/// Path of the note of a recording.
 pub fn beside(recording: &Path) -> PathBuf {
     recording.with_extension("note.json")
 }
 
-/// Saves the note of a finished recording, which may be empty.
+/// Saves the note of a finished recording. An empty note replaces the recorded one, too.
 pub fn keep(disk: &dyn Disk, recording: &Path, note: String) -> io::Result<()> {
     let overview = RunOverview::open_on(disk, recording).map_err(io::Error::other)?;
     let note = Note { run_started: overview.run.started, note };
     whole_file::write(disk, &beside(recording), &serde_json::to_string(&note)?)
 }
 
-/// Replaces the recorded note by the saved one. If that cannot be read, the note states so.
+/// Replaces the recorded note by the saved one. If the saved note cannot be read, the error is appended to the recorded note.
 pub fn apply(disk: &dyn Disk, recording: &Path, run: &mut RunMetadata) {
     match read(disk, &beside(recording)) {
         Ok(Some(Note { run_started, note })) if run_started == run.started => run.note = note,

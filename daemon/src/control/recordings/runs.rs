@@ -1,5 +1,6 @@
-//! The recordings of a directory: a list with duration, grade and provenance of each, names for new ones, and the angles of
-//! one for a plot. All of it is read from the files; nothing is cached. Used by API, page and commands.
+//! The recordings of a directory. This module lists them with duration, grade and provenance, finds names for new recordings,
+//! and reads the angles of one recording for a plot. Everything is read from the files and nothing is cached. API, page and
+//! commands use it.
 
 use std::io::{self, BufReader};
 use std::path::{Path, PathBuf};
@@ -18,9 +19,9 @@ use super::verdict::Verdict;
 use super::{note, unless_absent};
 use crate::control::status::next_command;
 
-/// Highest number of recordings of one base name.
+/// Highest number that is appended to a base name.
 const NUMBERS_MAX: u32 = 10_000;
-/// Length limit of robot and bar in an automatic name.
+/// Length limit of robot and bar in an automatic name \[characters\].
 const PART_CHARS_MAX: usize = 30;
 
 /// One recording of the list.
@@ -73,8 +74,8 @@ pub struct RunLine {
     pub next: Option<String>,
 }
 
-/// Recordings of these directories, the latest first: a run may have continued in the spare one. Recordings without a start
-/// time come last.
+/// Lists the recordings of these directories, the latest first. Recordings without a start time come last. Several
+/// directories are searched, because a run may have continued in the spare directory.
 pub fn list(disk: &dyn Disk, directories: &[PathBuf]) -> io::Result<Vec<RunLine>> {
     let files = files(disk, directories)?.into_iter();
     let mut lines: Vec<_> = files.filter_map(|file| line(disk, file)).collect();
@@ -82,14 +83,14 @@ pub fn list(disk: &dyn Disk, directories: &[PathBuf]) -> io::Result<Vec<RunLine>
     Ok(lines)
 }
 
-/// `base`, or `base-2` and so on if a recording has that name.
+/// Returns `base`, or `base-2`, `base-3` and so on if a recording has that name already.
 pub(in crate::control) fn free_name(disk: &dyn Disk, directory: &Path, base: &str) -> String {
     let numbered = (2..NUMBERS_MAX).map(|number| format!("{base}-{number}"));
     let mut names = std::iter::once(base.to_owned()).chain(numbered);
     names.find(|name| !is_taken(disk, directory, name)).unwrap_or_else(|| base.to_owned())
 }
 
-/// The default name of a run, such as `2026-11-26_irb-2400_short_01`: date, robot, bar and the first free number.
+/// Default name of a run, such as `2026-11-26_irb-2400_short_01`: date, robot, bar and the first free number.
 pub(in crate::control) fn automatic_name(
     disk: &dyn Disk,
     directory: &Path,
@@ -106,20 +107,23 @@ pub(in crate::control) fn automatic_name(
     names.find(|name| !is_taken(disk, directory, name)).unwrap_or(base)
 }
 
-/// Whether a recording has this name. If the disk does not answer, creating the run's file fails if it exists.
+/// Whether a recording has this name. If the disk returns an error, the name counts as free. Creating the file of the run
+/// then fails if the file exists.
 pub(in crate::control) fn is_taken(disk: &dyn Disk, directory: &Path, name: &str) -> bool {
     let exists = |ending| disk.has(&directory.join(format!("{name}.{ending}"))).unwrap_or(false);
     [FINISHED_ENDING, ACTIVE_ENDING].into_iter().any(exists)
 }
 
-/// The finished recording of this name. The name is compared with existing ones and never becomes part of a path.
+/// Finds the finished recording of this name. The name is only compared with existing names and never becomes part of a path,
+/// so it cannot point outside the directories.
 pub fn find(disk: &dyn Disk, directories: &[PathBuf], name: &str) -> io::Result<Option<PathBuf>> {
     let has_name = |file: &PathBuf| stem(file, FINISHED_ENDING).is_some_and(|stem| stem == name);
     Ok(files(disk, directories)?.into_iter().find(has_name))
 }
 
-/// Files in these directories. One that does not exist counts as empty: it is created when a run needs it. So does one whose
-/// name a file has, which the status reports: recordings in the other directory stay accessible.
+/// Files in these directories. A directory that does not exist counts as empty, because it is created when a run needs it. A
+/// path that is a file instead of a directory counts as empty, too. The status reports this problem, and recordings in the
+/// other directory stay accessible.
 pub(super) fn files(disk: &dyn Disk, directories: &[PathBuf]) -> io::Result<Vec<PathBuf>> {
     let mut files = Vec::new();
     for directory in directories {
@@ -128,11 +132,12 @@ pub(super) fn files(disk: &dyn Disk, directories: &[PathBuf]) -> io::Result<Vec<
     Ok(files)
 }
 
-/// Files of runs that no living process writes.
+/// Files of unfinished runs that no running process writes.
 pub fn left_behind(disk: &dyn Disk, directories: &[PathBuf]) -> io::Result<Vec<PathBuf>> {
     let mut files = files(disk, directories)?;
     files.retain(|path| stem(path, ACTIVE_ENDING).is_some());
-    // A file that cannot be checked counts as left behind; one that has just been finished does not exist any more.
+    // A file that cannot be checked counts as left behind. A file that has been finished since the listing does not exist any
+    // more.
     files.retain(|path| match is_in_use(disk, path) {
         Ok(is_in_use) => !is_in_use,
         Err(error) => !is_absent(&error),
@@ -140,13 +145,13 @@ pub fn left_behind(disk: &dyn Disk, directories: &[PathBuf]) -> io::Result<Vec<P
     Ok(files)
 }
 
-/// Name of a recording: that of its file without this ending; `None` for other files.
+/// Name of a recording: the file name without `ending`. `None` if the file has another ending.
 pub(in crate::control) fn stem(path: &Path, ending: &str) -> Option<String> {
     let name = path.file_name()?.to_str()?;
     Some(name.strip_suffix(ending)?.strip_suffix('.')?.to_owned()).filter(|stem| !stem.is_empty())
 }
 
-/// The line of a recording, finished or not; `None` for other files.
+/// Entry of a recording in the list, finished or not. `None` if the file is not a recording.
 fn line(disk: &dyn Disk, file: PathBuf) -> Option<RunLine> {
     if let Some(name) = stem(&file, ACTIVE_ENDING) {
         let cause = match is_in_use(disk, &file) {
@@ -162,7 +167,7 @@ fn line(disk: &dyn Disk, file: PathBuf) -> Option<RunLine> {
     Some(finished(disk, name, file))
 }
 
-/// The line of a finished recording.
+/// Entry of a finished recording in the list.
 pub fn finished(disk: &dyn Disk, name: String, file: PathBuf) -> RunLine {
     let bytes = disk.open(&file).and_then(|opened| disk.length(&opened)).unwrap_or(0);
     match RunOverview::open_on(disk, &file) {
@@ -223,8 +228,8 @@ pub struct Curve {
     pub angle_deg: Vec<Option<f64>>,
 }
 
-/// Reads the file once and keeps at most `CURVE_POINTS` points per joint, the first of each interval of equally many cycles.
-/// An interval with any invalid cycle is a gap.
+/// Reads the file once. The cycles are divided into intervals of equal length, so that each joint has at most `CURVE_POINTS`
+/// points. The point of an interval is its first cycle. If any cycle of an interval is invalid, the curve has a gap there.
 pub fn curves(disk: &dyn Disk, path: &Path) -> Result<Curves, ReadError> {
     let RunOverview { run, end } = RunOverview::open_on(disk, path)?;
     let interval_cycles = end.cycles.div_ceil(CURVE_POINTS).max(1);
@@ -253,14 +258,14 @@ pub fn curves(disk: &dyn Disk, path: &Path) -> Result<Curves, ReadError> {
     Ok(curves)
 }
 
-/// A curve that is extended by each cycle.
+/// A curve that grows with each cycle.
 struct JointCurve {
     curve: Curve,
     scale: EncoderScale,
     unwrapper: Unwrapper,
     /// Unwrapped count of the first valid sample.
     first: Option<i64>,
-    /// Number of the origin of the counts.
+    /// Origin number of the counters in the previous cycle.
     origin: u32,
 }
 
@@ -271,8 +276,9 @@ impl JointCurve {
         Self { curve, scale, unwrapper: scale.unwrapper(), first: None, origin: 0 }
     }
 
-    /// Adds a point at the beginning of an interval, and removes it if a later sample of the interval is invalid. With another
-    /// origin the angle begins at zero again: how far the joint turned in between is unknown.
+    /// Adds a point at the beginning of an interval, and removes it if a later sample of the interval is invalid. If the
+    /// origin of the counter has changed, the angle begins at zero again, because the motion between the two origins is
+    /// unknown.
     fn add(&mut self, sample: EncoderSample, origin: u32, begins_interval: bool) {
         if std::mem::replace(&mut self.origin, origin) != origin {
             (self.unwrapper, self.first) = (self.scale.unwrapper(), None);

@@ -1,5 +1,5 @@
-//! A recording as a table (CSV) for spreadsheets and scripts: one row per cycle. Used by `ballbard export`, the page and the
-//! API.
+//! Writes a recording as a table (CSV) for spreadsheets and scripts, with one row per cycle. `ballbard export`, the page and
+//! the API use it.
 
 use std::io::{self, BufReader, Write};
 use std::iter::Peekable;
@@ -19,17 +19,22 @@ use crate::problem::flag_names;
 pub struct Layout {
     /// Seconds since the first cycle (`t_s`) instead of `time_utc`.
     pub relative: bool,
-    /// For spreadsheets of continental Europe: semicolons between columns, commas in numbers.
+    /// For spreadsheets of continental Europe: semicolons between columns, decimal commas in numbers.
     pub excel: bool,
 }
 
-/// One row per cycle: `time_utc` (or `t_s`), a `count` per encoder, an unwrapped `angle` \[rad\] per encoder, from its
-/// reference mark or else from count 0, `valid` per encoder, the cycle number, the reasons of flagged cycles, and the events of
-/// the cycle. The first row also has the texts that describe the run. Counts are empty without a sample, angles also if it is
+/// Writes one row per cycle and returns the number of rows. The columns are:
+/// - `time_utc` (or `t_s`),
+/// - a `count` per encoder, empty if the cycle has no sample,
+/// - an unwrapped `angle` per encoder \[rad\], from its reference mark or else from count 0, empty if the sample is invalid,
+/// - `valid` per encoder,
+/// - the cycle number, the reasons why the cycle is flagged, and the events of the cycle. The first row also contains the
+///   texts that describe the run.
 /// invalid. Returns the number of rows.
 ///
 /// Memory does not grow with the number of cycles. The file is read twice, because an event may follow many later cycles, for
-/// example a mark whose text took a while to type. The first pass collects the events and verifies the whole recording.
+/// example a marker whose text took a while to type. The first pass collects the events and verifies the whole recording. The
+/// second pass writes the rows.
 pub fn write_csv(disk: &dyn Disk, path: &Path, layout: Layout, sink: impl Write) -> anyhow::Result<u64> {
     let error = |kind| ReadError { path: path.to_owned(), kind };
     let file = disk.open(path).map_err(|source| error(source.into()))?;
@@ -48,22 +53,22 @@ struct Table<'a, W: Write> {
     rows: csv::Writer<W>,
     encoders: &'a [EncoderInfo],
     unwrappers: Vec<Unwrapper>,
-    /// Events that no row has yet.
+    /// Events that have not been written to a row yet.
     events: Peekable<slice::Iter<'a, Event>>,
-    /// Texts that describe the run, for the event cell of the first row.
+    /// Texts that describe the run, for the event column of the first row.
     about: Vec<String>,
     first_sample: Option<UtcNs>,
-    /// Number of the counters' origin in the previous row.
+    /// Origin number of the counters in the previous row.
     origin: Option<u32>,
-    /// Cycles of the recording.
+    /// Number of cycles of the recording.
     cycles: u64,
 }
 
 impl<'a, W: Write> Table<'a, W> {
-    /// Begins with the header, and in the layout for spreadsheets with a byte order mark.
+    /// Writes the header. The layout for spreadsheets begins with a byte order mark.
     fn begin(outline: &'a Outline, layout: Layout, mut sink: W) -> io::Result<Self> {
         if layout.excel {
-            // Without it a spreadsheet assumes the code page of its country.
+            // Without a byte order mark a spreadsheet assumes the code page of its country.
             sink.write_all("\u{feff}".as_bytes())?;
         }
         let encoders = &outline.run.encoders;
@@ -115,7 +120,7 @@ impl<'a, W: Write> Table<'a, W> {
         }
         let is_last = record.cycle + 1 == self.cycles;
         let mut texts = std::mem::take(&mut self.about);
-        // The last row also has the events after it.
+        // The last row also contains the events after the last cycle.
         while let Some(Event { kind, text, .. }) =
             self.events.next_if(|event| event.cycle <= record.cycle || is_last)
         {
@@ -125,14 +130,14 @@ impl<'a, W: Write> Table<'a, W> {
         row.extend([
             record.cycle.to_string(),
             flag_names(shown_flags).join(" "),
-            // One line of text per row, for readers that split at line ends.
+            // Replace line ends in texts, because some readers split rows at every line end.
             texts.join("; ").replace(char::is_control, " "),
         ]);
         self.rows.write_record(&row).map_err(sink_error)
     }
 }
 
-/// The error of the sink itself, so that its kind shows whether the reader has closed it.
+/// Extracts the error of the sink, so that its kind shows whether the reader has closed the sink.
 fn sink_error(error: csv::Error) -> io::Error {
     match error.into_kind() {
         csv::ErrorKind::Io(error) => error,
@@ -141,7 +146,7 @@ fn sink_error(error: csv::Error) -> io::Error {
 }
 
 impl Layout {
-    /// From the query of a URL, such as `excel&relative`.
+    /// Parses the query of a URL, such as `excel&relative`.
     pub fn from_query(query: &str) -> Result<Self, String> {
         let mut layout = Self::default();
         for name in query.split('&').filter(|name| !name.is_empty()) {
@@ -156,7 +161,7 @@ impl Layout {
         Ok(layout)
     }
 
-    /// The query that [`Self::from_query`] reads, with its `?`; empty for the default.
+    /// The query that [`Self::from_query`] parses, with its `?`. Empty for the default layout.
     pub fn query(self) -> String {
         let names = [(self.relative, "relative=true"), (self.excel, "excel=true")];
         let names: Vec<_> = names.into_iter().filter_map(|(is_set, name)| is_set.then_some(name)).collect();
@@ -178,7 +183,7 @@ impl Layout {
     }
 }
 
-/// Origin of the data, zero of the angles, and the texts that describe the run.
+/// Provenance of the data, zero of the angles, and the texts that describe the run.
 fn run_texts(run: &RunMetadata) -> Vec<String> {
     let RunMetadata { operator, robot, bar, payload, note, .. } = run;
     let texts =
@@ -189,7 +194,7 @@ fn run_texts(run: &RunMetadata) -> Vec<String> {
     provenance.into_iter().chain([angle_zeros(&run.encoders)]).chain(texts).collect()
 }
 
-/// Where the angles of which joints are zero.
+/// Text that lists the zero of the angles: the reference mark for homed joints, count 0 for the other joints.
 fn angle_zeros(encoders: &[EncoderInfo]) -> String {
     let (homed, others): (Vec<&EncoderInfo>, Vec<_>) =
         encoders.iter().partition(|encoder| encoder.scale.reference_counts != 0);

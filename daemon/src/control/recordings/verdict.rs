@@ -1,5 +1,6 @@
-//! The grade of a run (GOOD, CHECK or BAD) with its reasons: shares of valid and lost cycles, duration and angle of each
-//! joint (with the limits of `identify`), recovery, and clocks of the devices. Page, commands and API all use it.
+//! Grades a run (GOOD, CHECK or BAD) and lists the reasons. Inputs are the fractions of valid and lost cycles, the duration,
+//! the angle that each joint turned, whether the file was recovered, and the clocks of the devices. The limits for duration
+//! and angle are those of `identify`. Page, commands and API all use this grade.
 
 use std::fmt;
 
@@ -10,13 +11,13 @@ use shared::recording::{Flagged, RunOverview};
 
 use crate::problem::{Level, clock_time};
 
-/// From this share of valid cycles a run is good: the sigma of each parameter grows with one over the root of their number,
-/// here by 0.5 %.
+/// Fraction of valid cycles from which a run is good. The sigma of each parameter is proportional to one over the root of the
+/// number of valid cycles, so at this limit it is larger by 0.5 %.
 pub const VALID_SHARE_GOOD: f64 = 0.99;
-/// Below this share a run is bad: sigmas are at least 41 % larger, and the valid cycles are fragmented.
+/// Fraction of valid cycles below which a run is bad. Sigmas are at least 41 % larger, and the valid cycles are fragmented.
 pub const VALID_SHARE_BAD: f64 = 0.5;
-/// A run lasts this much longer than the overlap that `identify` requires: speeds need a sample on each side, the log ends
-/// between two of its rows, and its clock differs \[s\].
+/// Minimum duration of a run beyond the overlap that `identify` requires \[s\]. The margin is needed for three reasons:
+/// speeds need a sample on each side, the log ends between two of its rows, and the clock of the log differs.
 pub const LENGTH_MARGIN_S: f64 = 1.0;
 /// Number of causes of invalid cycles that are listed.
 const CAUSES_MAX: usize = 3;
@@ -30,7 +31,7 @@ pub struct Verdict {
     pub reasons: Vec<String>,
 }
 
-/// Input of a grade.
+/// Everything that the grade depends on.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct GradeInput<'a> {
     /// Bus cycles in the file.
@@ -45,14 +46,14 @@ pub struct GradeInput<'a> {
     pub flagged: &'a [Flagged],
     /// The file was interrupted and recovered.
     pub recovered: bool,
-    /// Samples may be as old as a cycle.
+    /// The bus has no distributed clocks, so a sample may be as old as a cycle.
     pub without_clocks: bool,
-    /// Joint of each encoder and angle by which it turned \[deg\]; empty if unknown.
+    /// For each encoder: joint, and angle by which the joint turned \[deg\]. Empty if the angles are unknown.
     pub turned_deg: &'a [(u8, f64)],
 }
 
 impl Verdict {
-    /// Grades a run with this content. A run that `identify calibrate` refuses by default is not good.
+    /// Grades a run with this content. A run that `identify calibrate` refuses by default is never graded as good.
     pub fn of(content: &GradeInput<'_>) -> Self {
         let GradeInput { cycles, cycles_valid, cycles_lost, recovered, without_clocks, .. } = *content;
         let mut verdict = Self::default();
@@ -74,7 +75,7 @@ impl Verdict {
             let cycles = if cycles_lost == 1 { "cycle was" } else { "cycles were" };
             verdict.add(Level::Check, format!("{cycles_lost} {cycles} lost between bus and disk"));
         }
-        // Rounded down to 0.1 s, so that a run that is too short is not displayed with the required length.
+        // Round down to 0.1 s, so that a run that is too short is not displayed with the required length.
         let length_s = (10.0 * cycles as f64 * content.period_s + 1e-6).floor() / 10.0;
         let length_s_min = OVERLAP_MIN_S + LENGTH_MARGIN_S;
         if length_s < length_s_min {
@@ -122,7 +123,7 @@ impl Verdict {
         })
     }
 
-    /// The grade of a run that cannot be used at all.
+    /// Grade of a run that cannot be used at all.
     pub fn bad(reason: impl Into<String>) -> Self {
         Self { level: Level::Bad, reasons: vec![reason.into()] }
     }
@@ -134,7 +135,8 @@ impl Verdict {
 }
 
 impl GradeInput<'_> {
-    /// Joint, reason, duration and time of each cause, the longest first; such as `: joint 3 signal too low (2.0 s, first at 0:12)`.
+    /// Lists the causes of invalid cycles, the longest first: joint, reason, duration, and time of the first invalid cycle.
+    /// Example: `: joint 3 signal too low (2.0 s, first at 0:12)`.
     fn causes(&self) -> String {
         let mut flagged: Vec<_> = self.flagged.iter().collect();
         flagged.sort_by_key(|flagged| std::cmp::Reverse(flagged.cycles));
@@ -215,7 +217,7 @@ mod tests {
                 GradeInput { cycles: 990, cycles_valid: 990, ..WHOLE },
                 "it is 9.9 s long; record at least 11 s: `identify` needs 10 s of motion",
             ),
-            // Ends and clocks differ: `identify` needs more than its overlap.
+            // A run must be longer than the overlap that `identify` requires; see LENGTH_MARGIN_S.
             (
                 GradeInput { cycles: 1_000, cycles_valid: 1_000, ..WHOLE },
                 "it is 10.0 s long; record at least 11 s",
