@@ -1,4 +1,4 @@
-//! Deleted recordings: list, move into the bin, restore, and empty the bin.
+//! Routes of the bin: list the deleted recordings, move a recording into the bin, restore one, and empty the bin.
 
 use axum::Json;
 use axum::extract::{self, State};

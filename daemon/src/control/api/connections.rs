@@ -1,12 +1,12 @@
-//! Connections of clients: each is served by a task that hands its request to the routes of the API and sends the reply. No
-//! client can keep the service from its work or from its end.
+//! Connections of clients. A task serves each connection: it passes the request to the routes of the API and sends the reply.
+//! No client can block the service or delay its end.
 //!
-//! Each connection has one request and limited time: a client has five seconds to send its request, is dropped before that
-//! if others need its place, and is disconnected if it stops reading its reply. Few connections are open at a time,
-//! because recordings need file descriptors, too.
+//! Each connection has one request and limited time. A client has five seconds to send its request. A client that stops
+//! reading its reply is disconnected. The number of open connections is limited, because recordings need file descriptors,
+//! too. If the limit is reached, a new client replaces the oldest client that has not completed its request.
 //!
-//! `tower-http` limits the time and size of a request, but only after its headers are complete: it can neither drop an
-//! idle connection for a new one nor a client that stops reading.
+//! `tower-http` is not used, because it limits the time and size of a request only after the headers are complete. It can
+//! neither replace an idle connection by a new one nor drop a client that stops reading.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -33,15 +33,16 @@ use tower::ServiceExt;
 use super::peer::Peer;
 use super::refusal;
 
-/// Connections at a time: enough for some people and programs, far below a process' limit of files.
+/// Largest number of open connections. It suffices for some people and programs, and is far below the limit of open files of
+/// a process.
 const CONNECTIONS_MAX: usize = 64;
 /// Longest request \[bytes\].
 const BODY_BYTES_MAX: usize = 64 * 1024;
-/// How long a client may take to send its header, and again for the body.
+/// Time limit for a client to send the header, and again for the body.
 const REQUEST_TIMEOUT: Duration = Duration::from_secs(5);
-/// How long a reply may take to begin: longer than `stop` waits for the disk.
+/// Time limit for the API to begin a reply. It is longer than `stop` waits for the disk.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(40);
-/// A client that reads nothing of its reply for this time is disconnected \[ms\].
+/// A client that reads nothing of the reply for this time is disconnected \[ms\].
 const UNREAD_TIMEOUT_MS: u32 = 10_000;
 const CLOSE: HeaderValue = HeaderValue::from_static("close");
 /// How long the end of the service waits for replies that are being sent.
@@ -53,7 +54,7 @@ pub(super) struct Connections {
     open: Vec<Connection>,
 }
 
-/// A new client, by its transport.
+/// A new client, by the transport of its connection.
 pub(super) enum Client<'a> {
     /// On the loopback port.
     Local(TcpStream),
@@ -63,7 +64,7 @@ pub(super) enum Client<'a> {
 
 struct Connection {
     task: JoinHandle<()>,
-    /// Its whole request has arrived.
+    /// Whether the whole request has arrived.
     has_asked: Arc<AtomicBool>,
 }
 
@@ -72,8 +73,8 @@ impl Connections {
         Self { routes, open: Vec::new() }
     }
 
-    /// Serves one more client. At the limit the oldest client without a complete request is dropped; if all have sent theirs,
-    /// the new one is.
+    /// Serves one more client. At the limit, the oldest client without a complete request is dropped. If all clients have
+    /// sent their requests, the new client is dropped.
     pub fn add(&mut self, client: Client<'_>) {
         self.open.retain(|connection| !connection.task.is_finished());
         if self.open.len() >= CONNECTIONS_MAX {
@@ -82,7 +83,8 @@ impl Connections {
             self.open.remove(idle).task.abort();
         }
         if let Client::Local(stream) | Client::Tls(stream, _) = &client {
-            // Sent data wait in the kernel, which alone knows whether the client reads. A stream without the option works, too.
+            // Data that have been sent wait in the kernel, and only the kernel knows whether the client reads. If the option
+            // cannot be set, the connection works, too.
             let _ = setsockopt(stream, TcpUserTimeout, &UNREAD_TIMEOUT_MS);
         }
         let has_asked = Arc::new(AtomicBool::new(false));
@@ -107,7 +109,7 @@ impl Connections {
         self.open.push(Connection { task, has_asked });
     }
 
-    /// Waits a short time for replies to complete requests.
+    /// Waits a short time until replies to complete requests have been sent.
     pub async fn finish(self) {
         let answers = async {
             for connection in self.open {
@@ -116,7 +118,7 @@ impl Connections {
                 }
             }
         };
-        // Replies that are not read within that time are lost; the tasks end with the runtime.
+        // Replies that are not read within that time are lost. Their tasks end with the runtime.
         let _ = timeout(FINISH_TIMEOUT, answers).await;
     }
 }
@@ -134,11 +136,11 @@ async fn converse(
         .header_read_timeout(REQUEST_TIMEOUT)
         .serve_connection(TokioIo::new(stream), service)
         .with_upgrades();
-    // A client's errors affect only itself.
+    // An error of a client affects only its own connection.
     let _ = connection.await;
 }
 
-/// The reply to a request, once its body is complete.
+/// Computes the reply to a request, once the body of the request is complete.
 async fn answer(
     request: hyper::Request<Incoming>,
     peer: Peer,
@@ -161,7 +163,7 @@ async fn answer(
             })?
         }
     };
-    // WebSockets stay open; hyper would log an error for each one with this header.
+    // Do not set this header for WebSockets: they stay open, and hyper would log an error for each of them.
     if response.status() != StatusCode::SWITCHING_PROTOCOLS {
         response.headers_mut().insert(header::CONNECTION, CLOSE);
     }

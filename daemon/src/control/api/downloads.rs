@@ -1,6 +1,7 @@
 //! Downloads of recordings, as files or as tables.
 //!
-//! Each has a thread that reads the disk and waits for the client. Few run at a time, and little is buffered for a slow client.
+//! Each download has a thread that reads the disk and waits for the client. The number of downloads is limited, and only a
+//! few pieces are buffered for a slow client.
 
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
@@ -16,19 +17,19 @@ use tokio::sync::{Semaphore, mpsc};
 
 use super::refusal;
 
-/// Downloads at a time: the memory of each thread is locked.
+/// Largest number of concurrent downloads. The limit is low, because the memory of each thread is locked.
 pub(super) const DOWNLOADS_MAX: usize = 2;
-/// Pieces in the queue of a client.
+/// Capacity of the queue of a client, in pieces of [`PIECE_BYTES`].
 const PIECES_MAX: usize = 4;
 const PIECE_BYTES: usize = 64 << 10;
 
-/// Limits the downloads. Clones share the limit.
+/// Limits the number of concurrent downloads. Clones share the limit.
 #[derive(Clone)]
 pub(super) struct Downloads(pub Arc<Semaphore>);
 
 /// Description of a download.
 pub(super) struct Download {
-    /// File name that the client is offered.
+    /// File name that is suggested to the client.
     pub file_name: String,
     pub media_type: &'static str,
     /// Length, if known \[bytes\].
@@ -36,7 +37,8 @@ pub(super) struct Download {
 }
 
 impl Downloads {
-    /// Sends the output of `write`. If that fails half-way the connection is aborted, so that no client mistakes a part for all.
+    /// Sends the output of `write` to the client. If `write` fails before its end, the connection is aborted, so that the
+    /// client notices that the file is incomplete.
     pub fn send(
         &self,
         what: &Download,
@@ -53,7 +55,7 @@ impl Downloads {
             let mut sink = BufWriter::with_capacity(PIECE_BYTES, Pipe(pieces.clone()));
             let written = write(&mut sink).and_then(|()| Ok(sink.flush()?));
             if let Err(error) = written {
-                // The client may have disconnected.
+                // The client may have disconnected; then nobody needs the error.
                 let _ = pieces.blocking_send(Err(io::Error::other(explained(error.as_ref()))));
             }
             drop(permit);
@@ -72,12 +74,12 @@ impl Downloads {
         response
     }
 
-    /// Sends a file as it is.
+    /// Sends an unchanged file.
     pub fn send_file(&self, disk: Arc<dyn Disk>, file: File, file_name: String, length: u64) -> Response {
         let media_type = "application/octet-stream";
         let what = Download { file_name, media_type, length: Some(length) };
         self.send(&what, move |mut sink| {
-            // Never more than the announced length, even if the file changes.
+            // Send at most the announced length, even if the file grows in the meantime.
             let copied = io::copy(&mut io::Read::take(OpenFile::new(&*disk, &file), length), &mut sink)?;
             anyhow::ensure!(copied == length, "the file has become shorter");
             Ok(())
@@ -85,13 +87,13 @@ impl Downloads {
     }
 }
 
-/// A file name that is safe in a header and on every system.
+/// Replaces characters, so that a file name is safe in a header and on every operating system.
 fn plain(name: &str) -> String {
     let is_plain = |c: char| c.is_ascii_alphanumeric() || "-_+.".contains(c);
     name.chars().map(|c| if is_plain(c) { c } else { '_' }).collect()
 }
 
-/// Sends pieces to the client.
+/// Sends what is written to the queue of the client.
 struct Pipe(mpsc::Sender<io::Result<Bytes>>);
 
 impl Write for Pipe {

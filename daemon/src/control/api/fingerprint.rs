@@ -5,7 +5,7 @@ use std::str::FromStr;
 
 use sha2::{Digest, Sha256};
 
-/// SHA-256 of a certificate, for comparison by people.
+/// SHA-256 of a certificate, which people compare.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Fingerprint(String);
 
@@ -25,7 +25,7 @@ impl fmt::Display for Fingerprint {
 impl FromStr for Fingerprint {
     type Err = &'static str;
 
-    /// Hexadecimal, in either case, with or without colons.
+    /// Parses hexadecimal digits, in upper or lower case, with or without colons.
     fn from_str(text: &str) -> Result<Self, Self::Err> {
         let digits = text.replace(':', "").to_ascii_lowercase();
         if digits.len() != 64 || !digits.bytes().all(|byte| byte.is_ascii_hexdigit()) {

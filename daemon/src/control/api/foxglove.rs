@@ -1,7 +1,8 @@
-//! Sends a run while it is recorded to Foxglove and other clients of its WebSocket protocol: the messages of the recording,
-//! with its topics, schemas and times. Clients can only subscribe.
+//! Sends the messages of a run to Foxglove, and to other clients of its WebSocket protocol, while the run is recorded.
+//! Topics, schemas and times are those of the recording. Clients can only subscribe.
 //!
-//! Protocol: github.com/foxglove/ws-protocol, docs/spec.md (`foxglove.websocket.v1`); `foxglove.sdk.v1` has the same messages.
+//! The protocol is described in github.com/foxglove/ws-protocol, docs/spec.md (`foxglove.websocket.v1`). The newer
+//! `foxglove.sdk.v1` has the same messages.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -25,20 +26,20 @@ use crate::control::service::Service;
 
 /// Path of the WebSocket.
 pub(super) const PATH: &str = "/foxglove";
-/// Clients at a time.
+/// Largest number of connected clients.
 pub(super) const CLIENTS_MAX: usize = 8;
 const PROTOCOLS: [&str; 2] = ["foxglove.sdk.v1", "foxglove.websocket.v1"];
 /// Longest message of a client \[bytes\].
 const ASKED_BYTES_MAX: usize = 16 * 1024;
-/// Period of the checks that a client is still connected: between runs nothing else is sent, and a client that vanished
-/// would keep its place.
+/// Period of the pings that check whether a client is still connected. Between runs nothing else is sent, so a client that
+/// vanished would otherwise remain counted as connected.
 const PING_PERIOD: Duration = Duration::from_secs(5);
 /// Opcode of a message's data.
 const MESSAGE_DATA: u8 = 1;
-/// Opcode, subscription and time before the data \[bytes\].
+/// Size of opcode, subscription and time before the data \[bytes\].
 const HEADER_BYTES: usize = 1 + 4 + 8;
 
-/// Messages of clients (protocol, "op").
+/// Messages of clients. The field "op" of the protocol selects the variant.
 #[derive(Debug, Deserialize)]
 #[serde(tag = "op", rename_all = "camelCase", rename_all_fields = "camelCase")]
 enum ClientMessage {
@@ -59,7 +60,7 @@ struct Subscription {
     channel_id: usize,
 }
 
-/// Level of a status, in the protocol's numbers.
+/// Severity of a status message, with the numbers of the protocol.
 #[derive(Clone, Copy)]
 enum StatusLevel {
     Warning = 1,
@@ -89,13 +90,14 @@ pub(super) async fn connect(
         return refusal(StatusCode::SERVICE_UNAVAILABLE, &error);
     };
     upgrade.on_upgrade(async move |socket| {
-        // A client that disconnects affects only itself.
+        // An error of one client affects only its own connection.
         let _ = publish(socket, &tap, &service).await;
         drop(place);
     })
 }
 
-/// Sends until the client or the service ends. A client that reads too slowly misses messages and is informed of that.
+/// Sends messages until the client or the service ends. A client that reads too slowly misses messages and receives a warning
+/// with their number.
 async fn publish(mut socket: WebSocket, tap: &LiveTap, service: &Service) -> Result<(), axum::Error> {
     let mut messages = tap.listen();
     let mut client = FoxgloveClient::default();
@@ -129,15 +131,15 @@ async fn publish(mut socket: WebSocket, tap: &LiveTap, service: &Service) -> Res
     }
 }
 
-/// Subscriptions of a client.
+/// The subscriptions of a client.
 #[derive(Debug, Default)]
 struct FoxgloveClient {
-    /// The numbers that the client has given to its subscriptions, by channel.
+    /// Subscription numbers, which the client chooses, by channel.
     subscriptions: BTreeMap<usize, u32>,
 }
 
 impl FoxgloveClient {
-    /// Executes a request; returns a status if that is impossible.
+    /// Executes a request of the client. Returns an error message for the client if the request is invalid.
     fn handle(&mut self, asked: &str) -> Option<ws::Message> {
         match serde_json::from_str(asked) {
             Ok(ClientMessage::Subscribe { subscriptions }) => {
@@ -164,7 +166,7 @@ impl FoxgloveClient {
         }
     }
 
-    /// False if there is no such channel, or channel or number is in use.
+    /// Adds a subscription. Returns false if the channel does not exist, or if the channel or the number is in use.
     fn subscribe(&mut self, &Subscription { id, channel_id }: &Subscription) -> bool {
         let is_free = channel_id < TOPICS.len()
             && !self.subscriptions.contains_key(&channel_id)
@@ -175,7 +177,7 @@ impl FoxgloveClient {
         is_free
     }
 
-    /// A message for the client, if it has subscribed to its channel.
+    /// Encodes a message for the client; `None` if the client has not subscribed to its channel.
     fn data(&self, message: &Arc<Message>) -> Option<ws::Message> {
         let channel = TOPICS.iter().position(|topic| *topic == message.topic)?;
         let id = self.subscriptions.get(&channel)?;
@@ -188,7 +190,7 @@ impl FoxgloveClient {
     }
 }
 
-/// The topics of a recording; a channel's number is its index among them.
+/// The message that announces the topics of a recording as channels. The number of a channel is the index of its topic.
 fn advertised() -> Value {
     let channels: Vec<_> = TOPICS
         .iter()

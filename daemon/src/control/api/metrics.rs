@@ -1,4 +1,4 @@
-//! The page's latest content for Prometheus.
+//! Exports the latest content of the page to Prometheus.
 
 use std::fmt;
 use std::sync::atomic::AtomicU64;
@@ -19,7 +19,7 @@ pub(super) const PATH: &str = "/metrics";
 /// Media type of [`text`].
 pub(super) const MEDIA_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 
-/// In the OpenMetrics format. Unknown values are left out.
+/// The metrics in the OpenMetrics format. Metrics with unknown values are omitted.
 pub(super) fn text(live: &Live) -> Result<String, fmt::Error> {
     let mut registry = Registry::with_prefix("ballbard");
     let Live { status, warnings, disk_hours, joints, .. } = live;

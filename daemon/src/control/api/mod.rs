@@ -1,9 +1,9 @@
-//! The service over HTTP on 127.0.0.1: a page for people, JSON for programs; for other machines over TLS or through a
-//! reverse proxy, if configured.
+//! The service over HTTP on 127.0.0.1: a page for people, JSON for programs. If configured, other machines have access over
+//! TLS or through a reverse proxy.
 //!
-//! Programs of this machine need no token. Web pages of others have no access through a browser here: requests must name a
-//! loopback host (against DNS rebinding), have no foreign origin, and carry JSON (no plain forms). Requests from other
-//! machines need the token ([`remote`]).
+//! Programs of this machine need no token. Web pages of other sites have no access through a browser of this machine, because
+//! each request is checked: it must name a loopback host (against DNS rebinding), must have no foreign origin, and must carry
+//! JSON (no plain forms). Requests from other machines need the token ([`remote`]).
 
 mod bin;
 mod connections;
@@ -61,18 +61,20 @@ use crate::page;
 use crate::problem::{Fact, Problem};
 use crate::run::check_text;
 
-/// How long `start` waits for the run's file, and `stop` for the finished one.
+/// How long `start` waits until the file of the run has been created, and `stop` until the file is finished.
 const FILE_TIMEOUT: Duration = Duration::from_secs(20);
-/// Pages that receive every moment; further ones can poll. Fewer than connections, so that a run can always be stopped.
+/// Largest number of pages that receive every moment; further pages can poll. The number is below that of connections, so
+/// that a run can always be stopped.
 const VIEWERS_MAX: usize = 32;
-/// Markers further back are refused: their time would be inaccurate \[ms\].
+/// Markers that lie further in the past are refused, because their time would be inaccurate \[ms\].
 const AGO_MS_MAX: u32 = 600_000;
-/// Length limit of a refusal in the log.
+/// Length limit of a refusal in the log \[characters\].
 const REFUSAL_CHARS_MAX: usize = 300;
-/// Pause after an error of the listener, such as too many open files.
+/// Pause after an error of the listener, for example if too many files are open.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
 
-/// Serves until `end` completes, then finishes the replies that are being sent. `remote` admits other machines.
+/// Serves clients until `end` completes, then finishes the replies that are being sent. If `remote` is given, other machines
+/// have access, too.
 pub async fn serve(
     listener: TcpListener,
     remote: Option<Remote>,
@@ -103,7 +105,7 @@ pub async fn serve(
                 tokio::time::sleep(ACCEPT_PAUSE).await;
             }
         }
-        // Read the requests of open connections before many new ones displace them.
+        // Read the requests of open connections before many new connections displace them.
         tokio::task::yield_now().await;
     }
     drop((listener, tls, proxy));
@@ -115,11 +117,11 @@ pub async fn serve(
 struct ApiState {
     service: Service,
     downloads: Downloads,
-    /// Places for pages that receive every moment.
+    /// Limits the number of pages that receive every moment.
     viewers: Arc<Semaphore>,
-    /// Places for clients of Foxglove's WebSocket.
+    /// Limits the number of clients of Foxglove's WebSocket.
     foxgloves: Arc<Semaphore>,
-    /// How other machines reach the service.
+    /// Text that describes how other machines reach the service.
     remote: Option<String>,
     pairing: Option<Arc<Pairing>>,
 }
@@ -130,7 +132,7 @@ impl FromRef<ApiState> for Service {
     }
 }
 
-/// The routes below `/api` with their descriptions.
+/// The routes below `/api`, each with its description.
 fn operations() -> Vec<(Operation, MethodRouter<ApiState>)> {
     vec![
         (
@@ -245,7 +247,7 @@ pub fn document() -> serde_json::Value {
     openapi::document(&described)
 }
 
-/// All routes, for programs of this machine.
+/// Returns all routes, for programs of this machine.
 pub fn router(service: Service) -> Router {
     routes(service, None, None)
 }
@@ -280,7 +282,7 @@ fn routes(service: Service, gate: Option<Gate>, remote: Option<String>) -> Route
         .with_state(shared)
 }
 
-/// The body of a request, as JSON of type `T`.
+/// The body of a request, parsed as JSON of type `T`.
 struct JsonBody<T>(T);
 
 impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for JsonBody<T> {
@@ -316,7 +318,7 @@ async fn prometheus(State(service): State<Service>) -> Response {
     }
 }
 
-/// The last minute, then every moment. A slow client misses some and delays no other.
+/// Sends the last minute, then every moment. A slow client misses moments and does not delay other clients.
 async fn events(State(ApiState { service, viewers, .. }): State<ApiState>) -> Response {
     let Ok(permit) = viewers.try_acquire_owned() else {
         return refusal(
@@ -326,7 +328,7 @@ async fn events(State(ApiState { service, viewers, .. }): State<ApiState>) -> Re
     };
     let minute = sse::Event::default().event("minute").json_data(service.minute());
     let minute = stream::iter(minute.ok().map(Ok::<_, Infallible>));
-    // The stream ends with the service, and so does the connection.
+    // The stream ends when the service ends, and the connection ends with the stream.
     let moments = stream::unfold((service.live(), permit), async |(mut latest, permit)| {
         latest.changed().await.ok()?;
         let moment = Arc::clone(&latest.borrow_and_update());
@@ -335,7 +337,7 @@ async fn events(State(ApiState { service, viewers, .. }): State<ApiState>) -> Re
     Sse::new(minute.chain(moments)).into_response()
 }
 
-/// Does work that may wait for the disk, and turns its failure into a reply.
+/// Runs `work` in a task that may wait for the disk, and converts an error into a reply.
 async fn on_disk<T: Send + 'static>(
     service: &Service,
     work: impl FnOnce(&dyn Disk) -> std::io::Result<T> + Send + 'static,
@@ -359,10 +361,10 @@ async fn list_runs(State(service): State<Service>) -> Result<Json<Vec<RunLine>>,
     on_disk(&service, move |disk| runs::list(disk, &directories)).await.map(Json)
 }
 
-/// A run's name in a path.
+/// Name of a run in the path of a request.
 type Name = Result<extract::Path<String>, PathRejection>;
 
-/// Path and name of a finished recording.
+/// Finds a finished recording. Returns its path and its name.
 async fn found(service: &Service, name: Name) -> Result<(PathBuf, String), Response> {
     let unknown =
         || refusal(StatusCode::NOT_FOUND, "no finished recording of that name; `ballbard runs` lists all");
@@ -419,7 +421,7 @@ async fn change_note(
     Ok(reply(&service, Reply { answer: Granted::Noted, run: Some(name), ..Reply::default() }))
 }
 
-/// Lines of the check that stop a run.
+/// Runs the pre-flight check. Returns the lines that prevent a run.
 async fn stopping_lines(service: &Service) -> Result<Vec<CheckLine>, Refusal> {
     let lines = service.check().await?;
     Ok(lines.into_iter().filter(|line| line.stops).collect())
@@ -439,7 +441,8 @@ async fn start(
     request.about().check().map_err(unusable)?;
     request.reason.as_deref().map_or(Ok(()), check_some_text).map_err(unusable)?;
     let (named, reason) = (request.name.clone(), request.reason.clone());
-    // In any other state the reply does not depend on the check: a run is active, or none can begin.
+    // Only the state `Waiting` needs the check. In any other state a run is active or none can begin, so the reply does not
+    // depend on the check.
     let stopping = if service.status().state == ServiceState::Waiting {
         stopping_lines(&service).await.unwrap_or_default()
     } else {
@@ -456,7 +459,8 @@ async fn start(
         return Err(refused(StatusCode::CONFLICT, Refusal { error, problems }));
     }
     let task_service = service.clone();
-    // Continues if the client disconnects or the time is over, so that the file states why the run began.
+    // The task continues if the client disconnects or the time is over, so that the file always contains the reason of the
+    // run.
     let begun = service.spawn(async move {
         let answer = task_service.begin(request).await;
         if let (Ok(Answer::Beginning), Some(reason)) = (&answer, reason) {
@@ -493,7 +497,7 @@ async fn stop(
             let last = service.within(FILE_TIMEOUT, over).await.and_then(Result::ok).ok_or_else(|| {
                 late(&format!("run `{run}` is ending, but its file is not finished yet; `ballbard status` shows the state"))
             })?;
-            // A run whose file could not be finished has failed.
+            // If the file could not be finished, the run has failed.
             if last.error.is_some() {
                 let error = format!("run `{run}`: {}", last.cause);
                 return Err(refusal(StatusCode::INTERNAL_SERVER_ERROR, &error));
@@ -526,7 +530,7 @@ async fn home(
     Ok(reply(&service, Reply { answer, ..Reply::default() }))
 }
 
-/// The refusal of a run or a homing; `while_busy` is the advice during a run.
+/// The refusal of a run or a homing. `while_busy` is the advice in case another run is active.
 fn not_granted(answer: Answer, while_busy: &str) -> Response {
     match answer {
         Answer::Busy(run) => refusal(StatusCode::CONFLICT, &format!("run `{run}` is active; {while_busy}")),
@@ -550,12 +554,12 @@ async fn mark(
     Ok(reply(&service, Reply { answer, run, mark, ..Reply::default() }))
 }
 
-/// Refuses an empty text, and one that a run may not have.
+/// Refuses an empty text, and a text that may not occur in a run.
 fn check_some_text(text: &str) -> Result<(), &'static str> {
     if text.is_empty() { Err("the text is empty; write at least one character") } else { check_text(text) }
 }
 
-/// The grade of a run that has just ended, once it is read from its file.
+/// The grade of a run that has just ended. Waits until the grade has been read from the file.
 async fn verdict(service: &Service, last: &LastRun) -> Option<Verdict> {
     let file = last.file.as_ref()?;
     let mut status = service.watch();
@@ -573,7 +577,7 @@ async fn homed(service: &Service) -> Option<HomingStatus> {
     service.within(FILE_TIMEOUT, wait).await.flatten()
 }
 
-/// Logs refused requests with the reason.
+/// Logs each refused request with the reason.
 async fn logged(request: Request, next: Next) -> Response {
     let asked = format!("{} {}", request.method(), request.uri().path());
     let response = next.run(request).await;
@@ -584,16 +588,16 @@ async fn logged(request: Request, next: Next) -> Response {
     response
 }
 
-/// Access rules for all requests.
+/// Rules that decide which requests are admitted.
 struct Admission {
-    /// For requests from other machines; `None` without remote access.
+    /// Checks requests from other machines; `None` without remote access.
     gate: Option<Gate>,
     service: Service,
-    /// Additional origins that may connect to Foxglove's WebSocket.
+    /// Origins, other than this machine, that may connect to Foxglove's WebSocket.
     origins: Vec<String>,
 }
 
-/// Refuses requests of foreign web pages, and requests from other machines without the token.
+/// Middleware that refuses requests of foreign web pages, and requests from other machines without the token.
 async fn admitted(State(admission): State<Arc<Admission>>, request: Request, next: Next) -> Response {
     let refused = match &admission.gate {
         Some(gate) if matches!(request.extensions().get(), Some(Peer::Elsewhere)) => {
@@ -607,7 +611,8 @@ async fn admitted(State(admission): State<Arc<Admission>>, request: Request, nex
     }
 }
 
-/// The refusal of a request to the loopback port that comes from neither a program nor a page of this machine.
+/// Refuses a request to the loopback port unless it comes from a program or a page of this machine. Returns `None` if the
+/// request is admitted.
 fn refused_on_loopback(request: &Request, origins: &[String]) -> Option<Response> {
     let is_foxglove = request.uri().path() == foxglove::PATH;
     let error: String = if let Some(sign) = sign_of_a_proxy(request) {
@@ -625,8 +630,9 @@ fn refused_on_loopback(request: &Request, origins: &[String]) -> Option<Response
     Some(refusal(StatusCode::FORBIDDEN, &error))
 }
 
-/// The sign that a reverse proxy forwarded the request. Most add a header. nginx by default adds none: older ones use HTTP/1.0,
-/// which programs and browsers do not use any more, and all run as a system account. Such an account may read the metrics.
+/// The evidence that a reverse proxy forwarded the request, or `None`. Most proxies add a header. By default nginx adds none.
+/// Older versions of nginx use HTTP/1.0, which programs and browsers do not use any more. All versions run as a system
+/// account. Only the metrics may be read by a system account.
 fn sign_of_a_proxy(request: &Request) -> Option<String> {
     let is_of_proxy =
         |name: &&str| ["forwarded", "via", "x-real-ip"].contains(name) || name.starts_with("x-forwarded-");
@@ -643,13 +649,13 @@ fn sign_of_a_proxy(request: &Request) -> Option<String> {
     Some(format!("account `{account}`"))
 }
 
-/// Whether a request comes from this machine or one of these origins, and names a loopback host.
+/// Whether a request names a loopback host, and its origin, if it has one, is this machine or one of `origins`.
 fn is_local(headers: &HeaderMap, origins: &[String]) -> bool {
     let loopback = |authority: &str| {
         let host = authority.rsplit_once(':').map_or(authority, |(host, _)| host);
         ["127.0.0.1", "localhost", "[::1]"].contains(&host)
     };
-    // Of two headers some readers use the first, others the last: neither may be foreign.
+    // A header may occur twice. Some readers use the first value, others the last, so all values must be valid.
     let all_are = |name: HeaderName, is_ours: &dyn Fn(&str) -> bool| {
         headers.get_all(name).iter().all(|value| value.to_str().is_ok_and(is_ours))
     };
@@ -661,17 +667,17 @@ fn is_local(headers: &HeaderMap, origins: &[String]) -> bool {
         })
 }
 
-/// Every reply states whether the bus is simulated.
+/// Sends a reply. Every reply reports whether the bus is simulated.
 fn reply(service: &Service, reply: Reply) -> Response {
     Json(Reply { simulated: service.status().simulated, ..reply }).into_response()
 }
 
-/// Refuses an invalid value.
+/// Refuses a request with an invalid value.
 fn unusable(error: &str) -> Response {
     refusal(StatusCode::UNPROCESSABLE_ENTITY, error)
 }
 
-/// Refuses because the service is ending or overloaded.
+/// Refuses a request because the service is ending or overloaded.
 fn unavailable(refusal: Refusal) -> Response {
     refused(StatusCode::SERVICE_UNAVAILABLE, refusal)
 }
@@ -681,6 +687,6 @@ fn refusal(status: StatusCode, error: &str) -> Response {
 }
 
 fn refused(status: StatusCode, refusal: Refusal) -> Response {
-    // One copy for the client, one for the log.
+    // The client receives one copy, and the extension carries another copy for the log.
     (status, Extension(refusal.clone()), Json(refusal)).into_response()
 }

@@ -1,5 +1,5 @@
-//! The API as an OpenAPI document. Bodies and replies are described by their Rust types, so that the document cannot differ
-//! from them; each route is added to the router together with its [`Operation`].
+//! Generates the OpenAPI document of the API. Bodies and replies are described by their Rust types, so the document always
+//! agrees with the code. Each route is added to the router together with its [`Operation`].
 
 use std::collections::BTreeMap;
 
@@ -11,10 +11,10 @@ use serde_json::{Map, Value, json};
 use super::remote::COOKIE;
 use crate::control::status::Refusal;
 
-/// Location of schemas in the document.
+/// Location of the schemas in the document.
 const SCHEMAS: &str = "/components/schemas";
 
-/// Status codes of refusals with their reasons.
+/// Status codes of refusals, with the reasons.
 const REFUSALS: [(StatusCode, &str); 14] = [
     (StatusCode::BAD_REQUEST, "the body is not JSON, or a query parameter is unknown or invalid"),
     (StatusCode::UNAUTHORIZED, "a request from another machine has no valid token"),
@@ -55,7 +55,7 @@ pub(super) struct Operation {
     answer: ReplyContent,
 }
 
-/// Gives the schema of a body or reply, and adds those that it refers to.
+/// Returns the schema of a body or a reply, and adds the schemas that it refers to.
 type Describe = fn(&mut SchemaGenerator) -> Schema;
 
 enum ReplyContent {
@@ -65,30 +65,30 @@ enum ReplyContent {
 }
 
 impl Operation {
-    /// Replies with JSON of type `A`.
+    /// Describes a GET request whose reply is JSON of type `A`.
     pub fn get<A: JsonSchema>(path: &'static str, summary: &'static str) -> Self {
         let answer = ReplyContent::Json(SchemaGenerator::subschema_for::<A>);
         Self { path, summary, method: "get", body: None, options: &[], answer }
     }
 
-    /// Replies with another media type.
+    /// Describes a GET request whose reply has another media type.
     pub fn get_other(path: &'static str, media_type: &'static str, summary: &'static str) -> Self {
         let answer = ReplyContent::Other(media_type);
         Self { path, summary, method: "get", body: None, options: &[], answer }
     }
 
-    /// With these query parameters, each `true` or absent.
+    /// Adds query parameters. Each is `true` or absent.
     pub fn with_options(self, options: &'static [(&'static str, &'static str)]) -> Self {
         Self { options, ..self }
     }
 
-    /// Takes JSON of type `B` and replies with JSON of type `A`.
+    /// Describes a POST request with a body of type `B`, whose reply is JSON of type `A`.
     pub fn post<B: JsonSchema, A: JsonSchema>(path: &'static str, summary: &'static str) -> Self {
         let body = Some(SchemaGenerator::subschema_for::<B> as Describe);
         Self { method: "post", body, ..Self::get::<A>(path, summary) }
     }
 
-    /// Its description in the document; the schemas that it refers to are added to the generators.
+    /// Describes the operation in the document. The schemas that it refers to are added to the generators.
     fn describe(&self, request_schemas: &mut SchemaGenerator, reply_schemas: &mut SchemaGenerator) -> Value {
         let content = match &self.answer {
             ReplyContent::Json(describe) => json!({"application/json": {"schema": describe(reply_schemas)}}),
@@ -126,7 +126,7 @@ impl Operation {
 pub(super) fn document(operations: &[Operation]) -> Value {
     let settings =
         |settings: SchemaSettings| settings.with(|settings| settings.definitions_path = SCHEMAS.into());
-    // Replies have every field; requests may leave some out.
+    // Requests and replies need separate generators: replies contain every field, but requests may omit some fields.
     let mut request_schemas = settings(SchemaSettings::draft2020_12()).for_deserialize().into_generator();
     let mut reply_schemas = settings(SchemaSettings::draft2020_12()).for_serialize().into_generator();
     let mut paths: BTreeMap<String, Map<String, Value>> = BTreeMap::new();
@@ -150,7 +150,7 @@ pub(super) fn document(operations: &[Operation]) -> Value {
                 something have a JSON body.",
         },
         "paths": paths,
-        // None on the service's machine; one of the others from elsewhere.
+        // On the machine of the service no token is needed. From other machines one of the other two schemes is needed.
         "security": [{}, {"token": []}, {"browser": []}],
         "components": {
             "schemas": schemas,

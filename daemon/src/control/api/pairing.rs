@@ -1,5 +1,5 @@
-//! Pairs a phone: a QR code opens the page with a single-use code instead of the token. `pair` issues the code; the gate of
-//! [`remote`](super::remote) redeems it and stores the token in the phone's browser.
+//! Pairs a phone: a QR code opens the page with a single-use code instead of the token. The route `pair` issues the code. The
+//! gate of [`remote`](super::remote) redeems the code and stores the token in the browser of the phone.
 
 use std::fmt::Display;
 use std::net::{IpAddr, SocketAddr};
@@ -23,11 +23,11 @@ use super::fingerprint::{Fingerprint, hex};
 use super::{ApiState, JsonBody, refusal};
 use crate::control::status::{PairReply, PairRequest, PairingLink};
 
-/// Enough time to open the link on a phone and accept the certificate.
+/// How long a code is valid. This is enough time to open the link on a phone and accept the certificate.
 const VALID: Duration = Duration::from_secs(300);
-/// Valid codes at a time; a further one replaces the oldest.
+/// Largest number of valid codes. A further code replaces the oldest.
 const CODES_MAX: usize = 8;
-/// Length of a code: too long to be guessed while it is valid.
+/// Length of a code. It is long enough that the code cannot be guessed while it is valid.
 const CODE_BYTES: usize = 16;
 
 /// Issues and redeems codes.
@@ -40,7 +40,7 @@ pub(super) struct Pairing {
 }
 
 impl Pairing {
-    /// For clients of this address, with the fingerprint of its certificate.
+    /// Creates a pairing for clients that connect to this address, whose certificate has this fingerprint.
     pub fn new(address: SocketAddr, fingerprint: Fingerprint) -> Self {
         Self { address, fingerprint, codes: Mutex::default() }
     }
@@ -64,14 +64,15 @@ impl Pairing {
         code
     }
 
-    /// Whether a code is valid; it becomes invalid by this.
+    /// Returns whether a code is valid, and makes it invalid, because a code works only once.
     pub fn redeem(&self, code: &str, now: MonoNs) -> bool {
         let mut codes = self.codes(now);
         let known = codes.iter().position(|(other, _)| bool::from(other.as_bytes().ct_eq(code.as_bytes())));
         known.map(|index| codes.remove(index)).is_some()
     }
 
-    /// Addresses for phones: the one that the service listens on, or those `of_machine` if it listens on all.
+    /// Addresses for phones. If the service listens on one address, this is the only one. If it listens on all addresses, the
+    /// result is those in `of_machine` that phones can use.
     fn addresses(&self, of_machine: &[IpAddr]) -> Vec<SocketAddr> {
         let own = self.address;
         if !own.ip().is_unspecified() {
@@ -79,13 +80,13 @@ impl Pairing {
         }
         let is_served = |ip: &&IpAddr| match ip {
             IpAddr::V4(_) => true,
-            // A link-local address needs the name of the phone's interface, which no browser accepts.
+            // A link-local address needs the name of the phone's interface, which browsers do not accept.
             IpAddr::V6(ip) => own.is_ipv6() && !ip.is_unicast_link_local(),
         };
         of_machine.iter().filter(is_served).map(|ip| SocketAddr::new(*ip, own.port())).collect()
     }
 
-    /// Links with a new code; or the status and the reason why there are none.
+    /// Returns links with a new code. On failure, returns the status code and the reason.
     fn reply(&self, now: MonoNs) -> Result<PairReply, (StatusCode, String)> {
         let addresses = self.addresses(&machine_addresses());
         if addresses.is_empty() {
@@ -99,7 +100,8 @@ impl Pairing {
     }
 }
 
-/// The link to an address with this code, also as a QR code. A failure is ours: the state of the service is not the cause.
+/// Returns the link to an address with this code, also as a QR code. A failure is an internal error, because it does not
+/// depend on the state of the service.
 fn link(address: impl Display, code: &str) -> Result<PairingLink, (StatusCode, String)> {
     let address = format!("https://{address}");
     let url = format!("{address}/?pair={code}");
@@ -111,7 +113,7 @@ fn link(address: impl Display, code: &str) -> Result<PairingLink, (StatusCode, S
     Ok(PairingLink { address, url, svg })
 }
 
-/// Addresses of the interfaces that are up, without loopback.
+/// Addresses of the network interfaces that are up, without loopback.
 fn machine_addresses() -> Vec<IpAddr> {
     let Ok(interfaces) = getifaddrs() else { return Vec::new() };
     let is_up = |flags: InterfaceFlags| {

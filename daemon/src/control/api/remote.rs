@@ -1,10 +1,11 @@
-//! Access from other machines: TLS and a token, or a reverse proxy and a token.
+//! Access from other machines: over TLS or through a reverse proxy, in both cases with a token.
 //!
-//! A proxy has a Unix socket of its own. On the loopback port its requests could not be distinguished from those of local
-//! programs: a proxy may send any `Host`, and by default sends 127.0.0.1.
+//! A proxy connects to a Unix socket of its own. On the loopback port, requests of a proxy could not be distinguished from
+//! those of local programs, because a proxy may send any `Host`. Its default is often 127.0.0.1.
 //!
-//! The token is 256 random bits, which cannot be guessed; wrong ones are counted to limit replies and log. No route is
-//! accessible without it. A browser stores it as a cookie that no script reads and no other site's page sends.
+//! The token consists of 256 random bits and cannot be guessed. Wrong tokens are counted only to limit replies and log lines.
+//! No route is accessible without the token. A browser stores the token as a cookie that scripts cannot read and pages of
+//! other sites cannot send.
 
 use std::fs::{self, OpenOptions};
 use std::io::{self, Write};
@@ -32,17 +33,18 @@ use super::fingerprint::{Fingerprint, hex};
 use super::pairing::Pairing;
 use super::refusal;
 
-/// File of the token, in the state directory.
+/// Name of the file with the token, in the state directory.
 const TOKEN_FILE: &str = "token";
-/// The self-signed certificate and its key.
+/// Names of the files with the self-signed certificate and its key.
 const OWN_FILES: [&str; 2] = ["certificate.pem", "key.pem"];
 const TOKEN_BYTES: usize = 32;
-/// Wrong tokens within [`WRONG_WITHIN`] that are answered as wrong; for further ones the reply is to wait.
+/// Number of wrong tokens within [`WRONG_WITHIN`] that are refused as wrong. Further requests with a wrong token are refused
+/// with a request to wait.
 const WRONG_MAX: usize = 10;
 const WRONG_WITHIN: Duration = Duration::from_secs(60);
-/// The prefix binds the cookie to this host, this path and TLS.
+/// Name of the cookie. The prefix binds the cookie to this host, this path and TLS.
 pub(super) const COOKIE: &str = "__Host-ballbard";
-/// How long a browser stores the token \[s\]: 30 days.
+/// How long a browser stores the token, 30 days \[s\].
 const COOKIE_AGE_S: u32 = 30 * 86_400;
 const FORM: &str = include_str!("../../page/token.html");
 
@@ -51,9 +53,9 @@ const FORM: &str = include_str!("../../page/token.html");
 pub struct RemoteSettings {
     /// Address and port of the TLS listener.
     pub listen: Option<SocketAddr>,
-    /// Certificates and key \[PEM\]; absent: the self-signed certificate.
+    /// Files with certificates and key \[PEM\]; `None` to use the self-signed certificate.
     pub certificate: Option<(PathBuf, PathBuf)>,
-    /// Unix socket for a reverse proxy of this machine.
+    /// Path of the Unix socket for a reverse proxy of this machine.
     pub proxy_socket: Option<PathBuf>,
 }
 
@@ -65,7 +67,7 @@ pub enum RemoteError {
         "{0}: {1}; the service keeps token and certificate there; check the permissions of the directory"
     )]
     State(PathBuf, io::Error),
-    /// The token file has other content.
+    /// The token file does not contain a valid token, or other users may read it.
     #[error(
         "{0}: invalid token (64 hexadecimal digits, readable by the owner only); remove it, and the next start makes one"
     )]
@@ -87,17 +89,17 @@ pub enum RemoteError {
     Socket {
         /// Absolute path of the socket.
         path: PathBuf,
-        /// The system's error.
+        /// Error of the operating system.
         error: io::Error,
     },
 }
 
-/// Open access from other machines.
+/// Listeners and access check for other machines.
 pub struct Remote {
     pub(super) gate: Gate,
     pub(super) tls: Option<TlsDoor>,
     pub(super) proxy: Option<ProxyDoor>,
-    /// Address, the certificate's fingerprint, and the file of the token, for people.
+    /// Text for people: address, fingerprint of the certificate, and file of the token.
     pub words: String,
 }
 
@@ -107,14 +109,14 @@ pub(super) struct TlsDoor {
     pub acceptor: TlsAcceptor,
 }
 
-/// The Unix socket of a reverse proxy; its file is removed on drop.
+/// The Unix socket of a reverse proxy. Dropping it removes the file of the socket.
 pub(super) struct ProxyDoor {
     pub listener: UnixListener,
     path: PathBuf,
 }
 
 impl Remote {
-    /// Opens the listeners, with a token and a certificate that are created once in `state`.
+    /// Opens the listeners. If the directory `state` contains no token or no certificate yet, they are created there.
     pub async fn open(settings: RemoteSettings, state: &Path) -> Result<Self, RemoteError> {
         let RemoteSettings { listen, certificate, proxy_socket } = settings;
         let token_file = state.join(TOKEN_FILE);
@@ -144,13 +146,14 @@ impl Remote {
 
 impl ProxyDoor {
     fn open(path: PathBuf) -> io::Result<Self> {
-        // A killed service leaves its socket behind, without a listener.
+        // A service that was killed leaves the file of its socket behind. Nothing listens on such a
+        // socket, so remove the file.
         let is_socket = fs::symlink_metadata(&path).is_ok_and(|file| file.file_type().is_socket());
         if is_socket && UnixStream::connect(&path).is_err() {
             fs::remove_file(&path)?;
         }
         let listener = UnixListener::bind(&path)?;
-        // The proxy runs as another user. Without the token nothing is accessible.
+        // The proxy runs as another user, so everybody may open the socket. Without the token nothing is accessible.
         fs::set_permissions(&path, fs::Permissions::from_mode(0o666))?;
         Ok(Self { listener, path })
     }
@@ -158,7 +161,7 @@ impl ProxyDoor {
 
 impl Drop for ProxyDoor {
     fn drop(&mut self) {
-        // If this fails, the next start removes the file.
+        // If the removal fails, the next start removes the file.
         let _ = fs::remove_file(&self.path);
     }
 }
@@ -166,14 +169,15 @@ impl Drop for ProxyDoor {
 /// Checks each request from other machines.
 pub(super) struct Gate {
     token: String,
-    /// Codes for phones, if the service listens for other machines.
+    /// Single-use codes for phones, if the service listens for other machines.
     pub pairing: Option<Arc<Pairing>>,
     /// Times of the latest wrong tokens.
     wrong: Mutex<Vec<MonoNs>>,
 }
 
 impl Gate {
-    /// The reply to a request that has a foreign origin or lacks the token, or that logs a browser in.
+    /// Checks a request. Returns `None` if it is admitted. Returns a refusal if the origin is foreign or the token is missing
+    /// or wrong. If the request logs a browser in, returns the response that stores the token.
     pub fn refuse(&self, request: &Request, now: MonoNs) -> Option<Response> {
         let headers = request.headers();
         let own_origin = single_value(headers, header::HOST).map(|host| format!("https://{host}"));
@@ -201,13 +205,13 @@ impl Gate {
         }
     }
 
-    /// Stores the token in the browser and loads the page, whose address has no token.
+    /// Response that stores the token in the browser and then loads the page without the token in the address.
     fn log_in(&self) -> Response {
         let cookie = format!(
             "{COOKIE}={}; Path=/; Max-Age={COOKIE_AGE_S}; Secure; HttpOnly; SameSite=Strict",
             self.token
         );
-        // Not a redirection: after one that began on another site the browser would not send the cookie.
+        // Not a redirection: if the redirection began on another site, the browser would not send the cookie.
         let headers = [
             (header::SET_COOKIE, cookie),
             (header::REFRESH, "0; url=/".into()),
@@ -217,7 +221,7 @@ impl Gate {
         (headers, Html("<a href=\"/\">The page</a>")).into_response()
     }
 
-    /// Refuses a request whose token is wrong or else missing; a browser that requests the page gets a form for the token.
+    /// Refuses a request whose token is wrong or missing. A browser that requests the page gets a form for the token.
     fn refused(&self, is_wrong: bool, asks_for_page: bool, now: MonoNs) -> Response {
         const TOKEN_PLACE: &str = "it is in the file `token` of the service's state directory (`ballbard status` on its \
              machine shows it); open the page with /?token=TOKEN, or send it as `Authorization: Bearer TOKEN`";
@@ -232,7 +236,7 @@ impl Gate {
         let error = if is_wrong { "the token is wrong" } else { "the token is missing" };
         let mut response = refusal(StatusCode::UNAUTHORIZED, &format!("{error}; {TOKEN_PLACE}"));
         if asks_for_page {
-            // The response keeps its extensions for the log.
+            // Replace only headers and body, because the log needs the extensions of the response.
             let form = Html(FORM.replace("{error}", error)).into_response();
             let (parts, body) = form.into_parts();
             response.headers_mut().extend(parts.headers);
@@ -247,7 +251,7 @@ impl Gate {
         response
     }
 
-    /// Counts a wrong token, unless too many were sent within [`WRONG_WITHIN`].
+    /// Returns whether too many wrong tokens were sent within [`WRONG_WITHIN`]. If not, counts this wrong token.
     fn has_too_many_wrong(&self, now: MonoNs) -> bool {
         let mut wrong = self.wrong.lock().unwrap_or_else(PoisonError::into_inner);
         wrong.retain(|at| now.ns_since(*at) < WRONG_WITHIN.as_nanos() as i64);
@@ -259,7 +263,7 @@ impl Gate {
     }
 }
 
-/// The value of a header that occurs exactly once.
+/// The value of a header; `None` unless the header occurs exactly once.
 fn single_value(headers: &HeaderMap, name: HeaderName) -> Option<&str> {
     let mut values = headers.get_all(name).iter();
     let value = values.next()?.to_str().ok()?;
@@ -279,7 +283,7 @@ fn sent_token(headers: &HeaderMap) -> Option<&str> {
     bearer.or_else(|| cookies.find_map(|(name, value)| (name == COOKIE).then_some(value)))
 }
 
-/// Reads the token; creates it if it does not exist.
+/// Reads the token, or creates it if the file does not exist.
 fn token(file: &Path) -> Result<String, RemoteError> {
     let failed = |error| RemoteError::State(file.into(), error);
     if !file.try_exists().map_err(failed)? {
@@ -289,7 +293,7 @@ fn token(file: &Path) -> Result<String, RemoteError> {
     token_in(file).map_err(failed)?.ok_or_else(|| RemoteError::Token(file.into()))
 }
 
-/// The token in a file; `None` if it is incomplete or not private to its owner.
+/// The token in a file; `None` if the token is incomplete or the file is readable for others than its owner.
 pub fn token_in(file: &Path) -> io::Result<Option<String>> {
     let text = fs::read_to_string(file)?;
     let mode = fs::metadata(file)?.permissions().mode();
@@ -298,7 +302,7 @@ pub fn token_in(file: &Path) -> io::Result<Option<String>> {
     Ok((is_whole && mode & 0o077 == 0).then(|| token.into()))
 }
 
-/// The TLS configuration and the fingerprint of its certificate.
+/// Returns the TLS configuration and the fingerprint of its certificate.
 fn tls(
     certificate: Option<(PathBuf, PathBuf)>,
     state: &Path,
@@ -322,14 +326,15 @@ fn tls(
     Ok((TlsAcceptor::from(Arc::new(config)), fingerprint))
 }
 
-/// A self-signed certificate, created once, so that people recognise its fingerprint.
+/// Returns the files of the self-signed certificate and its key. They are created only once, so
+/// that people recognise the fingerprint.
 fn own_certificate(state: &Path) -> Result<(PathBuf, PathBuf), RemoteError> {
     let [certificate, key] = OWN_FILES.map(|name| state.join(name));
     let failed = |file: &Path| {
         let file = file.to_owned();
         move |error| RemoteError::State(file, error)
     };
-    // The key is written first: if the certificate exists, so does the key.
+    // The key is written first, so the key exists if the certificate exists.
     if !certificate.try_exists().map_err(failed(&certificate))? {
         let CertifiedKey { cert, signing_key } = generate_simple_self_signed(["ballbard".to_owned()])?;
         write_private(&key, &signing_key.serialize_pem()).map_err(failed(&key))?;
@@ -338,13 +343,13 @@ fn own_certificate(state: &Path) -> Result<(PathBuf, PathBuf), RemoteError> {
     Ok((certificate, key))
 }
 
-/// Writes a file that only its owner may read, completely or not at all.
+/// Writes a file that only its owner may read. The file is written completely or not at all.
 fn write_private(file: &Path, text: &str) -> io::Result<()> {
     if let Some(directory) = file.parent() {
         fs::create_dir_all(directory)?;
     }
     let temporary = file.with_extension("new");
-    // An earlier start may have been killed while it wrote.
+    // Remove the temporary file of an earlier start that was killed while writing.
     match fs::remove_file(&temporary) {
         Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
         _ => {}
@@ -376,7 +381,7 @@ mod tests {
         assert!((0..10).all(|second| wrong(second) == Some(StatusCode::UNAUTHORIZED)));
         assert_eq!([wrong(10), wrong(59)], [Some(StatusCode::TOO_MANY_REQUESTS); 2]);
         assert_eq!(answered(59, "right"), None);
-        // The first one is a minute old, the second is not.
+        // The first wrong token is a minute old, the second is more recent.
         assert_eq!(wrong(60), Some(StatusCode::UNAUTHORIZED));
         assert_eq!(wrong(60), Some(StatusCode::TOO_MANY_REQUESTS));
     }
