@@ -1,4 +1,5 @@
-//! Sources of the configuration: the command line, this directory, the machine, or the program itself.
+//! Finds the configuration. Sources are, in this order, the command line, the working directory, the machine (/etc), and the
+//! defaults built into the program.
 
 use std::path::{Path, PathBuf};
 
@@ -10,7 +11,7 @@ use shared::config::{
 
 use crate::homing::MarksFile;
 
-/// State directory of a packaged service.
+/// Default state directory of an installed package.
 const STATE: &str = "/var/lib/ballbard";
 const DAEMON: &str = "daemon";
 const BALL_BAR: &str = "ball_bar";
@@ -34,7 +35,8 @@ impl ConfigurationFiles {
         self.load(BALL_BAR)
     }
 
-    /// The file of reference marks. An older one is read where earlier versions kept it: beside `ball_bar.toml`, or with the
+    /// The file of reference marks, in the state directory. If it does not exist, a file from an earlier
+    /// version of the program is read. That file is next to `ball_bar.toml`, or in the directory of the
     /// recordings if there is no `ball_bar.toml`.
     pub fn marks_file(&self, state: &StateDirectory, daemon: &DaemonConfig) -> MarksFile {
         let beside = self.find(BALL_BAR).and_then(|file| file.parent().map(Path::to_owned));
@@ -42,7 +44,7 @@ impl ConfigurationFiles {
         MarksFile::new(state.directory(), Some(older))
     }
 
-    /// Origin of the daemon's configuration, for messages.
+    /// Text for messages: where the configuration of the daemon comes from.
     pub fn origin(&self) -> String {
         match self.find(DAEMON) {
             Some(file) => file.display().to_string(),
@@ -63,7 +65,7 @@ impl ConfigurationFiles {
 
     fn source(&self, name: &str) -> Option<Source> {
         match &self.config {
-            // Even if the file is missing, so that a directory without it is an error.
+            // Return the path even if the file is missing, so that a directory without the file is reported as an error.
             Some(directory) => Some(Source::File(directory.join(name).with_extension("toml"))),
             None => Source::named(name),
         }
@@ -85,12 +87,12 @@ pub struct StateDirectory {
 }
 
 impl StateDirectory {
-    /// Whether the directory is named on the command line.
+    /// Whether the directory was given on the command line.
     pub fn is_given(&self) -> bool {
         self.directory.is_some()
     }
 
-    /// The named directory, or the default.
+    /// The directory from the command line, or the default.
     pub fn directory(&self) -> PathBuf {
         let variable = |name| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
         let of_user = || {
@@ -100,7 +102,7 @@ impl StateDirectory {
         let installed = Some(PathBuf::from(STATE)).filter(|path| path.is_dir());
         let chosen = self.directory.clone().or_else(|| variable("STATE_DIRECTORY")).or(installed);
         let directory = chosen.or_else(of_user).unwrap_or_else(|| STATE.into());
-        // The path is shown to processes with another working directory.
+        // Make the path absolute, because it is shown to processes with another working directory.
         std::path::absolute(&directory).unwrap_or(directory)
     }
 }

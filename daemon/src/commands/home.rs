@@ -18,7 +18,7 @@ use crate::control::status::{Granted, HomeRequest, HomingStatus, Reply, Status, 
 use crate::run::{self, RunRequest, Setup, Stop, Storage};
 use crate::scheduler::{Scheduler, Threads};
 
-/// Period in which progress is polled.
+/// Period of polling the progress.
 const POLL: Duration = Duration::from_millis(200);
 
 #[derive(Debug, Args)]
@@ -71,7 +71,7 @@ async fn by_service(
         let Some(homing) = status.homing else {
             bail!("the service has no homing any more; was it restarted?")
         };
-        // Without output a person sees no instructions.
+        // Stop if nothing can be printed, because the person would see no instructions.
         if let Err(error) = printer.print(&homing) {
             stop.stop(&explained(error.as_ref()));
         }
@@ -131,7 +131,7 @@ fn outcome(status: HomingStatus) -> anyhow::Result<()> {
     }
 }
 
-/// Prints changes: lines for people, or each state as a line of JSON.
+/// Prints changes of the status: new lines as text for people, or each status as a line of JSON.
 struct Printer {
     format: Format,
     printed: HomingStatus,

@@ -32,7 +32,7 @@ const AFTER_HELP: &str = "Example: ballbard run --bus eth1\n\n\
     1  failure, or: check finds a problem that prevents a run; tune finds a problem;\n     \
        a smoke test does not pass; a run is rated BAD or has no valid cycle\n  \
     2  usage error: an unknown option, an invalid value, or no --bus";
-/// Number of interfaces that a message lists.
+/// Largest number of interfaces that a message lists.
 const INTERFACES_MAX: usize = 8;
 
 /// Records a sensed double ball-bar over EtherCAT.
@@ -110,7 +110,7 @@ enum Command {
     Segment(segment::SegmentArguments),
 }
 
-/// Executes a command; errors are texts for people.
+/// Executes a command. Errors are texts for people.
 pub fn run(arguments: Arguments) -> anyhow::Result<()> {
     match arguments.command {
         Command::Run(arguments) => serve::run(&arguments),
@@ -145,7 +145,7 @@ struct Format {
 }
 
 impl Format {
-    /// Prints JSON if requested; returns whether it was.
+    /// Prints the result as JSON if that is requested. Returns whether it was printed.
     fn prints(self, outcome: &impl Serialize) -> anyhow::Result<bool> {
         if self.json {
             say(serde_json::to_string_pretty(outcome)?)?;
@@ -153,7 +153,7 @@ impl Format {
         Ok(self.json)
     }
 
-    /// Prints JSON if requested, otherwise the text.
+    /// Prints the result as JSON if that is requested, otherwise the text.
     fn answer(self, outcome: &impl Serialize, text: impl Display) -> anyhow::Result<()> {
         if !self.prints(outcome)? {
             say(text)?;
@@ -168,17 +168,18 @@ impl Format {
 pub struct UsageError(String);
 
 impl UsageError {
-    /// Exit code of clap. The Debian package's unit does not restart a service that ends with it.
+    /// Exit code of clap for usage errors. The systemd unit of the Debian package does not restart a
+    /// service that ends with it.
     pub const EXIT_CODE: u8 = 2;
 }
 
-/// The bus named on the command line. There is no default: simulated data must not be mistaken for measured ones.
+/// Parses the bus from the command line. There is no default, because simulated data must not be mistaken for measured data.
 fn bus_choice(name: Option<&str>) -> Result<BusChoice, UsageError> {
     match name {
         Some(SIMULATED_BUS) => Ok(BusChoice::Simulated),
         Some(interface) => Ok(BusChoice::Interface(interface.to_owned())),
         None => {
-            // In the unit of the Debian package.
+            // The variable is set if the program runs in the systemd unit of the Debian package.
             let remedy = if std::env::var_os("STATE_DIRECTORY").is_some() {
                 " to BALLBARD_OPTIONS in /etc/default/ballbard"
             } else {
@@ -192,7 +193,8 @@ fn bus_choice(name: Option<&str>) -> Result<BusChoice, UsageError> {
     }
 }
 
-/// Does work; each terminating signal calls `stop` with its name, then the work continues to its end.
+/// Runs `work` to its end. Each terminating signal calls `stop` with the name of the signal, and `work`
+/// then continues until it ends.
 fn on_signal<T>(work: impl Future<Output = anyhow::Result<T>>, stop: impl Fn(&str)) -> anyhow::Result<T> {
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()

@@ -1,4 +1,4 @@
-//! `ballbard record`: one run, then exit.
+//! `ballbard record`: records one run, then exits.
 
 use std::path::PathBuf;
 use std::time::Duration;

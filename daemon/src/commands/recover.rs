@@ -17,21 +17,21 @@ pub struct RecoverArguments {
     format: Format,
 }
 
-/// Result of a repair as JSON.
+/// Result of a repair, printed as JSON.
 #[derive(Serialize)]
 struct RecoveryReport<'a> {
     /// `whole`, `renamed` or `recovered`.
     outcome: &'static str,
     /// Path of the finished recording.
     file: String,
-    /// The original, if a part of it could not be read.
+    /// Path of the original file, if some of its content could not be read.
     torn: Option<String>,
     cycles: u64,
     cycles_valid: u64,
     cycles_lost: u64,
     /// Sample time of the last intact cycle.
     last_good_utc: Option<String>,
-    /// Damage that could not be read.
+    /// Description of the damaged content.
     damage: Option<String>,
     timing: Option<&'a TimingSummary>,
 }

@@ -1,5 +1,5 @@
-//! `ballbard segment`: the simulated segment on a network interface, for any EtherCAT MainDevice. Faults are scheduled by
-//! `--fault`, or switched by lines on the standard input; the line `play` starts a replay.
+//! `ballbard segment`: serves the simulated segment on a network interface, for any EtherCAT MainDevice. Faults are scheduled
+//! by `--fault`, or switched by lines on the standard input. The line `play` starts a replay.
 
 use std::io::{self, BufRead, Write};
 use std::path::PathBuf;
@@ -75,7 +75,7 @@ pub fn run(arguments: &SegmentArguments) -> anyhow::Result<()> {
     if let Some(file) = &arguments.replay {
         say(format_args!("type `play` to start the motion of {}", file.display()))?;
     }
-    // The thread ends with its input or with this program, whichever is first.
+    // The thread ends when its input or this program ends, whichever comes first.
     thread::Builder::new()
         .name("switches".into())
         .spawn(move || handle_lines(&faults, terminals, replay.as_ref()))?;
@@ -83,7 +83,8 @@ pub fn run(arguments: &SegmentArguments) -> anyhow::Result<()> {
     on_signal(work, |_| stop.store(true, Ordering::Release))
 }
 
-/// Switches faults by lines such as `on gone:3`, `off gone:3`; `play` starts the replay from its beginning.
+/// Reads lines from the standard input. Lines such as `on gone:3` and `off gone:3` switch faults. `play` starts
+/// the replay from its beginning.
 fn handle_lines(faults: &FaultHandle, terminals: usize, replay: Option<&ReplayHandle>) {
     for line in io::stdin().lock().lines().map_while(Result::ok).filter(|line| !line.trim().is_empty()) {
         let line = line.trim();
@@ -106,12 +107,12 @@ fn handle_lines(faults: &FaultHandle, terminals: usize, replay: Option<&ReplayHa
                 }
             },
         }
-        // The output may be closed.
+        // Ignore the error if the standard output is closed.
         let _ = writeln!(io::stdout(), "{line}");
     }
 }
 
-/// Answers each frame until stopped. An interface that goes down does not end it: it may return.
+/// Replies to each frame until it is stopped. If the interface goes down, it waits, because the interface may come up again.
 fn serve(mut segment: FaultySegment, mut wire: EthernetWire, stop: &AtomicBool) -> anyhow::Result<()> {
     let clock = Clock::Real;
     let (mut frame, mut reply) = ([0; FRAME_BYTES_MAX], [0; FRAME_BYTES_MAX]);
@@ -119,13 +120,13 @@ fn serve(mut segment: FaultySegment, mut wire: EthernetWire, stop: &AtomicBool) 
         let idle_until = clock.now().plus_ns(NS_PER_S / 10);
         let until = segment.next_reply_ns().map_or(idle_until, |due_ns| idle_until.min(MonoNs(due_ns)));
         match wire.receive(&mut frame, until) {
-            // No simulated way back: the real wire has its own delay.
+            // No return delay is simulated, because the real wire has its own delay.
             Ok(Some(length)) => segment.exchange(clock.now().0, 0, &frame[..length]),
             Ok(None) => {}
             Err(_) => clock.sleep_until(until),
         }
         while let Some(length) = segment.take_reply(clock.now().0, &mut reply) {
-            // A reply that cannot be sent is lost.
+            // A reply that cannot be sent is dropped.
             let _ = wire.send(&reply[..length]);
         }
     }

@@ -1,4 +1,5 @@
-//! `ballbard run`: starts the acquisition service with its listeners, and ends it on a signal, with the run's file finished.
+//! `ballbard run`: starts the acquisition service with its listeners. A signal ends the service after the file of the
+//! current run has been finished.
 
 use std::future::Future;
 use std::net::SocketAddr;
@@ -22,10 +23,10 @@ use crate::run::BusChoice;
 use crate::scheduler::STACK_BYTES;
 use crate::segment::faults::FaultWindow;
 
-/// An end of the service that takes longer is explained in the log, and again after each such time.
+/// If the end of the service takes longer, the log explains why, again after each such time.
 const PATIENCE: Duration = Duration::from_secs(2);
-/// Threads of tokio for work that blocks: two for downloads, one for the line on standard output; the others are a reserve.
-/// Their memory is locked, so more of them would occupy it permanently.
+/// Largest number of tokio's threads for blocking work. Two are needed for downloads and one for the line on standard output;
+/// the others are a reserve. The number is low, because the memory of these threads is locked permanently.
 const BLOCKING_THREADS_MAX: usize = 8;
 
 #[derive(Debug, Args)]
@@ -76,7 +77,7 @@ pub fn run(arguments: &RunArguments) -> anyhow::Result<()> {
     if let Some(directory) = &arguments.out {
         daemon.directory.clone_from(directory);
     }
-    // Paths are shown to processes with another working directory.
+    // Make the paths absolute, because they are shown to processes with another working directory.
     for directory in [&mut daemon.directory, &mut daemon.spare_directory] {
         *directory = std::path::absolute(&directory).context("cannot determine the working directory")?;
     }
@@ -99,12 +100,13 @@ pub fn run(arguments: &RunArguments) -> anyhow::Result<()> {
     let signals = runtime.block_on(async { Signals::new() })?;
     let service = Service::start(settings)?;
     let outcome = supervise(&runtime, &service, serve(listener, remote, service.clone(), signals));
-    // Threads that still read a slow disk for a client that has gone are not waited for.
+    // Do not wait for threads that still read a slow disk for a client that has disconnected.
     runtime.shutdown_background();
     outcome
 }
 
-/// An absolute path, because the proxy has another working directory; this also detects a host name.
+/// Parses an absolute path. The path must be absolute, because the proxy has another working directory. This also detects a
+/// host name that was given by mistake.
 fn socket_path(text: &str) -> Result<PathBuf, String> {
     let path = PathBuf::from(text);
     if path.is_absolute() {
@@ -115,7 +117,7 @@ fn socket_path(text: &str) -> Result<PathBuf, String> {
 }
 
 impl RunArguments {
-    /// Access for other machines, if requested.
+    /// Opens the access for other machines; `None` if it was not requested.
     async fn remote(&self) -> anyhow::Result<Option<Remote>> {
         if self.listen.is_none() && self.behind_proxy.is_none() {
             return Ok(None);
@@ -137,7 +139,7 @@ async fn listen(port: u16) -> anyhow::Result<TcpListener> {
         )
     })?;
     let address = listener.local_addr()?;
-    // Standard output may block; the service does not wait for it.
+    // Print in another thread, because the standard output may block and the service must not wait for it.
     tokio::task::spawn_blocking(move || {
         if let Err(error) = say(format_args!("listening on http://{address}")) {
             tracing::warn!("{error}");
@@ -146,7 +148,7 @@ async fn listen(port: u16) -> anyhow::Result<TcpListener> {
     Ok(listener)
 }
 
-/// Serves until the service has ended, by a signal or by a failure.
+/// Serves clients until the service has ended, because of a signal or a failure.
 async fn serve(listener: TcpListener, remote: Option<Remote>, service: Service, mut signals: Signals) {
     tokio::spawn(super::systemd::notify(service.clone()));
     let ending = service.clone();
@@ -155,7 +157,7 @@ async fn serve(listener: TcpListener, remote: Option<Remote>, service: Service, 
             () = ending.ended() => return,
             name = signals.next() => ending.shutdown(&format!("stopped by {name}")),
         }
-        // The file has priority over clients: requests are served until it is finished.
+        // Finishing the file has priority, so clients are served until the file is finished.
         while tokio::time::timeout(PATIENCE, ending.ended()).await.is_err() {
             let Status { run, reason, .. } = ending.status();
             let what = run.map_or("the bus is closed".into(), |run| {
@@ -167,8 +169,8 @@ async fn serve(listener: TcpListener, remote: Option<Remote>, service: Service, 
     api::serve(listener, remote, service, end).await;
 }
 
-/// Ensures that a run's file is finished if a thread dies, and that the program then ends with an error, so that a service
-/// manager restarts it.
+/// Runs `serving`. If a thread dies, the file of the run is still finished, and the program ends with an error, so that
+/// a service manager restarts it.
 fn supervise(
     runtime: &tokio::runtime::Runtime,
     service: &Service,

@@ -1,4 +1,4 @@
-//! The signals that end a program: Ctrl-C, SIGTERM, and SIGHUP of a closed terminal.
+//! The signals that end a program: Ctrl-C, SIGTERM, and SIGHUP, which is sent when the terminal is closed.
 
 use anyhow::Context;
 use futures_util::future::OptionFuture;
@@ -9,7 +9,7 @@ use crate::tuning::Machine;
 pub(super) struct Signals {
     interrupt: Signal,
     terminate: Signal,
-    /// `None` if `nohup` has disabled it.
+    /// `None` if `nohup` has disabled this signal.
     hangup: Option<Signal>,
 }
 
@@ -24,7 +24,7 @@ impl Signals {
         })
     }
 
-    /// The name of the next signal.
+    /// Waits for the next signal and returns its name.
     pub async fn next(&mut self) -> &'static str {
         let hangup = OptionFuture::from(self.hangup.as_mut().map(Signal::recv));
         tokio::select! {

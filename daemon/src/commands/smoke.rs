@@ -54,7 +54,7 @@ pub fn run(arguments: SmokeArguments) -> anyhow::Result<()> {
     let work = async {
         let bench =
             Bench { smoke: &smoke, daemon: &daemon, bar: &bar, request: &request, has_person, stop: &stop };
-        // Without output a person sees no instructions.
+        // Stop if nothing can be printed, because the person would see no instructions.
         let mut print = |line: &str| {
             if !format.json
                 && let Err(error) = say(line)

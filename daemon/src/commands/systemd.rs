@@ -8,18 +8,18 @@ use shared::time::MonoNs;
 use crate::control::service::Service;
 use crate::control::status::Status;
 
-/// A bus in operation without any cycle for longer, valid or not, has a thread that hangs.
+/// If the bus is in operation and the last cycle, valid or not, is older, the thread of the cycle hangs.
 const CYCLE_AGE_MAX: Duration = Duration::from_secs(10);
-/// Watchdog notifications within its time limit.
+/// Number of watchdog notifications within the time limit of the watchdog.
 const NOTIFICATIONS: u32 = 3;
 
-/// Notifies systemd until the service ends. The watchdog notification needs three parts to be alive: this thread, the
-/// control and the cycle; if one hangs the service is restarted. The disk is not included.
+/// Notifies systemd until the service ends. A watchdog notification is sent only while three threads are alive: this thread,
+/// the control and the cycle. If one of them hangs, systemd restarts the service. A disk that hangs does not cause a restart.
 pub async fn notify(service: Service) {
     let period = sd_notify::watchdog_enabled().map(|within| within / NOTIFICATIONS);
     let (mut statuses, mut notified_at, mut sent_headline) = (service.watch(), None::<MonoNs>, String::new());
     send(&NotifyState::Ready);
-    // The control publishes a status in each step.
+    // The control publishes a status in each step, so this loop also checks that the control is alive.
     while statuses.changed().await.is_ok() {
         let status = statuses.borrow_and_update().clone();
         let headline = status.headline().word;
@@ -37,12 +37,12 @@ pub async fn notify(service: Service) {
     }
 }
 
-/// Also true without a bus: bringing it up is supervised elsewhere.
+/// Whether the cycle is alive. Also true without a bus, because bringing the bus into operation is supervised elsewhere.
 fn cycle_lives(status: &Status, now: MonoNs) -> bool {
     status.sampled.0 == 0 || now.ns_since(status.sampled) <= CYCLE_AGE_MAX.as_nanos() as i64
 }
 
-/// Has no effect if no service manager started the program.
+/// Sends a notification. Has no effect if no service manager started the program.
 fn send(state: &NotifyState<'_>) {
     if let Err(error) = sd_notify::notify(std::slice::from_ref(state)) {
         tracing::warn!("cannot notify the service manager of {state}: {error}");

@@ -1,4 +1,4 @@
-//! `ballbard tune`: settings of this machine that delay the cycle, and commands that correct them.
+//! `ballbard tune`: finds settings of this machine that delay the cycle, and prints the commands that correct them.
 
 use std::path::Path;
 

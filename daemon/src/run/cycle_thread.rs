@@ -1,6 +1,6 @@
-//! The real-time thread of a [`Session`](super::Session): brings the bus up, keeps it in operation, and executes one job
-//! after the other, a run or a homing. Its cycles go to the job's ring and to [`LatestSamples`]. Without a job the cycle
-//! continues on real time, so that samples stay live.
+//! The real-time thread of a [`Session`](super::Session). It brings the bus into operation, keeps it in operation, and
+//! executes one job after the other. A job is a run or a homing. Each cycle is written to the ring of the job and to
+//! [`LatestSamples`]. Without a job, the cycle continues on real time, so that the samples stay current.
 
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError};
@@ -22,7 +22,7 @@ use crate::record::{CycleSink, Stop};
 use crate::scheduler::Stepper;
 use crate::segment::simulated::{Hand, ReplayHandle};
 
-/// Report of the cycle's thread once the bus is in operation.
+/// What the thread of the cycle reports once the bus is in operation.
 #[derive(Default)]
 pub(super) struct Ready {
     pub devices: Vec<DeviceInfo>,
@@ -31,21 +31,22 @@ pub(super) struct Ready {
     pub realtime: Option<RealtimeReport>,
 }
 
-/// Jobs of the cycle's thread.
+/// A job for the thread of the cycle.
 pub(super) enum Job {
     Run(RunJob),
     Home(HomingJob),
 }
 
-/// One run, for the cycle's thread.
+/// One run, as a job for the thread of the cycle.
 pub(super) struct RunJob {
     pub sink: CycleSink,
     pub stop: Stop,
-    /// Cycles after which the run ends, and the cause of that end.
+    /// Number of cycles after which the run ends, with the cause of that end.
     pub cycle_limit: Option<(u64, &'static str)>,
-    /// Number of consecutive cycles without a valid sample of any encoder that end the run: `full_fault_s`.
+    /// The run ends after this number of consecutive cycles in which no encoder has a valid sample.
+    /// It is derived from `full_fault_s`.
     pub full_fault_cycles: u64,
-    /// `UTC - monotonic` for the run's sample times \[ns\].
+    /// `UTC - monotonic` for the sample times of the run \[ns\].
     pub utc_minus_monotonic_ns: i64,
 }
 
@@ -54,24 +55,25 @@ pub(super) struct RunJob {
 pub(super) enum Pace {
     /// Cycles have deadlines on the clock.
     Clock,
-    /// Cycles wait for the disk, and advance the virtual clock.
+    /// Cycles have no deadlines. They wait for the disk, and each advances the virtual clock.
     Fast,
 }
 
-/// Channels and stops of the cycle's thread.
+/// Channels and stop requests of the thread of the cycle.
 pub(super) struct CycleChannels {
     pub ready: SyncSender<Result<Ready, RunError>>,
     pub jobs: Receiver<Job>,
     pub live: Arc<LatestSamples>,
     /// Ends the attempt to bring up the bus for the first time.
     pub opening: Stop,
-    /// Ends later attempts between two runs; a run or a homing has its own request.
+    /// Ends later attempts to restore the bus between two runs. A run or a homing has its own stop request.
     pub ending: Stop,
-    /// Gets a message when the thread ends without a panic.
+    /// Receives a message when the thread ends without a panic.
     pub over: SyncSender<()>,
 }
 
-/// Bus and cycles, until the queue of jobs is closed. Everything that may block is behind the ring or before the first cycle.
+/// Executes bus cycles until the queue of jobs is closed. Operations that may block run in other threads behind the ring,
+/// or before the first cycle.
 pub(super) struct CycleLoop {
     on_bus: OnBus,
     jobs: Receiver<Job>,
@@ -81,13 +83,13 @@ pub(super) struct CycleLoop {
     pace: Pace,
 }
 
-/// Job that the cycle is executing.
+/// The job that is being executed.
 enum CycleTask {
     Run(RunTask),
     Home(Box<HomingTask>),
 }
 
-/// The bus, and where its samples are published.
+/// The bus, and the place where its samples are published.
 struct OnBus {
     acquisition: Acquisition,
     clock: Clock,
@@ -98,7 +100,8 @@ struct OnBus {
 }
 
 impl CycleLoop {
-    /// Brings the bus into operation and reports the result to `channels.ready`; `None` if it fails.
+    /// Brings the bus into operation and reports the result to `channels.ready`. Returns `None` if the bus
+    /// cannot be brought into operation.
     pub fn start(
         prepared: PreparedBus,
         realtime: RealtimeConfig,
@@ -114,7 +117,7 @@ impl CycleLoop {
             Ok(operational) => operational,
             Err(error) => {
                 let identified = bus.identified().to_vec();
-                // The interface is free before the next attempt.
+                // Release the interface, so that it is free for the next attempt.
                 drop(bus);
                 let _ = ready.send(Err(RunError::Bus { error, identified }));
                 return None;
@@ -123,7 +126,7 @@ impl CycleLoop {
         let clocks = operational.clocks.clone();
         let mut acquisition = Acquisition::on(bus, operational, &plan, clock.clone());
         acquisition.interrupt_by(ending.flag());
-        // The first sample is published before the bus is reported as ready.
+        // Publish the first sample before reporting that the bus is ready.
         acquisition.next_cycle(&mut |record| live.publish(record));
         if let Some((_, first_sample)) = &replay {
             acquisition.set_first_sample_time(*first_sample);
@@ -135,7 +138,7 @@ impl CycleLoop {
         Some(Self { on_bus, jobs, ending, over, task: None, pace })
     }
 
-    /// One cycle; false once the queue of jobs is closed.
+    /// Executes one cycle. Returns false once the queue of jobs is closed.
     fn step(&mut self) -> bool {
         let continues = match &mut self.task {
             None => return self.serve_next(),
@@ -149,9 +152,9 @@ impl CycleLoop {
         true
     }
 
-    /// Starts the next job, or idles.
+    /// Starts the next job. If there is none, executes a cycle without a job.
     fn serve_next(&mut self) -> bool {
-        // On virtual time the cycle stands still between two jobs.
+        // On virtual time no cycles are executed between two jobs, so wait for the next job.
         let job = match self.pace {
             Pace::Clock => self.jobs.try_recv(),
             Pace::Fast => self.jobs.recv().map_err(TryRecvError::from),
@@ -174,7 +177,7 @@ impl CycleLoop {
     }
 }
 
-/// `None` if the bus did not come up, and after the end.
+/// `None` if the bus could not be brought into operation, and after the end of the cycle.
 impl Stepper for Option<CycleLoop> {
     fn poll(&mut self, _: MonoNs) -> Option<Duration> {
         let cycle_loop = self.as_mut()?;
@@ -185,7 +188,7 @@ impl Stepper for Option<CycleLoop> {
             let _ = over.try_send(());
             return None;
         }
-        // On real time the cycle sleeps itself, more precisely than a scheduler.
+        // On real time the cycle waits for its deadline itself, because it wakes up more precisely than a scheduler.
         let OnBus { acquisition, clock, .. } = &cycle_loop.on_bus;
         let sleeps_itself = clock.is_real() || cycle_loop.pace == Pace::Fast;
         let due_ns = if sleeps_itself { 0 } else { acquisition.due().ns_since(clock.now()) };
@@ -196,21 +199,21 @@ impl Stepper for Option<CycleLoop> {
 }
 
 impl OnBus {
-    /// A cycle without a job.
+    /// Executes a cycle without a job.
     fn idle(&mut self) {
         let live = &self.live;
         self.acquisition.next_cycle(&mut |record| live.publish(record));
         self.publish();
     }
 
-    /// A cycle of a homing; false once it is over.
+    /// Executes a cycle of a homing. Returns false once the homing is over.
     fn home(&mut self, homing: &mut HomingTask) -> bool {
         let continues = homing.step(&mut self.acquisition, &self.live);
         self.publish();
         continues
     }
 
-    /// Publishes the states of bus and links.
+    /// Publishes the states of the bus and its links.
     fn publish(&self) {
         self.live.publish_bus(&self.acquisition.bus_state(), &self.plan.name);
         self.live.publish_links(self.acquisition.links());
@@ -219,14 +222,15 @@ impl OnBus {
 
 /// A run that is being recorded.
 struct RunTask {
-    // Dropped before the ring: the recorder must not finish the file without the cause.
+    // Declared first, so that it is dropped before the job with the ring. After a panic the cause of the end is then set
+    // before the recorder notices the end of the ring and finishes the file.
     _guard: PanicGuard,
     job: RunJob,
-    /// Number of cycles so far.
+    /// Number of cycles of this run so far.
     cycles: u64,
-    /// Consecutive cycles without a valid sample of any encoder.
+    /// Number of latest consecutive cycles in which no encoder has a valid sample.
     invalid_cycles: u64,
-    /// All flags of these cycles.
+    /// All flags of these consecutive cycles, combined.
     invalid_flags: u32,
 }
 
@@ -243,7 +247,7 @@ impl RunTask {
         Self { _guard, job, cycles: 0, invalid_cycles: 0, invalid_flags: 0 }
     }
 
-    /// One cycle; false once the run is over.
+    /// Executes one cycle. Returns false once the run is over.
     fn step(&mut self, on_bus: &mut OnBus) -> bool {
         let Self { job, cycles, invalid_cycles, invalid_flags, .. } = self;
         let RunJob { sink, stop, cycle_limit, full_fault_cycles, .. } = job;
@@ -254,7 +258,7 @@ impl RunTask {
         }
         let live = &on_bus.live;
         on_bus.acquisition.next_cycle(&mut |record| {
-            // After missed deadlines one call gives several records, maybe more than the run may have.
+            // After missed deadlines, one call returns several records. Records beyond the limit of the run are not recorded.
             if cycle_limit.is_none_or(|(limit, _)| record.cycle < limit) {
                 sink.push(record);
                 *cycles = record.cycle + 1;
@@ -280,18 +284,18 @@ impl RunTask {
         true
     }
 
-    /// Sets the cause of the end, if none is set: that of a limit that was reached, or the end of the recorder.
+    /// Sets the cause of the end unless it is set. The cause is the limit that was reached, or the end of the recorder.
     fn end(&self, limit_cause: Option<&str>) {
         let RunJob { sink, stop, .. } = &self.job;
         stop.stop(limit_cause.filter(|_| !sink.is_abandoned()).unwrap_or("the recorder has ended"));
-        // The recorder ends first if the start was refused or the disk failed, which the service reports.
+        // If the recorder ended first, the start was refused or the disk failed, and the service reports that.
         if !sink.is_abandoned() {
             tracing::info!("the last cycle of the run is recorded");
         }
     }
 }
 
-/// States the cause of a run's end if its thread panics.
+/// Sets the cause of the run's end if the thread panics.
 struct PanicGuard(Stop);
 
 impl Drop for PanicGuard {
@@ -302,7 +306,7 @@ impl Drop for PanicGuard {
     }
 }
 
-/// Cause of a run's end after this number of cycles without a valid sample, with these flags.
+/// Cause of the end of a run after this number of cycles without a valid sample. `flags` are the flags of these cycles.
 fn full_fault(cycles: u64, cycle_period: Duration, flags: u32) -> String {
     let (time_s, names) = (cycles as f64 * cycle_period.as_secs_f64(), flag_names(flags).join(", "));
     format!("no encoder gave a valid sample for {time_s:.0} s (limit `full_fault_s`; flags: {names})")

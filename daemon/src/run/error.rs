@@ -18,16 +18,16 @@ pub enum RunError {
     /// Invalid request, such as virtual time on a real bus.
     #[error("{0}")]
     Request(&'static str),
-    /// A fault to be simulated has no device.
+    /// A fault to be simulated concerns a device that the bus does not have.
     #[error(transparent)]
     Fault(#[from] FaultBehind),
     /// The interface cannot be opened.
     #[error(transparent)]
     Open(#[from] OpenError),
-    /// The bus does not come up.
+    /// The bus could not be brought into operation.
     #[error("{error}")]
     Bus {
-        /// Cause, as it is reported.
+        /// Cause, as reported by the bus.
         error: BusError,
         /// Devices that identified themselves.
         identified: Vec<DeviceInfo>,
@@ -54,10 +54,10 @@ pub enum RunError {
         /// The process that uses it.
         holder: Holder,
     },
-    /// A crashed run had the requested name.
+    /// A run with the requested name had crashed and has just been recovered.
     #[error("the name of the run is taken by {}, which has just been recovered after a crash; choose another name", .0.display())]
     NameRecovered(PathBuf),
-    /// The disk accepts no run.
+    /// No run can begin because of a problem of the disk.
     #[error("{0}")]
     Disk(Problem),
     /// The end was requested before the file of the run was created.
@@ -68,12 +68,12 @@ pub enum RunError {
         /// Problem of the disk.
         problem: Problem,
     },
-    /// The disk refused during the run, and so did the spare directory.
+    /// The disk failed during the run, and the run could not continue in the spare directory.
     #[error("{source}; {saved}")]
     Broken {
         /// Error of the disk.
         source: WriteError,
-        /// Extent that was saved.
+        /// Text about the cycles that were saved.
         saved: String,
         /// The file with the saved cycles, if there is one.
         content: Option<Box<RunSummary>>,
@@ -86,13 +86,13 @@ pub enum RunError {
         /// Problem of the bus.
         problem: String,
     },
-    /// The system refused a thread, or one died.
+    /// The operating system refused to start a thread, or a thread died.
     #[error("a thread of the acquisition failed: {0}; start again")]
     Thread(String),
 }
 
 impl RunError {
-    /// The error as it is reported.
+    /// The error as a problem with its code and remedy.
     pub fn problem(&self) -> Problem {
         match self {
             Self::Bus { error, .. } => error.fact().clone().into(),
@@ -107,7 +107,8 @@ impl RunError {
         }
     }
 
-    /// Whether a person can correct it while this program waits: a cable, power, a terminal, an interface.
+    /// Whether a person can remove the cause while this program waits, such as a cable, a power supply,
+    /// a terminal or an interface.
     pub(super) fn is_retryable(&self) -> bool {
         matches!(
             self,

@@ -1,5 +1,6 @@
-//! Homing on a bus in operation, between two runs: the cycle's thread executes its steps, and an observer in another thread
-//! gets each step and the outcome (the marks found) through two queues. The method is in [`crate::homing`].
+//! A homing on a bus in operation, between two runs. The thread of the cycle executes the steps. An observer in
+//! another thread receives each step through one queue and the outcome (the marks that were found) through another.
+//! The method is described in [`crate::homing`].
 
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
@@ -15,31 +16,31 @@ use crate::record::Stop;
 use crate::scheduler::{Died, received};
 use crate::segment::simulated::Hand;
 
-/// Cause of a homing's end if the cycle's thread has ended.
+/// Cause of the end of a homing if the thread of the cycle has ended.
 const CYCLE_ENDED: &str = "the cycle thread has ended; the log shows why";
 
-/// Largest number of queued steps; further ones are dropped if the control does not read.
+/// Capacity of the queue of steps. If the observer does not read the queue, further steps are dropped.
 const STEPS_MAX: usize = 64;
 
-/// Homing, for the cycle's thread.
+/// A homing, as a job for the thread of the cycle.
 pub(super) struct HomingJob {
     pub stop: Stop,
     steps: SyncSender<HomingStep>,
     outcomes: SyncSender<HomingResult>,
 }
 
-/// A homing in progress, for its observer.
+/// A homing in progress, as its observer sees it.
 pub struct ActiveHoming {
     /// Requests the end of the homing.
     pub stop: Stop,
     steps: Receiver<HomingStep>,
     outcomes: Receiver<HomingResult>,
-    /// The outcome until it is returned.
+    /// The outcome, until it has been returned.
     outcome: Option<HomingResult>,
     is_over: bool,
 }
 
-/// A homing for the cycle's thread, and its observer.
+/// Creates a homing: the job for the thread of the cycle, and the handle for the observer.
 pub(super) fn begin() -> (HomingJob, ActiveHoming) {
     let stop = Stop::default();
     let (steps_in, steps) = sync_channel(STEPS_MAX);
@@ -48,7 +49,7 @@ pub(super) fn begin() -> (HomingJob, ActiveHoming) {
     (HomingJob { stop, steps: steps_in, outcomes: outcomes_in }, active)
 }
 
-/// Homing in the cycle. Steps may allocate, because no run is recorded.
+/// Executes a homing in the cycle. Its steps may allocate memory, because no run is recorded.
 pub(super) struct HomingTask {
     job: HomingJob,
     sequence: Sequence,
@@ -63,7 +64,7 @@ impl HomingTask {
         encoders: &[EncoderConfig],
         hand: Option<&Hand>,
     ) -> Self {
-        // On the simulated bus the program turns the joints.
+        // On the simulated bus the program turns the joints. Stop the simulated motion first.
         if let Some(hand) = hand {
             hand.hold();
         }
@@ -71,7 +72,7 @@ impl HomingTask {
         Self { job, sequence: Sequence::begin(acquisition, encoders), directions, hand: hand.cloned() }
     }
 
-    /// One cycle; false once the homing is over.
+    /// Executes one cycle. Returns false once the homing is over.
     pub fn step(&mut self, acquisition: &mut Acquisition, live: &LatestSamples) -> bool {
         let Self { job: HomingJob { stop, steps, outcomes }, sequence, directions, hand } = self;
         let mut report = |step: HomingStep| {
@@ -97,9 +98,9 @@ impl HomingTask {
 }
 
 impl ActiveHoming {
-    /// The next step, if there is one by now.
+    /// The next step; `None` if there is no step yet.
     pub fn take_step(&mut self) -> Option<HomingStep> {
-        // The outcome is read before the steps: those before the end are still taken.
+        // Read the outcome before the steps. Steps that were queued before the end are then still returned.
         if !self.is_over
             && let Some(outcome) = received(&self.outcomes)
         {
@@ -113,7 +114,7 @@ impl ActiveHoming {
         self.steps.try_recv().ok()
     }
 
-    /// The outcome, once the homing is over and every step was taken; returned once.
+    /// The outcome, once the homing is over and every step was read. It is returned only once.
     pub fn outcome(&mut self) -> Option<HomingResult> {
         self.outcome.take()
     }

@@ -1,5 +1,5 @@
-//! The latest samples and state of the bus for other threads, without making the cycle wait: the cycle's thread writes each
-//! record into atomics, which status, check and the start of a run read.
+//! The latest samples and state of the bus, for other threads. The thread of the cycle stores each record in atomics, so that
+//! it never waits for a reader. The status, the pre-flight check and the start of a run read them.
 
 use std::sync::atomic::{AtomicI64, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
@@ -11,36 +11,38 @@ use crate::bus::{DEVICES_MAX, PORTS};
 use crate::cycle::{BusState, Links};
 use crate::problem::Fact;
 
-/// Flags of the bus itself, not of one encoder or this PC.
+/// Flags with a cause in the bus itself, as opposed to one encoder or this PC.
 pub const BUS_FLAGS: u32 =
     flags::NO_REPLY | flags::WORKING_COUNTER | flags::NOT_OPERATIONAL | flags::BUS_DOWN;
 
-/// The latest sample of each encoder, for display. Count, status and validity of one encoder are of one cycle; different encoders
-/// may be of different cycles.
+/// The latest sample of each encoder, for display. Count, status and validity of one encoder always belong to the same cycle.
+/// Samples of different encoders may belong to different cycles.
 #[derive(Debug, Default)]
 pub struct LatestSamples {
-    /// Time of the latest cycle: when its frame was sent, as in the two times below.
+    /// Time of the latest cycle \[ns\]. This time and the next two are the times at which the frame was sent.
     at_ns: AtomicI64,
-    /// Time of the latest cycle without any of [`BUS_FLAGS`].
+    /// Time of the latest cycle without any of [`BUS_FLAGS`] \[ns\].
     whole_at_ns: AtomicI64,
-    /// Time of the latest valid sample of each encoder.
+    /// Time of the latest valid sample of each encoder \[ns\].
     valid_at_ns: [AtomicI64; MAX_ENCODERS],
-    /// Number of cycles, valid or not.
+    /// Number of cycles, with valid or invalid samples.
     cycles: AtomicU64,
-    /// Valid cycles of each encoder.
+    /// Number of valid cycles of each encoder.
     encoder_cycles_valid: [AtomicU64; MAX_ENCODERS],
-    /// Cycles in which every encoder was valid.
+    /// Number of cycles in which every encoder was valid.
     cycles_valid: AtomicU64,
-    /// Cycles that missed their deadline.
+    /// Number of cycles that missed their deadline.
     cycles_late: AtomicU64,
     flags: AtomicU64,
     origin: AtomicU32,
-    /// Bits 0 to 31: count; 32 to 47: status word; 48: valid. One word, so that they are of one cycle.
+    /// Latest sample of each encoder. Bits 0 to 31 are the count, 32 to 47 the status word, 48 is set if the sample is valid.
+    /// They are packed into one word, so that they belong to the same cycle.
     encoders: [AtomicU64; MAX_ENCODERS],
     latches: [AtomicU32; MAX_ENCODERS],
-    /// Position of the first missing device; 0 if none is missing: without the coupler, at position 0, the bus is down.
+    /// Position of the first missing device; 0 if no device is missing. The value 0 is free, because the bus is down without
+    /// the coupler at position 0.
     missing_from: AtomicU32,
-    /// Outage of the bus while it is down, with its number.
+    /// Number and cause of the latest outage of the bus.
     outage: Mutex<(u32, Option<Fact>)>,
     links_revision: AtomicU64,
     /// Counts of each port: invalid frames, receive errors, lost links.
@@ -54,7 +56,7 @@ pub struct LiveEncoder {
     pub count: u32,
     /// Status word of its terminal.
     pub status: u16,
-    /// The sample is new and without error.
+    /// Whether the sample is new and without error.
     pub valid: bool,
 }
 
@@ -75,7 +77,7 @@ impl LatestSamples {
             }
         }
         self.cycles.fetch_add(1, Ordering::Relaxed);
-        // A cycle without a frame of its own gives no evidence of the bus.
+        // A cycle that missed its deadline sent no frame, so its flags contain no information about the bus.
         if record.flags & flags::DEADLINE_MISSED != 0 {
             self.cycles_late.fetch_add(1, Ordering::Relaxed);
         } else {
@@ -94,7 +96,7 @@ impl LatestSamples {
         self.at_ns.store(record.send_time.0, Ordering::Release);
     }
 
-    /// Publishes the extent to which the bus is in operation. Wait-free, unless the bus is down: then no deadline can be missed.
+    /// Publishes which devices of the bus are in operation. Wait-free unless the bus is down, when no deadline can be missed.
     pub fn publish_bus(&self, state: &BusState<'_>, bus: &str) {
         let missing_from = match state {
             BusState::Before(from) => (*from).into(),
@@ -110,7 +112,7 @@ impl LatestSamples {
         }
     }
 
-    /// Publishes the ports' error counts. Wait-free.
+    /// Publishes the error counts of the ports. Wait-free.
     pub fn publish_links(&self, links: &Links) {
         if self.links_revision.swap(links.revision(), Ordering::Relaxed) == links.revision() {
             return;
@@ -133,61 +135,61 @@ impl LatestSamples {
         ports.filter(|counts| counts.all() > 0).collect()
     }
 
-    /// First position whose device does not answer while those before it stay in use.
+    /// Position of the first device that does not reply, while the devices before it stay in use.
     pub fn missing_from(&self) -> Option<usize> {
         let from = self.missing_from.load(Ordering::Relaxed);
         (from != 0).then_some(from as usize)
     }
 
-    /// Why the bus is down; `None` if it is not.
+    /// Why the bus is down; `None` if the bus is not down.
     pub fn outage(&self) -> Option<Fact> {
         let is_down = self.flags() & flags::BUS_DOWN != 0;
         let (_, fact) = &*self.outage.lock().unwrap_or_else(PoisonError::into_inner);
         fact.clone().filter(|_| is_down)
     }
 
-    /// Time of the latest cycle, 0 before the first.
+    /// Time of the latest cycle; 0 before the first cycle.
     pub fn at(&self) -> MonoNs {
         MonoNs(self.at_ns.load(Ordering::Acquire))
     }
 
-    /// Time of the latest cycle without a fault of the bus, 0 before the first.
+    /// Time of the latest cycle without a fault of the bus; 0 before the first such cycle.
     pub fn whole_at(&self) -> MonoNs {
         MonoNs(self.whole_at_ns.load(Ordering::Relaxed))
     }
 
-    /// Time of each encoder's latest valid sample, 0 before the first, in bus order.
+    /// Time of the latest valid sample of each encoder, in bus order; 0 before the first valid sample.
     pub fn valid_at(&self) -> [MonoNs; MAX_ENCODERS] {
         std::array::from_fn(|index| MonoNs(self.valid_at_ns[index].load(Ordering::Relaxed)))
     }
 
-    /// Cycles so far, and the valid ones of each encoder, in bus order.
+    /// Number of cycles so far, and number of valid cycles of each encoder, in bus order.
     pub fn counted(&self) -> (u64, [u64; MAX_ENCODERS]) {
         let valid = std::array::from_fn(|index| self.encoder_cycles_valid[index].load(Ordering::Relaxed));
         (self.cycles.load(Ordering::Relaxed), valid)
     }
 
-    /// Cycles so far, those in which every encoder was valid, and those that missed their deadline.
+    /// Number of cycles so far, of cycles in which every encoder was valid, and of cycles that missed their deadline.
     pub fn totals(&self) -> [u64; 3] {
         [&self.cycles, &self.cycles_valid, &self.cycles_late].map(|count| count.load(Ordering::Relaxed))
     }
 
-    /// The terminals' latches in the latest cycle in which every encoder was valid, in bus order.
+    /// Latch values of the terminals in the latest cycle in which every encoder was valid, in bus order.
     pub fn latches(&self) -> [u32; MAX_ENCODERS] {
         std::array::from_fn(|index| self.latches[index].load(Ordering::Relaxed))
     }
 
-    /// Flags of the latest cycle that sent its frame, see `schema::flags`.
+    /// Flags of the latest cycle that sent its frame; see `schema::flags`.
     pub fn flags(&self) -> u32 {
         self.flags.load(Ordering::Relaxed) as u32
     }
 
-    /// Number of the counters' origin in the latest cycle.
+    /// Origin number of the counters in the latest cycle.
     pub fn origin(&self) -> u32 {
         self.origin.load(Ordering::Relaxed)
     }
 
-    /// The encoders, in bus order.
+    /// The latest samples of the encoders, in bus order.
     pub fn encoders(&self) -> [LiveEncoder; MAX_ENCODERS] {
         std::array::from_fn(|index| {
             let packed = self.encoders[index].load(Ordering::Relaxed);

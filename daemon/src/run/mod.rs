@@ -1,8 +1,11 @@
 //! One recording run, from the request to the finished file.
 //!
-//! Between the cycle (real time, no disk) and the recorder (disk, no bus) is a ring; a third thread synchronises the file, a
-//! fourth checks the disk ([`Storage`]). A [`Session`] keeps the cycle running between runs. The file is created only when
-//! the bus is in operation, so a bus that does not come up leaves no file.
+//! Four threads share the work. The first executes the bus cycles in real time and never uses the disk. A ring passes its
+//! cycles to the second, the recorder, which writes them to the file and never uses the bus. The third synchronises the file
+//! with the disk. The fourth checks the disk ([`Storage`]).
+//!
+//! A [`Session`] keeps the bus cycles running between runs. The file of a run is created only when the bus is in operation,
+//! so a bus that cannot be brought into operation leaves no file.
 
 mod cycle_thread;
 mod error;
@@ -33,25 +36,25 @@ pub use crate::record::{RunSummary, Stop, Storage};
 use crate::scheduler::{Pending, Scheduler, Threads, until};
 use crate::segment::faults::FaultWindow;
 
-/// Period of attempts to bring up the bus for a run that waits for it.
+/// Period of attempts to bring the bus into operation, for a run that waits for the bus.
 const RETRY_PERIOD: Duration = Duration::from_secs(1);
-/// A bus that takes longer to come into operation is slow: one to two seconds are usual.
+/// If the bus takes longer to come into operation, a warning is logged. One to two seconds are usual.
 const SLOW_AFTER: Duration = Duration::from_secs(5);
 const SLOW_BUS: &str = "the bus is not in operation after 5 s: replies are late or lost; check cables and contacts, and \
                         `reply_timeout_us` in daemon.toml";
-/// Period in which waiting tasks check whether they are to end.
+/// Period in which waiting tasks check whether they should end.
 const STOP_PERIOD: Duration = Duration::from_millis(10);
-/// Longest wait for the disk after a request to end, so that the program ends within 2 s: for the creation of a run's file,
-/// reference marks, and the recovery of earlier runs, which the next start repeats.
+/// Longest wait for the disk after the end was requested, so that the program ends within 2 s. The limit applies to the
+/// creation of a run's file, to reference marks, and to the recovery of earlier runs, which the next start repeats.
 pub(crate) const DISK_WAIT_AT_END: Duration = Duration::from_millis(1500);
 
-/// Begins to bring a bus into operation for several runs. `faults` are injected into a simulated one.
+/// Starts to bring a bus into operation, for several runs. `faults` are injected into a simulated bus.
 pub fn start_opening(setup: &Setup, bus: &BusChoice, faults: &[FaultWindow]) -> Result<Opening, RunError> {
     let request = RunRequest { bus: bus.clone(), faults: faults.to_vec(), ..RunRequest::default() };
     Session::open(source::prepare(&request, setup)?, setup.clone(), Pace::Clock, &Stop::default())
 }
 
-/// A bus in operation over another wire, for tests of the layers above.
+/// Starts to bring a bus into operation over another wire, for tests of the layers above.
 #[cfg(test)]
 pub(crate) fn open_on_wire(
     wire: Box<dyn crate::segment::FrameWire>,
@@ -61,21 +64,22 @@ pub(crate) fn open_on_wire(
     Session::open(prepared, setup.clone(), Pace::Clock, &Stop::default())
 }
 
-/// Records one run; completes when its file is finished and its bus is closed. The caller waits on the scheduler of `setup`.
+/// Records one run. Completes when the file is finished and the bus is closed. The caller waits on the scheduler of `setup`.
 pub async fn record(setup: &Setup, request: &RunRequest, stop: &Stop) -> Result<RunSummary, RunError> {
     source::check(request)?;
     let session = open_with_retry(setup, request, stop).await?;
     session.log();
     let outcome = record_in_session(setup, &session, &request.run, stop).await;
-    // After an error on virtual time the cycle may wait for a disk that hangs, and there is no real bus to close.
+    // After an error on virtual time the bus is not closed, because the cycle may wait for a disk that hangs. No real bus
+    // remains open, because the bus is simulated.
     if outcome.is_ok() || !request.fast {
         session.close().await?;
     }
     outcome
 }
 
-/// Claims the directory, records one run in an open session, and waits for its end. If the run is stopped before it has a
-/// file, the wait for the disk is limited to [`DISK_WAIT_AT_END`].
+/// Claims the directory, records one run in an open session, and waits for its end. If the run is stopped before its file
+/// exists, the wait for the disk is limited to [`DISK_WAIT_AT_END`].
 async fn record_in_session(
     Setup { scheduler, storage, .. }: &Setup,
     session: &Session,
@@ -92,18 +96,19 @@ async fn record_in_session(
         let silent = || Fact::DiskSilent { directory: None, silent_s: None }.into();
         RunError::NoFile { cause: stop.cause(), problem: storage.problem().unwrap_or_else(silent) }
     };
-    // Only now: a run that does not begin creates no directory.
+    // Claim the directory only now, so that a run that does not begin creates no directory.
     let claimed_storage = storage.clone();
     let claim_task = Pending::start(scheduler, "claim", move || claim_directory(&claimed_storage));
     let claim_died = |_| Err(RunError::Thread("claim panicked; its cause is in the log".into()));
-    // The run is refused if the disk has a problem, so its state must be known before.
+    // The run is refused if the disk has a problem, so wait until the state of the disk is known.
     let poll_claim = || storage.is_known().then(|| claim_task.poll()).flatten();
     let _claim = until(scheduler, STOP_PERIOD, || match poll_claim() {
         Some(claim) => Some(claim.unwrap_or_else(claim_died)),
         None => disk_wait_is_over().then(|| Err(no_file_error())),
     })
     .await?;
-    // The run has its own stop, also set when it is complete; only `stop`, a request, limits the wait for the disk.
+    // The stop of the run, `run.stop`, is also set when the run is complete. Only the caller's request `stop` limits
+    // the wait for the disk.
     let run = session.begin(details, None)?;
     until(scheduler, STOP_PERIOD, || {
         if stop.is_stopped() {
@@ -115,8 +120,8 @@ async fn record_in_session(
     .await
 }
 
-/// Brings the bus into operation. If the request waits for the bus, failed attempts are repeated, and the problem is logged
-/// whenever it changes.
+/// Brings the bus into operation. If the request has the option to wait for the bus, failed attempts are repeated. The
+/// problem is logged whenever it changes.
 pub async fn open_with_retry(setup: &Setup, request: &RunRequest, stop: &Stop) -> Result<Session, RunError> {
     let scheduler = &*setup.scheduler;
     let mut logged = String::new();
@@ -149,11 +154,11 @@ pub async fn open_with_retry(setup: &Setup, request: &RunRequest, stop: &Stop) -
     }
 }
 
-/// Waits until the bus is in operation or has failed, with a warning if that is slow.
+/// Waits until the bus is in operation or has failed. Logs a warning if that takes long.
 async fn opened(scheduler: &dyn Scheduler, mut opening: Opening) -> Result<Session, RunError> {
     let slow_at = scheduler.clock().now().plus_ns(SLOW_AFTER.as_nanos() as i64);
     let is_slow = || scheduler.clock().now() >= slow_at;
-    // `Some(None)` ends the first wait, for the warning.
+    // `Some(None)` ends the first wait when the bus is slow, so that the warning can be logged.
     let opened_or_slow = || opening.poll().map(Some).or_else(|| is_slow().then_some(None));
     if let Some(opened) = until(scheduler, STOP_PERIOD, opened_or_slow).await {
         return opened;

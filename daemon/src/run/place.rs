@@ -1,4 +1,4 @@
-//! The directory of the recordings: its claim, and the recovery of crashed runs.
+//! The directory of the recordings: claiming it for this process, and recovering crashed runs in it.
 
 use std::path::PathBuf;
 
@@ -8,8 +8,8 @@ use super::error::RunError;
 use crate::claim::Claim;
 use crate::record::Storage;
 
-/// Keeps other processes from recording into the directory, which is created if missing. A directory that cannot be created
-/// is not claimed: creating the run's file reports the problem.
+/// Claims the directory, so that no other process records into it. The directory is created if it is missing. If it cannot be
+/// created, it is not claimed, and creating the file of the run reports the problem later.
 pub(crate) fn claim_directory(storage: &Storage) -> Result<Option<Claim>, RunError> {
     let directory = storage.directory();
     let disk = storage.disk();
@@ -20,7 +20,7 @@ pub(crate) fn claim_directory(storage: &Storage) -> Result<Option<Claim>, RunErr
         .map_err(|holder| RunError::InUse { directory: directory.to_owned(), holder })
 }
 
-/// Finishes the recordings of crashed runs, logs that, and returns their files.
+/// Finishes the recordings of crashed runs, logs each of them, and returns their files.
 pub fn finish_leftovers(storage: &Storage) -> Vec<PathBuf> {
     let (disk, places) = (storage.disk(), [storage.directory(), storage.spare()]);
     let leftovers = places.into_iter().flat_map(|place| recover_leftovers_on(&*disk, place));

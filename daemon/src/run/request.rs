@@ -17,7 +17,7 @@ pub enum BusChoice {
     /// The simulated segment in this process, with generated motion.
     #[default]
     Simulated,
-    /// The simulated segment, its encoders following a recording.
+    /// The simulated segment in this process, with the motion of a recording.
     Replay(PathBuf),
     /// The network interface of this name.
     Interface(String),
@@ -44,7 +44,7 @@ pub struct About {
     pub note: String,
 }
 
-/// What the runs of a bus have in common.
+/// What all runs of a bus have in common.
 #[derive(Clone)]
 pub struct Setup {
     /// Provides the clock, and runs steppers and futures.
@@ -66,27 +66,28 @@ pub struct RunRequest {
     pub bus: BusChoice,
     /// Faults to inject into the simulated bus.
     pub faults: Vec<FaultWindow>,
-    /// Repeat the attempt to bring the bus up until it succeeds.
+    /// Repeat the attempt to bring the bus into operation until it succeeds.
     pub wait: bool,
-    /// Virtual time, as fast as the machine allows. Simulated bus only.
+    /// Use virtual time, as fast as the machine allows. Only for the simulated bus.
     pub fast: bool,
 }
 
-/// One run of a bus that is in operation.
+/// A run on a bus that is in operation.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct RunDetails {
     /// Name of the run, and of its file.
     pub name: String,
     /// Texts that describe the run.
     pub about: About,
-    /// Duration; `None`: until stopped, or to the end of a replay.
+    /// Duration; `None` if the run lasts until it is stopped, or to the end of a replay.
     pub duration: Option<Duration>,
-    /// Reference marks of the encoders, used if the terminals still have them; not for a replay, whose recording has its own.
+    /// Reference marks of the encoders. A mark is used only if the latch of its terminal still agrees with it. `None` for a
+    /// replay, because the recording contains its own marks.
     pub homing: Option<HomingConfig>,
 }
 
 impl About {
-    /// Refuses texts that are too long, or that could control the terminal of a person who reads them.
+    /// Refuses texts that are too long, and texts with control characters, which could manipulate the terminal of a reader.
     pub fn check(&self) -> Result<(), &'static str> {
         let Self { operator, robot, bar, payload, note } = self;
         [operator, robot, bar, payload, note].into_iter().try_for_each(|text| check_text(text))
@@ -98,13 +99,13 @@ pub fn name_by_time() -> String {
     chrono::Local::now().format("%Y-%m-%d_%H-%M-%S").to_string()
 }
 
-/// The name of a run from typed text, see [`run_name`].
+/// Converts typed text into the name of a run; see [`run_name`].
 pub fn typed_name(typed: &str) -> Result<String, String> {
     run_name(typed)
         .ok_or_else(|| format!("run name {typed:?} has no letter or digit; choose another, or omit it"))
 }
 
-/// Largest length of a text of a run \[bytes\].
+/// Longest text that describes a run \[bytes\].
 const TEXT_BYTES_MAX: usize = 4000;
 
 /// Refuses a text of a run that is too long or contains control characters.

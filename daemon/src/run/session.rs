@@ -1,6 +1,7 @@
-//! A bus in operation, for one run after the other without being brought up again. [`Session::open`] starts the thread of the
-//! cycle; a run adds a ring, a job for that thread, and a recorder that creates the run's file and writes what the ring has.
-//! `run::record` opens a session for one run, the service keeps one.
+//! A bus in operation, on which one run after the other is recorded. [`Session::open`] starts the thread of the cycle,
+//! which brings the bus into operation. A run adds three things: a ring, a job for that thread, and a recorder that
+//! creates the file and writes the cycles from the ring. `run::record` opens a session for one run. The service keeps
+//! one session for all runs.
 
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
@@ -31,19 +32,20 @@ use crate::record::{
 use crate::scheduler::{Died, Scheduler, Stepper, received, until};
 use crate::segment::faults::FaultHandle;
 
-/// Largest number of queued jobs for the cycle; all but the last are those of ended runs.
+/// Capacity of the queue of jobs. Only the last queued job can belong to a current run. Earlier jobs belong
+/// to runs that have ended.
 const JOBS_MAX: usize = 8;
-/// Largest number of queued markers for the recorder.
+/// Capacity of the queue of markers for the recorder.
 const MARKS_MAX: usize = 1000;
-/// Period of checks whether the cycle has ended.
+/// Period of the checks whether the cycle has ended.
 const CLOSE_PERIOD: Duration = Duration::from_millis(1);
 
 /// A bus in operation.
 pub struct Session {
     jobs: SyncSender<Job>,
-    /// Gets a message when the cycle has ended; disconnected after a panic.
+    /// Receives a message when the cycle has ended. Disconnected after a panic.
     cycle_over: Receiver<()>,
-    /// Report of the cycle's thread; empty while the bus is being brought up.
+    /// What the thread of the cycle reported. Empty until the bus is in operation.
     ready: Ready,
     /// The latest sample of each encoder.
     pub live: Arc<LatestSamples>,
@@ -55,11 +57,11 @@ pub struct Session {
     pub period: Duration,
     /// Encoders in bus order.
     pub encoders: Vec<EncoderInfo>,
-    /// Number of cycles of the replayed recording.
+    /// Number of cycles of the replayed recording; `None` without a replay.
     replay_cycles: Option<u64>,
     /// Scheduler, disk and configuration.
     pub setup: Setup,
-    /// Ends attempts of the cycle to restore the bus, when the session is closed.
+    /// Ends attempts of the cycle to restore the bus. It is set when the session is closed.
     ending: Stop,
     /// Controls faults of a simulated bus; `None` for a real one.
     pub faults: Option<FaultHandle>,
@@ -84,7 +86,7 @@ pub struct Opening {
 }
 
 impl Session {
-    /// Starts to bring the bus into operation. `opening` can end the attempt early.
+    /// Starts to bring the bus into operation. The stop request `opening` can end the attempt early.
     pub(super) fn open(
         prepared: PreparedBus,
         setup: Setup,
@@ -118,9 +120,9 @@ impl Session {
         Ok(Opening { ready, session: Some(session) })
     }
 
-    /// Begins a run without waiting for the disk. Its recorder recovers crashed runs, then creates the run's file, while the
-    /// cycles wait in the ring; [`RunProgress::is_open`] once it exists. One run at a time: the previous one must have been
-    /// joined. `tap` receives the recorded messages.
+    /// Begins a run without waiting for the disk. The recorder first recovers crashed runs and then creates the file of the
+    /// run. The cycles wait in the ring until the file exists, which [`RunProgress::is_open`] reports. Only one run may be
+    /// active at a time, so the previous run must have been joined. `tap` receives the recorded messages.
     pub fn begin(&self, details: &RunDetails, tap: Option<Tap>) -> Result<ActiveRun, RunError> {
         if let Some(problem) = self.setup.storage.problem() {
             return Err(RunError::Disk(problem));
@@ -161,26 +163,26 @@ impl Session {
         };
         start(&*self.setup.scheduler, "recorder", || recording)?;
         claim::set_activity(format!("recording run `{}`", details.name));
-        // If the cycle does not take the job, the recorder finds the ring abandoned and finishes an empty file.
+        // If the cycle does not accept the job, the recorder finds the ring abandoned and finishes an empty file.
         let _ = self.jobs.try_send(Job::Run(job));
         Ok(ActiveRun { stop, progress, started, marks, outcome })
     }
 
-    /// Provides cycles, events and timing without a file, for this duration or until `stop`.
+    /// Provides cycles, events and timing without recording them to a file. Ends after this duration, or when `stop` is set.
     pub fn begin_watch(&self, duration: Option<Duration>, stop: &Stop) -> CycleSource {
         let (sink, source) = self.ring(self.setup.daemon.ring_cycles(self.period));
         let job = self.run_job(sink, stop, duration, self.clock().utc_minus_monotonic_ns());
-        // If the cycle does not take the job, the source ends at once.
+        // If the cycle does not accept the job, the source ends at once.
         let _ = self.jobs.try_send(Job::Run(job));
         source
     }
 
-    /// A ring of this number of cycles between cycle and recorder.
+    /// Creates a ring of this number of cycles between the cycle and the recorder.
     fn ring(&self, cycles: usize) -> (CycleSink, CycleSource) {
         record::ring(cycles, if self.pace == Pace::Fast { FullRing::Waits } else { FullRing::Drops })
     }
 
-    /// The job of the cycle's thread for a run or a watch.
+    /// Creates the job for the thread of the cycle, for a run or a watch.
     fn run_job(
         &self,
         sink: CycleSink,
@@ -198,16 +200,17 @@ impl Session {
         }
     }
 
-    /// Begins a homing, during which a person turns one joint at a time.
+    /// Begins a homing, during which a person turns one joint after the other.
     pub fn begin_homing(&self) -> ActiveHoming {
         claim::set_activity("homing the encoders");
         let (job, active) = homing::begin();
-        // If the cycle does not take the job, the homing ends at once.
+        // If the cycle does not accept the job, the homing ends at once.
         let _ = self.jobs.try_send(Job::Home(job));
         active
     }
 
-    /// The encoders, with those reference marks of `details.homing` that their terminals still have.
+    /// The encoders with the reference marks in `details.homing`. Marks that no longer agree with the latch of their
+    /// terminal are omitted and logged.
     fn encoders_with_marks(&self, details: &RunDetails) -> Vec<EncoderInfo> {
         let mut encoders = self.encoders.clone();
         let stale = details.homing.as_ref().map(|homing| homing.apply(&mut encoders, &self.live.latches()));
@@ -227,17 +230,17 @@ impl Session {
         self.setup.scheduler.clock()
     }
 
-    /// Devices on the bus.
+    /// The devices on the bus.
     pub fn devices(&self) -> &[DeviceInfo] {
         &self.ready.devices
     }
 
-    /// Clocks of the devices when the bus came up.
+    /// Clocks of the devices at the time when the bus came into operation.
     pub fn clocks(&self) -> &[DeviceClock] {
         &self.ready.clocks
     }
 
-    /// Why the bus does not give complete samples, if known.
+    /// Why the bus delivers no complete samples; `None` if the cause is unknown or the bus works.
     pub fn outage(&self) -> Option<Fact> {
         let missing_devices = |from| absent(&self.bus, &self.ready.devices, from);
         self.live.missing_from().map(missing_devices).or_else(|| self.live.outage())
@@ -248,12 +251,12 @@ impl Session {
         Provenance::new(&self.bus, self.replay_of.clone()).simulated
     }
 
-    /// Permissions of the cycle's thread; `None` on virtual time.
+    /// Real-time permissions of the cycle's thread; `None` on virtual time.
     pub fn realtime(&self) -> Option<&RealtimeReport> {
         self.ready.realtime.as_ref()
     }
 
-    /// Permissions that the cycle's thread lacks; `None` if it has all.
+    /// Problem that lists the real-time permissions that the cycle's thread lacks; `None` if it has all of them.
     pub fn realtime_problem(&self) -> Option<Problem> {
         let report = self.realtime().filter(|report| !report.is_complete())?;
         Some(Fact::RealtimeDenied { report: report.to_string() }.into())
@@ -271,7 +274,7 @@ impl Session {
         }
     }
 
-    /// Ends the cycle; completes once it has ended.
+    /// Ends the cycle. Completes when the cycle has ended.
     pub async fn close(self) -> Result<(), RunError> {
         let scheduler = Arc::clone(&self.setup.scheduler);
         let cycle_over = self.begin_close();
@@ -279,19 +282,20 @@ impl Session {
         over.map_err(|Died| RunError::Thread("the cycle panicked; its cause is in the log".into()))
     }
 
-    /// Ends the cycle; the receiver is connected until the cycle has ended.
+    /// Requests the end of the cycle. The receiver stays connected until the cycle has ended.
     pub fn begin_close(self) -> Receiver<()> {
         self.ending.stop("the session is closed");
         // Dropping the rest of the session closes the queue of jobs, which ends the cycle.
         self.cycle_over
     }
 
-    /// Number of whole cycles in a time.
+    /// Number of whole cycles in this time.
     fn whole_cycles_in(&self, time: Duration) -> u64 {
         u64::try_from(time.as_nanos() / self.period.as_nanos().max(1)).unwrap_or(u64::MAX)
     }
 
-    /// Cycles after which a run ends by its duration or the end of a replay, whichever is first, and that cause.
+    /// Number of cycles after which a run ends, and the cause. The limit is the duration or the end of
+    /// the replay, whichever comes first.
     fn cycle_limit(&self, duration: Option<Duration>) -> Option<(u64, &'static str)> {
         let wanted = duration.map(|duration| (self.whole_cycles_in(duration), "duration reached"));
         let replayed = self.replay_cycles.map(|cycles| (cycles, "end of the replayed recording"));
@@ -300,7 +304,7 @@ impl Session {
 
     /// Metadata of a run that begins now.
     fn metadata(&self, details: &RunDetails) -> RunMetadata {
-        // The bus may be in operation for days, so each run reads the offset again.
+        // Read the offset again for each run, because the bus may be in operation for days.
         let utc_minus_monotonic_ns = match self.pace {
             Pace::Clock => self.clock().utc_minus_monotonic_ns(),
             Pace::Fast => self.ready.utc_minus_monotonic_ns,
@@ -329,19 +333,19 @@ impl Session {
 }
 
 impl ActiveRun {
-    /// Queues a marker of this instant for the file; false if the queue is full.
+    /// Queues a marker with the time `at` for the file. Returns false if the queue is full.
     pub fn mark(&self, at: MonoNs, text: String) -> bool {
         self.marks.try_send(Marker { at, text }).is_ok()
     }
 
-    /// Result of the run, returned once: its finished file, or an error.
+    /// Result of the run: the finished file, or an error. It is returned only once.
     pub fn outcome(&self) -> Option<Result<RunSummary, RunError>> {
         let outcome = received(&self.outcome)?.unwrap_or_else(|Died| Err(recorder_panicked()));
         claim::set_activity("between runs");
         Some(outcome)
     }
 
-    /// Waits for the finished file.
+    /// Blocks until the file is finished.
     pub fn join(self) -> Result<RunSummary, RunError> {
         self.outcome.recv().unwrap_or_else(|_| Err(recorder_panicked()))
     }
@@ -352,7 +356,7 @@ fn recorder_panicked() -> RunError {
 }
 
 impl Opening {
-    /// The bus in operation, or an error; returned once.
+    /// The bus in operation, or an error. It is returned only once.
     pub fn poll(&mut self) -> Option<Result<Session, RunError>> {
         let ended_early = "the cycle ended while the bus came up; its cause is in the log";
         let ready = received(&self.ready)?;
@@ -362,7 +366,7 @@ impl Opening {
     }
 }
 
-/// A run before it has its file.
+/// Everything that a run needs before its file has been created.
 struct PendingRun {
     ring: CycleSource,
     link: RunLink,
@@ -370,7 +374,7 @@ struct PendingRun {
     tap: Option<Tap>,
 }
 
-/// Creates the file of a run, records into it, and finishes it.
+/// The stepper that creates the file of a run, records into it, and finishes it.
 struct RunRecording {
     pending: Option<PendingRun>,
     recorder: Option<Recorder>,
@@ -381,7 +385,8 @@ struct RunRecording {
 }
 
 impl RunRecording {
-    /// Creates the file in the first step, then records what the ring has; the summary once the file is finished.
+    /// Creates the file in the first step, then records the cycles from the ring. Returns the summary
+    /// once the file is finished.
     fn step(&mut self) -> Result<Option<RunSummary>, RunError> {
         if let Some(PendingRun { ring, link, metadata, tap }) = self.pending.take() {
             let mut writer = create(&link, &metadata)?;
@@ -396,7 +401,7 @@ impl RunRecording {
             Ok(false) => self.recorder.take().map(|recorder| recorder.finish(self.stop.cause())).transpose(),
             Err(error) => Err(error),
         };
-        // Release the lock of the file: a failed file is recovered below.
+        // Drop the recorder to release the lock of the file. If recording failed, the file is recovered below.
         self.recorder = None;
         finished.map_err(|error| salvage(error, &self.progress, &*self.disk, self.stop.cause()))
     }
@@ -406,19 +411,19 @@ impl Stepper for RunRecording {
     fn poll(&mut self, _: MonoNs) -> Option<Duration> {
         let outcome = self.step().transpose();
         let Some(outcome) = outcome else { return Some(Recorder::PERIOD) };
-        // A service that ends may have dropped the receiver.
+        // If the service is ending, it may have dropped the receiver. The result is then not needed.
         let _ = self.result.send(outcome);
         None
     }
 }
 
-/// Creates the run's file. Crashed runs are recovered before: one of them may have its name.
+/// Creates the file of the run. Recovers crashed runs first, because one of them may have the name of the run.
 fn create(link: &RunLink, run: &RunMetadata) -> Result<RecordingWriter<RunFile>, RunError> {
     let RunLink { progress, storage, .. } = link;
     progress.opening("recovering earlier runs");
     let recovered = finish_leftovers(storage);
     progress.opening("creating it");
-    // The known state of the disk may be that of the previous run's place.
+    // Check the disk again, because its known state may be that of the directory of the previous run.
     if let Some(full) = storage.full(storage.directory()) {
         return Err(RunError::Disk(full));
     }
@@ -431,7 +436,8 @@ fn create(link: &RunLink, run: &RunMetadata) -> Result<RecordingWriter<RunFile>,
     Ok(writer)
 }
 
-/// Recovers the cycles that were written before a failure of the disk, and returns the error that describes them.
+/// Recovers the cycles that were written before the disk failed. Returns the error that describes the
+/// failure and the saved cycles.
 fn salvage(source: WriteError, progress: &RunProgress, disk: &dyn Disk, cause: String) -> RunError {
     let Some(place) = progress.place() else { return source.into() };
     let (file, content) = match recover_file_on(disk, place.path()) {
@@ -462,7 +468,7 @@ fn salvage(source: WriteError, progress: &RunProgress, disk: &dyn Disk, cause: S
     RunError::Broken { source, saved, content: Some(Box::new(summary)) }
 }
 
-/// Starts the stepper that `begin` creates.
+/// Starts a stepper that the function `begin` creates.
 fn start<S: Stepper + 'static>(
     scheduler: &dyn Scheduler,
     name: &str,

@@ -1,5 +1,5 @@
-//! Derives the wire (network interface, simulated or replaying segment), the clock and the plan of the bus from a request and
-//! the configuration, before a thread starts.
+//! Prepares a bus from a request and the configuration, before any thread starts. The result contains the wire (a network
+//! interface, or a simulated or replaying segment), the clock, and the plan of the bus.
 
 use std::path::Path;
 use std::time::Duration;
@@ -19,22 +19,22 @@ use crate::segment::simulated::{
 };
 use crate::segment::{EthernetWire, FrameWire, InProcessWire};
 
-/// Result of [`prepare`].
+/// Everything that a session needs to operate a bus.
 pub(super) struct PreparedBus {
     pub wire: Box<dyn FrameWire>,
     pub clock: Clock,
     pub plan: BusPlan,
     /// Encoders of the run, in bus order.
     pub encoders: Vec<EncoderInfo>,
-    /// Origin of the replayed recording.
+    /// Origin of the replayed recording; `None` without a replay.
     pub replay_of: Option<ReplayOrigin>,
-    /// Starts the replay; the time is that of its first sample.
+    /// Handle that starts the replay, and the time of the first sample of the recording.
     pub replay: Option<(ReplayHandle, UtcNs)>,
-    /// Turns the simulated joints when they are homed.
+    /// Handle that turns the simulated joints during a homing.
     pub hand: Option<Hand>,
-    /// Controls faults of the simulated bus.
+    /// Handle that controls faults of the simulated bus.
     pub faults: Option<FaultHandle>,
-    /// Cycles after which every run ends: those of the replayed recording.
+    /// Number of cycles after which every run ends. It is the number of cycles of the replayed recording.
     pub cycles: Option<u64>,
 }
 
@@ -46,7 +46,8 @@ pub(super) fn prepare(request: &RunRequest, setup: &Setup) -> Result<PreparedBus
             PreparedBus::from_config(wire, name, setup)
         }
         BusChoice::Simulated => {
-            // One motion for all encoders of the bar: their discs have the same number of lines.
+            // The motion uses the number of lines of the first encoder, because all discs of the bar have
+            // the same number of lines.
             let encoders = &setup.bar.encoders;
             let lines = encoders.first().map_or(0, |encoder| encoder.lines);
             let config = SegmentConfig { terminals: encoders.len(), ..SegmentConfig::default() };
@@ -60,7 +61,7 @@ pub(super) fn prepare(request: &RunRequest, setup: &Setup) -> Result<PreparedBus
     Ok(prepared)
 }
 
-/// Refuses a request that contradicts itself.
+/// Refuses a request whose options contradict each other.
 pub(super) fn check(request: &RunRequest) -> Result<(), RunError> {
     match &request.bus {
         BusChoice::Interface(_) if request.fast => {
@@ -77,7 +78,7 @@ pub(super) fn check(request: &RunRequest) -> Result<(), RunError> {
 }
 
 impl PreparedBus {
-    /// A bus of this name with the configured encoders.
+    /// Prepares a bus of this name with the configured encoders.
     pub fn from_config(wire: Box<dyn FrameWire>, bus: &str, setup: &Setup) -> Self {
         let info = |encoder: &EncoderConfig| EncoderInfo { joint: encoder.joint, scale: encoder.scale() };
         Self {
@@ -94,7 +95,7 @@ impl PreparedBus {
     }
 }
 
-/// The plan of a bus of this name with the configured encoders.
+/// Creates the plan of a bus of this name with the configured encoders.
 pub(super) fn plan(bus: &str, daemon: &DaemonConfig, bar: &BallBarConfig) -> BusPlan {
     BusPlan {
         name: bus.to_owned(),
@@ -106,7 +107,7 @@ pub(super) fn plan(bus: &str, daemon: &DaemonConfig, bar: &BallBarConfig) -> Bus
     }
 }
 
-/// The simulated segment as a wire of this process, with `faults` scheduled.
+/// Creates the simulated segment as a wire within this process. `faults` are scheduled on it.
 fn in_process(
     config: &SegmentConfig,
     source: Box<dyn EncoderSource>,
@@ -119,7 +120,7 @@ fn in_process(
     Ok((Box::new(InProcessWire::with_faults(segment, setup.scheduler.clock().clone())), handle))
 }
 
-/// A recording with the source of encoders that follow it.
+/// Reads a recording. Returns it with a source of encoder counts that repeat the recording, and the handle that starts it.
 pub fn open_replay(path: &Path) -> Result<(Recording, Replay, ReplayHandle), RunError> {
     let recording = Recording::open(path)?;
     let counts =
@@ -130,16 +131,17 @@ pub fn open_replay(path: &Path) -> Result<(Recording, Replay, ReplayHandle), Run
     Ok((recording, source, handle))
 }
 
-/// The segment for a replay. Its bus clock does not drift, or the recording would be played too fast or too slow.
+/// Configuration of the segment for a replay. The clock of the segment does not drift, because a drift would change
+/// the speed of the replay.
 pub fn replaying_segment(segment: SegmentConfig, recording: &Recording) -> SegmentConfig {
     SegmentConfig { terminals: recording.run.encoders.len(), drift_ppm: 0.0, ..segment }
 }
 
-/// A simulated bus whose encoders follow a recording; period and encoders are those of the recording.
+/// Prepares a simulated bus whose encoders follow a recording. Cycle period and encoders are those of the recording.
 fn prepare_replay(path: &Path, faults: &[FaultWindow], setup: &Setup) -> Result<PreparedBus, RunError> {
     let (recording, source, handle) = open_replay(path)?;
     let encoders = &recording.run.encoders;
-    // A replay has at least one row.
+    // A recording that can be replayed has at least one cycle.
     let first_sample = recording.cycles.first().map(|record| record.sample_time);
     let segment = replaying_segment(SegmentConfig::default(), &recording);
     let (wire, _) = in_process(&segment, Box::new(source), setup, faults)?;

@@ -1,8 +1,11 @@
-//! Requests to a service of another machine: over TLS, with the token.
+//! Requests to a service on another machine, over TLS and with the token.
 //!
-//! The certificate of a measurement PC is self-signed, so the client checks no authority. A person has its fingerprint, and
-//! nothing is sent before the server has proved that it has the key of that certificate. `ureq` accepts a verifier of
-//! certificates only through `unversioned`, which minor versions may change: Cargo.toml pins it.
+//! The certificate of a measurement PC is self-signed, so no certificate authority can confirm it. Instead, the user
+//! provides the fingerprint of the certificate. Nothing is sent before the server has proved that it owns the key of
+//! the certificate with this fingerprint.
+//!
+//! `ureq` accepts a custom verifier of certificates only through its module `unversioned`, which minor versions may change.
+//! Cargo.toml therefore pins the version.
 
 use std::fmt;
 use std::io;
@@ -50,7 +53,7 @@ pub struct ElsewhereArguments {
     fingerprint: Option<Fingerprint>,
 }
 
-/// A service of another machine.
+/// A service on another machine, from the command line.
 pub struct Elsewhere<'a> {
     address: &'a Address,
     token_file: &'a Path,
@@ -62,7 +65,7 @@ pub struct Elsewhere<'a> {
 struct Address(String);
 
 impl ElsewhereArguments {
-    /// The named service; `None` for that of this machine.
+    /// The service that the options name; `None` for the service of this machine.
     pub fn named(&self) -> Option<Elsewhere<'_>> {
         let (address, token_file) = (self.service.as_ref()?, self.token_file.as_ref()?);
         Some(Elsewhere { address, token_file, fingerprint: self.fingerprint.as_ref()? })
@@ -74,12 +77,12 @@ impl Elsewhere<'_> {
         format!("https://{}/api/{path}", self.address.0)
     }
 
-    /// File of its token.
+    /// File with the token of the service.
     pub fn token_file(&self) -> &Path {
         self.token_file
     }
 
-    /// Connects to this service only, and sends the token.
+    /// Creates an agent that connects to this service only and sends the token with each request.
     pub fn agent(&self, config: ConfigBuilder<AgentScope>) -> anyhow::Result<ureq::Agent> {
         let mut bearer = HeaderValue::try_from(format!("Bearer {}", self.token()?))?;
         bearer.set_sensitive(true);
@@ -139,7 +142,7 @@ impl FromStr for Address {
     }
 }
 
-/// Accepts only the certificate with this fingerprint, independent of its names and dates.
+/// Accepts only the certificate with this fingerprint, whatever names and dates it contains.
 #[derive(Debug)]
 struct Pin {
     fingerprint: Fingerprint,
@@ -189,7 +192,8 @@ impl ServerCertVerifier for Pin {
     }
 }
 
-/// Wraps a connection in TLS to the pinned certificate: ureq's own TLS verifies by authorities alone.
+/// Wraps a connection in TLS and accepts only the pinned certificate. The TLS of `ureq` cannot do this, because it
+/// checks certificates only by authorities.
 #[derive(Debug)]
 struct Pinned(Arc<ClientConfig>);
 
@@ -229,7 +233,7 @@ fn tls_problem(error: &rustls::Error) -> String {
     }
 }
 
-/// The bytes of a connection over TLS.
+/// A connection over TLS, as `ureq` uses it.
 struct OverTls<T: Transport> {
     buffers: LazyBuffers,
     stream: StreamOwned<ClientConnection, TransportAdapter<T>>,

@@ -1,4 +1,4 @@
-//! `ballbard export`: a recording as a table for spreadsheets and scripts.
+//! `ballbard export`: writes a recording as a table for spreadsheets and scripts.
 
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
@@ -51,7 +51,7 @@ pub fn run(arguments: &ExportArguments) -> anyhow::Result<()> {
         let written = source.write_csv(layout, service, BufWriter::new(io::stdout().lock()));
         return match written.map_err(anyhow::Error::downcast::<io::Error>) {
             Ok(_) => Ok(()),
-            // A reader of standard output that has closed it, such as `head`, is not an error.
+            // It is no error if the reader closes the standard output early, as `head` does.
             Err(Ok(io_error)) => Ok(unless_gone(Err(io_error))?),
             Err(Err(other)) => Err(other),
         };
@@ -62,14 +62,14 @@ pub fn run(arguments: &ExportArguments) -> anyhow::Result<()> {
     if let Some(directory) = out.parent().filter(|path| !path.as_os_str().is_empty() && !path.is_dir()) {
         bail!("--out: the directory {} does not exist; create it, or name another", directory.display());
     }
-    // Renamed at the end: under its final name the table is complete.
+    // Write to a temporary name and rename the file at the end, so that a table with its final name is complete.
     let part = out.with_extension("csv.part");
     let sink = File::create(&part).with_context(|| format!("cannot create {}", part.display()))?;
     let written = source
         .write_csv(layout, service, BufWriter::new(sink))
         .and_then(|rows| Ok(std::fs::rename(&part, &out).map(|()| rows)?));
     if written.is_err() {
-        // The first error is reported, not this one.
+        // Ignore an error of the removal, because the first error is reported.
         let _ = std::fs::remove_file(&part);
     }
     let rows = written.with_context(|| format!("cannot export to {}", out.display()))?;
@@ -83,12 +83,12 @@ pub fn run(arguments: &ExportArguments) -> anyhow::Result<()> {
 /// Location of the recording.
 enum RecordingLocation {
     File(PathBuf),
-    /// At the service of another machine, which makes the table.
+    /// A recording of a service on another machine. That service writes the table.
     Elsewhere(Box<RunLine>),
 }
 
 impl RecordingLocation {
-    /// Returns the number of rows.
+    /// Writes the table to `sink`. Returns the number of rows.
     fn write_csv(
         &self,
         layout: Layout,
@@ -108,12 +108,12 @@ impl RecordingLocation {
     }
 }
 
-/// The recording, and the path of its table except for the ending.
+/// Finds the recording. Also returns the path from which the name of the table is derived, by replacing the extension.
 fn find(recording: &Path, service: &ServiceArguments) -> anyhow::Result<(RecordingLocation, PathBuf)> {
-    // The name of a run may have dots, but it does not end like a file.
+    // The name of a run may contain dots, but it does not have the extension of a recording.
     let is_name = recording.components().count() == 1
         && recording.extension().is_none_or(|ending| ending != FINISHED_ENDING);
-    // Local files do not belong to the service of another machine.
+    // With a service on another machine, local files are not considered.
     if (recording.exists() || !is_name) && !service.is_elsewhere() {
         return Ok((RecordingLocation::File(recording.to_owned()), recording.to_owned()));
     }

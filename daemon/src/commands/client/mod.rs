@@ -1,5 +1,5 @@
-//! Commands that use a running service, of this machine over HTTP or of another over TLS ([`elsewhere`]): [`ServiceArguments`]
-//! has its address, sends a request and reads the reply or the refusal.
+//! Commands that use a running service, on this machine over HTTP or on another machine over TLS ([`elsewhere`]).
+//! [`ServiceArguments`] contains the address of the service, sends a request, and reads the reply or the refusal.
 
 mod elsewhere;
 pub mod export;
@@ -24,7 +24,7 @@ use crate::control::recordings::runs::{self, RunLine};
 use crate::control::status::Refusal;
 use elsewhere::ElsewhereArguments;
 
-/// Longer than the service takes to finish a file on a slow disk.
+/// Time limit of a request. It is longer than the service takes to finish a file on a slow disk.
 const TIMEOUT: Duration = Duration::from_secs(30);
 
 /// Address of the service.
@@ -41,7 +41,7 @@ pub struct ServiceArguments {
     pub format: Format,
 }
 
-/// Recordings of this directory, which must exist, and of the spare one.
+/// Lists the recordings of this directory, which must exist, and of the spare directory.
 fn listed_in(directory: &Path, spare: Option<&Path>) -> anyhow::Result<Vec<RunLine>> {
     let directories: Vec<_> = std::iter::once(directory).chain(spare).map(Path::to_owned).collect();
     std::fs::read_dir(directory)
@@ -49,7 +49,7 @@ fn listed_in(directory: &Path, spare: Option<&Path>) -> anyhow::Result<Vec<RunLi
         .with_context(|| format!("cannot list recordings in {}", directory.display()))
 }
 
-/// No service answers at the address.
+/// No service replies at the address.
 #[derive(Debug, thiserror::Error)]
 #[error("no answer from {url} ({why}); {remedy}")]
 pub struct NoService {
@@ -59,12 +59,12 @@ pub struct NoService {
 }
 
 impl ServiceArguments {
-    /// Origin of the configuration.
+    /// Where the configuration comes from.
     pub fn configuration(&self) -> &ConfigurationFiles {
         &self.configuration
     }
 
-    /// Recordings of the running service; of the configured directory if none is running.
+    /// Recordings of the running service. If no service is running, those of the configured directory.
     pub fn runs(&self) -> anyhow::Result<Vec<RunLine>> {
         match self.get("runs") {
             Err(error) if self.is_default() && error.is::<NoService>() => {
@@ -75,19 +75,19 @@ impl ServiceArguments {
         }
     }
 
-    /// A request that changes nothing.
+    /// Sends a request that changes nothing.
     pub fn get<T: DeserializeOwned>(&self, path: &str) -> anyhow::Result<T> {
         self.answer(path, |agent, url| agent.get(url).call(), read_json)
     }
 
-    /// A file from the service of another machine; local files are read directly.
+    /// Fetches a file from a service on another machine. Local files are read directly instead.
     pub fn fetch<T>(
         &self,
         path: &str,
         read: impl FnOnce(&mut dyn Read) -> anyhow::Result<T>,
     ) -> anyhow::Result<T> {
         let get = |agent: &ureq::Agent, url: &str| {
-            // No limit of the total time, but of pauses.
+            // Limit the duration of pauses instead of the total time, because a file may be large.
             agent.get(url).config().timeout_global(None).timeout_per_read(Some(TIMEOUT)).build().call()
         };
         self.answer(path, get, |mut response| {
@@ -95,7 +95,7 @@ impl ServiceArguments {
         })
     }
 
-    /// A request that changes something.
+    /// Sends a request that changes something.
     pub fn post<T: DeserializeOwned>(&self, path: &str, body: &impl Serialize) -> anyhow::Result<T> {
         self.answer(path, |agent, url| agent.post(url).send_json(body), read_json)
     }
@@ -105,12 +105,12 @@ impl ServiceArguments {
         self.elsewhere.named().is_some()
     }
 
-    /// Whether no service is named.
+    /// Whether the command line names neither a port nor a service on another machine.
     fn is_default(&self) -> bool {
         self.port.is_none() && !self.is_elsewhere()
     }
 
-    /// Sends a request and reads its reply if it was granted.
+    /// Sends a request. If it was granted, reads the reply, otherwise returns the refusal as an error.
     fn answer<T>(
         &self,
         path: &str,
@@ -152,7 +152,7 @@ impl ServiceArguments {
         Ok((config.build().into(), format!("http://127.0.0.1:{port}/api/{path}")))
     }
 
-    /// Advice if no service answers at the address.
+    /// Advice for the user if no service replies at the address.
     fn remedy(&self) -> String {
         if self.is_elsewhere() {
             return "check that `ballbard run --listen` is running there, that its `ballbard status` prints this address, and the \

@@ -1,4 +1,5 @@
-//! Requests to a running service: `start`, `stop`, `status`, `mark`, `note`, `check`, `runs`, `delete`, `restore`, `bin`, `pair`.
+//! Requests to a running service: `start`, `stop`, `status`, `mark`, `note`, `check`,
+//! `runs`, `delete`, `restore`, `bin`, `pair`.
 
 use std::io::IsTerminal;
 use std::path::PathBuf;
@@ -145,13 +146,13 @@ pub fn restore(arguments: NameArguments) -> anyhow::Result<()> {
     service.format.answer(&reply, format_args!("`{}` is among the recordings again", run_of(&reply)))
 }
 
-/// Prints a QR code that admits a phone.
+/// Prints a QR code with which a phone opens the page without typing the token.
 pub fn pair(service: &ServiceArguments) -> anyhow::Result<()> {
     let reply: PairReply = service.post("pair", &PairRequest {})?;
     if service.format.prints(&reply)? {
         return Ok(());
     }
-    // On a terminal in black and white, independent of its colours.
+    // On a terminal, set black and white explicitly, so that the code is readable with any colour scheme.
     let [begin, end] = if std::io::stdout().is_terminal() { ["\x1b[97;40m", "\x1b[0m"] } else { ["", ""] };
     for PairingLink { url, .. } in &reply.links {
         let code = QrCode::new(url).context("cannot make a QR code")?;

@@ -1,4 +1,4 @@
-//! Replies of a service as text.
+//! Formats replies of a service as text.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -13,22 +13,22 @@ use crate::control::recordings::verdict::Verdict;
 use crate::control::status::{IN_SPITE_OF, LastRun, RunStatus};
 use crate::problem::{Level, Problem};
 
-/// Line before values of the simulated bus.
+/// Line that precedes values of the simulated bus.
 pub const SIMULATED: &str = "SIMULATED: no hardware; the encoder counts are generated";
 
-/// The codes under which the manual explains these problems.
+/// Text with the codes of these problems, under which the manual explains them. Empty without problems.
 pub fn codes(problems: &[Problem]) -> String {
     let mut codes: Vec<_> = problems.iter().map(Problem::code).collect();
     codes.dedup();
     if codes.is_empty() { String::new() } else { format!(" [{}]", codes.join(", ")) }
 }
 
-/// Prints recordings, or `none` if there are none.
+/// Prints a list of recordings. Prints the text `none` if the list is empty.
 pub fn print_list(lines: &[RunLine], none: &str, format: Format) -> anyhow::Result<()> {
     if format.prints(&lines)? {
         return Ok(());
     }
-    // Print the directory once for consecutive recordings.
+    // Print the directory only once for consecutive recordings in it.
     let mut place = None;
     for line in lines {
         let parent = line.file.parent();
@@ -44,7 +44,7 @@ pub fn print_list(lines: &[RunLine], none: &str, format: Format) -> anyhow::Resu
     Ok(())
 }
 
-/// A run that is rated BAD has failed, although its file is complete.
+/// Returns an error if the run is rated BAD, although its file is complete.
 pub fn ensure_usable(name: &str, verdict: Option<&Verdict>) -> anyhow::Result<()> {
     match verdict {
         Some(Verdict { level: Level::Bad, reasons }) => {
@@ -54,7 +54,7 @@ pub fn ensure_usable(name: &str, verdict: Option<&Verdict>) -> anyhow::Result<()
     }
 }
 
-/// A run that is being recorded.
+/// Text about the run that is being recorded.
 pub fn running(run: &RunStatus) -> String {
     let age =
         run.sync_age_ms.map_or("nothing on disk yet".into(), |age| format!("synchronised {age} ms ago"));
@@ -73,7 +73,7 @@ pub fn running(run: &RunStatus) -> String {
     )
 }
 
-/// A run that has ended.
+/// Text about a run that has ended.
 pub fn last_run(last: &LastRun) -> String {
     let LastRun { name, file, cycles, cycles_valid, cycles_lost, cause, provenance, .. } = last;
     let flagged = cycles - cycles_valid.min(cycles);
@@ -84,12 +84,12 @@ pub fn last_run(last: &LastRun) -> String {
     )
 }
 
-/// The instruction that follows a run.
+/// Text that describes the next step after a run.
 pub fn next_step(name: &str, command: &str) -> String {
     format!("next: save the log of the robot's controller as {name}.csv, then type\n  {command}")
 }
 
-/// A recording as a line of the list.
+/// Text of a recording as a line of the list.
 fn listed(line: &RunLine) -> String {
     let started = line.started.map_or(String::from("?"), |at| {
         at.to_datetime().with_timezone(&chrono::Local).format("%Y-%m-%d %H:%M:%S %:z").to_string()
