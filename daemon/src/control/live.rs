@@ -198,8 +198,8 @@ pub(super) fn watch(
     let minute = Arc::<Mutex<Minute>>::default();
     let watched = Watched { latest, minute: Arc::clone(&minute) };
     let mut observer = Observer::new(&settings);
-    // Read the reference marks in a task, because the disk may hang. A file that cannot be read is ignored here, because the
-    // pre-flight check reports it.
+    // Read the reference marks in a task, because the disk may hang. A file that cannot be read is ignored here, because
+    // the pre-flight check reports it.
     let task_scheduler = Arc::clone(scheduler);
     let read_marks = move || {
         let (disk, marks_file) = (Arc::clone(&disk), settings.marks_file.clone());
@@ -221,8 +221,8 @@ pub(super) fn watch(
         }
         let live = observer.next(&status, now);
         minute.lock().unwrap_or_else(PoisonError::into_inner).add(&live);
-        // Serialisation fails only for a number that JSON cannot express, which would be a programming error. Pages then keep
-        // the previous moment.
+        // Serialisation fails only for a number that JSON cannot express, which would be a programming error. Pages
+        // then keep the previous moment.
         if let Ok(json) = serde_json::to_string(&live) {
             moments.send_replace(Arc::new(Moment { live, json }));
         }
@@ -269,6 +269,7 @@ impl Observer {
             self.tracks.iter_mut().for_each(|track| track.counter = None);
         }
         self.origin = status.origin;
+        // Add the latest sample of each encoder to its track, then update the coverage.
         let marks = self.marks(status);
         let mut has_restarted = false;
         for (index, track) in self.tracks.iter_mut().enumerate() {
@@ -279,6 +280,7 @@ impl Observer {
             self.restart_coverage(status.run.is_some(), now);
         }
         self.visit_cell(now);
+        // Compute the content from the tracks. The warnings are last, because they depend on the rest of the content.
         let run_s = status.run.is_some().then(|| now.seconds_since(self.run_begun));
         let joints: Vec<Joint> = self
             .tracks
@@ -533,8 +535,8 @@ impl Track {
         let (joint, from_mark) = (self.config.joint, self.mark.is_some());
         let wound_deg = self.angle_deg.filter(|angle_deg| angle_deg.abs() > WOUND_DEG);
         let wound = wound_deg.map(|turned_deg| Fact::JointWound { joint, turned_deg, from_mark });
-        // The pose is singular if the rod is parallel to the first axis of the bar (sin b2 = 0) or to the last one (sin b4 =
-        // 0).
+        // The pose is singular if the rod is parallel to the first axis of the bar (sin b2 = 0) or to the last
+        // one (sin b4 = 0).
         let distance_deg =
             self.bar_angle_deg().filter(|_| [2, 4].contains(&joint)).map(singular_distance_deg);
         let near_deg = distance_deg.filter(|distance_deg| *distance_deg < SINGULAR_DEG);
@@ -658,8 +660,8 @@ mod tests {
             Self { observer: Observer::new(&settings), now: MonoNs(NS_PER_S), origin: 0, latch: START as u32 }
         }
 
-        /// Returns the moment a tenth of a second later, with the joints at these angles. A joint without an angle has an
-        /// invalid sample.
+        /// Returns the moment a tenth of a second later, with the joints at these angles. A joint without an
+        /// angle has an invalid sample.
         fn at(&mut self, angles_deg: [Option<f64>; 5], run: Option<&str>) -> Live {
             self.now = self.now.plus_ns(NS_PER_S / 10);
             let latch = self.latch;

@@ -45,8 +45,8 @@ pub struct Service {
     scheduler: Arc<dyn Scheduler>,
 }
 
-/// Capacity of the queue of requests to the control. The control empties the queue within milliseconds. If the queue is full,
-/// a request is refused.
+/// Capacity of the queue of requests to the control. The control empties the queue within milliseconds. If the queue is
+/// full, a request is refused.
 const COMMANDS_MAX: usize = 64;
 /// Number of requests that may wait for the disk at the same time.
 const DISK_TASKS_MAX: usize = 4;
@@ -169,7 +169,7 @@ impl Service {
         self.ask(|controller| controller.stop(cause)).await
     }
 
-    /// Begins a homing. Refuses if the marks could not be saved, so that nobody turns the joints in vain.
+    /// Begins a homing. Refuses if the marks could not be saved, so that no joint is turned in vain.
     pub(super) async fn home(&self) -> Result<Answer, Refusal> {
         match self.ask_disk(DISK_TIMEOUT, |settings, disk| settings.marks_file.problem(disk)).await {
             Some(None) => self.ask(Controller::home).await,
@@ -255,8 +255,8 @@ impl Service {
         self.ending.stop(cause);
     }
 
-    /// Waits for the end of the service, even if the thread of the control has died. Afterwards the file of the run is
-    /// finished.
+    /// Waits for the end of the service, even if the thread of the control has died. Afterwards the file
+    /// of the run is finished.
     pub fn join(&self) -> Result<(), ServiceError> {
         let outcome = self.outcome.lock().unwrap_or_else(PoisonError::into_inner).take();
         outcome.map_or(Ok(()), |outcome| outcome.recv().unwrap_or(Err(ServiceError::Died)))

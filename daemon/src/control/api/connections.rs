@@ -33,8 +33,8 @@ use tower::ServiceExt;
 use super::peer::Peer;
 use super::refusal;
 
-/// Largest number of open connections. It suffices for some people and programs, and is far below the limit of open files of
-/// a process.
+/// Largest number of open connections. It suffices for some people and programs, and is far below the limit of
+/// open files of a process.
 const CONNECTIONS_MAX: usize = 64;
 /// Longest request \[bytes\].
 const BODY_BYTES_MAX: usize = 64 * 1024;

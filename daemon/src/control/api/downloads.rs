@@ -55,7 +55,7 @@ impl Downloads {
             let mut sink = BufWriter::with_capacity(PIECE_BYTES, Pipe(pieces.clone()));
             let written = write(&mut sink).and_then(|()| Ok(sink.flush()?));
             if let Err(error) = written {
-                // The client may have disconnected; then nobody needs the error.
+                // If the client has disconnected, the error is not needed.
                 let _ = pieces.blocking_send(Err(io::Error::other(explained(error.as_ref()))));
             }
             drop(permit);

@@ -73,8 +73,8 @@ const REFUSAL_CHARS_MAX: usize = 300;
 /// Pause after an error of the listener, for example if too many files are open.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
 
-/// Serves clients until `end` completes, then finishes the replies that are being sent. If `remote` is given, other machines
-/// have access, too.
+/// Serves clients until `end` completes, then finishes the replies that are being sent. If `remote` is given,
+/// other machines have access, too.
 pub async fn serve(
     listener: TcpListener,
     remote: Option<Remote>,
@@ -438,16 +438,18 @@ async fn start(
     State(service): State<Service>,
     JsonBody(request): JsonBody<StartRequest>,
 ) -> Result<Response, Response> {
+    // Refuse invalid texts.
     request.about().check().map_err(unusable)?;
     request.reason.as_deref().map_or(Ok(()), check_some_text).map_err(unusable)?;
     let (named, reason) = (request.name.clone(), request.reason.clone());
-    // Only the state `Waiting` needs the check. In any other state a run is active or none can begin, so the reply does not
-    // depend on the check.
+    // Only the state `Waiting` needs the check. In any other state a run is active or none can begin, so the reply does
+    // not depend on the check.
     let stopping = if service.status().state == ServiceState::Waiting {
         stopping_lines(&service).await.unwrap_or_default()
     } else {
         Vec::new()
     };
+    // Refuse the run if the check found a severe problem and the request contains no reason to begin regardless.
     let findings: Vec<_> =
         stopping.iter().map(|line| format!("{}: {}", line.subject, line.finding)).collect();
     let findings = findings.join("; ");
@@ -459,8 +461,8 @@ async fn start(
         return Err(refused(StatusCode::CONFLICT, Refusal { error, problems }));
     }
     let task_service = service.clone();
-    // The task continues if the client disconnects or the time is over, so that the file always contains the reason of the
-    // run.
+    // The task continues if the client disconnects or the time is over, so that the file always contains
+    // the reason of the run.
     let begun = service.spawn(async move {
         let answer = task_service.begin(request).await;
         if let (Ok(Answer::Beginning), Some(reason)) = (&answer, reason) {
@@ -469,6 +471,7 @@ async fn start(
         }
         answer
     });
+    // Wait for the file, and reply.
     let Some(answer) = service.within(FILE_TIMEOUT, begun).await else {
         let why = service.status().reason.unwrap_or_default();
         let error = format!("the run waits for its file; `ballbard stop` cancels it: {why}");
@@ -611,8 +614,8 @@ async fn admitted(State(admission): State<Arc<Admission>>, request: Request, nex
     }
 }
 
-/// Refuses a request to the loopback port unless it comes from a program or a page of this machine. Returns `None` if the
-/// request is admitted.
+/// Refuses a request to the loopback port unless it comes from a program or a page of this machine. Returns `None`
+/// if the request is admitted.
 fn refused_on_loopback(request: &Request, origins: &[String]) -> Option<Response> {
     let is_foxglove = request.uri().path() == foxglove::PATH;
     let error: String = if let Some(sign) = sign_of_a_proxy(request) {

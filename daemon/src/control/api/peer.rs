@@ -38,8 +38,8 @@ impl Peer {
     }
 }
 
-/// Owner of a socket of this machine, found by the socket's address and the address of its other end (`/proc/net/tcp`,
-/// proc(5)).
+/// Owner of a socket of this machine, found by the socket's address and the address of
+/// its other end (`/proc/net/tcp`, proc(5)).
 fn owner(own: SocketAddr, other: SocketAddr) -> Option<Uid> {
     let (own, other) = (in_table(own)?, in_table(other)?);
     let owner_in = |line: &str| -> Option<Uid> {
@@ -55,8 +55,8 @@ fn owner(own: SocketAddr, other: SocketAddr) -> Option<Uid> {
         .find_map(|table| table.lines().find_map(owner_in))
 }
 
-/// Formats an IPv4 address and port as in the table of the kernel: hexadecimal, with the address in the byte order of the
-/// machine.
+/// Formats an IPv4 address and port as in the table of the kernel: hexadecimal, with the address in the
+/// byte order of the machine.
 fn in_table(address: SocketAddr) -> Option<String> {
     let SocketAddr::V4(address) = address else { return None };
     Some(format!("{:08X}:{:04X}", u32::from_ne_bytes(address.ip().octets()), address.port()))

@@ -3,9 +3,9 @@
 //! A proxy connects to a Unix socket of its own. On the loopback port, requests of a proxy could not be distinguished from
 //! those of local programs, because a proxy may send any `Host`. Its default is often 127.0.0.1.
 //!
-//! The token consists of 256 random bits and cannot be guessed. Wrong tokens are counted only to limit replies and log lines.
-//! No route is accessible without the token. A browser stores the token as a cookie that scripts cannot read and pages of
-//! other sites cannot send.
+//! The token consists of 256 random bits and cannot be guessed. Wrong tokens are counted only to limit replies and log
+//! lines. No route is accessible without the token. A browser stores the token as a cookie that scripts cannot read and
+//! pages of other sites cannot send.
 
 use std::fs::{self, OpenOptions};
 use std::io::{self, Write};

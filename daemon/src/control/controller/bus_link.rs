@@ -257,8 +257,8 @@ mod tests {
         for tenth in 1..20 {
             assert_eq!(at(tenth, 5 + 10 * u64::from(tenth), 5 + 10 * u64::from(tenth)), Some(1.0));
         }
-        // The encoder is silent for half a second and then valid for half a second. The fraction changes gradually in both
-        // directions.
+        // The encoder is silent for half a second and then valid for half a second. The fraction
+        // changes gradually in both directions.
         let shares: Vec<f64> = (20..41)
             .map(|tenth| {
                 let silent = u64::from(tenth.min(25) - 20);

@@ -183,9 +183,9 @@ impl Controller {
         self.ending.stop("the service was dropped");
     }
 
-    /// Whether the service can end. It never ends before the file of a run is finished. It waits at most [`DISK_WAIT_AT_END`]
-    /// for the creation of a file, the recovery of earlier runs and the saving of reference marks. The next service repeats
-    /// the recovery.
+    /// Whether the service can end. It never ends before the file of a run is finished. It waits at most
+    /// [`DISK_WAIT_AT_END`] for the creation of a file, the recovery of earlier runs and the saving of reference marks. The
+    /// next service repeats the recovery.
     fn is_over(&self) -> bool {
         let Some(since) = self.leaving_since else { return false };
         let saving_since = self.homing.as_ref().and_then(Homing::saving_since);
@@ -226,8 +226,8 @@ impl Controller {
         self.bus.close();
     }
 
-    /// Begins a run. `named` is true if a person chose the name. The reply follows once the file has been created, or the run
-    /// is refused.
+    /// Begins a run. `named` is true if a person chose the name. The reply follows once the file has been created,
+    /// or the run is refused.
     pub fn start(&mut self, details: Box<RunDetails>, named: bool) -> oneshot::Receiver<Answer> {
         // Poll the bus first, because the cable may have been pulled since the last poll.
         self.poll_bus();
@@ -257,8 +257,8 @@ impl Controller {
         self.handle(MachineEvent::Home).unwrap_or(Answer::Idle)
     }
 
-    /// Passes an event to the machine and executes its actions. If an action causes another event, that event is handled,
-    /// too.
+    /// Passes an event to the machine and executes its actions. If an action causes another event,
+    /// that event is handled, too.
     fn handle(&mut self, event: MachineEvent) -> Option<Answer> {
         let mut answer = None;
         for action in self.machine.handle(event) {
@@ -343,8 +343,8 @@ impl Controller {
         }
     }
 
-    /// Starts a task that claims the directory of the recordings, unless it is claimed, and recovers the files of earlier
-    /// runs.
+    /// Starts a task that claims the directory of the recordings, unless it is claimed, and recovers
+    /// the files of earlier runs.
     pub fn prepare_storage(&mut self) {
         let (storage, is_claimed) = (self.storage.clone(), self.claim.is_some());
         self.preparing = Some(Pending::start(&*self.scheduler, "leftovers", move || {

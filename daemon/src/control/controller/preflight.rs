@@ -1,6 +1,6 @@
 //! The pre-flight check: the conditions for a run, each with a remedy if it is not met. Inputs are the status, the
-//! controller, and what a task found on the disk. `ballbard check` and the page show the result. A line with a severe problem
-//! prevents `ballbard start`.
+//! controller, and what a task found on the disk. `ballbard check` and the page show the result. A line with a
+//! severe problem prevents `ballbard start`.
 
 use std::io;
 use std::path::PathBuf;
@@ -39,8 +39,8 @@ impl DiskFindings {
     }
 }
 
-/// Computes all lines of the check. Each line is independent of the others. `found` is `None` if the disk did not respond in
-/// time.
+/// Computes all lines of the check. Each line is independent of the others. `found` is `None` if the disk
+/// did not respond in time.
 pub(in crate::control) fn check(controller: &Controller, found: Option<&DiskFindings>) -> Vec<CheckLine> {
     let status = controller.status();
     let findings = [

@@ -24,6 +24,7 @@ impl ProblemLog {
         let is_fault =
             |problem: &&Problem| !matches!(*problem.fact, Fact::BusStarting {} | Fact::DiskRecovering { .. });
         let problems: Vec<&Problem> = problems.filter(is_fault).collect();
+        // Count and log the problems that are new.
         for problem in problems.iter().filter(|problem| !self.active.contains(&problem.fact.key())) {
             *self.began.entry(problem.code().to_owned()).or_default() += 1;
             if let Some(subject) = logged_subject(problem) {
@@ -31,6 +32,7 @@ impl ProblemLog {
             }
         }
         self.active = problems.iter().map(|problem| problem.fact.key()).collect();
+        // Log the end of outages, and remember the start of new ones.
         let silent: Vec<String> = problems.iter().filter_map(|problem| silent_subject(problem)).collect();
         self.outages.retain(|subject, since| {
             let is_silent = silent.contains(subject);

@@ -35,6 +35,7 @@ impl Controller {
 
     /// The complete status, for programs and people.
     pub(super) fn status(&self) -> Status {
+        // Collect the problems. A problem of the disk that the bus problems already contain is not repeated.
         let mut problems = self.bus_problems();
         for problem in self.disk_problems() {
             if !problems.iter().any(|other| other.fact.key() == problem.fact.key()) {
@@ -61,6 +62,7 @@ impl Controller {
             disk_usable_mb: self.storage.usable_bytes().map(|bytes| bytes / 1_000_000),
             ..Status::default()
         };
+        // Add what only a bus in operation can provide.
         if let Some(session) = session {
             add_bus(&mut status, session, self.bus.valid_shares());
             status.sample_age_ms = age_ms(status.sampled, self.now);
@@ -95,8 +97,8 @@ impl Controller {
     }
 }
 
-/// Adds devices, links and encoders to the status. The array sizes suffice, because `ball_bar.toml` has at most
-/// [`MAX_ENCODERS`].
+/// Adds devices, links and encoders to the status. The array sizes suffice, because
+/// `ball_bar.toml` has at most [`MAX_ENCODERS`].
 fn add_bus(status: &mut Status, session: &Session, valid_shares: Option<[f64; MAX_ENCODERS]>) {
     let live = &session.live;
     status.devices = session.devices().iter().map(|device| device.name.clone()).collect();

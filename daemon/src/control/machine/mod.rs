@@ -63,8 +63,8 @@ pub enum MachineEvent {
     Stalled,
     /// The end of the run is requested, with the cause.
     Stop(String),
-    /// The run ends without a request, because its duration is over, the disk is too full, or no sample arrived for
-    /// `full_fault_s`.
+    /// The run ends without a request, because its duration is over, the disk is too full, or
+    /// no sample arrived for `full_fault_s`.
     Ended(String),
     /// The file of the run is finished.
     Closed,

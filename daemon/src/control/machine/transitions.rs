@@ -1,5 +1,5 @@
-//! Transitions of the state machine. Each event has one method, which changes the state and returns the actions for the
-//! controller.
+//! Transitions of the state machine. Each event has one method, which changes the state and returns
+//! the actions for the controller.
 
 use super::{Action, Answer, MachineEvent, State};
 use crate::problem::{Fact, Problem};
@@ -64,8 +64,8 @@ impl StateMachine {
         self.run.as_ref().filter(|_| self.state == State::Closing)?.cause.as_deref()
     }
 
-    /// Handles one event. The returned actions must be executed in order. An event that has no meaning in the current state
-    /// changes nothing.
+    /// Handles one event. The returned actions must be executed in order. An event that has no meaning in
+    /// the current state changes nothing.
     pub fn handle(&mut self, event: MachineEvent) -> Vec<Action> {
         match event {
             MachineEvent::BusUp => self.set_bus_fault(None),

@@ -1,6 +1,6 @@
-//! The recordings of a directory. This module lists them with duration, grade and provenance, finds names for new recordings,
-//! and reads the angles of one recording for a plot. Everything is read from the files and nothing is cached. API, page and
-//! commands use it.
+//! The recordings of a directory. This module lists them with duration, grade and provenance, finds names for new
+//! recordings, and reads the angles of one recording for a plot. Everything is read from the files and nothing is cached.
+//! API, page and commands use it.
 
 use std::io::{self, BufReader};
 use std::path::{Path, PathBuf};
@@ -121,9 +121,9 @@ pub fn find(disk: &dyn Disk, directories: &[PathBuf], name: &str) -> io::Result<
     Ok(files(disk, directories)?.into_iter().find(has_name))
 }
 
-/// Files in these directories. A directory that does not exist counts as empty, because it is created when a run needs it. A
-/// path that is a file instead of a directory counts as empty, too. The status reports this problem, and recordings in the
-/// other directory stay accessible.
+/// Files in these directories. A directory that does not exist counts as empty, because it is created when a run needs it.
+/// A path that is a file instead of a directory counts as empty, too. The status reports this problem, and recordings in
+/// the other directory stay accessible.
 pub(super) fn files(disk: &dyn Disk, directories: &[PathBuf]) -> io::Result<Vec<PathBuf>> {
     let mut files = Vec::new();
     for directory in directories {
@@ -136,8 +136,8 @@ pub(super) fn files(disk: &dyn Disk, directories: &[PathBuf]) -> io::Result<Vec<
 pub fn left_behind(disk: &dyn Disk, directories: &[PathBuf]) -> io::Result<Vec<PathBuf>> {
     let mut files = files(disk, directories)?;
     files.retain(|path| stem(path, ACTIVE_ENDING).is_some());
-    // A file that cannot be checked counts as left behind. A file that has been finished since the listing does not exist any
-    // more.
+    // A file that cannot be checked counts as left behind. A file that has been finished since the listing
+    // does not exist any more.
     files.retain(|path| match is_in_use(disk, path) {
         Ok(is_in_use) => !is_in_use,
         Err(error) => !is_absent(&error),
@@ -276,9 +276,9 @@ impl JointCurve {
         Self { curve, scale, unwrapper: scale.unwrapper(), first: None, origin: 0 }
     }
 
-    /// Adds a point at the beginning of an interval, and removes it if a later sample of the interval is invalid. If the
-    /// origin of the counter has changed, the angle begins at zero again, because the motion between the two origins is
-    /// unknown.
+    /// Adds a point at the beginning of an interval, and removes it if a later sample of the interval is
+    /// invalid. If the origin of the counter has changed, the angle begins at zero again, because the motion
+    /// between the two origins is unknown.
     fn add(&mut self, sample: EncoderSample, origin: u32, begins_interval: bool) {
         if std::mem::replace(&mut self.origin, origin) != origin {
             (self.unwrapper, self.first) = (self.scale.unwrapper(), None);

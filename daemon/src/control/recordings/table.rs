@@ -1,5 +1,5 @@
-//! Writes a recording as a table (CSV) for spreadsheets and scripts, with one row per cycle. `ballbard export`, the page and
-//! the API use it.
+//! Writes a recording as a table (CSV) for spreadsheets and scripts, with one row per cycle. `ballbard export`, the page
+//! and the API use it.
 
 use std::io::{self, BufReader, Write};
 use std::iter::Peekable;
@@ -30,7 +30,6 @@ pub struct Layout {
 /// - `valid` per encoder,
 /// - the cycle number, the reasons why the cycle is flagged, and the events of the cycle. The first row also contains the
 ///   texts that describe the run.
-/// invalid. Returns the number of rows.
 ///
 /// Memory does not grow with the number of cycles. The file is read twice, because an event may follow many later cycles, for
 /// example a marker whose text took a while to type. The first pass collects the events and verifies the whole recording. The
@@ -103,6 +102,7 @@ impl<'a, W: Write> Table<'a, W> {
             record.flags & (flags::LOST | flags::NO_REPLY | flags::DEADLINE_MISSED | flags::BUS_DOWN) == 0;
         let samples = record.encoders();
         let first_sample = *self.first_sample.get_or_insert(record.sample_time);
+        // Columns of the samples: time, counts, angles, validity.
         let mut row = vec![layout.time(record.sample_time, first_sample)];
         for sample in samples {
             row.push(if has_counts { sample.count.to_string() } else { String::new() });
@@ -118,6 +118,7 @@ impl<'a, W: Write> Table<'a, W> {
         for sample in samples {
             row.push(u8::from(sample.valid).to_string());
         }
+        // Columns of the cycle: number, flags, events.
         let is_last = record.cycle + 1 == self.cycles;
         let mut texts = std::mem::take(&mut self.about);
         // The last row also contains the events after the last cycle.
