@@ -1,4 +1,4 @@
-//! The technician's page, compiled in: works without a network, and needs no build tool.
+//! The technician's web page, which is compiled into the program. It needs no network access and no build tool.
 
 use std::io::Write;
 use std::sync::Arc;
@@ -14,10 +14,10 @@ use sha2::{Digest, Sha256};
 use shared::config::BallBarConfig;
 use shared::drawing;
 
-/// Length of the digest by which a browser identifies its cached version of a file.
+/// Length of the digest with which a browser identifies its cached version of a file \[bytes\].
 const TAG_BYTES: usize = 16;
 
-/// Path, media type and content of every file.
+/// Path, media type and content of each file.
 const FILES: [(&str, &str, &str); 9] = [
     ("/", HTML, include_str!("index.html")),
     ("/style.css", CSS, include_str!("style.css")),
@@ -33,17 +33,17 @@ const HTML: &str = "text/html; charset=utf-8";
 const CSS: &str = "text/css; charset=utf-8";
 const SCRIPT: &str = "text/javascript; charset=utf-8";
 
-/// Replaced by the drawing of the bar.
+/// Text in the page that is replaced by the drawing of the bar.
 const DRAWING_PLACEHOLDER: &str = "<!-- drawing of the bar -->";
 
-/// No content from elsewhere, no inline script, and no frame around the page.
+/// Content security policy. It forbids content from other sites, inline scripts, and frames around the page.
 const POLICY: HeaderValue = HeaderValue::from_static(
     "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; connect-src 'self'; img-src 'self' data:; \
      base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
 );
 
-/// A route for each file; the page contains a drawing of `bar`. A browser checks at each use whether its cached file is still
-/// current (`no-cache`), so that a new version of the program takes effect at once.
+/// Creates a route for each file. The page contains a drawing of `bar`. With `no-cache`, a browser checks at each use whether
+/// its cached file is still current, so a new version of the program is visible at once.
 pub fn routes<S: Clone + Send + Sync + 'static>(bar: &BallBarConfig) -> Router<S> {
     let drawing = drawing::ball_bar(bar);
     FILES.iter().fold(Router::new(), |router, (path, media_type, text)| {
@@ -52,7 +52,7 @@ pub fn routes<S: Clone + Send + Sync + 'static>(bar: &BallBarConfig) -> Router<S
     })
 }
 
-/// One file, also compressed.
+/// One file of the page, with a compressed version.
 struct File {
     media_type: &'static str,
     plain: Bytes,
@@ -76,7 +76,7 @@ impl File {
     }
 
     fn answer(&self, request: &HeaderMap) -> Response {
-        // Whether the list in a header of the request contains an item; `W/` marks a weak tag.
+        // Whether the list in a header of the request contains an item. The prefix `W/` of a weak tag is ignored.
         let lists = |name: HeaderName, wanted: &[u8]| {
             let values = request.get_all(name).iter();
             let mut items = values.flat_map(|value| value.as_bytes().split(|byte| *byte == b','));

@@ -1,4 +1,4 @@
-//! The page in a real browser.
+//! Tests of the page in a real browser.
 
 use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
@@ -19,7 +19,7 @@ use crate::segment::InProcessWire;
 use crate::segment::faults::{FaultHandle, FaultSwitch, FaultySegment};
 use crate::segment::simulated::{Hand, HandTurned, SegmentConfig, SimulatedSegment, SmoothMotion};
 
-/// A service on a simulated bus with switched faults and turned joints.
+/// A service on a simulated bus. The test switches its faults and turns its joints.
 struct Bench {
     service: Service,
     bus: Arc<Mutex<Option<(FaultHandle, Hand)>>>,
@@ -52,7 +52,7 @@ impl Bench {
         }
     }
 
-    /// Executes a command of the story: a hand at a joint, a state directory that cannot be created, a fault.
+    /// Executes a command of the browser script: it turns a joint, makes the state directory unusable, or switches a fault.
     fn handle(&self, asked: &str) {
         let bus = self.bus.lock().unwrap();
         let (faults, hand) = bus.as_ref().unwrap();
@@ -72,7 +72,7 @@ impl Bench {
         }
     }
 
-    /// Serves until the sender is dropped; returns the addresses for this and for other machines.
+    /// Serves until the sender is dropped. Returns the addresses for this machine and for other machines.
     fn serve(&self) -> ([String; 2], oneshot::Sender<()>) {
         let (end, ended) = oneshot::channel::<()>();
         let (address, at) = std::sync::mpsc::channel();
@@ -112,7 +112,7 @@ fn a_technician_records_finds_a_fault_and_downloads_the_file() {
     let tests = Path::new(env!("CARGO_MANIFEST_DIR"));
     let bench = Bench::new();
     let (urls, end) = bench.serve();
-    // An environment variable names the directory of the pictures.
+    // The environment variable sets the directory for the pictures.
     let pictures =
         std::env::var_os("BALLBAR_PICTURES").map_or_else(|| bench.directory.path().into(), PathBuf::from);
     std::fs::create_dir_all(&pictures).unwrap();

@@ -1,5 +1,5 @@
-//! The check of the cable between this PC and the coupler, which is pulled and plugged in again: the flags of the records show
-//! whether it is out, and whether the bus then returns to operation.
+//! The check of the cable between this PC and the coupler. The cable is pulled and plugged in again, by a person or by the
+//! simulated bus. The flags of the records show whether the cable is out, and whether the bus then returns to operation.
 
 use shared::recording::schema::{CycleRecord, flags};
 
@@ -8,31 +8,31 @@ use crate::problem::Fact;
 use crate::run::{BUS_FLAGS, Session};
 use crate::segment::faults::{Fault, FaultHandle};
 
-/// How long the cable must be out: the bus is given up after a second, and must be brought up again.
+/// How long the cable must be out \[s\]. After one second the bus counts as failed and must be brought into operation again.
 const OUT_S: u64 = 3;
-/// How long the bus must work after that.
+/// How long the bus must work after the cable was plugged in again \[s\].
 const BACK_S: u64 = 2;
-/// Time limit for a person to pull the cable, or to plug it in.
+/// Time limit for a person to pull the cable, or to plug it in \[s\].
 const PATIENCE_S: u64 = 60;
 
-/// The cable between this PC and the coupler while a person, or the simulated bus, pulls it and plugs it in.
+/// Follows the cable through the check: pulled, plugged in, bus in operation again.
 pub(super) struct Pull<'a> {
     faults: Option<&'a FaultHandle>,
     cycles_per_s: u64,
     state: Cable,
-    /// Cycles since the state changed.
+    /// Number of cycles since the state last changed.
     waited: u64,
-    /// Cycles in a row that show the next state.
+    /// Number of latest consecutive cycles whose flags agree with the next state.
     in_a_row: u64,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Cable {
-    /// It is to be pulled.
+    /// The cable is in and must be pulled.
     In,
-    /// It is to be plugged in.
+    /// The cable is out and must be plugged in.
     Out,
-    /// The bus works again.
+    /// The cable is in again and the bus works.
     Back,
 }
 
@@ -41,7 +41,7 @@ impl<'a> Pull<'a> {
         Self { faults: session.faults.as_ref(), cycles_per_s, state: Cable::In, waited: 0, in_a_row: 0 }
     }
 
-    /// Instructs the person, or switches the fault of the simulated bus.
+    /// Instructs the person to move the cable. On the simulated bus, switches the fault instead.
     pub fn ask(&self, print: &mut dyn FnMut(&str)) {
         match (self.state, self.faults) {
             (Cable::In, Some(faults)) => faults.begin(Fault::LinkDown),
@@ -52,7 +52,7 @@ impl<'a> Pull<'a> {
         }
     }
 
-    /// Takes a cycle; false once the check is over.
+    /// Evaluates the record of a cycle. Returns false once the check is over.
     pub fn take(&mut self, record: &CycleRecord, print: &mut dyn FnMut(&str)) -> bool {
         let (shows_next, wanted_s) = match self.state {
             Cable::In => (record.flags & (flags::NO_REPLY | flags::BUS_DOWN) != 0, OUT_S),

@@ -14,7 +14,7 @@ pub enum Subject {
     Interface,
     /// Coupler and terminals are those of the configuration.
     Devices,
-    /// Their revisions are known.
+    /// The revisions of coupler and terminals are known.
     Revisions,
     /// Every device enters OP.
     BringUp,
@@ -22,13 +22,13 @@ pub enum Subject {
     WorkingCounter,
     /// Terminals sample on SYNC0.
     DistributedClocks,
-    /// Cycles have their reply in time.
+    /// Each cycle receives its reply in time.
     Cycles,
     /// Every encoder has a signal without amplitude or frequency error.
     Signals,
     /// No port counts errors.
     Cables,
-    /// Each encoder has its mark, and is on its joint.
+    /// Each encoder has a reference mark and is on the configured joint.
     Homing,
     /// The bus returns to operation after its cable was pulled.
     PulledCable,
@@ -39,7 +39,7 @@ pub enum Subject {
 pub struct Check {
     /// Property that was checked.
     pub subject: Subject,
-    /// Rate of the cycles; absent if the check does not depend on it \[Hz\].
+    /// Cycle rate; `None` if the check does not depend on the rate \[Hz\].
     pub rate_hz: Option<u32>,
     /// Result with its reasons.
     #[serde(flatten)]
@@ -52,23 +52,23 @@ pub struct Check {
 pub enum Outcome {
     /// The bus is as expected.
     Passed {
-        /// Figures or names found.
+        /// Figures or names that were found.
         found: String,
     },
     /// The bus is not as expected.
     Failed {
-        /// Figures or names expected.
+        /// Figures or names that were expected.
         expected: String,
-        /// Figures or names found instead.
+        /// Figures or names that were found instead.
         found: String,
-        /// What to do; empty if `found` states it.
+        /// What to do; empty if `found` contains it.
         remedy: String,
-        /// Code of the problem in the manual, if it has one.
+        /// Code of the problem in the manual; `None` if it has none.
         code: Option<&'static str>,
     },
     /// The check was not done.
     NotDone {
-        /// Reason for a person and for the exit code.
+        /// Reason, which people read and which determines the exit code.
         because: Reason,
     },
 }
@@ -77,30 +77,31 @@ pub enum Outcome {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Reason {
-    /// The configuration has this key set to false.
+    /// The check is disabled: this key of the configuration is false.
     NotAsked(&'static str),
-    /// It needs a person at a terminal.
+    /// The check needs a person at a terminal.
     NoPerson,
-    /// It needs another check to pass.
+    /// The check requires that this other check has passed.
     After(Subject),
     /// The test was stopped.
     Stopped(String),
 }
 
 impl Check {
-    /// Whether it passed or is disabled.
+    /// Whether the check passed or is disabled.
     pub fn is_good(&self) -> bool {
         matches!(self.outcome, Outcome::Passed { .. } | Outcome::NotDone { because: Reason::NotAsked(_) })
     }
 }
 
 impl Outcome {
-    /// A bus that is as expected.
+    /// Outcome of a bus that is as expected.
     pub fn passed(found: impl Into<String>) -> Self {
         Self::Passed { found: found.into() }
     }
 
-    /// A bus that is not as expected, because of a known problem; `found` may have more figures than its text.
+    /// Outcome of a bus that is not as expected because of a known problem. `found` replaces the text of the problem
+    /// if it contains more figures.
     pub fn failed(expected: impl Into<String>, problem: &Problem, found: Option<String>) -> Self {
         Self::Failed {
             expected: expected.into(),

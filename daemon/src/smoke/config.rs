@@ -1,4 +1,4 @@
-//! `config/smoke.toml`: checks of a bus before its first use.
+//! The configuration of the smoke test, `config/smoke.toml`: which checks are done, and their limits.
 
 use std::time::Duration;
 
@@ -9,23 +9,23 @@ use shared::config::{DaemonConfig, Kind, Validate, Violation};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SmokeConfig {
-    /// An encoder is connected to every terminal.
+    /// Check the encoder signals. An encoder must be connected to every terminal.
     pub signals: bool,
-    /// A person turns one joint after the other.
+    /// Check the homing, for which a person turns one joint after the other.
     pub homing: bool,
-    /// A person pulls the cable and plugs it in again.
+    /// Check the cable, which a person pulls and plugs in again.
     pub pulled_cable: bool,
-    /// Largest share of the cycles at a rate that may be bad for one reason.
+    /// Largest fraction of the cycles at one rate that may be bad for the same reason.
     pub bad_share_max: f64,
-    /// Revisions of the coupler whose behaviour is known, without the lower half of the number.
+    /// Revisions of the coupler whose behaviour is known. Only the upper half of the revision number is listed.
     pub coupler_revisions: Vec<u16>,
-    /// Revisions of the terminals whose process data are known, without the lower half of the number.
+    /// Revisions of the terminals whose process data are known. Only the upper half of the revision number is listed.
     pub terminal_revisions: Vec<u16>,
-    /// Rates, one after the other; the bus is brought up for each.
+    /// Cycle rates, which are tested in this order. The bus is brought into operation for each rate.
     pub cycles: Vec<CyclesConfig>,
 }
 
-/// Cycles at one rate.
+/// A series of cycles at one rate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CyclesConfig {
@@ -36,12 +36,12 @@ pub struct CyclesConfig {
 }
 
 impl CyclesConfig {
-    /// Time that the cycles take.
+    /// Duration of the series.
     pub fn duration(self) -> Duration {
         Duration::from_secs(self.duration_s.into())
     }
 
-    /// Number of cycles in that time.
+    /// Number of cycles of the series.
     pub fn cycles(self) -> u64 {
         u64::from(self.rate_hz) * u64::from(self.duration_s)
     }

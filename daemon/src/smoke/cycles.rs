@@ -1,6 +1,6 @@
-//! Figures of cycles on a bus in operation, and the checks that follow from them. The records and events of a session are
-//! counted by flag, working counter, status of the encoders and code; a check compares its count with the limit of
-//! `smoke.toml`. Used by the smoke test at each rate, and while the cable is pulled.
+//! Counts the cycles of a bus in operation, and derives checks from the counts. Records and events of a session are counted
+//! by flag, by working counter, by encoder status and by event code. A check compares a count with the limit in `smoke.toml`.
+//! The smoke test uses this module at each rate, and while the cable is pulled.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -21,9 +21,9 @@ use crate::scheduler::until;
 
 /// Period in which the ring is emptied.
 const PERIOD: Duration = Duration::from_millis(10);
-/// Flags by which a cycle fails at [`Subject::Cycles`]; the others have checks of their own.
+/// Flags that make a cycle bad for [`Subject::Cycles`]. The other flags belong to other checks.
 const CYCLE_FLAGS: u32 = flags::NO_REPLY | flags::DEADLINE_MISSED | flags::BUS_DOWN | flags::LOST;
-/// Flags by which a cycle fails at [`Subject::WorkingCounter`].
+/// Flags that make a cycle bad for [`Subject::WorkingCounter`].
 const DEVICE_FLAGS: u32 = flags::WORKING_COUNTER | flags::NOT_OPERATIONAL;
 
 /// Figures of a series of cycles.
@@ -35,55 +35,56 @@ pub struct Figures {
     pub cycles: u64,
     /// Cycles in which every encoder was valid.
     pub cycles_valid: u64,
-    /// Cycles by the flags that they have.
+    /// Number of cycles with each flag.
     pub flags: BTreeMap<&'static str, u64>,
-    /// Working counter if all devices process the frame.
+    /// Working counter of a reply if all devices process the frame.
     pub working_counter_expected: u16,
-    /// Replies by their working counter.
+    /// Number of replies with each working counter.
     pub working_counters: BTreeMap<u16, u64>,
-    /// One for each encoder, in bus order.
+    /// Figures of each encoder, in bus order.
     pub encoders: Vec<EncoderFigures>,
     /// Clocks of the devices and of this PC.
     pub clocks: ClockFigures,
-    /// Events, by their code.
+    /// Number and first text of the events with each code.
     pub events: BTreeMap<String, EventFigures>,
     /// Ports that have counted errors.
     pub ports: Vec<PortCounts>,
-    /// Lateness of cycles and duration of replies; absent on virtual time.
+    /// Lateness of cycles and duration of replies; `None` on virtual time.
     pub timing: Option<TimingSummary>,
-    /// Permissions of the cycle's thread; absent on virtual time.
+    /// Real-time permissions of the cycle's thread; `None` on virtual time.
     pub realtime: Option<String>,
     #[serde(skip)]
     names: BusNames,
-    /// Cycles that are bad by [`CYCLE_FLAGS`].
+    /// Number of cycles that are bad because of [`CYCLE_FLAGS`].
     #[serde(skip)]
     bad_cycles: u64,
-    /// Cycles that are bad by [`DEVICE_FLAGS`].
+    /// Number of cycles that are bad because of [`DEVICE_FLAGS`].
     #[serde(skip)]
     device_bad_cycles: u64,
-    /// Other cycles without a synchronised new sample.
+    /// Number of cycles without a synchronised new sample and without another cause for it.
     #[serde(skip)]
     unsynchronised_cycles: u64,
-    /// The previous cycle was bad: a terminal that misses a frame reports it in the next.
+    /// Whether the previous cycle was bad. It matters because a terminal that misses a frame reports the
+    /// loss in the next cycle.
     #[serde(skip)]
     was_bad: bool,
-    /// Time of the first sample, on the bus' clock and in UTC.
+    /// Time of the first sample, on the clock of the bus and in UTC.
     #[serde(skip)]
     first_sample: Option<(DcNs, UtcNs)>,
 }
 
-/// Figures of one encoder's terminal.
+/// Figures of the terminal of one encoder.
 #[derive(Debug, Clone, Default, Serialize)]
 pub struct EncoderFigures {
-    /// Bar joint that it measures, 1 to 5.
+    /// Bar joint that the encoder measures, 1 to 5.
     pub joint: u8,
-    /// Cycles with a valid sample.
+    /// Number of cycles with a valid sample.
     pub valid: u64,
-    /// Cycles with an amplitude error.
+    /// Number of cycles with an amplitude error.
     pub amplitude_errors: u64,
-    /// Cycles with a frequency error.
+    /// Number of cycles with a frequency error.
     pub frequency_errors: u64,
-    /// Cycles with a synchronisation error.
+    /// Number of cycles with a synchronisation error.
     pub sync_errors: u64,
     /// Count of the last cycle.
     pub count: u32,
@@ -94,25 +95,25 @@ pub struct EncoderFigures {
 /// Figures of the distributed clocks.
 #[derive(Debug, Clone, Default, Serialize)]
 pub struct ClockFigures {
-    /// Clocks of the devices when the bus came up.
+    /// Clocks of the devices at the time when the bus came into operation.
     pub devices: Vec<DeviceClock>,
-    /// Rate of the host's UTC against the bus' clock; absent without distributed clocks \[ppm\].
+    /// Rate difference of the host's UTC relative to the clock of the bus; `None` without distributed clocks \[ppm\].
     pub host_rate_ppm: Option<f64>,
     /// Largest standard deviation of a sample time \[ns\].
     pub uncertainty_ns_max: u32,
 }
 
-/// Events of one code.
+/// Events with the same code.
 #[derive(Debug, Clone, Default, Serialize)]
 pub struct EventFigures {
     /// Number of these events.
     pub count: u64,
-    /// Text of the first.
+    /// Text of the first of these events.
     pub first: String,
 }
 
 impl Figures {
-    /// Before the first cycle.
+    /// Creates figures without cycles.
     pub fn new(session: &Session, rate_hz: u32) -> Self {
         let joints = session.encoders.iter().map(|encoder| encoder.joint);
         let encoders = joints.clone().map(|joint| EncoderFigures { joint, ..EncoderFigures::default() });
@@ -127,7 +128,7 @@ impl Figures {
         }
     }
 
-    /// Counts cycles for this duration, until `stop`, or while `continues` is true for each.
+    /// Counts cycles until this duration is over, `stop` is set, or `continues` returns false for a cycle.
     pub async fn count(
         &mut self,
         session: &Session,
@@ -141,7 +142,7 @@ impl Figures {
             if stop.is_stopped() {
                 watch_stop.stop(&stop.cause());
             }
-            // Read before emptying: cycles before the end are still taken.
+            // Read this before the ring is emptied, so that cycles before the end are still counted.
             let is_last = source.is_over();
             while let Some(record) = source.take() {
                 self.add(&record);
@@ -152,7 +153,7 @@ impl Figures {
             while let Some(event) = source.take_event() {
                 self.add_event(&event);
             }
-            // This empties the ring of the timing.
+            // Computing the timing also empties the ring of the timing.
             self.timing = source.timing();
             is_last.then_some(())
         })
@@ -160,7 +161,7 @@ impl Figures {
     }
 
     fn add(&mut self, record: &CycleRecord) {
-        // Cycle numbers are consecutive: missing ones found the ring full.
+        // Cycle numbers are consecutive. If numbers are missing, the ring was full and these cycles were lost.
         let lost = record.cycle.saturating_sub(self.cycles);
         if lost > 0 {
             *self.flags.entry("lost").or_default() += lost;
@@ -171,6 +172,8 @@ impl Figures {
         for (_, name) in flags::NAMES.iter().filter(|(bit, _)| record.flags & bit != 0) {
             *self.flags.entry(name).or_default() += 1;
         }
+        // Classify the cycle. An unsynchronised sample counts only if no other fault of this cycle or
+        // the previous one explains it.
         let is_bad = record.flags & CYCLE_FLAGS != 0;
         let is_device_bad = record.flags & DEVICE_FLAGS != 0;
         let follows_bad = std::mem::replace(&mut self.was_bad, is_bad || is_device_bad) || lost > 0;
@@ -186,9 +189,10 @@ impl Figures {
         }
         *self.working_counters.entry(record.working_counter).or_default() += 1;
         if is_device_bad {
-            // A terminal that is absent writes no inputs.
+            // An absent terminal writes no inputs, so the samples of this cycle are not counted.
             return;
         }
+        // Count the samples, and compare the clocks since the first sample.
         for (figures, encoder) in self.encoders.iter_mut().zip(record.encoders()) {
             let status = StatusWord(encoder.status);
             figures.valid += u64::from(encoder.valid);
@@ -218,7 +222,7 @@ impl Figures {
         }
     }
 
-    /// The checks that these figures decide.
+    /// Derives the checks from the figures.
     pub fn checks(
         &self,
         config: &SmokeConfig,
@@ -315,7 +319,7 @@ impl Figures {
         };
         let found = bad.iter().map(describe).collect::<Vec<_>>().join("; ");
         let joints = bad.iter().map(|encoder| encoder.joint).collect();
-        // The last status may be without an error, which is not that of the counted cycles.
+        // The last status may contain no error, although the counted cycles had one. It is omitted then.
         let status = Some(first.status).filter(|status| StatusWord(*status).has_error());
         let problem = Fact::EncoderInvalid { joints, status, valid_share: 0.0 }.into();
         Outcome::failed(

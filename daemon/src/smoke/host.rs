@@ -7,7 +7,7 @@ use shared::config::DaemonConfig;
 
 use crate::tuning::{self, Finding, KERNEL_VERSION, Machine};
 
-/// Kernel, processor, interface and settings.
+/// Kernel, processor, network interface and settings of the machine.
 #[derive(Debug, Clone, Serialize)]
 pub struct Host {
     /// `uname -r`
@@ -16,23 +16,23 @@ pub struct Host {
     pub kernel_version: Option<String>,
     /// First `model name` of `/proc/cpuinfo`.
     pub processor: Option<String>,
-    /// Network interface of the bus; absent for the simulated one.
+    /// Network interface of the bus; `None` for the simulated bus.
     pub interface: Option<Interface>,
-    /// Its settings, as `ballbard tune` checks them.
+    /// Settings of the machine, as `ballbard tune` checks them.
     pub settings: Vec<Finding>,
 }
 
-/// A network interface, without its addresses, because the report is sent to others.
+/// A network interface. Its addresses are not included, because the report is sent to others.
 #[derive(Debug, Clone, Serialize)]
 pub struct Interface {
-    /// Kernel driver; absent without hardware.
+    /// Name of the kernel driver; `None` if the interface has no hardware.
     pub driver: Option<String>,
-    /// Negotiated speed; EtherCAT needs 100 \[Mbit/s\].
+    /// Negotiated speed \[Mbit/s\]. EtherCAT needs 100 Mbit/s.
     pub speed_mbit_s: Option<String>,
 }
 
 impl Host {
-    /// This machine, with the interface of the bus.
+    /// Reads the properties of this machine and of the interface of the bus.
     pub fn read(daemon: &DaemonConfig, interface: Option<&str>) -> Self {
         let machine = Machine::at(Path::new("/"), daemon.realtime.core, daemon.cycle_period(), interface);
         let processors = machine.text("proc/cpuinfo").unwrap_or_default();

@@ -1,8 +1,9 @@
-//! Smoke test (`ballbard smoke`): the first minutes of a bus, check by check, with a [`Report`] to send back.
+//! Smoke test (`ballbard smoke`): tests a bus before its first use, check by check. The result is a [`Report`], which the
+//! user sends to the developers.
 //!
-//! The simulated segment was written from documents; this test shows differences of real devices. Bring-up and cycles are
-//! those of every run. The records from the ring are counted instead of written. A check that needs an earlier one to pass is
-//! reported as not done.
+//! The simulated segment was written from documents, so this test shows where real devices differ. It brings the bus into
+//! operation and runs cycles in the same way as every run. The records from the ring are counted instead of written to a
+//! file. If a check depends on an earlier check that did not pass, it is reported as not done.
 
 mod cable;
 mod check;
@@ -32,28 +33,29 @@ use crate::scheduler::{Scheduler, until};
 use cable::Pull;
 use host::Host;
 
-/// Period in which a homing is polled.
+/// Period of polling a homing.
 const POLL: Duration = Duration::from_millis(50);
-/// Capacity of the ring \[s\]. On virtual time cycles run ahead by this time, which is much less than a person may take.
+/// Capacity of the ring \[s\]. On virtual time, cycles can be ahead of their evaluation by this time. It is much shorter than
+/// the time limit for a person.
 const RING_S: u32 = 5;
 
 /// Input of a smoke test.
 pub struct Bench<'a> {
-    /// Checks to be done, and their limits.
+    /// Which checks are done, and their limits.
     pub smoke: &'a SmokeConfig,
-    /// Configuration of the cycles except for the rate and the time for a reply.
+    /// Configuration of the cycles. Its `rate_hz`, `reply_timeout_us`, `full_fault_s` and `ring_s` are not used.
     pub daemon: &'a DaemonConfig,
-    /// The terminals to expect.
+    /// The encoders, whose terminals are expected on the bus.
     pub bar: &'a BallBarConfig,
     /// The bus, its faults, and whether time is virtual.
     pub request: &'a RunRequest,
-    /// A person reads what is printed, and can turn joints and pull the cable.
+    /// Whether a person reads what is printed, and can turn joints and pull the cable.
     pub has_person: bool,
     /// Ends the test early.
     pub stop: &'a Stop,
 }
 
-/// Does all checks. The text of each, and instructions for a person, go to `print` at once.
+/// Does all checks. The result of each check and instructions for a person are passed to `print` immediately.
 pub async fn smoke(
     scheduler: &Arc<dyn Scheduler>,
     bench: &Bench<'_>,
@@ -77,9 +79,10 @@ pub async fn smoke(
         cycles: Vec::new(),
         pulled_cable: None,
     };
-    // A session watches the disk of its runs, although none is recorded.
+    // A session monitors the disk of its runs, so it needs a storage although no run is recorded.
     let storage = Storage::new(daemon, &**scheduler).map_err(|error| RunError::Thread(error.to_string()))?;
-    // Another rate needs its own time for a reply. A test does not end because no encoder gives samples.
+    // The time limit for a reply is left to its default, because it depends on the rate. The limit for invalid samples is
+    // disabled, because a test must not end when no encoder delivers samples.
     let daemon =
         DaemonConfig { reply_timeout_us: None, full_fault_s: u32::MAX, ring_s: RING_S, ..(*daemon).clone() };
     let setup = Setup { scheduler: Arc::clone(scheduler), storage, daemon, bar: bar.clone() };
@@ -97,9 +100,9 @@ struct Test<'a> {
     setup: Setup,
     bench: &'a Bench<'a>,
     report: Report,
-    /// Why nothing further can be done.
+    /// Why no further check can be done; `None` while the test continues.
     blocked: Option<Reason>,
-    /// Rates at which the bus did not come up.
+    /// Rates at which the bus could not be brought into operation, with the reason.
     not_up: BTreeMap<u32, Reason>,
     print: &'a mut dyn FnMut(&str),
 }
@@ -111,7 +114,8 @@ impl Test<'_> {
         self.report.checks.push(check);
     }
 
-    /// The bus in operation. If it does not come up, adds a failed check and returns the reason for all that depend on it.
+    /// Brings the bus into operation. If that fails, adds a failed check. Returns the reason for all checks
+    /// that depend on the bus.
     async fn connect(&mut self, rate_hz: u32) -> Result<Session, Reason> {
         if let Some(reason) = self.blocked.as_ref().or_else(|| self.not_up.get(&rate_hz)) {
             return Err(reason.clone());
@@ -126,7 +130,8 @@ impl Test<'_> {
         }
     }
 
-    /// Adds the failed check, and returns the reason for all that depend on it.
+    /// Adds the check that failed when the bus was brought into operation. Returns the reason for all
+    /// checks that depend on it.
     fn not_connected(&mut self, rate_hz: u32, error: &RunError) -> Reason {
         let stop = self.bench.stop;
         if stop.is_stopped() {
@@ -137,6 +142,7 @@ impl Test<'_> {
             _ => &[],
         };
         let problem = error.problem();
+        // Derive the check that failed from the problem.
         let (subject, expected) = match *problem.fact {
             Fact::InterfaceUnusable { .. } => (Subject::Interface, "an interface that can be opened".into()),
             Fact::BusNoAnswer { .. }
@@ -148,25 +154,27 @@ impl Test<'_> {
             }
             _ => (Subject::BringUp, "every device in OP".into()),
         };
+        // Add the failed check, and with it the checks of devices that identified themselves.
         let outcome = Outcome::failed(expected, &problem, None);
         match subject {
             Subject::Interface if !self.is_done(Subject::Devices, None) => self.add(subject, None, outcome),
             Subject::Devices if !self.is_done(Subject::Devices, None) => self.identify(identified, outcome),
-            // They answered at an earlier rate.
+            // The interface and the devices passed at an earlier rate, so the failure is one of bringing up
+            // the bus at this rate.
             Subject::Interface | Subject::Devices => self.add(Subject::BringUp, Some(rate_hz), outcome),
             _ => {
                 if !identified.is_empty() {
                     self.identify(identified, Outcome::passed(self.devices_expected()));
                 }
                 self.add(subject, Some(rate_hz), outcome);
-                // Another rate may still work.
+                // Only this rate is blocked, because the bus may work at another rate.
                 return self.not_up.entry(rate_hz).or_insert(Reason::After(subject)).clone();
             }
         }
         self.block(Reason::After(subject))
     }
 
-    /// Ends the test: no further check can be done.
+    /// Stops all further checks.
     fn block(&mut self, because: Reason) -> Reason {
         self.blocked.insert(because).clone()
     }
@@ -179,7 +187,7 @@ impl Test<'_> {
         format!("{}, then {} {}", EK1100.name, self.bench.bar.encoders.len(), EL5021.name)
     }
 
-    /// Adds the checks of the interface, the devices and their revisions, the first time.
+    /// Adds the checks of the interface, the devices and their revisions, unless they were added before.
     fn identify(&mut self, devices: &[DeviceInfo], outcome: Outcome) {
         if self.is_done(Subject::Devices, None) {
             return;
@@ -234,7 +242,7 @@ impl Test<'_> {
         }
     }
 
-    /// Figures of cycles on a bus in operation, and their checks.
+    /// Counts cycles on a bus in operation and returns the checks that follow from the counts.
     async fn cycle_outcomes(
         &mut self,
         session: Session,
@@ -252,7 +260,7 @@ impl Test<'_> {
         }
     }
 
-    /// Adds the checks that cannot be done at a rate.
+    /// Adds the checks that cannot be done at this rate as not done.
     fn add_not_done(&mut self, rate_hz: u32, because: &Reason) {
         use Subject::{
             BringUp, Cables, Cycles, Devices, DistributedClocks, Revisions, Signals, WorkingCounter,
@@ -267,12 +275,12 @@ impl Test<'_> {
         }
     }
 
-    /// Rate of homing and of the pulled cable: the lowest.
+    /// Lowest configured rate. Homing and the check of the cable use this rate.
     fn lowest_rate_hz(&self) -> u32 {
         self.bench.smoke.cycles.iter().map(|wanted| wanted.rate_hz).min().unwrap_or(self.bench.daemon.rate_hz)
     }
 
-    /// Adds a check that needs a person, if it is enabled under `key` of the configuration.
+    /// Adds a check that needs a person. `key` is the key of the configuration that enables the check.
     async fn check_with_person(
         &mut self,
         subject: Subject,
@@ -280,7 +288,7 @@ impl Test<'_> {
         key: &'static str,
         check: impl AsyncFnOnce(&mut Self, &Session) -> Outcome,
     ) {
-        // On the simulated bus the program turns the joints and pulls the cable.
+        // On the simulated bus no person is needed, because the program turns the joints and pulls the cable.
         let is_possible = self.bench.has_person || self.bench.request.bus == BusChoice::Simulated;
         let session = match (is_enabled, is_possible) {
             (false, _) => Err(Reason::NotAsked(key)),

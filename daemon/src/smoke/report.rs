@@ -1,4 +1,4 @@
-//! Report of a smoke test: the file that its user sends to the developers, and its figures as text.
+//! Report of a smoke test, which the user sends to the developers as a file, and its figures as text.
 
 use std::fmt;
 
@@ -24,17 +24,17 @@ pub struct Report {
     pub host: Host,
     /// Configuration of the checks.
     pub smoke: SmokeConfig,
-    /// Configuration of the cycles except for the rate.
+    /// Configuration of the cycles. Its rate is not used.
     pub daemon: DaemonConfig,
     /// The terminals that were expected.
     pub encoders: Vec<EncoderConfig>,
     /// The devices that identified themselves, in bus order.
     pub devices: Vec<DeviceInfo>,
-    /// The checks in the order in which they were done.
+    /// The checks, in the order in which they were done.
     pub checks: Vec<Check>,
-    /// Cycles at each rate.
+    /// Figures of the cycles at each rate.
     pub cycles: Vec<Figures>,
-    /// Cycles while the cable was pulled.
+    /// Figures of the cycles while the cable was pulled.
     pub pulled_cable: Option<Figures>,
 }
 
@@ -50,7 +50,7 @@ impl Report {
     }
 }
 
-/// Machine, devices and figures. The checks are not included: each is printed when it ends.
+/// Text with machine, devices and figures. The checks are omitted, because each is printed when it ends.
 impl fmt::Display for Report {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Host { kernel, kernel_version, processor, interface, .. } = &self.host;
