@@ -1,9 +1,12 @@
-//! Exclusive claims of network interfaces and of directories of recordings: a second process is refused, with the holder and
-//! its activity.
+//! Exclusive claims of network interfaces and of directories with recordings. If another process holds a claim, this process
+//! is refused with the identity and the activity of the holder.
 //!
-//! A claim is a listening socket in the kernel's abstract namespace. It ends with its process however that ends, and lets
-//! others query the holder. It is valid in the network namespace, like interface names. It is advisory: other MainDevices do
-//! not check it. A lock file would need a directory that every user may write, and could not state the holder's activity.
+//! A claim is a listening socket in the abstract namespace of the kernel. The kernel closes it when its process ends, even by
+//! a crash. Another process can connect to the socket and query the holder. A claim is valid within one network namespace,
+//! like the names of interfaces. Claims are advisory: MainDevices of other programs do not check them.
+//!
+//! A lock file was not chosen, because it would need a directory that every user may write, and could not report
+//! the activity of the holder.
 
 use std::fmt;
 use std::io::{self, ErrorKind, Read, Write};
@@ -19,17 +22,17 @@ use nix::sys::socket::{Shutdown, getsockopt, shutdown, sockopt::PeerCredentials}
 use nix::unistd::{Uid, User, geteuid};
 use shared::recording::Disk;
 
-/// Time limit for a holder's answer.
+/// Time limit for the answer of a holder.
 const ANSWER_TIMEOUT: Duration = Duration::from_millis(500);
 /// Length limit of an answer \[bytes\].
 const ANSWER_BYTES_MAX: u64 = 300;
-/// Attempts, because a holder may end while it is queried.
+/// Number of attempts to claim. Several are needed, because a holder may end while it is queried.
 const ATTEMPTS: usize = 3;
 
-/// What this process is doing; empty between runs.
+/// What this process is doing. Empty between runs.
 static ACTIVITY: Mutex<String> = Mutex::new(String::new());
 
-/// Sets the activity of this process that others see, such as "records run `x`".
+/// Sets the activity of this process that other processes can query, such as "recording run `x`".
 pub fn set_activity(activity: impl Into<String>) {
     *ACTIVITY.lock().unwrap_or_else(PoisonError::into_inner) = activity.into();
 }
@@ -44,11 +47,12 @@ fn own_activity() -> String {
 /// The process that has claimed something.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Holder {
-    /// Process number; `None` if it is in another container.
+    /// Process id; `None` if the process is in another container.
     pub pid: Option<i32>,
-    /// Its user, if it differs from that of this process: every user of the machine can claim a name.
+    /// User of the process, if it is not the user of this process. The user matters because every user of the
+    /// machine can claim a name.
     pub user: Option<String>,
-    /// Its command and activity.
+    /// Command and activity of the process.
     pub doing: String,
 }
 
@@ -65,7 +69,7 @@ impl fmt::Display for Holder {
     }
 }
 
-/// A claim of this process, until it is dropped.
+/// A claim that this process holds until the value is dropped.
 #[derive(Debug)]
 pub struct Claim {
     listener: Arc<UnixListener>,
@@ -73,12 +77,12 @@ pub struct Claim {
 }
 
 impl Claim {
-    /// Claims a network interface; `None`, with a line in the log, if the system does not support claims.
+    /// Claims a network interface. Returns `None` and logs a warning if the system does not support claims.
     pub fn interface(name: &str) -> Result<Option<Self>, Holder> {
         Self::claim_name(&format!("ballbard/interface/{name}"))
     }
 
-    /// Claims an existing directory, independent of the path to it.
+    /// Claims an existing directory. The claim is for the directory itself, whatever path leads to it.
     pub fn directory(disk: &dyn Disk, path: &Path) -> Result<Option<Self>, Holder> {
         match disk.id_at(path) {
             Ok(id) => Self::claim_name(&format!("ballbard/directory/{id}")),
@@ -105,7 +109,8 @@ impl Claim {
         let queried = Arc::clone(&listener);
         let answer = move || {
             while let Ok((mut stream, _)) = queried.accept() {
-                // The answer fits into any socket's buffer; the client may have gone.
+                // The answer is short enough for the buffer of any socket, so writing does not block. The error is ignored,
+                // because the client may have disconnected.
                 let _ = stream.write_all(own_activity().as_bytes());
             }
         };
@@ -116,7 +121,8 @@ impl Claim {
 
 impl Drop for Claim {
     fn drop(&mut self) {
-        // Wakes the answering thread; the name is free when that has closed the socket.
+        // The shutdown wakes the answering thread. The name is free when that thread has closed the socket,
+        // so wait for the thread.
         let _ = shutdown(self.listener.as_raw_fd(), Shutdown::Both);
         if let Some(answering) = self.answering.take() {
             let _ = answering.join();
@@ -144,7 +150,7 @@ fn query_holder(name: &str) -> io::Result<Holder> {
     Ok(Holder { pid, user, doing })
 }
 
-/// Name of an account, or its number.
+/// Name of a user account, or its number if it has no name.
 pub(crate) fn name_of(user: Uid) -> String {
     User::from_uid(user).ok().flatten().map_or_else(|| user.to_string(), |known| known.name)
 }
@@ -162,7 +168,7 @@ mod tests {
         std::fs::create_dir(&first).unwrap();
         let _claim = Claim::directory(&SystemDisk, &first).unwrap();
         std::fs::remove_dir(&first).unwrap();
-        // On most file systems the new directory gets the same number.
+        // On most file systems the new directory gets the inode number of the removed directory.
         std::fs::create_dir(&second).unwrap();
         assert!(Claim::directory(&SystemDisk, &second).unwrap().is_some());
     }

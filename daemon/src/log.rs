@@ -1,10 +1,13 @@
-//! The log: events of `tracing`, panics and the final error as lines on standard error that no thread waits for.
+//! The log: writes events of `tracing`, panics and the final error as lines to standard error. No
+//! thread that logs ever waits.
 //!
-//! A bounded queue takes the lines; one thread writes them. A standard error that is closed, full or not read costs
-//! lines, which are counted, and never a run. The thread has a file descriptor of its own: with the lock of
-//! `std::io::stderr` a blocked write would block everybody who prints. `tracing-appender` is similar except at the end of
-//! the program, where it prints to a standard error that may block; it neither counts lines lost in a write nor limits the
-//! lines of one call site. `tracing-journald` writes to a socket that blocks when the journal does.
+//! The lines enter a bounded queue, and one thread writes them. If standard error is closed, full or not read, lines are lost
+//! and counted, but no run is affected. The thread has its own file descriptor. With the lock of `std::io::stderr`, a blocked
+//! write would block every thread that prints.
+//!
+//! Two crates were not used. `tracing-appender` prints to standard error at the end of the program, which may block. It also
+//! does not count lines that are lost in a write, and does not limit the lines of a call site. `tracing-journald` writes to a
+//! socket that blocks when the journal blocks.
 
 use std::backtrace::{Backtrace, BacktraceStatus};
 use std::collections::HashMap;
@@ -25,20 +28,20 @@ use tracing_subscriber::fmt;
 use tracing_subscriber::fmt::MakeWriter;
 use tracing_subscriber::prelude::*;
 
-/// Queue of lines: those of a busy minute.
+/// Capacity of the queue in lines. It holds the lines of a busy minute.
 const LINES_MAX: usize = 4096;
-/// How long the end of the program waits for unwritten lines: an active reader takes them at once.
+/// How long the end of the program waits for unwritten lines. A reader that is active reads them at once.
 const FLUSH_TIMEOUT: Duration = Duration::from_millis(500);
-/// Retry period of a flush when the queue is full.
+/// Period in which a flush tries again when the queue is full.
 const RETRY: Duration = Duration::from_millis(10);
 
-/// Limit of the lines of one call site in a minute.
+/// Largest number of lines of one call site in a minute.
 const ALIKE_MAX: u32 = 20;
 const MINUTE: Duration = Duration::from_secs(60);
 
 static LINES_LOST: OnceLock<Arc<AtomicU64>> = OnceLock::new();
 
-/// Lines that standard error did not accept since the program began.
+/// Number of lines that standard error did not accept since the program began.
 pub fn lines_lost() -> u64 {
     LINES_LOST.get().map_or(0, |lost| lost.load(Ordering::Relaxed))
 }
@@ -46,11 +49,11 @@ pub fn lines_lost() -> u64 {
 #[derive(Debug)]
 enum Entry {
     Line(Vec<u8>),
-    /// Answered after every earlier line.
+    /// Request for a message when all earlier lines have been written or lost.
     Flush(SyncSender<()>),
 }
 
-/// The log of the program; dropping it waits a short time for the last lines.
+/// The log of the program. Dropping it waits a short time for the last lines.
 pub struct Log {
     lines: Lines,
     is_journal: bool,
@@ -84,7 +87,7 @@ impl Log {
         Ok(log)
     }
 
-    /// Writes a line regardless of the filter: the final error of a command.
+    /// Writes a line whatever the filter is. It is used for the final error of a command.
     pub fn line(&self, text: &str) {
         self.lines.line(&with_priority(text, self.is_journal.then_some(Level::ERROR)));
     }
@@ -96,13 +99,13 @@ impl Drop for Log {
     }
 }
 
-/// Whether the stream leads to the journal, according to systemd.
+/// Whether the stream leads to the journal. systemd sets an environment variable that identifies the stream of the journal.
 fn leads_to_journal(stream: &OwnedFd) -> bool {
     let journal = std::env::var("JOURNAL_STREAM").unwrap_or_default();
     nix::sys::stat::fstat(stream).is_ok_and(|found| journal == format!("{}:{}", found.st_dev, found.st_ino))
 }
 
-/// Precedes each line by the priority of syslog(3), in the format of sd-daemon(3).
+/// Puts the priority of syslog(3) before each line, in the format of sd-daemon(3).
 fn with_priority(text: &str, level: Option<Level>) -> String {
     let priority = match level {
         None => return text.into(),
@@ -115,22 +118,22 @@ fn with_priority(text: &str, level: Option<Level>) -> String {
     lines.join("\n")
 }
 
-/// Passes events to the [`Lines`], unless their call site exceeds its limit.
+/// Passes events to the [`Lines`], unless the call site exceeds its limit.
 struct Sink {
     lines: Lines,
     is_journal: bool,
-    /// Lines of each call site.
+    /// Number of lines of each call site.
     alike: Mutex<HashMap<Identifier, Alike>>,
 }
 
-/// Lines of one call site in the current minute.
+/// Counter of the lines of one call site in the current minute.
 struct Alike {
     since: Instant,
     lines: u32,
 }
 
 impl Alike {
-    /// Number of lines in this minute, including this one.
+    /// Counts a line. Returns the number of lines in this minute, including this line.
     fn count(&mut self, now: Instant) -> u32 {
         if now.duration_since(self.since) >= MINUTE {
             *self = Self { since: now, lines: 0 };
@@ -140,12 +143,12 @@ impl Alike {
     }
 }
 
-/// One event on its way through a [`Sink`].
+/// Writer for one event, which a [`Sink`] creates.
 struct LogEvent {
     lines: Lines,
-    /// Severity, if the journal needs it.
+    /// Severity of the event; `None` if the stream does not lead to the journal.
     priority: Option<Level>,
-    /// Lines of its call site in this minute, including this one; 0 if they could not be counted.
+    /// Number of lines of the call site in this minute, including this line; 0 if they could not be counted.
     alike: u32,
 }
 
@@ -158,7 +161,7 @@ impl<'a> MakeWriter<'a> for Sink {
 
     fn make_writer_for(&'a self, event: &Metadata<'_>) -> LogEvent {
         let now = Instant::now();
-        // Logging never waits, not even for this lock.
+        // If the lock is taken, the line is not counted, because logging never waits.
         let alike = self.alike.try_lock().map_or(0, |mut alike| {
             alike.entry(event.callsite()).or_insert(Alike { since: now, lines: 0 }).count(now)
         });
@@ -166,7 +169,7 @@ impl<'a> MakeWriter<'a> for Sink {
     }
 }
 
-/// Each call has one complete event.
+/// Each call of `write` receives one complete event.
 impl Write for LogEvent {
     fn write(&mut self, event: &[u8]) -> io::Result<usize> {
         if self.alike <= ALIKE_MAX {
@@ -184,7 +187,7 @@ impl Write for LogEvent {
     }
 }
 
-/// Queue of lines to a stream. Sending never waits and never fails.
+/// Queue of lines that are written to a stream. Sending a line never waits and never fails.
 #[derive(Debug, Clone)]
 pub struct Lines {
     entries: SyncSender<Entry>,
@@ -201,7 +204,7 @@ impl Lines {
         Ok(Self { entries, lost })
     }
 
-    /// Sends a line, without its line end.
+    /// Sends a line. `text` has no line end.
     pub fn line(&self, text: &str) {
         let line = format!("{text}\n").into_bytes();
         if self.entries.try_send(Entry::Line(line)).is_err() {
@@ -209,12 +212,12 @@ impl Lines {
         }
     }
 
-    /// Lines that the stream did not accept.
+    /// Number of lines that the stream did not accept.
     pub fn lost(&self) -> u64 {
         self.lost.load(Ordering::Relaxed)
     }
 
-    /// Waits a short time until all lines were tried; returns whether they were.
+    /// Waits a short time until all lines have been written or lost. Returns false if that takes too long.
     pub fn flush(&self) -> bool {
         let until = Instant::now() + FLUSH_TIMEOUT;
         let (done, written) = sync_channel(1);
@@ -226,12 +229,12 @@ impl Lines {
             entry = unsent;
             thread::sleep(RETRY);
         }
-        // Lines that are not written by then are lost with the program.
+        // Lines that are not written within that time are lost when the program ends.
         written.recv_timeout(until.saturating_duration_since(Instant::now())).is_ok()
     }
 }
 
-/// State of the log's thread.
+/// The thread that writes the lines.
 struct Drain {
     disk: Arc<dyn Disk>,
     stream: OwnedFd,
@@ -241,7 +244,7 @@ struct Drain {
 impl Drain {
     fn run(&self, queue: &Receiver<Entry>) {
         let mut reported_lost = 0;
-        // A partly written line has no end yet.
+        // Whether the last line was only partly written, so that it has no line end.
         let mut is_torn = false;
         for entry in queue {
             match entry {
@@ -258,21 +261,21 @@ impl Drain {
                     }
                 }
                 Entry::Flush(done) => {
-                    // The receiver may have stopped waiting.
+                    // The receiver may have stopped waiting, so an error is ignored.
                     let _ = done.try_send(());
                 }
             }
         }
     }
 
-    /// The error is the number of bytes written before the stream refused.
+    /// Writes all bytes. If the stream returns an error, returns the number of bytes that were written before.
     fn write_all(&self, bytes: &[u8]) -> Result<(), usize> {
         let mut rest = bytes;
         while !rest.is_empty() {
             match self.disk.append(self.stream.as_fd(), rest) {
                 Ok(written) => rest = &rest[written..],
                 Err(error) if error.kind() == ErrorKind::Interrupted => {}
-                // Another user of this terminal or pipe may have made it non-blocking.
+                // Wait if the stream is non-blocking. Another user of the terminal or pipe may have set that mode.
                 Err(error) if error.kind() == ErrorKind::WouldBlock && self.wait() => {}
                 Err(_) => return Err(bytes.len() - rest.len()),
             }
@@ -280,7 +283,7 @@ impl Drain {
         Ok(())
     }
 
-    /// Waits until the stream accepts more; false if that is impossible.
+    /// Waits until the stream accepts more bytes. Returns false if waiting is impossible.
     fn wait(&self) -> bool {
         let mut stream = [PollFd::new(self.stream.as_fd(), PollFlags::POLLOUT)];
         poll(&mut stream, PollTimeout::NONE).is_ok()

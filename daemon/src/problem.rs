@@ -1,7 +1,8 @@
 //! Problems of bus, disk, encoders, cables and host, as values.
 //!
-//! A [`Fact`] is created once, where it is detected. Its code, severity, text and remedy are derived here only; file, log,
-//! status, check, page, metrics and API show them. Codes are stable: `docs/src/reference/warnings.md` explains each.
+//! A [`Fact`] is created only where the problem is detected. A [`Problem`] adds code, severity, text and remedy,
+//! which are defined here only. File, log, status, check, page, metrics and API all show the same texts. Codes are
+//! stable; `docs/src/reference/warnings.md` explains each code.
 
 use std::fmt;
 use std::path::PathBuf;
@@ -43,8 +44,9 @@ pub struct Problem {
     pub remedy: String,
 }
 
-/// Declares [`Fact`] with its [`code`](Fact::code), severity, text and remedy, and [`CODES`], from one table: name, code and
-/// severity; fields; text and remedy, both with the fields.
+/// Declares [`Fact`] and [`CODES`] from one table. Each entry of the table contains name, code, severity, fields, text and
+/// remedy. Text and remedy may use the fields. From them the macro also generates [`code`](Fact::code) and the private
+/// functions for severity and texts.
 macro_rules! facts {
     ($($(#[doc = $doc:literal])+ $name:ident = $code:literal, $severity:ident
         $({ $($field:ident: $type:ty),+ $(,)? })? => $text:expr, $remedy:expr;)+) => {
@@ -109,7 +111,7 @@ facts! {
         format!("no EtherCAT device answers on {bus}"),
         "check that the coupler has power, that its upper (IN) socket is cabled to this interface, and that the \
          interface is up";
-    /// Terminals from this position on do not answer; the coupler is 0.
+    /// The terminals from this position on do not answer. The coupler has position 0.
     BusDeviceMissing = "bus_device_missing", Bad { position: usize, expected: Vec<String>, found: Vec<String> } =>
         format!("{} and all behind it do not answer: {}", device(*position), expected_and_found(expected, found)),
         format!(
@@ -121,19 +123,19 @@ facts! {
     BusDeviceUnexpected = "bus_device_unexpected", Bad { position: usize, expected: Vec<String>, found: Vec<String> } =>
         format!("{} is not configured: {}", device(*position), expected_and_found(expected, found)),
         "add its encoder and those of the terminals behind it to ball_bar.toml, or remove these terminals";
-    /// Another device than configured.
+    /// A device is of another type than configured.
     BusDeviceWrong = "bus_device_wrong", Bad { position: usize, expected: Vec<String>, found: Vec<String> } =>
         format!("{} is another device than configured: {}", device(*position), expected_and_found(expected, found)),
         "correct the order of the terminals or the list of encoders in ball_bar.toml";
-    /// A device lost its address or configuration: it was without power.
+    /// A device has lost its address or configuration, because it was without power.
     BusDeviceRestarted = "bus_device_restarted", Bad =>
         "a device has lost its address or configuration: it was without power",
         "check the supply of the coupler and the contacts between the terminals";
-    /// A device left OP.
+    /// A device has left the state OP.
     BusNotOperational = "bus_not_operational", Bad { position: Option<usize>, al_status_code: Option<u16> } =>
         not_operational(*position, *al_status_code),
         first_check(*position);
-    /// A device does not enter a state.
+    /// A device does not enter a requested state.
     BusStateRefused = "bus_state_refused", Bad { position: usize, state: String, wanted: String, al_status: String } =>
         format!("{} stays in {state} instead of {wanted}: AL status {al_status}", device(*position)),
         REPLACE_TERMINAL;
@@ -145,33 +147,33 @@ facts! {
     BusInterpolation = "bus_interpolation", Bad { position: usize, wanted: u8, found: u32 } =>
         format!("{} interpolates with {found} bits instead of the {wanted} that were set", device(*position)),
         "power the terminals off and on, or give a number of bits in ball_bar.toml that its firmware offers";
-    /// A terminal's process data have another length.
+    /// The process data of a terminal have an unexpected length.
     BusProcessData = "bus_process_data", Bad { position: usize, inputs_bytes: usize, outputs_bytes: usize } =>
         format!(
             "{} has {inputs_bytes} bytes of inputs and {outputs_bytes} of outputs instead of 10 and 6",
             device(*position)
         ),
         "restore its default PDO assignment";
-    /// The reference clock stands still.
+    /// The reference clock does not advance.
     BusClockStopped = "bus_clock_stopped", Bad { time_ns: u64 } =>
         format!("the distributed clock stands still (time {time_ns} ns)"),
         "the first device after this PC must be an EK1100 with distributed clocks, or set `distributed_clocks = false` \
          in daemon.toml and accept samples up to one cycle old";
-    /// A terminal's clock does not follow the reference clock.
+    /// The clock of a terminal does not follow the reference clock.
     BusClockUnsettled = "bus_clock_unsettled", Bad { position: usize, difference_ns: i64 } =>
         format!(
             "the clock of {} differs from the bus time by {difference_ns} ns; 1000 ns are allowed",
             device(*position)
         ),
         REPLACE_TERMINAL;
-    /// The reference clock jumped.
+    /// The reference clock has jumped.
     BusClockJumped = "bus_clock_jumped", Check { by_ns: Option<i64> } =>
         match by_ns {
             Some(by_ns) => format!("the reference clock jumped by {:.3} ms", *by_ns as f64 * 1e-6),
             None => "the reference clock jumped".into(),
         },
         "nothing to do: sample times follow it; replace the coupler if this happens again";
-    /// Replies with a wrong working counter.
+    /// Several replies in a row have a wrong working counter.
     BusBadReplies = "bus_bad_replies", Bad { position: Option<usize>, flags: Vec<String> } =>
         format!("several replies in a row have errors ({})", flags.join(", ")),
         first_check(*position);
@@ -179,7 +181,7 @@ facts! {
     BusStackFailed = "bus_stack_failed", Bad { doing: String, error: String } =>
         format!("EtherCAT error while {doing}: {error}"),
         "check cables, contacts and the terminals' power";
-    /// Stopped while the bus was being brought up.
+    /// The program was stopped while it brought the bus into operation.
     BusInterrupted = "bus_interrupted", Bad =>
         "the program was stopped while it brought the bus up",
         "start again";
@@ -187,7 +189,7 @@ facts! {
     InterfaceUnusable = "interface_unusable", Bad { error: String } =>
         error,
         "correct --bus or the interface";
-    /// The thread of the cycle does not run.
+    /// The thread of the cycle is blocked or starved.
     CycleStalled = "cycle_stalled", Bad { age_s: i64 } =>
         format!("no bus cycle for {age_s} s: the cycle thread is blocked or starved"),
         REDUCE_LOAD;
@@ -195,14 +197,14 @@ facts! {
     ThreadEnded = "thread_ended", Bad { thread: String } =>
         format!("the {thread} thread has ended"),
         "report this with the log, which shows why";
-    /// The bus is in OP again: the end of a fault.
+    /// The bus is in OP again. This fact reports the end of a fault.
     BusRestored = "bus_restored", Good { attempts: u32 } =>
         match attempts {
             1 => "bus in operation again".into(),
             _ => format!("bus in operation again, after {attempts} attempts"),
         },
         "";
-    /// A port has counted errors; port 0 leads to the device before.
+    /// A port has counted errors. Port 0 leads to the preceding device.
     LinkErrors = "link_errors", Check {
         position: usize, port: usize, receive_errors: u32, invalid_frames: u32, lost_links: u32,
     } =>
@@ -213,15 +215,16 @@ facts! {
             device(*position)
         ),
         link(*position, *port).1;
-    /// No cycle gave a sample in the last second.
+    /// No cycle contained a sample in the last second.
     NoSamples = "no_samples", Bad =>
         "no sample in the last second",
         "bring the bus into operation first";
-    /// Encoders give too few valid samples. Status word and share of the last second are those of the first.
+    /// Encoders have too few valid samples. `status` and `valid_share` are those of the first of these encoders; the fraction
+    /// refers to the last second.
     EncoderInvalid = "encoder_invalid", Bad { joints: Vec<u8>, status: Option<u16>, valid_share: f64 } =>
         invalid_encoders(joints, *status, *valid_share),
         encoder_remedy(*status, *valid_share);
-    /// Counts may have a new origin.
+    /// The counts may have a new origin.
     CountsRestarted = "counts_restarted", Check { joint: Option<u8>, because: String } =>
         format!("counts may have a new origin: {because}"),
         "home again if runs use reference marks; a calibration estimates the new offsets";
@@ -240,11 +243,11 @@ facts! {
             directory.display()
         ),
         "correct this directory, or choose another one with --out or `directory` in daemon.toml";
-    /// Less space than the floor.
+    /// The free space of the disk is below the limit `disk_floor_mb`.
     DiskFull = "disk_full", Bad { directory: PathBuf, floor_mb: u64 } =>
         format!("less than {floor_mb} MB are free on the disk of {} (disk floor)", directory.display()),
         "move recordings, or delete some and empty the bin, or lower `disk_floor_mb` in daemon.toml";
-    /// A call to the disk failed.
+    /// A call to the disk returned an error.
     DiskError = "disk_error", Bad { place: String, error: String } =>
         format!("{place}: {error}"),
         "check free space and permissions, and the state of the disk";
@@ -265,15 +268,15 @@ facts! {
             None => "files of earlier runs are being recovered".into(),
         },
         "wait; if it takes minutes check the disk";
-    /// A run waits for its file.
+    /// A run waits until its file has been created.
     FilePending = "file_pending", Bad { since_s: f64, step: String } =>
         format!("the run has no file yet: the disk has been {step} for {since_s:.1} s"),
         CHECK_DISK;
-    /// The file of the run is not where it was.
+    /// The file of the run no longer exists under its path.
     FileLost = "file_lost", Bad { error: String } =>
         format!("{error}; the run's cycles are being moved to another place"),
         "wait for the new place, then check the directory";
-    /// The run is written elsewhere.
+    /// The run continues in another file.
     FileMoved = "file_moved", Check { file: PathBuf, error: String } =>
         format!("the run continues in {}, because: {error}", file.display()),
         "`ballbard stop` names the file; repair the disk before the next run";
@@ -281,17 +284,17 @@ facts! {
     FileBroken = "file_broken", Bad { error: String } =>
         error,
         "check the disk, then run `ballbard recover` on the file";
-    /// Cycles wait to be written.
+    /// Cycles wait to be written to the file.
     DiskBacklog = "disk_backlog", Bad { backlog_s: f64, limit_s: f64 } =>
         format!(
             "the disk accepts nothing: {backlog_s:.1} s of cycles wait to be written; above {limit_s:.0} s cycles are lost"
         ),
         "find the programs that keep the disk busy";
-    /// Cycles wait to be synchronised.
+    /// Cycles wait to be synchronised with the disk.
     DiskSlow = "disk_slow", Check { unsynced_s: f64 } =>
         format!("the disk is slow: a power failure now would cost the last {unsynced_s:.1} s of the run"),
         "find the programs that keep the disk busy";
-    /// Little space is left.
+    /// The disk has little space left.
     DiskSpaceLow = "disk_space_low", Check { left_h: f64 } =>
         format!("the disk has room for {left_h:.1} hours"),
         "move recordings elsewhere, or delete some and empty the bin, before the run needs the space";
@@ -310,7 +313,7 @@ facts! {
     HomingActive = "homing_active", Check =>
         "the encoders are being homed",
         "wait until the homing has ended, or stop it with `ballbard stop`";
-    /// The control's thread takes no requests.
+    /// The queue of requests to the control is full.
     ServiceBusy = "service_busy", Bad =>
         "too many requests wait for the service",
         "try again in a second";
@@ -350,18 +353,18 @@ facts! {
     LogLinesLost = "log_lines_lost", Check { lines: u64 } =>
         format!("{lines} lines of the log were lost: standard error did not accept them"),
         "check its destination: a full disk, a closed terminal, a pipe that is not read; recording continues";
-    /// A joint is turned too far.
+    /// A joint has been turned so far that its cable winds up.
     JointWound = "joint_wound", Check { joint: u8, turned_deg: f64, from_mark: bool } =>
         format!(
             "joint {joint} is turned by {turned_deg:.0} degrees from {}",
             if *from_mark { "its reference mark" } else { "its first position" }
         ),
         "unwind its cable before it is torn";
-    /// A joint is near a singular pose.
+    /// A joint is close to a singular pose.
     JointSingular = "joint_singular", Check { joint: u8, distance_deg: f64 } =>
         format!("joint {joint} is {distance_deg:.1} degrees from a singular pose of the bar"),
         "change the path: the rod must not align with the first or the last axis of the bar";
-    /// A joint turns faster than its terminal interpolates.
+    /// A joint turns faster than its terminal can interpolate at full resolution.
     JointFast = "joint_fast", Check { joint: u8, speed_deg_per_s: f64, limit_deg_per_s: f64 } =>
         format!(
             "joint {joint} turns at {:.0} degrees/s; above {limit_deg_per_s:.0} its terminal does not resolve the finest steps",
@@ -372,15 +375,15 @@ facts! {
     JointStill = "joint_still", Check { joint: u8, range_deg: f64 } =>
         format!("joint {joint} has turned by only {range_deg:.1} degrees since the run began"),
         "check whether its coupling is loose, or change the path so that it turns the joint";
-    /// Angles count from zero again.
+    /// Angles count from zero again, because the counters have restarted.
     AnglesRestarted = "angles_restarted", Check { since_s: f64 } =>
         format!("since {} angles and coverage count from zero again", clock_time(*since_s)),
         "nothing to do: the counters restarted, as after an outage of the bus, and the calibration accounts for it";
 }
 
 impl Fact {
-    /// The most severe cause of cycles with these flags. `silent` are the joints without valid samples. `position` is that of
-    /// their first terminal; `None` if it is unknown or no terminal gives valid samples.
+    /// The most severe cause of cycles with these flags. `silent` are the joints without valid samples. `position` is the bus
+    /// position of the first terminal of these joints. It is `None` if it is unknown, or if no terminal has valid samples.
     pub fn of_flags(bits: u32, bus: &str, silent: Vec<u8>, position: Option<usize>) -> Self {
         let has = |bit| bits & bit != 0;
         if has(flags::NO_REPLY) {
@@ -400,7 +403,8 @@ impl Fact {
         }
     }
 
-    /// Code and place (joint or port), which identify the problem among those of the same time; independent of figures.
+    /// Code and location, which identify a problem among simultaneous problems. The location is a number that is derived from
+    /// the joint or the port. Figures do not affect the key.
     pub fn key(&self) -> (&'static str, usize) {
         let place = match self {
             // A device has at most four ports.
@@ -425,7 +429,8 @@ impl From<PortCounts> for Fact {
 }
 
 impl Problem {
-    /// The problem as the cause that these joints give no valid samples; `all` is true if no joint of the bar gives any.
+    /// Marks the problem as the reason why these joints have no valid samples. `all` is true if no joint of
+    /// the bar has valid samples.
     pub fn with_joints(self, joints: Vec<u8>, all: bool) -> Self {
         let subject = if all { "any encoder".into() } else { format!("joint {}", numbers(&joints)) };
         Self {
@@ -436,7 +441,7 @@ impl Problem {
         }
     }
 
-    /// The problem with another severity than that of its fact.
+    /// Overrides the default severity of the problem.
     pub fn with_severity(self, severity: Level) -> Self {
         Self { severity, ..self }
     }
@@ -446,7 +451,7 @@ impl Problem {
         self.fact.code()
     }
 
-    /// Several problems in one line: texts, then remedies, each once.
+    /// Joins several problems into one line: first the texts, then the remedies. Repeated texts are written only once.
     pub fn line(problems: &[Self]) -> String {
         let mut parts: Vec<&str> = Vec::new();
         let texts = problems.iter().map(|problem| &problem.text);
@@ -472,20 +477,20 @@ impl fmt::Display for Problem {
     }
 }
 
-/// Names of the set bits.
+/// Names of the flags that are set in `bits`.
 pub fn flag_names(bits: u32) -> Vec<String> {
     let set = flags::NAMES.iter().filter(|(bit, _)| bits & bit != 0);
     set.map(|(_, name)| (*name).to_owned()).collect()
 }
 
-/// A time since the start of a run, such as 1:02:03 or 0:07.
+/// Formats a time since the start of a run, such as 1:02:03 or 0:07.
 pub fn clock_time(seconds: f64) -> String {
     let whole = seconds.max(0.0) as u64;
     let (hours, minutes, seconds) = (whole / 3600, whole / 60 % 60, whole % 60);
     if hours > 0 { format!("{hours}:{minutes:02}:{seconds:02}") } else { format!("{minutes}:{seconds:02}") }
 }
 
-/// Name of a device: the coupler is at position 0, the terminal next to it is terminal 1.
+/// Name of a device. The coupler is at position 0, so the terminal next to it is terminal 1.
 fn device(position: usize) -> String {
     if position == 0 { "the coupler".into() } else { format!("terminal {position}") }
 }
@@ -508,7 +513,7 @@ fn invalid_encoders(joints: &[u8], status: Option<u16>, valid_share: f64) -> Str
     format!("no valid sample from {who}")
 }
 
-/// Whether the terminal reports late cycles, and no error of the encoder.
+/// Whether the terminal reports late cycles, but no error of the encoder.
 fn is_only_unsynchronised(status: Option<u16>) -> bool {
     let is_only =
         |status: StatusWord| status.sync_error() && !status.amplitude_error() && !status.frequency_error();
@@ -516,7 +521,8 @@ fn is_only_unsynchronised(status: Option<u16>) -> bool {
 }
 
 fn encoder_remedy(status: Option<u16>, valid_share: f64) -> &'static str {
-    // A terminal that is not in operation reports no error. After the bus was restored, no encoder is valid before all are.
+    // A terminal that is not in operation reports no error. After the bus was restored, encoders are valid only
+    // once all of them are.
     let is_without_error = status.map(StatusWord).is_some_and(|status| !status.has_error());
     if is_only_unsynchronised(status) {
         REDUCE_LOAD
@@ -527,7 +533,8 @@ fn encoder_remedy(status: Option<u16>, valid_share: f64) -> &'static str {
     }
 }
 
-/// Where to look first for the cause, beginning at the device at `position`, or at the coupler.
+/// Text that says where to look for the cause first: at the device at `position`, or at the coupler
+/// if the position is unknown.
 fn first_check(position: Option<usize>) -> String {
     let place = match position {
         Some(position) => format!("{} and the contact before it", device(position)),
@@ -541,8 +548,8 @@ fn expected_and_found(expected: &[String], found: &[String]) -> String {
     format!("expected [{}], found [{}]", list(expected), list(found))
 }
 
-/// Name of the link at a port, and its remedy. Port 0 leads to the device before, port 1 to the terminal behind, port 2 of the
-/// coupler to its OUT socket. A cable leads to the coupler; terminals touch each other.
+/// Name of the link at a port, and its remedy. Port 0 leads to the preceding device and port 1 to the next terminal. Port 2
+/// of the coupler leads to its OUT socket. The coupler is connected by cables, terminals by contacts that touch each other.
 fn link(position: usize, port: usize) -> (String, String) {
     let cable = "push the plug in, or replace the cable";
     match (position, port) {
@@ -627,7 +634,7 @@ mod tests {
             late.contains("(status 0xa000: cycles not synchronous") && late.contains("ballbard tune"),
             "{late}"
         );
-        // With a low signal the cable is the cause.
+        // With a low signal, the cable is the cause.
         assert!(text(0x2010).contains("check the encoder's cable"), "{}", text(0x2010));
     }
 
@@ -638,7 +645,7 @@ mod tests {
                 .to_string()
         };
         assert!(text(0x8000, 0.0).contains("correct the bus"), "{}", text(0x8000, 0.0));
-        // A loose contact: this sample has no error, others have.
+        // A loose contact: this sample has no error, but other samples of the last second have errors.
         assert!(text(0x8000, 0.5).contains("check the encoder's cable"), "{}", text(0x8000, 0.5));
     }
 

@@ -1,7 +1,8 @@
-//! Settings of a machine that delay the cycle, and commands that correct them.
+//! Finds settings of this machine that delay the cycle, and the commands that correct them.
 //!
-//! The kernel has them in files, and `ethtool` prints those of an interface; [`findings`] evaluates the text. Used by
-//! `ballbard tune`, by the smoke test, and for the permissions of the cycle's thread.
+//! Input is text: most settings are files of the kernel, and those of a network interface are printed by `ethtool`. The
+//! function [`findings`] evaluates the text of each setting and grades it. `ballbard tune` and the smoke test show the
+//! result. The thread of the cycle uses this module to check its permissions.
 
 use std::fmt;
 use std::fs::OpenOptions;
@@ -15,11 +16,11 @@ use serde::Serialize;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SettingGrade {
-    /// As it should be.
+    /// The setting does not delay the cycle.
     Fine,
-    /// It delays the cycle by less than a frame may be late.
+    /// The setting delays the cycle, but by less than a frame may be late.
     Slight,
-    /// It makes the cycle late.
+    /// The setting makes the cycle late.
     Problem,
     /// The machine does not provide the setting.
     Unknown,
@@ -34,29 +35,29 @@ pub struct Finding {
     pub verdict: SettingGrade,
     /// Value of the setting and its effect.
     pub says: String,
-    /// Command that corrects it; empty if nothing is to be done.
+    /// Command that corrects the setting; empty if nothing needs to be done.
     pub remedy: String,
 }
 
-/// A machine, and the cycle that is to run on it.
+/// A machine, and the cycle that will run on it.
 #[derive(Debug, Clone, Default)]
 pub struct Machine {
-    /// Directory of its files: `/` outside of tests.
+    /// Directory that contains the files of the machine, `/` except in tests.
     pub root: PathBuf,
-    /// Core configured for the cycle's thread.
+    /// Core that is configured for the thread of the cycle.
     pub core: Option<usize>,
     /// Time between two cycles.
     pub cycle_period: Duration,
     /// Network interface of the bus.
     pub interface: Option<String>,
-    /// What `ethtool -c INTERFACE` prints.
+    /// Output of `ethtool -c INTERFACE`.
     pub coalescing: Option<String>,
-    /// The program is that of the Debian package, whose service has its rights from systemd.
+    /// Whether the program was installed from the Debian package. Its service gets its permissions from systemd.
     pub is_package: bool,
 }
 
 impl Machine {
-    /// The machine with these files, for a cycle on this core and with this period.
+    /// Describes the machine with these files, for a cycle on this core with this period.
     pub fn at(root: &Path, core: Option<usize>, cycle_period: Duration, interface: Option<&str>) -> Self {
         Self {
             root: root.to_owned(),
@@ -68,12 +69,12 @@ impl Machine {
         }
     }
 
-    /// This machine, for the permissions of this process.
+    /// Describes this machine, to read the permissions of this process.
     pub fn of_process() -> Self {
         Self { root: "/".into(), ..Self::default() }
     }
 
-    /// Text of a file without space around it; `None` if it cannot be read.
+    /// Text of a file without leading and trailing white space; `None` if the file cannot be read.
     pub fn text(&self, file: &str) -> Option<String> {
         Some(std::fs::read_to_string(self.root.join(file)).ok()?.trim().to_owned())
     }
@@ -86,22 +87,22 @@ impl Machine {
         self.of_cores(&format!("cpu{}/{file}", self.core.unwrap_or(0)))
     }
 
-    /// A frame that is late by less than half a period has no effect.
+    /// How late a frame may be: a delay of less than half a cycle period has no effect.
     fn slack(&self) -> Duration {
         self.cycle_period / 2
     }
 
-    /// The core to isolate: that of daemon.toml, or the last one. Never core 0, which the kernel needs; `None` on a machine with
-    /// one core.
+    /// The core to isolate: the core in daemon.toml, or else the last core. Core 0 is never isolated, because the kernel
+    /// needs it. `None` on a machine with one core.
     fn core_to_isolate(&self) -> Option<usize> {
         let last = cores(&self.of_cores("online").unwrap_or_default()).last().copied();
         self.core.filter(|core| *core > 0).or(last).filter(|core| *core > 0)
     }
 
-    /// Whether all memory of this process can be locked, for as long as it runs.
+    /// Whether this process may lock all its memory for as long as it runs.
     ///
-    /// No finite limit is enough: the kernel compares it with the address space, not with the memory in use, and refuses every
-    /// later allocation beyond it (mm/mlock.c, mm/mmap.c), which would end the program during a run.
+    /// A finite limit is never sufficient. The kernel compares the limit with the address space instead of the memory in use,
+    /// and refuses each allocation beyond it (mm/mlock.c, mm/mmap.c). Such a refusal would end the program during a run.
     pub fn may_lock_memory(&self) -> Result<(), LockError> {
         if self.has_capability(CAP_IPC_LOCK) {
             return Ok(());
@@ -116,14 +117,14 @@ impl Machine {
         self.status_bits("CapEff") >> bit & 1 == 1
     }
 
-    /// A bit mask of this process, by its name in `/proc/self/status`; 0 if it cannot be read.
+    /// Bit mask of this process with this name in `/proc/self/status`; 0 if it cannot be read.
     pub fn status_bits(&self, name: &str) -> u64 {
         let status = self.text("proc/self/status").unwrap_or_default();
         let mask = status.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(':'));
         mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).unwrap_or(0)
     }
 
-    /// The soft limit of a line of `/proc/self/limits`.
+    /// The soft limit with this name in `/proc/self/limits`.
     fn limit(&self, name: &str) -> Option<String> {
         let limits = self.text("proc/self/limits")?;
         let line = limits.lines().find_map(|line| line.strip_prefix(name))?;
@@ -131,10 +132,10 @@ impl Machine {
     }
 }
 
-/// Why memory is not locked.
+/// Why memory cannot be locked.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum LockError {
-    /// By the limit of locked memory.
+    /// The limit of locked memory is finite.
     #[error("at most {mib} MiB may be locked; only an unlimited process can lock its memory safely")]
     Limited {
         /// The limit \[MiB\].
@@ -145,7 +146,7 @@ pub enum LockError {
     Unknown,
 }
 
-/// Whether this is the program of the Debian package.
+/// Whether this program was installed from the Debian package.
 pub fn is_package(root: &Path) -> bool {
     let program = std::env::current_exe();
     program.is_ok_and(|program| program == root.join("usr/bin/ballbard"))
@@ -157,9 +158,10 @@ fn coalescing_of(interface: &str) -> Option<String> {
     output.status.success().then(|| String::from_utf8_lossy(&output.stdout).into_owned())
 }
 
-/// All settings, by importance.
+/// Grades all settings, the most important first.
 pub fn findings(machine: &Machine) -> Vec<Finding> {
-    // The flag: the delay is bounded by less than `KERNEL_DELAY`, so a cycle with enough margin is not late.
+    // The flag of a setting is true if its delay is bounded by less than `KERNEL_DELAY`. A cycle with enough margin is then
+    // not late, so the grade is at most `Slight`.
     let settings = [
         ("kernel", false, kernel(machine)),
         ("isolated core", true, isolated_core(machine)),
@@ -187,7 +189,7 @@ pub fn findings(machine: &Machine) -> Vec<Finding> {
 }
 
 impl Finding {
-    /// A result that [`findings`] names.
+    /// Creates a result without a name. [`findings`] adds the name.
     fn new(verdict: SettingGrade, says: impl Into<String>, remedy: impl Into<String>) -> Self {
         Self { subject: "", verdict, says: says.into(), remedy: remedy.into() }
     }
@@ -205,11 +207,11 @@ fn unknown(says: impl Into<String>, remedy: impl Into<String>) -> Finding {
     Finding::new(SettingGrade::Unknown, says, remedy)
 }
 
-/// Longest delay of a real-time thread by a kernel without PREEMPT_RT, in sections without preemption. Cores, clocks and
-/// interrupts cost less.
+/// Longest delay that a kernel without PREEMPT_RT causes for a real-time thread, in sections without preemption. Cores,
+/// clocks and interrupts cause smaller delays.
 const KERNEL_DELAY: Duration = Duration::from_millis(2);
 
-/// What `uname -v` prints.
+/// File with the text that `uname -v` prints.
 pub const KERNEL_VERSION: &str = "proc/sys/kernel/version";
 
 fn kernel(machine: &Machine) -> Finding {
@@ -232,7 +234,7 @@ fn kernel(machine: &Machine) -> Finding {
     problem(format!("{version}: not PREEMPT_RT, so drivers may delay the cycle by milliseconds"), remedy)
 }
 
-/// Options of the kernel's command line; Debian and Ubuntu store it in this file.
+/// Instruction to add options to the command line of the kernel. Debian and Ubuntu store the command line in this file.
 fn boot_option(options: &str) -> String {
     format!(
         "add `{options}` to GRUB_CMDLINE_LINUX in /etc/default/grub, then: sudo update-grub && sudo reboot"
@@ -318,7 +320,8 @@ fn governor(machine: &Machine) -> Finding {
 fn idle_states(machine: &Machine) -> Finding {
     match machine.of_cores("cpuidle/current_driver").as_deref() {
         Some("none") => fine("no idle driver, so no deep idle states"),
-        // The cycle writes a limit to it (`stay_awake`); without a limit, opening it has no effect.
+        // The cycle writes a latency limit to this file (`stay_awake`). Here the file is only opened, to test the permission.
+        // Without writing a limit, this changes nothing.
         Some(driver) => match OpenOptions::new().write(true).open(machine.root.join("dev/cpu_dma_latency")) {
             Ok(_) => {
                 fine(format!("{driver}; ballbard keeps /dev/cpu_dma_latency at 0, which prevents deep ones"))
@@ -345,12 +348,13 @@ fn clock_source(machine: &Machine) -> Finding {
     }
 }
 
-/// Bits of the effective capabilities (linux/capability.h).
+/// Bit numbers of the effective capabilities (linux/capability.h).
 const CAP_IPC_LOCK: u32 = 14;
 const CAP_SYS_NICE: u32 = 23;
 
-/// Command that gives the rights of the cycle. The unit of the Debian package limits capabilities to one, and the kernel
-/// does not start a program there that has more.
+/// Command that gives the program the permissions of the cycle. The systemd unit of the Debian package limits the
+/// capabilities to one. The kernel refuses to start a program with more capabilities there, so `setcap` must not
+/// be used for the package.
 pub fn grant(is_package: bool) -> &'static str {
     if is_package {
         "sudo systemctl stop ballbard && sudo ballbard .. (without sudo, only the package's service has the rights)"
@@ -386,7 +390,8 @@ fn locked_memory(machine: &Machine) -> Finding {
 fn throttling(machine: &Machine) -> Finding {
     match machine.text("proc/sys/kernel/sched_rt_runtime_us").map(|text| text.parse::<i64>()) {
         Some(Ok(-1)) => fine("real-time threads are never throttled"),
-        // The cycle sleeps most of the time: the default share for other threads does not affect it.
+        // The cycle sleeps most of the time, so the fraction of time that is reserved for other threads by
+        // default does not affect it.
         Some(Ok(runtime_us)) if runtime_us >= 900_000 => {
             fine(format!("real-time threads may take {} % of a core", runtime_us / 10_000))
         }
@@ -435,13 +440,13 @@ fn coalescing(machine: &Machine) -> Finding {
     )
 }
 
-/// `name: value` of ethtool's listing; `None` for `n/a`.
+/// Value in a line `name: value` that ethtool printed; `None` for `n/a`.
 fn setting(text: &str, name: &str) -> Option<u32> {
     let line = text.lines().find_map(|line| line.trim().strip_prefix(name)?.strip_prefix(':'))?;
     line.trim().parse().ok()
 }
 
-/// `0-2,5` to 0, 1, 2, 5; other text gives no cores.
+/// Parses a list of cores: `0-2,5` contains the cores 0, 1, 2, 5. Other text gives an empty list.
 fn cores(list: &str) -> Vec<usize> {
     const CORES_MAX: usize = 4096;
     let range = |part: &str| {

@@ -1,4 +1,5 @@
-//! Small state files, replaced as a whole: a reader finds the new content or the previous one.
+//! Reads and writes small state files. A file is replaced as a whole, so a reader finds either the
+//! new or the previous content.
 
 use std::io::{self, Read, Write};
 use std::path::Path;
@@ -6,11 +7,11 @@ use std::sync::atomic::{AtomicU32, Ordering};
 
 use shared::recording::{Disk, OpenFile, is_absent};
 
-/// Longer than any such file: a longer one of its name is another file \[bytes\].
+/// Largest length of a file \[bytes\]. It exceeds that of any state file, so a longer file was not written by this program.
 const BYTES_MAX: u64 = 65_536;
 
-/// The text of a file; `None` if it does not exist. A longer file than [`BYTES_MAX`] is an error, because its beginning alone
-/// may be valid and mean something else.
+/// Text of a file; `None` if it does not exist. A file that is longer than [`BYTES_MAX`] is an error. Its beginning is not
+/// returned, because it may be valid but have another meaning than the whole file.
 pub fn read(disk: &dyn Disk, file: &Path) -> io::Result<Option<String>> {
     let opened = match disk.open(file) {
         Err(error) if is_absent(&error) => return Ok(None),
@@ -25,8 +26,9 @@ pub fn read(disk: &dyn Disk, file: &Path) -> io::Result<Option<String>> {
     String::from_utf8(bytes).map(Some).map_err(|error| invalid(error.to_string()))
 }
 
-/// Writes a temporary file under a unique name, synchronises it, and renames it to `file`; creates the directory. Of two
-/// concurrent writers one wins, completely. An error names the file and what to do.
+/// Writes a temporary file with a unique name, synchronises it, and renames it to `file`. Creates the directory if it does
+/// not exist. If two processes write at the same time, the file contains the complete text of one of them. An error contains
+/// the path of the file and what to do.
 pub fn write(disk: &dyn Disk, file: &Path, text: &str) -> io::Result<()> {
     static NUMBER: AtomicU32 = AtomicU32::new(0);
     let number = NUMBER.fetch_add(1, Ordering::Relaxed);
@@ -40,7 +42,7 @@ pub fn write(disk: &dyn Disk, file: &Path, text: &str) -> io::Result<()> {
         disk.replace(part, file)
     };
     write().map_err(|error| {
-        // The first error is reported, not this one.
+        // Ignore an error of the removal, because the first error is reported.
         let _ = disk.remove(part);
         let advice = format!("cannot write {}: {error}; check free space and permissions", file.display());
         io::Error::new(error.kind(), advice)
@@ -58,7 +60,7 @@ mod tests {
 
     use super::*;
 
-    /// A disk on which another writer writes the same file first.
+    /// A disk on which another process writes the same file first.
     #[derive(Debug)]
     struct Two {
         file: PathBuf,

@@ -124,6 +124,7 @@ impl Session {
     /// run. The cycles wait in the ring until the file exists, which [`RunProgress::is_open`] reports. Only one run may be
     /// active at a time, so the previous run must have been joined. `tap` receives the recorded messages.
     pub fn begin(&self, details: &RunDetails, tap: Option<Tap>) -> Result<ActiveRun, RunError> {
+        // Refuse the run if the disk has a problem or a text is invalid.
         if let Some(problem) = self.setup.storage.problem() {
             return Err(RunError::Disk(problem));
         }
@@ -133,6 +134,7 @@ impl Session {
         if !provenance.is_measured() {
             tracing::warn!(run = metadata.name, "{provenance}");
         }
+        // Create the ring between cycle and recorder, and the channels for markers and progress.
         let ring_cycles = self.setup.daemon.ring_cycles(self.period);
         let (sink, ring) = self.ring(ring_cycles);
         let (marks, marks_rx) = sync_channel(MARKS_MAX);
@@ -153,6 +155,7 @@ impl Session {
         };
         let job = self.run_job(sink, &stop, details.duration, metadata.utc_minus_monotonic_ns);
         let (result, outcome) = sync_channel(1);
+        // Start the recorder before the cycle, so that the ring has a reader.
         let recording = RunRecording {
             pending: Some(PendingRun { ring, link, metadata, tap }),
             recorder: None,
@@ -440,6 +443,7 @@ fn create(link: &RunLink, run: &RunMetadata) -> Result<RecordingWriter<RunFile>,
 /// failure and the saved cycles.
 fn salvage(source: WriteError, progress: &RunProgress, disk: &dyn Disk, cause: String) -> RunError {
     let Some(place) = progress.place() else { return source.into() };
+    // Recover the file as far as possible.
     let (file, content) = match recover_file_on(disk, place.path()) {
         Ok(Recovery::Recovered { file, content, .. } | Recovery::Renamed { file, content }) => {
             (file, content)
@@ -456,6 +460,7 @@ fn salvage(source: WriteError, progress: &RunProgress, disk: &dyn Disk, cause: S
             return RunError::Broken { source, saved, content: None };
         }
     };
+    // Report the saved cycles, and count the unsaved cycles as lost.
     let Salvaged { run, cycles, cycles_valid, cycles_lost, timing, .. } = *content;
     let unsaved = progress.get().taken.saturating_sub(cycles);
     let saved = format!(
