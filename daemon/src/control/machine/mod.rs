@@ -9,11 +9,11 @@
 //! | fault | bus in operation, disk ready | waiting |
 //! | waiting | start | opening |
 //! | waiting | home | homing |
-//! | homing | marks saved, stop, failure | waiting |
+//! | homing | marks saved, stop, failure | waiting, or fault if bus or disk have a fault |
 //! | opening | file created | sampling, or closing if the end of the run was requested |
-//! | opening | file cannot be created | waiting |
-//! | sampling | a second of it is on disk | writing |
-//! | writing | nothing new on disk for three seconds | sampling |
+//! | opening | file cannot be created | waiting, or fault if bus or disk have a fault |
+//! | sampling | new cycles are safe on disk | writing |
+//! | writing | nothing new on disk for three sync periods | sampling |
 //! | sampling, writing | stop, duration, disk too full, no sample for `full_fault_s`, signal, bus lost for good | closing |
 //! | closing | file finished | waiting, or fault if the bus is not in operation |
 //! | closing | file could not be finished | fault |
