@@ -1,7 +1,7 @@
-//! A robot as described by a calibration file, for programs that use a calibration and for the Python package. Three
-//! quantities are computed: the pose of the robot's end at reported joint positions, the reported joint positions for a pose,
-//! and the covariance of the pose. The covariance is `J C J'`, where `C` is the covariance of the parameters and `J` contains
-//! the derivatives of the pose by the parameters.
+//! A robot as described by a calibration file, for programs that use a calibration and for the Python package.
+//! [`CalibratedRobot`] computes three quantities: the pose of the robot's end at reported joint positions, the joint
+//! positions that the robot reports at a given pose, and the covariance of the pose. The covariance is `J C J'`, where `C`
+//! is the covariance of the parameters and `J` contains the derivatives of the pose with respect to the parameters.
 
 use nalgebra::{DMatrix, Matrix6, Matrix6xX};
 use shared::config::{BallBarConfig, RobotConfig};
@@ -13,11 +13,11 @@ use crate::kinematics::{
 };
 use crate::model::{DriveTrain, Geometry, JointErrors, JointState, Owner, ParameterId};
 
-/// The iteration for the reported joint positions has converged if every joint changes by less than this \[rad, m\]. The
-/// limit is a hundredth of the resolution of the finest encoders.
+/// The iteration in [`CalibratedRobot::inverse`] has converged if every joint changes by less than this in one step
+/// \[rad, m\]. The limit is a hundredth of the resolution of the finest encoders.
 const CONVERGED: f64 = 1e-10;
-/// Largest number of iterations. Each iteration multiplies the error by the derivative of the joint errors with respect to
-/// the joint angle, which is a few thousandths.
+/// Largest number of iterations in [`CalibratedRobot::inverse`]. Few iterations suffice, because each one multiplies the
+/// error by the derivative of the joint errors with respect to the joint angle, which is a few thousandths.
 const ITERATIONS_MAX: usize = 20;
 
 /// Reasons why a pose, joint positions or a covariance cannot be computed.
@@ -65,8 +65,8 @@ pub enum CalibratedRobotError {
     },
 }
 
-/// A calibrated robot. Its end is the frame where the last link of the calibration ends: the flange, or the end of
-/// the ball-bar's plate and tool.
+/// A calibrated robot. The robot's end is the frame at the end of the calibration's last link: the flange or, if a ball-bar
+/// was used, the end of the bar's plate and tool.
 #[derive(Debug, Clone)]
 pub struct CalibratedRobot {
     geometry: Geometry,
@@ -75,8 +75,8 @@ pub struct CalibratedRobot {
 }
 
 impl CalibratedRobot {
-    /// Creates the robot from a calibration file and the configurations that the calibration was made with. `bar` is the
-    /// ball-bar, if the robot was measured with one.
+    /// Creates the robot from a calibration file and the configurations of robot and ball-bar with which the calibration was
+    /// made. `bar` is `None` if no ball-bar was used.
     ///
     /// # Errors
     /// [`CalibratedRobotError::Parameter`].
@@ -113,14 +113,14 @@ impl CalibratedRobot {
         Ok(self.geometry.robot_end(&self.at_rest(reported)?))
     }
 
-    /// Joint positions that the robot reports when its end is at a pose \[rad, m\]. If several solutions exist, the solution
-    /// nearest to `near` is returned.
+    /// Computes the joint positions \[rad, m\] that the robot reports when its end is at the pose `target`. If several
+    /// solutions exist, the solution nearest to `near` is returned.
     ///
     /// # Errors
     /// [`CalibratedRobotError::Joints`], [`CalibratedRobotError::NotFinite`], [`CalibratedRobotError::Inverse`].
     pub fn inverse(&self, target: &Pose, near: &[f64]) -> Result<Joints, CalibratedRobotError> {
-        // Inverse kinematics yields the joint positions without joint errors. A fixed-point iteration then finds the reported
-        // joint positions that correspond to them.
+        // `wanted` are the true joint positions, from inverse kinematics. A fixed-point iteration then finds the reported
+        // joint positions that are equal to `wanted` after the correction of joint errors.
         let wanted = robot_inverse(&self.geometry.robot, target, &self.at_rest(near)?.q)?;
         let (mut reported, mut largest_error) = (wanted, f64::INFINITY);
         for _ in 0..ITERATIONS_MAX {
@@ -137,9 +137,9 @@ impl CalibratedRobot {
         Err(InverseError::NotConverged { iterations: ITERATIONS_MAX, step_rad: largest_error }.into())
     }
 
-    /// Covariance of the position \[m\] and the rotation vector \[rad\] of the robot's end in the robot's base frame, for a
-    /// robot that stands still at reported joint positions. Only the uncertainty of the calibration's own parameters is
-    /// included. It is propagated to first order (JCGM 100:2008, 5.2).
+    /// Computes the covariance of the pose of the robot's end when the robot stands still and reports these joint positions:
+    /// position \[m\], then rotation vector \[rad\], in the robot's base frame. The covariance results from the uncertainty
+    /// of the robot's parameters alone, propagated to first order (JCGM 100:2008, 5.2).
     ///
     /// # Errors
     /// [`CalibratedRobotError::Joints`], [`CalibratedRobotError::NotFinite`], [`CalibratedRobotError::NoCovariance`],
@@ -157,8 +157,8 @@ impl CalibratedRobot {
         Ok(&jacobian * covariance * jacobian.transpose())
     }
 
-    /// State of the joints at standstill. Returns an error if the number of joints is wrong or a
-    /// joint position is not finite.
+    /// State of the joints at standstill. Returns an error if the number of joints is wrong or a joint
+    /// position is not finite.
     fn at_rest(&self, reported: &[f64]) -> Result<JointState, CalibratedRobotError> {
         if reported.len() != self.axes() {
             return Err(CalibratedRobotError::Joints { found: reported.len(), expected: self.axes() });
@@ -170,15 +170,15 @@ impl CalibratedRobot {
     }
 }
 
-/// Uncertain parameters of the robot and their covariance. A parameter that is not identified is an error, because a
-/// covariance of zero would make it exact.
+/// Selects the uncertain parameters of the robot and their covariance. If one of these parameters was not identified, an
+/// error is returned, because a covariance of zero would mean that the parameter is known exactly.
 fn robot_covariance(all: &CovarianceEntry) -> Result<(Vec<ParameterId>, DMatrix<f64>), CalibratedRobotError> {
     let names = all.names.iter().enumerate();
     let (columns, ids): (Vec<usize>, Vec<ParameterId>) =
         names.filter_map(|(column, name)| Some((column, robot_parameter(name)?))).unzip();
     let mut covariance = DMatrix::zeros(columns.len(), columns.len());
     for (i, &a) in columns.iter().enumerate() {
-        // Starts at the diagonal element, so that an error names the parameter that is not identified.
+        // The inner loop starts at the diagonal element, so that the error names the parameter that was not identified.
         for (j, &b) in columns[..=i].iter().enumerate().rev() {
             let not_identified = || CalibratedRobotError::NotIdentified { name: all.names[a].clone() };
             let entry = all.between(a, b).ok_or_else(not_identified)?;

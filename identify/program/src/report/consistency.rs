@@ -1,8 +1,9 @@
 //! Tests whether several calibrations of one robot agree within their uncertainties, for `identify compare`.
 //!
-//! The thesis compared its paths, speeds and days by eye only (figures 5.12 to 5.17). Here, every parameter of the robot gets
-//! a chi-square test of homogeneity over its values `x_i` in the `n` calibrations. The test statistic is `sum ((x_i - mean) /
-//! sigma_i)^2`, with `n - 1` degrees of freedom. The smallest p-value is multiplied by the number of tests (Holm 1979).
+//! The thesis compared the results of different paths, speeds and days by eye only (figures 5.12 to 5.17). Here, every
+//! parameter of the robot gets a chi-square test of homogeneity. If `n` calibrations identified the values `x_i` with the
+//! standard deviations `sigma_i`, the test statistic is `sum ((x_i - mean) / sigma_i)^2`, with `n - 1` degrees of freedom.
+//! The smallest p-value of all parameters is multiplied by the number of tests (Holm 1979).
 
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
@@ -22,8 +23,8 @@ const SAME_NOMINAL: f64 = 1e-9;
 pub struct ParameterEstimates {
     /// Identifier of the compared parameter.
     pub id: ParameterId,
-    /// Identified value and sigma in each calibration, in SI units; `None` if the parameter was not identified there. Whole
-    /// turns are added to angles, so that each angle lies within half a turn of the first.
+    /// Identified value and sigma in each calibration, in SI units; `None` for a calibration that did not identify the
+    /// parameter. Whole turns are added to angles, so that each angle lies within half a turn of the first.
     pub values: Vec<Option<(f64, f64)>>,
     /// Mean of the values, weighted by the inverse variances.
     pub mean: f64,
@@ -44,9 +45,9 @@ pub struct Consistency {
     /// Corrected p-value: smallest p-value times the number of tests, at most one. `None` if
     /// no parameter was identified twice.
     pub p_corrected: Option<f64>,
-    /// For each calibration after the first: distances between the robot's end as corrected by this calibration and as
-    /// corrected by the first. Postures are random, in the joint ranges that both calibrations measured. `None` if these
-    /// ranges do not overlap or are unknown.
+    /// Comparison of each calibration after the first with the first one: statistics of the distance between the corrections
+    /// of the robot's end by the two calibrations. A correction is the calibrated minus the nominal position. Postures are
+    /// random, in the joint ranges that both calibrations measured. `None` if these ranges do not overlap or are unknown.
     pub apart: Vec<Option<Sizes>>,
 }
 
@@ -74,8 +75,8 @@ impl Consistency {
         self.p_corrected.is_none_or(|p| p >= P_MIN)
     }
 
-    /// Compares the robot's parameters. Parameters of bar and clocks are not compared, because they may
-    /// differ from run to run.
+    /// Compares the robot's parameters. Parameters of bar and clocks are not compared, because they may differ
+    /// from run to run.
     ///
     /// # Errors
     /// [`ConsistencyError`].
@@ -116,9 +117,10 @@ impl Consistency {
     }
 }
 
-/// Distances between the corrections of the robot's end by two calibrations, over random postures within the joint ranges of
-/// both. A correction is the calibrated minus the nominal position of the end, so different plates on the flange do not
-/// contribute. Corrections are computed from links only, without joint errors.
+/// Compares how two calibrations correct the position of the robot's end. A correction is the calibrated minus the nominal
+/// position of the end, so it does not matter if the calibrations used different plates on the flange. Returns statistics of
+/// the distance between the two corrections over random postures within the joint ranges of both calibrations. Joint errors
+/// are not included in the corrections.
 fn ends_apart(one: &CalibrationFile, other: &CalibrationFile) -> Option<Sizes> {
     let ranges = one.validity.as_ref()?.joints.iter().zip(&other.validity.as_ref()?.joints);
     let common: Vec<[f64; 2]> = ranges

@@ -6,14 +6,14 @@ use std::fmt::Write;
 use crate::examine::Examination;
 use crate::solver::{Identifiability, Influence};
 
-/// An estimate counts as affected if it changes by more than this fraction of the error of a
-/// fixed parameter (thesis section 3.3).
+/// An error in a fixed parameter counts as affecting an estimate if the estimate changes by more than this fraction of the
+/// error (thesis section 3.3).
 const AFFECTED: f64 = 0.05;
 /// Largest number of names in a list. Longer lists end with the number of the remaining names.
 const NAMES_MAX: usize = 8;
 
-/// One block of text for each cost: rank and its gap, columns without effect, dependent groups,
-/// influence of fixed parameters, observability.
+/// Writes one block of text for each cost: rank and gap, columns without effect, dependent groups, influence of
+/// fixed parameters, and observability.
 pub fn examinations(examinations: &[Examination]) -> String {
     let mut text = String::new();
     for one in examinations {
@@ -59,8 +59,8 @@ fn rank(text: &mut String, found: &Identifiability) {
             .columns
             .iter()
             .partition(|column| earlier_groups.iter().any(|earlier| earlier.columns.contains(column)));
-        // If this group shares a column with an earlier group, it is arbitrary which column of the earlier group is shared.
-        // The text therefore names the earlier group instead of the column.
+        // If this group shares a column with an earlier group, any other column of the earlier group could be shared
+        // instead. The text therefore names the earlier group, not the column.
         let through: Vec<String> = earlier_groups
             .iter()
             .filter(|earlier| shared.iter().any(|column| earlier.columns.contains(column)))
@@ -75,15 +75,16 @@ fn rank(text: &mut String, found: &Identifiability) {
     }
 }
 
-/// Gap of the rank, the ratio of the singular values before and after it, as text. A ratio above 1000 is clear and is written
-/// without digits, because its digits depend on the poses.
+/// Text about the gap, which is the ratio of the singular values before and after the rank. A ratio above 1000 is clear and
+/// is written without digits, because its digits depend on the poses.
 fn gap(found: &Identifiability) -> String {
     found.gap().map_or_else(String::new, |gap| {
         if gap > 1e3 { ", clear gap above 1e3".into() } else { format!(", gap {gap:.0}") }
     })
 }
 
-/// Appends, for each fixed parameter, the estimates that change if it has an error, as in table 3.4 of the thesis.
+/// Appends a line for each fixed parameter. The line lists the estimates that change if this parameter has an error, as in
+/// table 3.4 of the thesis.
 fn influences(text: &mut String, influence: &Influence) {
     let _ =
         writeln!(text, "  an error of 1 mm|mrad in a fixed parameter changes (if by more than {AFFECTED}):");

@@ -79,8 +79,8 @@ pub fn summary(
     text
 }
 
-/// Expected position error after a calibration, for several sets of estimated terms. Also the parameters that the path does
-/// not separate, and the efficiency of the path.
+/// Lists the expected position error after a calibration for several sets of estimated terms, the parameters that the path
+/// does not separate, and the efficiency of the path.
 fn accuracy(checked: &Checked, constraints: &Constraints<'_>, information: &Information) -> String {
     let mut text = String::new();
     let expected = information.position(&checked.normal);
@@ -103,7 +103,7 @@ fn accuracy(checked: &Checked, constraints: &Constraints<'_>, information: &Info
     if !not_separated.is_empty() {
         let _ = writeln!(text, "not separated by the data of this path: {}", not_separated.join(", "));
     }
-    // Efficiency is a ratio of variances.
+    // The errors are squared, because efficiency is a ratio of variances.
     if let Some(least_m) = position_m_min(checked, constraints, information) {
         let _ = writeln!(
             text,
@@ -150,8 +150,8 @@ fn joint_rows(ranges: &[[f64; 2]], [speed, acceleration, jerk]: [&Joints; 3], ar
     .concat()
 }
 
-/// A line that states whether the arm ends where it began. If not, the arm cannot return to the start in a straight line in
-/// joint space while the bar is attached.
+/// A line that states whether the arm ends where it began. If the end differs from the start, the arm cannot return to the
+/// start in a straight line in joint space while the bar is attached.
 fn ends(checked: &Checked, arm: &Chain) -> String {
     /// Joint positions at start and end count as equal up to this difference \[rad, m\].
     const SAME: f64 = 1e-3;
@@ -170,8 +170,8 @@ fn ends(checked: &Checked, arm: &Chain) -> String {
     }
 }
 
-/// Lists the best positions of the bar, one line each. If a second run was evaluated, its errors follow, once for a second
-/// run at the best position and once for a second run at another position.
+/// Lists the best positions of the bar, one line each. If a second run was evaluated, the errors of both runs together
+/// follow: first with the second run at the best position, then with the second run at another position.
 pub fn places(places: &Places, duration_s: f64) -> String {
     let cells = |expected: &ExpectedPosition| {
         format!("{:>12.4}{:>12.4}", expected.axes_exact_m * 1e3, expected.with_terms_m * 1e3)

@@ -86,8 +86,8 @@ fn append_errors(text: &mut String, name: &str, figures: &PoseFigures) {
     let _ = writeln!(text, "{name:<44}{:>6} {}   {rotation}", figures.rows, sizes(&figures.position_m));
 }
 
-/// Appends a line for each stage of the model. `instrument_parts` names the parts of the instrument, which
-/// were fitted in every stage.
+/// Appends a line for each stage of the model. `instrument_parts` names the parts of the instrument, which were
+/// fitted in every stage.
 fn append_stages(text: &mut String, name: &str, instrument_parts: &str, stages: &Stages) {
     let _ = writeln!(text, "{name}");
     append_errors(text, &format!("  nominal robot, {instrument_parts} fitted"), &stages.nominal);
@@ -99,9 +99,10 @@ fn append_stages(text: &mut String, name: &str, instrument_parts: &str, stages: 
 /// Heading of the four statistics in a line.
 const FIGURES: &str = "    mean      RMS      p95      max";
 
-/// Errors of fitted and held-out rows in each stage, then errors on other files (`validations`), errors of each section of
-/// the instrument, and the rejected rows. `unseen` contains the errors of sections that were predicted by a fit to all other
-/// data. `lines` are the line numbers of the rows in their file.
+/// Lists the errors of fitted and held-out rows in each stage, the errors on other files (`validations`), the errors of
+/// each section of the instrument, and the rejected rows. A section is one part of the instrument, such as a socket.
+/// `unseen` contains the errors of sections that were predicted by a fit to all other data. `lines` are the line numbers of
+/// the rows in their file.
 pub fn table(
     set: &RowSet,
     run: &Run,
@@ -151,9 +152,9 @@ pub fn table(
     text
 }
 
-/// Lists the sections of an instrument, such as sockets, with their names and parameters. Each line contains the
-/// RMS error of the section's rows in the fit. If all other data determine the section, the RMS error in a fit
-/// to these other data follows.
+/// Lists the sections of an instrument, such as sockets, with their names and parameters. Each line contains the RMS
+/// error of the section's rows in the fit. If `unseen` contains the section, the RMS error as predicted by a fit to
+/// all other data follows.
 fn sections(set: &RowSet, instrument: &Instrument, errors: &[PoseError], unseen: &[&UnseenPart]) -> String {
     let sections = instrument.sections();
     let mut text = String::new();
@@ -175,7 +176,7 @@ fn sections(set: &RowSet, instrument: &Instrument, errors: &[PoseError], unseen:
     text
 }
 
-/// Lists the rows that the result does not use, with the reason. Runs of consecutive faulty rows follow.
+/// Lists the rows that the result does not use, with the reason. Sequences of consecutive faulty rows follow, one line each.
 fn rejected_rows(set: &RowSet, run: &Run, remarks: &[(usize, String)], lines: &[u64]) -> String {
     let mut text = String::new();
     let line = |row: usize| lines.get(row).copied().unwrap_or_default();
@@ -190,7 +191,7 @@ fn rejected_rows(set: &RowSet, run: &Run, remarks: &[(usize, String)], lines: &[
                 format!("the controller's position is {:.1} mm from its joint angles", distance_m * 1e3)
             }
             Rejection::GrossResidual { residual_m } => format!("off by {:.2} mm", residual_m * 1e3),
-            // This row is listed below, with its run.
+            // This row is listed below, as part of its sequence of faulty rows.
             Rejection::FaultyRun { .. }
                 if set.runs.iter().any(|run| (run.first..=run.last).contains(&row)) =>
             {
@@ -221,8 +222,8 @@ fn rejected_rows(set: &RowSet, run: &Run, remarks: &[(usize, String)], lines: &[
     text
 }
 
-/// If the RMS error of the nominal robot is larger than this, the rows probably belong to another robot \[m\]. Errors in link
-/// lengths that were typed by hand are smaller.
+/// If the RMS error of the nominal robot is larger than this, the rows probably belong to another robot \[m\]. Inaccurate
+/// link lengths that were typed by hand cause smaller errors.
 pub(crate) const OTHER_ROBOT_M: f64 = 0.01;
 
 /// A limit that reports the rejected rows of a data set, with their number for each reason; `None` if no row is rejected.
@@ -250,7 +251,7 @@ pub fn left_out(set: &RowSet, run: &Run, [name, robot]: [&str; 2], lines: &[u64]
     let reasons: Vec<String> = counted.map(|(count, reason)| format!("{count} {reason}")).collect();
     let serious = rejected.len() as f64 > SERIOUS * lines.len() as f64;
     let nominal_m = set.fitted().nominal.position_m.rms;
-    // The check uses residuals of the nominal robot. With enough terms, even the calibration of a wrong robot fits
+    // The check uses residuals of the nominal robot, because with enough terms even the calibration of a wrong robot fits
     // most rows of a wire.
     let advice = if serious && nominal_m > OTHER_ROBOT_M {
         format!(

@@ -63,8 +63,8 @@ fn other_nominals(consistency: &Consistency) -> Option<String> {
     })
 }
 
-/// A sentence for each calibration after the first: distance between the robot's end as corrected by this calibration and
-/// as corrected by the first.
+/// Returns a sentence for each calibration after the first: the distance between the corrections of the robot's end by this
+/// calibration and by the first one.
 fn apart(consistency: &Consistency) -> Vec<String> {
     let sentence = |(number, apart): (usize, &Option<Sizes>)| {
         let Some(apart) = apart else {
@@ -129,8 +129,8 @@ fn intervals(title: &str, unit: Unit, consistency: &Consistency, files: usize) -
     let mut series = Vec::new();
     for file in 0..files {
         let colour = COLOURS[file % COLOURS.len()];
-        // Offset along the x axis from the position of the parameter. It is at most 0.3, so that intervals
-        // do not hide each other.
+        // Offset along the x axis from the position of the parameter. It is at most 0.3, so that intervals do
+        // not hide each other.
         let aside = 0.6 * ((file as f64 + 0.5) / files as f64 - 0.5);
         let (mut values, mut ends) = (Vec::new(), Vec::new());
         for (number, one) in parameters().enumerate() {

@@ -61,8 +61,8 @@ pub fn calibration(file: &CalibrationFile) -> String {
     text
 }
 
-/// One line for each data set of a calibration with several instruments: number of samples, and the noise by
-/// which the solve weights them.
+/// One line for each data set of a calibration with several instruments: number of samples, and the noise by which
+/// the solve weights them.
 pub fn data_sets(calibration: &Calibration) -> String {
     let mut text = format!("{:<12}{:>8}{:>24}\n", "instrument", "samples", "noise");
     for (Run { instrument, .. }, sigma) in calibration.runs.iter().zip(&calibration.solved.sigmas) {

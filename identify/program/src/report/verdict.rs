@@ -2,7 +2,7 @@
 //! nominal robot, in position and in rotation? Does the calibrated robot have the required accuracy? The verdict is red if
 //! any set of held-out data is predicted significantly worse than by the nominal robot. It is amber if another condition is
 //! not met, otherwise green. Inputs are the RMS errors on held-out data and the error expected over the workspace. Terminal
-//! and page show the verdict, and the program decides by it which files are written.
+//! and page show the verdict. The verdict also determines which files are written.
 
 use std::fmt;
 
@@ -83,7 +83,7 @@ pub(super) struct Predicted {
 }
 
 impl Predicted {
-    /// Errors in position. Errors in rotation are added if `nominal`, `calibrated` and `fitted` all have one. Empty without
+    /// Errors in position and, if `nominal`, `calibrated` and `fitted` all have a rotation, also in rotation. Empty without
     /// an error of the calibrated robot.
     fn of(errors: HeldOutErrors) -> Vec<Self> {
         let HeldOutErrors { what, independent, nominal, calibrated, fitted } = errors;
@@ -102,13 +102,14 @@ impl Predicted {
         self.calibrated < self.nominal
     }
 
-    /// Whether the calibrated robot is worse by more than the random scatter of two RMS values of this number of errors.
+    /// Whether the error of the calibrated robot exceeds that of the nominal robot by more than random scatter explains. The
+    /// scatter of an RMS error depends on the number of independent errors.
     fn is_worse_beyond_chance(&self) -> bool {
         is_surely_worse(self.independent, [self.nominal, self.calibrated])
     }
 
-    /// Whether the position error is significantly larger than on the data of the fit, and the excess (difference of the
-    /// squares, square root) is larger than `expanded_m`.
+    /// Whether the position error on held-out data is significantly larger than on the data of the fit, and the excess is
+    /// larger than `expanded_m`. The excess is the square root of the difference of the squared errors.
     fn is_beyond(&self, expanded_m: f64) -> bool {
         let excess_m = (self.calibrated.powi(2) - self.fitted.powi(2)).max(0.0).sqrt();
         self.is_position
@@ -127,9 +128,9 @@ impl Predicted {
 }
 
 impl CalibrationFile {
-    /// Adds the verdict. It depends on the held-out data in the file, the error expected over the workspace, and
-    /// the limits. Also adds the uncertainty budget, the expected errors, and the limits together with the
-    /// largest contribution to the uncertainty.
+    /// Adds the verdict. The verdict depends on the held-out data in the file, the error expected over the workspace, and
+    /// the limits. Also adds the uncertainty budget, the expected errors and the limits. The largest contribution to the
+    /// uncertainty is added as one more limit.
     pub fn with_verdict(
         mut self,
         workspace: &WorkspaceError,
@@ -152,7 +153,7 @@ impl CalibrationFile {
             );
             (Grade::Red, Some(reason))
         } else {
-            // Each of these closures returns a reason for grade amber, if its condition applies.
+            // Each of these variables yields a reason for grade amber if its condition applies.
             let not_better = predicted.iter().find(|one| !one.is_better()).map(|not_better| {
                 format!(
                     "The calibrated robot predicts held-out data no better than the nominal robot: {}.",
@@ -238,7 +239,8 @@ fn known_nowhere_else(workspace: &WorkspaceError) -> Option<String> {
     })
 }
 
-/// Returns a reason if the error on held-out data is larger than the stated uncertainty and the residuals of the fit explain.
+/// Returns a reason if the error on held-out data is too large to be explained by the stated uncertainty and the
+/// residuals of the fit.
 fn beyond(WorkspaceError { budget, .. }: &WorkspaceError, predicted: &[Predicted]) -> Option<String> {
     let one = predicted.iter().find(|one| one.is_beyond(budget.expanded_m))?;
     let [calibrated, fitted, expanded] = [one.calibrated, one.fitted, budget.expanded_m].map(|m| m * 1e3);

@@ -1,5 +1,5 @@
 //! Difference and relative rate of the clocks of instrument and robot, as estimated by a calibration. This module contains
-//! the entry of `calibration.toml`, and its sentences for terminal and page.
+//! their entry in `calibration.toml`, and the sentences about them for terminal and page.
 
 use serde::{Deserialize, Serialize};
 use shared::time::UtcNs;
@@ -32,7 +32,7 @@ pub struct ClockEntry {
     pub correlation: f64,
     /// Duration of the overlap of the logs \[s\].
     pub overlap_s: f64,
-    /// True if the motion repeats, so that other differences of the clocks fit equally well.
+    /// True if the alignment is ambiguous: because the motion repeats, other differences of the clocks fit equally well.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub ambiguous: bool,
 }

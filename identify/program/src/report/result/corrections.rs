@@ -1,6 +1,6 @@
-//! Tables of corrections for controllers. `corrections.csv` and `offsets.csv` list, for one deployment each, the numbers to
-//! add to parameters of the controller, with unit and sign. `corrections_log.csv` and `offsets_log.csv` list the joint
-//! offsets in units and signs of the robot's log.
+//! Tables of corrections for controllers. `corrections.csv` and `offsets.csv` list the numbers to add to parameters of the
+//! controller, with unit and sign. Each of the two files belongs to one deployment. `corrections_log.csv` and
+//! `offsets_log.csv` list the joint offsets of the same deployments in units and signs of the robot's log.
 
 use serde::{Deserialize, Serialize};
 use shared::config::{JointKind, RobotConfig};
@@ -11,7 +11,7 @@ use crate::kinematics::{Joints, LinkParameter};
 use crate::logs::{JointColumn, JointConversion, LogError, RobotLogMapping, own_columns};
 use crate::model::ParameterId;
 
-/// One row of `corrections.csv` or `offsets.csv`, or of their `_log.csv`.
+/// One row of `corrections.csv`, `offsets.csv`, `corrections_log.csv` or `offsets_log.csv`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Correction {
     /// Name of the corrected quantity, such as `joint 2`, `link 3 alpha`, or column `motor2_rad` of the log.
@@ -24,9 +24,9 @@ pub struct Correction {
     pub to: String,
     /// Standard deviation. Absent if the value was fixed or results from several parameters.
     pub sigma: Option<f64>,
-    /// Deployment of the table. Its rows are intended to be applied together.
+    /// Deployment of the table. All rows of the table are intended to be applied together.
     pub deployment: Deployment,
-    /// RMS error of held-out positions if all rows and nothing else are applied \[mm\].
+    /// RMS error of held-out positions if all rows of the table and no other corrections are applied \[mm\].
     pub held_out_mm: Option<f64>,
 }
 
@@ -49,8 +49,8 @@ fn rounded(value: f64, unit: &str) -> f64 {
     (value * per_unit).round() / per_unit + 0.0
 }
 
-/// Returns a function that makes a row of one table. Its arguments are name, unit, number to add, quantity to which
-/// it is added, and sigma.
+/// Returns a function that makes a row of one table. The arguments of this function are name, unit, number to add, quantity
+/// to which the number is added, and sigma.
 fn row_of(
     file: &CalibrationFile,
     deployment: Deployment,
@@ -68,8 +68,8 @@ fn row_of(
     }
 }
 
-/// Corrections of a deployment: the offset of every joint of the model, then all other corrections of
-/// links that are not zero.
+/// Lists the corrections of a deployment: first the offset of every joint of the model, even if it is zero, then the other
+/// corrections of links, except corrections of zero.
 pub fn corrections(file: &CalibrationFile, robot: &RobotConfig, deployment: Deployment) -> Vec<Correction> {
     let row = row_of(file, deployment);
     let kinds: Vec<JointKind> = robot.joint_kinds().collect();
@@ -94,10 +94,11 @@ pub fn corrections(file: &CalibrationFile, robot: &RobotConfig, deployment: Depl
     joints
 }
 
-/// The joint offsets of a deployment as changes of the columns of the robot's log. The mapping, or else the robot's
-/// configuration, defines names and conversion of the columns. If the joint values of a controller are those of its log, it
-/// needs these changes instead of the offsets of the model's joints. With the log's conversion `q = (raw - raw_offset) T`,
-/// the `change` of each column is the solution of `q + offset = (raw + change - raw_offset) T`.
+/// Lists the joint offsets of a deployment as changes of the columns of the robot's log. If the joint values
+/// of a controller are those of its log, the controller needs these changes instead of the offsets of the
+/// model's joints. Names and conversion of the columns are those in `mapping` or, without a mapping, in the
+/// robot's configuration. With the log's conversion `q = (raw - raw_offset) T`, the `change` of the columns is
+/// the solution of `q + offset = (raw + change - raw_offset) T`.
 ///
 /// # Errors
 /// [`LogError::SingularConversion`].
@@ -118,8 +119,8 @@ pub fn log_corrections(
             *offset = entry.correction;
         }
     }
-    // Each tuple contains the column's name, its unit, and the size of that unit in the unit of `to_raw`. Without a mapping,
-    // `to_raw` returns the log's own units, so the size is 1. With a mapping, it returns rad or m.
+    // Each tuple contains the name of the column, its unit, and the size of this unit in the unit that `to_raw` returns.
+    // Without a mapping, `to_raw` returns the log's own units, so the size is 1. With a mapping, `to_raw` returns rad or m.
     let column_of_robot = |(column, kind): (String, JointKind)| match kind {
         JointKind::Revolute => (column, robot.log.unit.suffix(), 1.0),
         JointKind::Prismatic => (column, kind.si_symbol(), 1.0),
@@ -136,7 +137,8 @@ pub fn log_corrections(
                 (JointConversion::new(&mapping.conversion())?, mapping.joints.iter().map(column).collect())
             }
         };
-    // The change is a difference of two conversions, because the conversion is affine.
+    // The conversion is affine, so the change is the same at all joint positions. It is the difference between the raw
+    // values of `offsets` and of zero.
     let [with, without] = [offsets, zeros].map(|joints| conversion.to_raw(&joints));
     let row = row_of(file, deployment);
     let changes = columns.into_iter().zip(with.iter().zip(&without));

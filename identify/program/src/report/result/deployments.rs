@@ -1,6 +1,6 @@
-//! Deployments, for controllers that cannot apply the full model. A deployment applies part of the model and has its own
-//! fit of the links and its own errors on held-out data. [`CalibrationFile::serves`] contains the rule by which the files
-//! of a deployment are written.
+//! Deployments, for controllers that cannot apply the full model. A deployment applies part of the model, and has its
+//! own fit of the links and its own errors on held-out data. [`CalibrationFile::serves`] decides whether the files of
+//! a deployment are written.
 
 use serde::{Deserialize, Serialize};
 
@@ -19,12 +19,12 @@ pub struct DeploymentEntry {
     pub deployment: Deployment,
     /// Link parameters of robot and ball-bar, from a fit that estimates no other parameters of the robot.
     pub links: Vec<ParameterEntry>,
-    /// Prediction error on held-out segments with this deployment. Errors on held-out rows are in
-    /// the `rows` of the calibration.
+    /// Prediction error on held-out segments with this deployment. Errors on held-out rows are in the
+    /// `rows` of the calibration.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub held_out: Option<PoseError>,
-    /// Mean of the expected position error over the workspace \[m\]: for the nominal robot, and for
-    /// the robot with this deployment.
+    /// Mean of the expected position error over the workspace \[m\]: for the nominal robot, and for the
+    /// robot with this deployment.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub expected_m: Option<[f64; 2]>,
 }
@@ -59,7 +59,8 @@ pub(in crate::report) const fn what(deployment: Deployment) -> &'static str {
 }
 
 impl CalibrationFile {
-    /// The calibration with the link parameters of a deployment. It is unchanged if the deployment has no fit of its own.
+    /// Returns the calibration with the link parameters from the fit of a deployment. If the deployment has no fit of its
+    /// own, the calibration is returned unchanged.
     #[must_use]
     pub fn deployed(&self, deployment: Deployment) -> Self {
         let mut file = self.clone();
@@ -72,8 +73,8 @@ impl CalibrationFile {
         file
     }
 
-    /// The calibration with the links of `corrections.csv` if this file is written, otherwise unchanged. The offset of a
-    /// joint is then the same in all files, on the page and on the terminal.
+    /// Returns the calibration with the links of `corrections.csv` if this file is written, otherwise unchanged. Page,
+    /// terminal and files are made from this result, so that a joint has the same offset in all of them.
     pub(in crate::report) fn applied(&self) -> Self {
         if self.serves(Deployment::Dh) { self.deployed(Deployment::Dh) } else { self.clone() }
     }
@@ -82,9 +83,9 @@ impl CalibrationFile {
         self.deployments.iter().find(|entry| entry.deployment == deployment)
     }
 
-    /// Whether the files of a deployment are written. The deployment must have a fit of its own and must be expected
-    /// to reduce the mean error over the workspace. If data were held out, it must also predict them significantly
-    /// better than the nominal robot.
+    /// Whether the files of a deployment are written. The deployment must have a fit of its own and must be expected to
+    /// reduce the mean error over the workspace. If data were held out, the deployment must also predict these data
+    /// significantly better than the nominal robot does.
     pub fn serves(&self, deployment: Deployment) -> bool {
         self.serves_held_out(deployment) && !self.is_worse_elsewhere(deployment)
     }
@@ -95,7 +96,7 @@ impl CalibrationFile {
         expected.is_some_and(|[nominal_m, deployed_m]| deployed_m >= nominal_m)
     }
 
-    /// The conditions of [`Self::serves`] without the expected error over the workspace.
+    /// Checks the conditions of [`Self::serves`], except the condition on the expected error over the workspace.
     fn serves_held_out(&self, deployment: Deployment) -> bool {
         let is_better = |errors: &HeldOutErrors| {
             let both = errors.calibrated.map(|calibrated| [errors.nominal, calibrated]);
@@ -106,8 +107,9 @@ impl CalibrationFile {
             && self.held_out_with(deployment).iter().all(is_better)
     }
 
-    /// RMS position errors of the nominal robot and of a deployment on held-out data \[m\]. The errors are those of the
-    /// segments of all runs with a bar. If these are missing, they are those of the first file of rows that has both errors.
+    /// RMS position errors of the nominal robot and of a deployment on held-out data \[m\]. They are computed from the
+    /// held-out segments of all runs with a bar. Without such segments, they are computed from the first file of rows for
+    /// which both errors are known.
     pub fn held_out_m(&self, deployment: Deployment) -> Option<[f64; 2]> {
         let both =
             |errors: &HeldOutErrors| Some([errors.nominal, errors.calibrated?].map(|one| one.position_m));
@@ -124,7 +126,8 @@ impl CalibrationFile {
         all.filter(|(deployment, _)| self.serves(*deployment))
     }
 
-    /// Sentences with the error on held-out data of each deployment that applies only part of the model.
+    /// Returns sentences about the deployments that apply only part of the model: the error on held-out data and, if the
+    /// files of the deployment are not written, the reason.
     pub(in crate::report) fn deployments_reported(&self) -> Vec<String> {
         let sentence = |deployment: Deployment| {
             let what = what(deployment);

@@ -20,7 +20,7 @@ const FILES: [&str; 10] = [
     "report.html",
 ];
 
-/// An earlier calibration, and the directory to which its files can be moved.
+/// An earlier calibration, and the directory to which the files of this calibration can be moved.
 #[derive(Debug)]
 pub(crate) struct Earlier<'d> {
     directory: &'d Path,

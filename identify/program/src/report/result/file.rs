@@ -147,8 +147,8 @@ impl ParameterEntry {
             }
             for (parameter, &column) in model.columns().zip(columns_of) {
                 let Some(name) = columns.all().get(column).map(ToString::to_string) else { continue };
-                // If an earlier run fixed the parameter and this run identifies it, the entry of this
-                // run replaces the earlier entry.
+                // If an earlier run fixed the parameter and this run identifies it, the entry of this run
+                // replaces the earlier entry.
                 if entries.iter().all(|entry| entry.name != name || entry.status == ParameterStatus::Fixed) {
                     entries.retain(|entry| entry.name != name);
                     entries.push(Self { name, ..Self::new(parameter, covariance.sigma(column)) });
@@ -271,7 +271,7 @@ pub struct MeasurementEntry {
 }
 
 impl MeasurementEntry {
-    /// Entry of a table, which contains only whether its data were simulated. `None` for measured data.
+    /// Entry for a table, which contains only that the data were simulated. `None` for measured data.
     pub fn of_table(simulated: bool) -> Option<Self> {
         simulated.then(|| Self { simulated, ..Self::default() })
     }
@@ -297,7 +297,7 @@ pub struct CalibrationFile {
     pub schema: u32,
     /// Time at which the calibration was made, UTC.
     pub created: String,
-    /// Name and version of the program that made it.
+    /// Name and version of the program that made the calibration.
     pub software: String,
     /// Name of the robot.
     pub robot: String,
@@ -321,13 +321,13 @@ pub struct CalibrationFile {
     pub scale: Option<String>,
     /// Statistics of the solve.
     pub solve: SolveEntry,
-    /// Clock difference between instrument and robot, for each data set that has clocks of its own.
+    /// Clock difference between instrument and robot, for each data set whose instrument has a clock of its own.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub clocks: Vec<ClockEntry>,
-    /// The force on the bar in each run that has one.
+    /// The force on the bar in each run whose force was measured.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub forces: Vec<ForceEntry>,
-    /// Noise of the angles in each run with a ball-bar, if the cost weights residuals by it.
+    /// Noise of the angles in each run with a ball-bar, if the cost weights residuals by this noise.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub noise: Vec<NoiseEntry>,
     /// Files from which the calibration was made.
@@ -341,7 +341,8 @@ pub struct CalibrationFile {
     /// Prediction errors on held-out rows of trackers and wires, which the fit did not use.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub rows: Vec<RowsEntry>,
-    /// Prediction errors on the rows at each part of an instrument, by a fit to all other data.
+    /// Prediction errors on the rows at each part of an instrument, such as a socket. Each part was predicted by a fit
+    /// to all other data.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub unseen: Vec<UnseenPart>,
     /// Prediction errors on rows of other files.
@@ -488,9 +489,9 @@ pub struct DhRow {
     pub correction: f64,
     /// One standard deviation. Absent if it is unknown, and for fixed parameters that are taken as exact.
     pub sigma: Option<f64>,
-    /// Deployment of the table. Its rows are intended to be applied together.
+    /// Deployment of the table. All rows of the table are intended to be applied together.
     pub deployment: Deployment,
-    /// RMS error of held-out positions if all rows and nothing else are applied \[mm\].
+    /// RMS error of held-out positions if all rows of the table and no other corrections are applied \[mm\].
     pub held_out_mm: Option<f64>,
 }
 

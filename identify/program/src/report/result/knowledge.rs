@@ -60,7 +60,7 @@ pub struct Knowledge {
     pub correlations: Vec<CorrelationEntry>,
 }
 
-/// Noise of the angles of a run, one standard deviation \[rad\]. The cost `pose` weights its residuals by it.
+/// Noise of the angles of a run, as standard deviations \[rad\]. The cost `pose` weights residuals by this noise.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct NoiseEntry {
     /// Number of the run, from 1.
@@ -73,7 +73,8 @@ pub struct NoiseEntry {
     pub robot_rad: f64,
     /// Configured noise of the joints.
     pub robot_rad_configured: f64,
-    /// Correlation of the residuals of consecutive samples. It is the fraction of their variance that is not white.
+    /// Correlation of the residuals of consecutive samples, which is the fraction of the residuals' variance
+    /// that is not white.
     pub autocorrelation: f64,
 }
 
@@ -111,18 +112,18 @@ impl NoiseEntry {
     }
 }
 
-/// Covariance of all free parameters, followed by those that were fixed at uncertain values, in SI units.
+/// Covariance in SI units: all free parameters come first, then the parameters that were fixed at uncertain values.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CovarianceEntry {
     /// Parameters in the order of rows and columns.
     pub names: Vec<String>,
-    /// Lower triangle of the symmetric matrix, row by row up to the diagonal. An element is absent if one of
-    /// its parameters is not identified.
+    /// Lower triangle of the symmetric matrix, row by row up to the diagonal. An element is absent if one of its
+    /// parameters is not identified.
     pub rows: Vec<Vec<Option<f64>>>,
 }
 
 impl CovarianceEntry {
-    /// Covariance of two parameters by their indices in `names`; `None` if one is not identified.
+    /// Covariance of two parameters by their indices in `names`; `None` if at least one of them is not identified.
     pub fn between(&self, a: usize, b: usize) -> Option<f64> {
         self.rows.get(a.max(b))?.get(a.min(b)).copied().flatten()
     }

@@ -1,5 +1,5 @@
 //! Files with the identified robot for controllers and other programs: `robot.urdf`, and the tables of corrections. This
-//! module decides which of them are written. It also converts the identified links to a kinematic chain.
+//! module decides which of these files are written. It also converts the identified links to a kinematic chain.
 
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -14,8 +14,8 @@ use crate::logs::RobotLogMapping;
 use crate::model::ParameterId;
 
 impl CalibrationFile {
-    /// The robot's links from the root. `number` returns the number that is used of each entry, such as its value. Prismatic
-    /// joints are those that the validity ranges list as prismatic.
+    /// Builds the chain of the robot's links, beginning at the root. `number` selects the number of an entry that is used,
+    /// such as the identified value or the nominal value. A joint is prismatic if the validity ranges list it as prismatic.
     pub(crate) fn links(&self, number: impl Fn(&ParameterEntry) -> f64) -> Chain {
         let mut links: Vec<DhLink> = Vec::new();
         for entry in &self.parameters {
@@ -44,10 +44,10 @@ impl CalibrationFile {
         chain
     }
 
-    /// Writes the files that a controller can apply, if their deployment predicts held-out data better than the nominal
-    /// robot. `robot.urdf` and `corrections.csv` contain links without joint errors. `offsets.csv` contains joint offsets
-    /// alone, if these have a fit of their own. For each table, a second table contains its joint offsets in units and signs
-    /// of the robot's log. Each file is written completely or not at all. Returns the paths of the files.
+    /// Writes the files that a controller can apply, for each deployment that [`CalibrationFile::serves`] accepts.
+    /// `robot.urdf` and `corrections.csv` contain links without joint errors. `offsets.csv` contains joint offsets alone.
+    /// For each of the two tables, a second table contains the joint offsets in units and signs of the robot's log. Each
+    /// file is written completely or not at all. Returns the paths of the files.
     ///
     /// # Errors
     /// [`FileError`].
@@ -87,8 +87,8 @@ impl CalibrationFile {
 }
 
 /// The robot as URDF. Joints move about or along the z axes of the frames `axis_1`, `axis_2` and so on. Joint variables are
-/// those of the model. The robot's configuration defines how they relate to the signs and offsets of the controller. Frame
-/// `flange` is the robot's flange, and frame `ball_bar_end` is the end of the bar's plate and tool.
+/// those of the model. How the joint variables relate to the signs and offsets of the controller is defined by the robot's
+/// configuration. Frame `flange` is the robot's flange, and frame `ball_bar_end` is the end of the bar's plate and tool.
 ///
 /// `about` is written as a comment. URDF requires limits of effort and velocity. They are written as zero, because a
 /// calibration does not determine them.

@@ -18,7 +18,7 @@ use crate::instrument::{HoldOut, PoseError};
 pub struct HeldOutEntry {
     /// Number of predicted segments.
     pub segments: usize,
-    /// Error of the nominal robot. The bar was fitted to it on the rest of the run.
+    /// Error of the nominal robot. The bar was fitted to the nominal robot on the other samples of the run.
     pub nominal: PoseError,
     /// Error of the calibrated robot if the fit does not use the segment.
     pub calibrated: PoseError,
@@ -36,16 +36,17 @@ pub struct RowsEntry {
     pub hold_out: HoldOut,
     /// Seed of the random selection of rows.
     pub seed: u64,
-    /// Names in the file of the instrument's stations and of the targets on the flange. The key is the prefix of their
-    /// parameters: `tracker` has `tracker_x` for the first name, `tracker2_x` for the second and so on.
+    /// Names, as in the file, of the instrument's stations and of the targets on the flange. The key is the prefix of
+    /// the parameters of these stations or targets: `tracker` has `tracker_x` for the first name, `tracker2_x` for the
+    /// second and so on.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub names: BTreeMap<String, Vec<String>>,
     /// Errors on the rows of the fit, without rejected rows.
     pub fitted: Stages,
     /// Errors on the held-out rows.
     pub held_out: Stages,
-    /// Number of independent errors among the held-out rows. Files of earlier versions do not contain it; all their held-out
-    /// rows then count as independent.
+    /// Number of independent errors among the held-out rows. Files of earlier versions do not contain this number; all
+    /// held-out rows of such a file count as independent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub independent: Option<usize>,
 }
@@ -57,7 +58,7 @@ pub struct ValidationEntry {
     pub name: String,
     /// Number (from 1) of the data set whose instrument measured the file.
     pub data_set: usize,
-    /// Errors of the nominal robot. The instrument was located by other rows of the file.
+    /// Errors of the nominal robot. For both robots, the instrument was located by other rows of the file.
     pub nominal: PoseFigures,
     /// Errors of the calibrated robot.
     pub calibrated: PoseFigures,
@@ -73,7 +74,7 @@ pub(in crate::report) struct HeldOutErrors {
     /// Number of independent errors in each root mean square.
     pub independent: usize,
     pub nominal: PoseError,
-    /// Error with the deployment. `None` if its fit did not converge or does not predict these data.
+    /// Error with the deployment. `None` if the fit of the deployment did not converge or does not predict these data.
     pub calibrated: Option<PoseError>,
     /// Error of the calibrated robot on the data of the fit.
     pub fitted: PoseError,
@@ -88,7 +89,7 @@ impl CalibrationFile {
                 HeldOutEntry { segments: held_out.segments.len(), nominal, calibrated, fitted }
             });
         self.unseen.clone_from(&evidence.unseen);
-        // The error of a deployment is comparable only if it covers the same segments.
+        // The error of a deployment is comparable only if the deployment predicted as many segments as the calibration did.
         let comparable =
             |held_out: &HeldOut| Some(held_out.segments.len()) == self.held_out.map(|all| all.segments);
         let deployed = evidence.deployed.iter().map(|(deployed, held_out)| {
@@ -135,8 +136,8 @@ impl CalibrationFile {
         segments.into_iter().chain(rows).chain(unseen).collect()
     }
 
-    /// Errors on the rows at the parts of a data set's instrument. Each part was predicted by the fit to all other data.
-    /// `None` if no part was predicted.
+    /// Errors on the rows at the parts of a data set's instrument, such as sockets. Each part was predicted by the fit to
+    /// all other data. `None` if no part was predicted.
     fn at_unseen_parts(&self, rows: &RowsEntry) -> Option<HeldOutErrors> {
         let parts = || self.unseen.iter().filter(|part| part.data_set == rows.data_set);
         let rms = |errors: fn(&UnseenPart) -> &PoseFigures| {
@@ -155,7 +156,8 @@ impl CalibrationFile {
     }
 }
 
-/// Root mean square over several groups. Each item is the number of errors in a group and their root mean square.
+/// Root mean square over several groups of errors. Each item contains the number of errors in a group and the root mean
+/// square of these errors.
 fn pooled_rms(groups: impl Iterator<Item = (usize, f64)>) -> f64 {
     let sums = groups.fold([0.0, 0.0], |[count, squares], (number, rms)| {
         [count + number as f64, squares + number as f64 * rms.powi(2)]
