@@ -1,5 +1,5 @@
-//! The first sheet of the page is a certificate of one A4 sheet, which an engineer signs. Results are in the terms of ISO
-//! 9283, with uncertainties by the GUM.
+//! The certificate is the first sheet of the page. It fills one A4 sheet and is signed by an engineer. Results are in the
+//! terms of ISO 9283, with uncertainties by the GUM.
 
 use chrono::{DateTime, Datelike};
 use maud::{Markup, html};
@@ -29,7 +29,8 @@ pub(super) fn certificate(file: &CalibrationFile, workspace: &WorkspaceError) ->
     sheet(file.is_simulated(), &body)
 }
 
-/// The first sheet. If the data were simulated, a band across the sheet shows this, on the screen and in print.
+/// Wraps the content of the first sheet. If the data were simulated, a band across the sheet reports this, on the
+/// screen and in print.
 pub(super) fn sheet(simulated: bool, content: &Markup) -> Markup {
     html! {
         section.certificate.simulated[simulated] {
@@ -39,8 +40,8 @@ pub(super) fn sheet(simulated: bool, content: &Markup) -> Markup {
     }
 }
 
-/// Date of the measurement by the instrument's clock, for measurements whose recording contains no date. `None` if
-/// no clock has a date.
+/// Date of the measurement according to the instrument's clock, to be used if no recording contains a date. `None` if no
+/// clock has a date.
 fn dated(file: &CalibrationFile) -> Option<String> {
     let mut dates = file.clocks.iter().map(|clock| clock.reference_utc.as_str());
     // The text of a clock without a date is a number of seconds. In files of earlier versions it is a time in 1970.
@@ -48,7 +49,7 @@ fn dated(file: &CalibrationFile) -> Option<String> {
     dates.find(is_date).map(to_the_second)
 }
 
-/// Whether the robot is calibrated, its errors, and the reason that limits the verdict.
+/// Paragraph with the verdict: whether the robot is calibrated, its errors, and the reason that limits the verdict.
 fn verdict(file: &CalibrationFile, workspace: &WorkspaceError) -> Markup {
     let verdict = file.verdict.as_ref();
     let class = match verdict.map(|verdict| verdict.grade) {
@@ -79,8 +80,8 @@ pub(super) fn to_the_second(utc: &str) -> String {
     utc.get(..19).map_or_else(|| utc.to_owned(), |second| format!("{} UTC", second.replace('T', " ")))
 }
 
-/// Robot, instrument, operator and time. Unknown items are blank lines to be filled in by hand. `dated` is the date of the
-/// measurement if no recording contains it.
+/// Lists robot, instrument, operator and time. An unknown item is a blank line to be filled in by hand. `dated` is the date
+/// of the measurement if no recording contains the date.
 pub(super) fn identity(
     robot: &str,
     instrument: &str,
@@ -88,7 +89,7 @@ pub(super) fn identity(
     required: Option<String>,
     dated: Option<String>,
 ) -> Markup {
-    // The values of a field in all measurements, as one text.
+    // Joins the values of one field in all measurements to one text.
     let field = |value: fn(&MeasurementEntry) -> String| {
         let mut values: Vec<String> = measured.iter().map(value).collect();
         values.retain(|value| !value.is_empty());
@@ -173,7 +174,8 @@ fn results(file: &CalibrationFile, workspace: &WorkspaceError) -> Markup {
     }
 }
 
-/// Scale, supported joint ranges, deployments, and fixed parameters.
+/// Lists the measured length that determines the scale, the supported joint ranges, the deployments
+/// and the fixed parameters.
 fn conditions(file: &CalibrationFile) -> Markup {
     let parts = file.deployments_reported();
     let [exact, held] = ParameterEntry::fixed(&file.parameters);

@@ -15,8 +15,8 @@ const BLACK: RGBColor = RGBColor(30, 36, 44);
 const LIGHT_GREY: RGBColor = RGBColor(196, 202, 210);
 const RED: RGBColor = COLOURS[5];
 
-/// Selects the position or the rotation of a pose error, in the unit of figures and tables. Returns `None`
-/// if it was not measured.
+/// Selects the position or the rotation of a pose error, in the unit of figures and tables. Returns `None` if
+/// it was not measured.
 pub(super) type Value = fn(&PoseError) -> Option<f64>;
 pub(super) const POSITION_MM: Value = |error| Some(error.position_m * 1e3);
 pub(super) const ROTATION_MRAD: Value = |error| error.rotation_rad.map(|rad| rad * 1e3);
@@ -81,8 +81,8 @@ fn panels(held_out: &HeldOut, run: usize) -> Markup {
     }
 }
 
-/// One figure of errors over time. If `calibrated` is true, it shows the prediction by the calibrated
-/// robot, otherwise the nominal robot.
+/// Draws one figure of errors over time: of the prediction by the calibrated robot if `calibrated` is true, otherwise
+/// of the nominal robot.
 fn panel(title: &str, y: &str, segments: &[&HeldOutSegment], calibrated: bool, value: Value) -> Markup {
     let time = TimeAxis::of(segments.iter().flat_map(|segment| segment.span_s()));
     // Indices of the stages of a segment: 0 nominal, 1 predicted without the segment, 2 fitted with the segment.

@@ -38,7 +38,7 @@ pub use study::StudyPage;
 pub struct Page<'a> {
     /// Content of `calibration.toml`.
     pub file: &'a CalibrationFile,
-    /// The solve, and the prepared data of its runs.
+    /// Result of the solve, and the prepared data of the runs.
     pub calibration: &'a Calibration,
     /// Statistics of the result.
     pub evidence: &'a Evidence,

@@ -90,13 +90,13 @@ pub(super) fn bar(page: &Page<'_>) -> Markup {
     } }
 }
 
-/// Tables of all parameters. `first_heading` and `other_headings` are the captions of the tables whose parameters belong to
-/// one data set: those of the first data set, and those of the others.
+/// Tables of all parameters. Each table of parameters that belong to one data set has a caption: `first_heading` for the
+/// first data set, and `other_headings` for the other data sets.
 pub(super) fn parameters(file: &CalibrationFile, first_heading: &str, other_headings: &[String]) -> Markup {
     let applied = file.applied();
     let (entries, waves) = applied.reported();
     let [exact, uncertain] = ParameterEntry::fixed(entries.iter().copied());
-    // A parameter that belongs to a later run only has the number of the run in its name, such as `ox@2`.
+    // If a parameter belongs to a later run only, its name contains the number of the run, such as `ox@2`.
     let is_of_run = |entry: &ParameterEntry, run: usize| match entry.name.split_once('@') {
         Some((_, number)) => number.parse() == Ok(run + 1),
         None => run == 0,
@@ -109,7 +109,7 @@ pub(super) fn parameters(file: &CalibrationFile, first_heading: &str, other_head
             .collect()
     };
     let owner = |entry: &ParameterEntry| entry.id().map(ParameterId::owner);
-    // Names of the bar's links, joints and encoders begin with `b`, those of its base and clock do not.
+    // Names of the bar's links, joints and encoders begin with `b`. Names of parameters of the bar's base and clock do not.
     let is_bar = |entry: &ParameterEntry| entry.name.starts_with('b') && owner(entry) == Some(Owner::BallBar);
     let is_place_or_clock = |entry: &ParameterEntry| owner(entry) != Some(Owner::Robot) && !is_bar(entry);
     html! {

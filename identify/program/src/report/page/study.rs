@@ -16,7 +16,7 @@ use crate::study::{
 
 /// Width and height of a panel \[px\].
 const PANEL: (u32, u32) = (450, 330);
-/// The right panel of a figure shows errors up to this multiple of the limit.
+/// The right panel of a figure shows errors up to this multiple of the study's error limit (`limit_mm_mrad`).
 const NEAR: f64 = 2.0;
 
 /// Content of the page.
@@ -242,7 +242,8 @@ fn panel(figure: &Figure, title: String, series: Vec<Series>) -> Markup {
     Panel::new(title, [&figure.x, figure.measure.label()], PANEL, series).with_zero().draw()
 }
 
-/// The curve below the upper edge `most` of the panel. It ends at the point where it crosses the edge.
+/// The part of a curve below the upper edge `most` of the panel. This part ends at the point where the
+/// curve crosses the edge.
 fn clipped(points: &[(f64, f64)], most: f64) -> Vec<(f64, f64)> {
     let mut clipped: Vec<(f64, f64)> = Vec::new();
     for (index, &(x, y)) in points.iter().enumerate() {

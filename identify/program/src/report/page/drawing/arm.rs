@@ -12,8 +12,8 @@ use crate::statistics::extremes;
 const WIDTH_PX: f64 = 620.0;
 /// Width and height that axis labels add to a view \[px\].
 const LABELS_PX: (f64, f64) = (76.0, 100.0);
-/// Length of a drawn axis, as a fraction of the arm's reach. A revolute axis extends by this length to both sides of its
-/// point, a prismatic axis to one side.
+/// Length by which the drawing of an axis extends from the joint, as a fraction of the arm's reach. A revolute axis extends
+/// to both sides of the joint, a prismatic axis to one side.
 const AXIS_PART: f64 = 0.07;
 
 /// Both views as one SVG.

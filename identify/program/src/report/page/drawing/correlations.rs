@@ -18,8 +18,9 @@ const CELL: usize = 12;
 /// Width of the margin with the names of parameters \[px\].
 const NAMES: usize = 84;
 
-/// Correlation matrix of the parameters of the robot and the first data set. Positive correlations are blue, negative ones
-/// orange. Amplitudes of joint waves are left out, because they are many and correlate with no other parameter.
+/// Draws the correlation matrix of the robot's parameters and of the parameters of the first data set. Positive
+/// correlations are blue, negative ones orange. Amplitudes of joint waves are left out, because they are many and correlate
+/// with no other parameter.
 pub(in crate::report::page) fn figure(covariance: &CovarianceEntry) -> Markup {
     let is_shown = |name: &String| name.parse().is_ok_and(|id| !matches!(id, ParameterId::JointWave { .. }));
     let shown = covariance.names.iter().enumerate().filter(|(_, name)| is_shown(name));

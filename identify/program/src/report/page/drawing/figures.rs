@@ -1,5 +1,5 @@
-//! Figures of `report.html` about runs with a bar, each made from the evidence of a calibration. Also elements that several
-//! pages use: sizes of figures, time axes, and maps of directions.
+//! Figures of `report.html` about runs with a bar, each made from the evidence of a calibration. The module also contains
+//! elements that several pages use: sizes of figures, time axes, and maps of directions.
 
 use maud::Markup;
 use nalgebra::Vector3;
@@ -153,7 +153,7 @@ pub(in crate::report::page) fn shift(title: &str, curve: &ShiftCurve) -> Markup 
     Panel::new(title, ["added time shift [ms]", "RMS distance [mm]"], THIRD, series).with_zero().draw()
 }
 
-/// Time shift between the logs in parts of a run, over time.
+/// Figure of the time shift between the logs over time. Each point is the shift in a short part of the run.
 pub(in crate::report::page) fn local_shifts(shifts: &[LocalShift]) -> Markup {
     let time = TimeAxis::of(shifts.iter().map(|shift| shift.t_s));
     let points = shifts.iter().map(|shift| (time.at(shift.t_s), shift.shift_s * 1e3));

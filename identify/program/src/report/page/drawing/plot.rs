@@ -1,8 +1,8 @@
 //! Figures with axes, as SVG text. A [`Panel`] is one pair of axes with its [`Series`] of points.
 //!
-//! The library `plotters` draws axes and lines. All dots of a series are one SVG path. As separate elements, they
-//! would take ten times as many bytes, and a browser would be slow. Title and names of the series are above the axes,
-//! so that they hide no points.
+//! The library `plotters` draws axes and lines. All dots of a series are one SVG path. If each dot were an element of its
+//! own, the dots would take ten times as many bytes, and a browser would be slow. Title and names of the series are above
+//! the axes, so that they hide no points.
 
 use std::io;
 
@@ -71,8 +71,8 @@ pub(in crate::report::page) const INK: RGBColor = RGBColor(70, 80, 92);
 const MESH: RGBColor = RGBColor(230, 234, 239);
 pub(in crate::report::page) const FONT: &str = "system-ui, sans-serif";
 
-/// Number of SVG units per pixel. The library rounds coordinates to whole units, and one unit per pixel is
-/// too coarse for smooth curves.
+/// Number of SVG units per pixel. The library rounds coordinates to whole units, and one unit per pixel is too
+/// coarse for smooth curves.
 pub(in crate::report::page) const FINE: u32 = 3;
 
 /// Height of a line of the heading, which contains title and names of series \[px\].
@@ -95,7 +95,7 @@ struct Strokes {
 }
 
 impl Strokes {
-    /// Dots of a series. If there are few, they are drawn larger.
+    /// Dots of a series. If a series has few dots, they are drawn larger.
     fn dots(colour: RGBColor, at: Vec<(i32, i32)>) -> Self {
         const FEW: usize = 200;
         let at = thin::dots(at);
@@ -135,7 +135,7 @@ impl Panel {
         Self { names, ..self }
     }
 
-    /// Label at position `x` of the horizontal axis, whose range has this width.
+    /// Label at position `x` of the horizontal axis. `width` is the width of the axis's range.
     fn x_label(&self, x: f64, width: f64) -> String {
         if self.names.is_empty() {
             return short(x, width);
@@ -161,7 +161,7 @@ impl Panel {
         PreEscaped(text)
     }
 
-    /// Draws axes and lines onto `area`. Returns the other series, which the caller appends as SVG text.
+    /// Draws axes and lines onto `area`. Returns the dots and segments, which the caller appends as SVG text.
     fn onto(
         &self,
         area: &DrawingArea<SVGBackend<'_>, Shift>,
@@ -278,8 +278,8 @@ fn range(values: impl Iterator<Item = f64>, with_zero: bool) -> (f64, f64) {
     }
 }
 
-/// Text of a number, with as many decimals as an axis of this width needs. If these are too many for the margin, the number
-/// is written with an exponent.
+/// Writes a number on an axis whose range has this width. The number has as many decimals as such an axis needs. If the
+/// margin has no room for them, the number is written with an exponent.
 fn short(value: f64, width: f64) -> String {
     const DECIMALS_MAX: f64 = 4.0;
     let width = width.abs().max(1e-12);

@@ -11,13 +11,13 @@ pub(in crate::report::page) type SvgPoint = (i32, i32);
 /// Largest number of dots of one series.
 const DOTS_MAX: usize = 4000;
 
-/// Thins a line. Of each run of points in the same column, it keeps the first, the lowest, the highest and the last point.
-/// `column` is the width of a column in SVG units. The thinned line looks like the whole line.
+/// Thins a line. From the points in one column, the first, the lowest, the highest and the last point are kept. `column` is
+/// the width of a column in SVG units. The thinned line looks like the whole line.
 pub(in crate::report::page) fn line(points: &[SvgPoint], column: i32) -> Vec<SvgPoint> {
     extremes_of_columns(points, |(x, _)| i64::from(x.div_euclid(column.max(1))), |(_, y)| f64::from(*y))
 }
 
-/// Thins dots. It keeps one dot in each occupied cell of a grid, and doubles the size of the cells until at most [`DOTS_MAX`]
+/// Thins dots. One dot is kept in each occupied cell of a grid. The size of the cells is doubled until at most [`DOTS_MAX`]
 /// dots remain. A single dot far from all others is always kept.
 pub(in crate::report::page) fn dots(points: Vec<SvgPoint>) -> Vec<SvgPoint> {
     let mut cell = 1;

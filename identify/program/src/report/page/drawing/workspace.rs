@@ -37,7 +37,8 @@ pub(in crate::report::page) fn map(workspace: &WorkspaceError) -> Markup {
     } }
 }
 
-/// One map with positions as dots. Each fifth of the positions is a series, and its name is the largest error in it.
+/// Draws one map, with a dot for each position. Each fifth of the positions is a series, and the name of the series is the
+/// largest error in the fifth.
 fn one_map(title: &str, places: &[PlaceError], error_m: fn(&PlaceError) -> f64) -> Markup {
     let mut sorted: Vec<&PlaceError> = places.iter().collect();
     sorted.sort_by(|a, b| error_m(a).total_cmp(&error_m(b)));

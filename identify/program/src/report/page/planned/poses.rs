@@ -99,8 +99,8 @@ impl PosesPage<'_> {
     /// The animation of the arm from pose to pose.
     fn view(&self) -> Markup {
         let joints = &self.planned.joints;
-        // Frames of one move through its postures. Between any two postures of the move, the same time passes. The unit
-        // of time is one move.
+        // Returns the frames of one move. The move passes through its postures at equal time intervals. The unit of
+        // time is one move.
         let frames_of_move = |(move_number, postures): (usize, Vec<Joints>)| {
             (0..FRAMES_PER_MOVE).map(move |frame| {
                 let part = frame as f64 / FRAMES_PER_MOVE as f64;
@@ -199,7 +199,8 @@ impl PosesPage<'_> {
         }
     }
 
-    /// The parameters whose standard deviation decreases least: ratio of the expected standard deviation to the one before.
+    /// Lists the parameters whose standard deviation decreases least, with the ratio of the standard deviations after
+    /// and before the measurements.
     fn weakest(&self) -> Markup {
         let parts_left = self.planned.determined.iter().flat_map(|kind| kind.ids.iter().zip(&kind.left));
         let mut parts_left: Vec<(&ParameterId, &f64)> = parts_left.collect();

@@ -11,7 +11,7 @@ use crate::report::page::drawing::plot::{BLUE, COLOURS, Mark, ORANGE, Panel, Ser
 use crate::statistics::extremes;
 
 const RED: RGBColor = COLOURS[5];
-/// If gaps divide a curve into more parts than this, it is drawn as dots.
+/// A curve that gaps divide into more parts than this is drawn as dots.
 const PARTS_MAX: usize = 200;
 
 /// One figure for each joint of a log. `at_s` is the time of the problem, if it is known \[s\].

@@ -1,5 +1,5 @@
-//! `report.html` of a refused calibration. It states the problem, its location and the remedy. Residuals of the encoders and
-//! the content of the input files follow.
+//! `report.html` of a refused calibration. The page states the problem, its location and the remedy, and then shows the
+//! residuals of the encoders and the content of the input files.
 
 mod figures;
 

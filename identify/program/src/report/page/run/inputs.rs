@@ -1,5 +1,5 @@
-//! Section on the content of recordings and robot logs: one table for each file, from its
-//! inspection. Missing information is emphasised.
+//! Section on the content of recordings and robot logs: one table for each file, from its inspection.
+//! Missing information is emphasised.
 
 use std::path::PathBuf;
 
@@ -16,7 +16,7 @@ const FACTS_MAX: usize = 24;
 pub struct InspectedLog {
     /// Role of the file, such as `recording`.
     pub role: &'static str,
-    /// Path of its file.
+    /// Path of the file.
     pub path: PathBuf,
     /// Result of the inspection.
     pub inspection: Inspection,

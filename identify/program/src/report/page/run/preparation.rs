@@ -1,5 +1,5 @@
-//! Section on the preparation of the two logs of a run. Its figures correspond to figures 5.2 to 5.4 of the
-//! thesis (Brand and Nilsson 2016).
+//! Section on the preparation of the two logs of a run. Its figures correspond to figures 5.2 to 5.4 of the thesis
+//! (Brand and Nilsson 2016).
 
 use maud::{Markup, html};
 
@@ -48,8 +48,8 @@ fn time_axis(timeline: &Timeline) -> TimeAxis {
 
 /// Speed of the robot's and of the bar's fastest joint over time.
 fn speeds(timeline: &Timeline) -> Markup {
-    /// If the mean distance of points is larger than this, dots are drawn, because lines between the
-    /// points would be misleading \[s\].
+    /// If the mean distance of points is larger than this, dots are drawn, because lines between the points
+    /// would be misleading \[s\].
     const APART_S: f64 = 1.0;
     let time = time_axis(timeline);
     let span_s = match timeline.points.as_slice() {
@@ -112,7 +112,8 @@ fn sphere(prepared: &Prepared) -> Markup {
     }
 }
 
-/// Table of the encoders: joint, direction and offset of each, and how well its angles fit the motion of the robot.
+/// Table of the encoders. It lists joint, direction and offset of each encoder, and how well the angles of the encoder fit
+/// the motion of the robot.
 fn encoders(prepared: &Prepared) -> Markup {
     let encoder_map = &prepared.encoder_map;
     let offset = |joint: u8| prepared.offsets.iter().find(|offset| offset.joint == joint);

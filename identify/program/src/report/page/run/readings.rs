@@ -9,13 +9,13 @@ use crate::prepare::{Averaged, AveragedJoints, AveragedPoint, Timeline};
 use crate::report::page::drawing::figures::{HALF, TimeAxis, dots};
 use crate::report::page::drawing::plot::{BLUE, GREY, Mark, ORANGE, Panel, Series};
 
-/// Width and height of a panel \[px\]. The height is small, because a run may have eleven pairs of panels:
-/// five encoders and six joints.
+/// Width and height of a panel \[px\]. The height is small, because a run may have eleven pairs of panels: five
+/// encoders and six joints.
 const PAIR_SIZE: (u32, u32) = (450, 170);
 /// Readings with a longer period are drawn in turns, not degrees \[turns\].
 const TURNS_MIN: f64 = 1.5;
 
-/// Figures of the readings that wrapped: as in their files, and continuous as they were used.
+/// Two figures for each reading that wrapped: the reading as in its file, and the continuous reading that was used.
 pub(in crate::report::page) fn unwrapping(timeline: &Timeline) -> Markup {
     let unwrapped: Vec<&Unwrapped> =
         timeline.unwrapped_encoders.iter().chain(&timeline.unwrapped_joints).collect();
@@ -63,7 +63,7 @@ fn pair(reading: &Unwrapped) -> Markup {
     }
 }
 
-/// Effect of the moving average, or a note that it is off.
+/// Section on the effect of the moving average, or a note that no moving average is configured.
 pub(in crate::report::page) fn moving_average(averaged: Option<&Averaged>) -> Markup {
     let Some(averaged) = averaged else {
         return html! {
@@ -95,8 +95,8 @@ pub(in crate::report::page) fn moving_average(averaged: Option<&Averaged>) -> Ma
     }
 }
 
-/// Two figures of the fastest joint of a log over time: its speed from readings and from averages, and the
-/// difference between readings and averages.
+/// Two figures of the fastest joint of a log over time. The first figure shows the speed of the joint, computed from
+/// readings and from averages. The second figure shows the difference between readings and averages.
 fn excerpt(name: &str, joints: &AveragedJoints, colour: plotters::style::RGBColor) -> Markup {
     let points = &joints.fastest;
     let time = TimeAxis::of(points.iter().map(|point| point.t_s));

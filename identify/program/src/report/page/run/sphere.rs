@@ -138,8 +138,8 @@ fn forces(after: &ModelDeviation, elongation: &Elongation) -> Markup {
     }
 }
 
-/// Map of the deviation by direction of the bar, as seen from above. Colours are strongest at the 95
-/// % quantile of the deviations.
+/// Map of the deviation by direction of the bar, as seen from above. Colours are strongest at the 95 %
+/// quantile of the deviations.
 fn sphere_map(title: &str, deviation: &ModelDeviation) -> Markup {
     /// Number of colours for each sign.
     const STEPS: i32 = 10;

@@ -1,9 +1,9 @@
 //! The three-dimensional animation of `path.html` and `poses.html`. It shows an arm with bar or target that moves along a
 //! path or from pose to pose.
 //!
-//! [`View`] is the input that a page provides. [`PathScene`] is computed from it; it contains the positions of points over
-//! time, and capsules that connect the points. [`view`] returns the HTML of the animation, which includes the scene as JSON.
-//! The script `view.js` draws the scene with the library OGL.
+//! A page provides the input as a [`View`]. A [`PathScene`] is computed from the view. It contains the positions of points
+//! over time, and capsules that connect the points. The function [`view`] returns the HTML of the animation, which includes
+//! the scene as JSON. The script `view.js` draws the scene with the library OGL.
 
 use maud::{Markup, PreEscaped, html};
 use nalgebra::{Point3, Vector3};
@@ -26,7 +26,7 @@ pub(super) struct View<'a> {
     pub carried: Carried,
     /// Time \[s\] and joint positions of each frame. There are at least two frames.
     pub motion: Vec<(f64, Joints)>,
-    /// Number of frames from one pose to the next; `None` for a path. If it is given, the poses are marked, and pose numbers
+    /// Number of frames from one pose to the next; `None` for a path. If there are poses, they are marked, and pose numbers
     /// are displayed instead of times.
     pub frames_per_pose: Option<usize>,
     /// Bodies that were checked for collisions. If `None`, bodies of default sizes are drawn.
@@ -45,7 +45,7 @@ pub(super) enum Carried {
 #[derive(Serialize)]
 struct PathScene<'a> {
     times_s: Vec<f64>,
-    /// For each frame, the coordinates x, y and z of all points, in a row \[m\].
+    /// Coordinates of all points in each frame \[m\]: x, y and z of the first point, then of the second point, and so on.
     frames: Vec<Vec<f64>>,
     /// Indices of the two end points, name of the colour, and radius \[m\].
     capsules: Vec<(usize, usize, &'static str, f64)>,
@@ -62,8 +62,8 @@ impl<'a> PathScene<'a> {
         let arm = view.arm;
         let (times_s, skeletons): (Vec<f64>, Vec<Skeleton>) =
             view.motion.iter().map(|(t_s, q)| (*t_s, Skeleton::of(arm, q))).unzip();
-        // `points` contains, for each point, its positions in all frames. Each capsule connects a
-        // point with the previous point.
+        // `points` contains, for each point, its positions in all frames. Each capsule connects a point
+        // with the previous point.
         let mut points: Vec<Vec<Vector3<f64>>> = Vec::new();
         let mut capsules = Vec::new();
         let in_frames =
@@ -81,8 +81,9 @@ impl<'a> PathScene<'a> {
             let link_point = |number: usize| {
                 in_frames(&move |arm| arm.links.get(link).map_or(arm.end, |link| link[number]))
             };
-            // Each link has two pieces. The first piece runs along the joint's axis to the corner (1), the second from there
-            // to the link's end (2). For the last link, the plate replaces the second piece.
+            // Each link is drawn in two pieces. The first piece runs along the joint's axis from the link's start (point 0)
+            // to the corner (point 1). The second piece runs from the corner to the link's end (point 2). For the last link,
+            // the plate replaces the second piece.
             add(link_point(1), "link", bodies.link_radius_m);
             if link + 1 < links {
                 add(link_point(2), "link", bodies.link_radius_m);
