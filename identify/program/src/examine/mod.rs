@@ -1,9 +1,9 @@
 //! Lists the parameters that a cost can identify on a robot and a bar, before anything is
 //! measured. Used by `identify examine`.
 //!
-//! The Jacobian of the cost is computed at the nominal parameters, on random poses that robot and bar can reach together. The
-//! results are its rank and dependent columns, the effect of an error in a fixed parameter on the estimated ones (thesis
-//! TFRT-6017, sections 3.2 and 3.3), and the observability indices of the poses.
+//! The Jacobian of the cost is computed at the nominal parameters, on random poses that robot and bar can reach together.
+//! The results are the rank and the dependent columns of the Jacobian, the effect of an error in a fixed parameter on the
+//! estimated parameters (thesis TFRT-6017, sections 3.2 and 3.3), and the observability indices of the poses.
 
 mod poses;
 

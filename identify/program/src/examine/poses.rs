@@ -37,8 +37,8 @@ pub struct Poses {
 }
 
 impl Poses {
-    /// Selects `count` poses that are spread over all joints of the bar, within the robot's limits \[rad\] and
-    /// the margins of the design.
+    /// Selects `count` poses that are spread over all joints of the bar, within the robot's limits \[rad\] and the
+    /// margins of the design.
     ///
     /// # Errors
     /// [`TooFewPoses`].
@@ -78,7 +78,7 @@ impl Poses {
     }
 }
 
-/// Whether the robot's joints are within these limits, and its wrist is not near its singular pose.
+/// Whether the robot's joints are within these limits and the wrist is not near a singular pose.
 fn is_regular(q: &[f64], limits: &[[f64; 2]], design: &Design) -> bool {
     let within = |(q, [low, high]): (&f64, &[f64; 2])| (*low..*high).contains(q);
     q.iter().zip(limits).all(within) && design.wrist_is_bent(q)

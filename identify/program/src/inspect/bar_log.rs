@@ -4,7 +4,7 @@ use super::recording::{encoders, motion, quality};
 use super::{Inspection, UNSAID, stamps, unwrapped};
 use crate::logs::{OtherBarLog, since_first_s};
 
-/// Content of a table or bag with the bar's encoders.
+/// Reports the content of a table or bag with the bar's encoders.
 pub fn bar_log(log: &OtherBarLog) -> Inspection {
     let mut inspection = Inspection::default();
     inspection.fact("the bar", format!("from a {}", log.kind));

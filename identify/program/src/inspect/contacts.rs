@@ -10,8 +10,8 @@ use crate::logs::{TipRow, drop_copies};
 use crate::model::Model;
 use crate::statistics::{Sizes, extremes};
 
-/// Content of rows with a ball in sockets. Also reports whether the nominal robot places the ball in the
-/// sockets that the rows name.
+/// Inspects rows with a ball in sockets. Also checks whether the nominal robot places the ball in the sockets
+/// that the rows name.
 pub fn contacts(rows: &[TipRow], table: &SocketTable, robot: &RobotConfig) -> Inspection {
     let mut inspection = Inspection::default();
     let visits = |socket: usize| rows.iter().filter(|row| row.part == socket).count();
@@ -53,7 +53,8 @@ pub(super) fn ranges(
 /// Warns about sockets that are visited in nearly the same orientation only. Such a socket adds little information, because
 /// the robot repeats the same error at each visit.
 fn few_orientations(inspection: &mut Inspection, rows: &[TipRow], table: &SocketTable, chain: &Chain) {
-    /// A socket is reported if all its orientations differ from the first one by less than this \[rad\].
+    /// A socket is reported if the orientations at all visits differ from the orientation at the first visit by
+    /// less than this \[rad\].
     const TURN_MIN_RAD: f64 = 0.35;
     for (socket, name) in table.names().into_iter().enumerate() {
         let visits = rows.iter().filter(|row| row.part == socket);

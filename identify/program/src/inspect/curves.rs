@@ -11,7 +11,8 @@ use crate::prepare::{BarAngles, bar_angles};
 
 /// Approximate number of pixel columns of a figure.
 const COLUMNS: f64 = 400.0;
-/// There is a gap between two rows if their interval is longer than a column, and longer than this number of mean steps.
+/// There is a gap between two rows if the time between them is longer than a column and longer than this
+/// number of mean steps.
 const HOLE_STEPS: f64 = 10.0;
 
 /// One joint over time.
@@ -19,7 +20,7 @@ const HOLE_STEPS: f64 = 10.0;
 pub struct JointTrace {
     /// Name of the joint, such as `b1` or `q1`.
     pub name: String,
-    /// Unit of its values, `deg` or `mm`.
+    /// Unit of the values, `deg` or `mm`.
     pub unit: &'static str,
     /// Parts without gaps, in the order of time. A point is the time after the first row \[s\] and the value.
     pub parts: Vec<Vec<(f64, f64)>>,

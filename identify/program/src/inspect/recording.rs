@@ -14,7 +14,7 @@ const SPEED_MAX_DEG_S: f64 = 720.0;
 /// urad, which is the whole error budget.
 const UNCERTAINTY_MAX_NS: u32 = 150_000;
 
-/// Content of a recording.
+/// Reports the content of a recording and warns about suspicious findings.
 pub fn recording(recording: &Recording) -> Inspection {
     let mut inspection = Inspection::default();
     facts(&mut inspection, recording);

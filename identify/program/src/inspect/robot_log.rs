@@ -11,13 +11,13 @@ use crate::logs::{RobotLog, ValueOrigin};
 use crate::prepare::unwrapped_log;
 use crate::statistics::largest_difference;
 
-/// If this number of rows repeat the row before and then a joint jumps, the robot did not stand still. The
+/// If at least this number of rows repeat the row before and then a joint jumps, the robot did not stand still. Instead, the
 /// logger received no new values.
 const FROZEN_ROWS_MIN: usize = 3;
 /// A larger step of a joint after repeated rows counts as a jump \[rad\].
 const FROZEN_STEP_RAD: f64 = 1e-3;
 
-/// Content of a robot's log.
+/// Reports the content of a robot's log and warns about suspicious findings.
 pub fn robot_log(log: &RobotLog, robot: &RobotConfig) -> Inspection {
     let mut inspection = Inspection::default();
     if let Some(name) = &log.robot {

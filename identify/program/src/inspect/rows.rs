@@ -1,5 +1,5 @@
 //! Inspection of rows of a tracker, a wire or a touch probe. It reports the ranges of measurements and joints, and the
-//! residuals of the nominal robot when the instrument is fitted to it. If residuals are large, it names the mistake in the
+//! residuals of the nominal robot after a fit of the instrument. If these residuals are large, it names the mistake in the
 //! file that most likely explains them.
 
 use shared::config::RobotConfig;
@@ -16,10 +16,11 @@ use crate::statistics::extremes;
 
 /// Largest number of names of stations, targets or faces that are listed.
 const NAMED: usize = 8;
-/// As [`OTHER_ROBOT_M`], for orientations \[rad\].
+/// If the RMS error of the nominal robot's orientations is larger than this, the rows probably belong
+/// to another robot \[rad\].
 const OTHER_ROBOT_RAD: f64 = 0.1;
 
-/// Content of rows of a tracker that contain the robot's joints.
+/// Inspects rows of a tracker that contain the robot's joints.
 pub fn poses(read: &MeasuredPoses, robot: &RobotConfig) -> Inspection {
     let mut inspection = Inspection::default();
     let rows = &read.rows;
@@ -33,8 +34,8 @@ pub fn poses(read: &MeasuredPoses, robot: &RobotConfig) -> Inspection {
     inspection
 }
 
-/// Reports the range of each joint, and the residuals of the nominal robot with the instrument fitted to it. If residuals are
-/// large, it also reports their probable cause.
+/// Reports the range of each joint, and the residuals of the nominal robot after a fit of the instrument. If the residuals
+/// are large, also reports their probable cause.
 fn nominal_robot(inspection: &mut Inspection, instrument: &Instrument, robot: &RobotConfig) {
     ranges(inspection, instrument.joints().into_iter(), robot);
     let chain = flange_chain(robot);
@@ -64,7 +65,8 @@ fn nominal_robot(inspection: &mut Inspection, instrument: &Instrument, robot: &R
     }
 }
 
-/// Content of rows of a tracker with times on its own clock. The joints of these rows are in the robot's log.
+/// Inspects rows of a tracker that contain times on the tracker's clock instead of joints. The joints are
+/// in the robot's log.
 pub fn timed_poses(read: &TimedPoses) -> Inspection {
     let mut inspection = Inspection::default();
     inspection.fact("rows", format!("{} over {:.1} s", read.rows.len(), read.rows.duration_s()));
@@ -76,7 +78,7 @@ pub fn timed_poses(read: &TimedPoses) -> Inspection {
     inspection
 }
 
-/// Content of rows of a wire.
+/// Inspects rows of a wire.
 pub fn lengths(read: &MeasuredLengths, robot: &RobotConfig) -> Inspection {
     let mut inspection = Inspection::default();
     let rows = &read.rows;
@@ -89,7 +91,7 @@ pub fn lengths(read: &MeasuredLengths, robot: &RobotConfig) -> Inspection {
     inspection
 }
 
-/// Content of rows of a touch probe or dial gauge that touches flat faces.
+/// Inspects rows of a touch probe or dial gauge that touches flat faces.
 pub fn touches(read: &Touches, robot: &RobotConfig) -> Inspection {
     let mut inspection = Inspection::default();
     let rows = &read.rows;

@@ -177,8 +177,8 @@ fn for_sheet(
     // Names of the columns of the robot's own log, from its configuration.
     let log_columns = own_columns(robot);
     let is_own_log = log_columns.iter().all(|name| columns.iter().any(|column| column.name == *name));
-    // Notes on the joints are separate from the other notes. They come first, and they are replaced if the table
-    // is the robot's own log.
+    // Notes on the joints are collected separately, because they are replaced if the table is the robot's own log. In the
+    // mapping, they come before the other notes.
     let mut joint_notes = Notes::default();
     let joints = joints(&columns, robot, csv.header, &mut joint_notes);
     if joints.is_none() && !is_own_log {

@@ -28,8 +28,8 @@ impl TableColumn {
         self.plain.match_indices(text).map(|(at, _)| at).find(|at| is_found(*at))
     }
 
-    /// Whether the name contains one of these words, which are separated by spaces. Digits at the end of a word
-    /// in the name are ignored.
+    /// Whether the name contains one of these words, which are separated by spaces. Digits at the end of a word in
+    /// the name are ignored.
     pub(super) fn has_word(&self, words: &str) -> bool {
         self.plain.split(|character: char| !character.is_alphanumeric()).any(|word| {
             let bare = word.trim_end_matches(|character: char| character.is_ascii_digit());
@@ -67,8 +67,8 @@ impl TableColumn {
     }
 }
 
-/// Units with their other spellings. The units of torques, currents, forces and speeds show that a column
-/// does not contain joint angles.
+/// Units with their other spellings. The units of torques, currents, forces and speeds show that a column does
+/// not contain joint angles.
 const UNITS: [&str; 13] = [
     "deg degree degrees ° grad",
     "rad radian radians",
@@ -137,8 +137,8 @@ pub(super) fn columns(text: &RowsAsText<'_>, csv: &CsvLayout) -> Result<Vec<Tabl
     Ok(header.iter().enumerate().map(column).collect())
 }
 
-/// Finds one column for each of the words, with names that are otherwise equal, such as `tracker_x`, `tracker_y`,
-/// `tracker_z`. If there are several such groups, a group of a tracker is preferred.
+/// Finds a group of columns, one for each of the words, whose names differ only in this word, such as `tracker_x`,
+/// `tracker_y`, `tracker_z`. If there are several such groups, a group of a tracker is preferred.
 pub(super) fn group<'c>(columns: &[&'c TableColumn], words: &[&str]) -> Option<Vec<&'c TableColumn>> {
     let mut found: Vec<Vec<&TableColumn>> = Vec::new();
     for first in columns.iter().filter(|column| column.is_number()) {

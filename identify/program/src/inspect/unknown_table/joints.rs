@@ -22,11 +22,11 @@ const NAMED_JOINTS: &[[&str; 6]] = &[
     ["s", "l", "u", "r", "b", "t"],
 ];
 
-/// Candidates for the joints. A candidate has `axes` columns, whose names differ only in the number or the
-/// common name of the joint.
+/// Candidates for the joints. A candidate has `axes` columns, whose names differ only in the number or the common
+/// name of the joint.
 fn families(columns: &[TableColumn], axes: usize) -> Vec<Vec<&TableColumn>> {
-    // A pattern is a name with `#` in place of the joint. The map contains, for each pattern, its columns by
-    // the number of the joint.
+    // A pattern is a name with `#` in place of the joint. The map contains, for each pattern, its columns by the
+    // number of the joint.
     let mut by_pattern: BTreeMap<String, BTreeMap<usize, &TableColumn>> = BTreeMap::new();
     for column in columns.iter().filter(|column| column.is_number()) {
         let bytes = column.plain.as_bytes();
@@ -74,15 +74,15 @@ fn stated_unit(column: &TableColumn) -> Option<AngleUnit> {
     [AngleUnit::Deg, AngleUnit::Rad].into_iter().find(|unit| column.unit == Some(unit.suffix()))
 }
 
-/// The columns of the joints with their unit. They are the candidate with the highest score.
+/// Returns the columns of the joints with their unit. These are the columns of the candidate with the highest score.
 pub(super) fn joints(
     columns: &[TableColumn],
     robot: &RobotConfig,
     header: bool,
     notes: &mut Notes,
 ) -> Option<Vec<JointColumn>> {
-    // A robot with prismatic joints has fewer limits in degrees than axes. Columns of prismatic joints cannot
-    // be recognised by their range.
+    // A robot with prismatic joints has fewer limits in degrees than axes. Columns of prismatic joints cannot be
+    // recognised by their range.
     let axes = robot.joint_limits_deg.len();
     if axes < robot.axes() {
         return None;
@@ -120,7 +120,8 @@ pub(super) fn joints(
     Some(family.iter().map(|column| JointColumn::new(column.name.clone(), unit)).collect())
 }
 
-/// Candidate in a table without header: the first consecutive columns that are neither times nor millimetres.
+/// Candidate in a table without header: the first consecutive columns that are within the joint limits in degrees. Columns
+/// that always increase are excluded, because they contain times.
 fn first_neighbours<'c>(columns: &'c [TableColumn], robot: &RobotConfig) -> Option<Vec<&'c TableColumn>> {
     let numeric: Vec<&TableColumn> = columns.iter().filter(|column| column.is_number()).collect();
     let are_angles = |family: &&[&TableColumn]| {
@@ -129,8 +130,8 @@ fn first_neighbours<'c>(columns: &'c [TableColumn], robot: &RobotConfig) -> Opti
     numeric.windows(robot.joint_limits_deg.len()).find(are_angles).map(<[&TableColumn]>::to_vec)
 }
 
-/// Score of a candidate, with empirical weights. A certain contradiction outweighs all favourable signs, and a score of -5
-/// or less excludes a candidate.
+/// Score of a candidate, with empirical weights. Values outside the joint limits outweigh all favourable properties
+/// together. A score of -5 or less excludes a candidate.
 fn score(family: &[&TableColumn], robot: &RobotConfig) -> i32 {
     let has = |words| i32::from(family.iter().any(|column| column.has_word(words)));
     let still = family.iter().all(|column| column.numbers.windows(2).all(|pair| pair[0] == pair[1]));

@@ -41,8 +41,8 @@ pub(super) fn layout(text: &RowsAsText<'_>, axes: usize) -> Option<CsvLayout> {
         Some((total, delimiter, decimal_comma, first, width))
     });
     let (_, delimiter, decimal_comma, first, width) = best.max_by_key(|(total, ..)| *total)?;
-    // Lines above the numbers that have the same width, from the lowest to the highest. The highest line is the header, and
-    // the lines below it contain units.
+    // `above` are the lines directly above the first row of numbers that have the same number of cells, from the lowest to
+    // the highest. The highest line is the header, and the lines below it contain units.
     let above: Vec<usize> = (0..first)
         .rev()
         .filter(|&line| !lines[line].trim().is_empty() && !is_comment(lines[line]))

@@ -1,6 +1,6 @@
-//! Determines what the names of the columns leave open, by residuals of the nominal robot. With a tracker, these
-//! are signs, order and unit of the joints, and the form of the orientation. With a wire, it is whether positions
-//! are those of the flange.
+//! Decides what the names of the columns leave open, by comparison with the nominal robot. With a tracker, this is about
+//! signs, order and unit of the joints, and the form of the orientation. The choice with the smallest residuals is used.
+//! With a wire, the question is whether a group of columns contains positions of the flange.
 
 use std::path::Path;
 
@@ -18,7 +18,7 @@ use crate::logs::{
 };
 use crate::report::rows::OTHER_ROBOT_M;
 
-/// Table and robot, for the choices that the names of the columns leave open.
+/// Table and robot, which are compared to decide what the names of the columns leave open.
 pub(super) struct ResidualTrial<'a> {
     pub(super) bytes: &'a [u8],
     pub(super) path: &'a Path,
@@ -137,7 +137,8 @@ fn undo(joints: &mut [JointColumn], mistake: JointMistake) {
     }
 }
 
-/// All possible readings of those columns whose names are usual for an orientation.
+/// All orientations that the columns can represent: form, order and frame. Only columns with usual names of
+/// an orientation are considered.
 fn orientations(columns: &[&TableColumn]) -> Vec<RotationColumns> {
     const THREE: [[&str; 3]; 5] = [
         ["rx", "ry", "rz"],
