@@ -1,5 +1,5 @@
-//! `identify calibrate`. Each instrument has a subcommand with its own options, so that no option can be accepted and then
-//! ignored. Each subcommand converts its options to an [`ExperimentFile`], which [`driver::calibrate`] calibrates.
+//! `identify calibrate`. Each instrument has a subcommand with its own options, so that every accepted option has an effect.
+//! Each subcommand converts its options to an [`ExperimentFile`], which [`driver::calibrate`] calibrates.
 
 mod bar;
 mod driver;
@@ -104,7 +104,8 @@ impl CommonArguments {
         let mut config: IdentifyConfig = file.map_or_else(|| Ok(IdentifyConfig::default()), config::load)?;
         config.loss = self.loss.or(config.loss);
         config.require_mm = self.result.require.or(config.require_mm);
-        // A parameter of an option is removed from the opposite list of the file.
+        // A parameter in `--free` is removed from the file's list of fixed parameters, and a parameter in `--fix` from the
+        // file's list of free parameters.
         if let Some(both) = fix.iter().find(|id| free.contains(id)) {
             anyhow::bail!("{both} is in --free and in --fix; leave it out of one");
         }
@@ -173,7 +174,7 @@ pub fn run(arguments: &CalibrateArguments) -> anyhow::Result<()> {
 }
 
 impl RowArguments {
-    /// Calibrates from the files of rows that `add` adds to an experiment.
+    /// Calibrates from files of rows. `add` adds these files to an experiment.
     fn calibrate(&self, add: impl FnOnce(&mut ExperimentFile)) -> anyhow::Result<()> {
         let mut experiment = self.common.experiment()?;
         add(&mut experiment);

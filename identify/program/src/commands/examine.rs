@@ -1,5 +1,5 @@
-//! `identify examine` prints, for each cost, which parameters of a nominal robot and bar
-//! it can identify ([`crate::examine`]).
+//! `identify examine` prints, for each cost, which parameters of a nominal robot and bar the
+//! cost can identify ([`crate::examine`]).
 
 use std::path::PathBuf;
 

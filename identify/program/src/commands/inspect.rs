@@ -197,7 +197,8 @@ impl InspectSettings {
             !begins("<!doctype html") && !begins("<html"),
             "it is a web page, not a log or recording; open it in a browser"
         );
-        // The file is read as a log of the bar and as a log of the robot, if the options contain their configurations.
+        // The file is read as a log of the bar and as a log of the robot, as far as the options contain the configurations
+        // of bar and robot.
         let has_bar_columns = OtherBarLog::is_usual_table(&bytes);
         let as_bar_log = self.bar.as_ref().map(|bar| {
             let log = OtherBarLog::read(&bytes, path, bar, self.recording_mapping.as_ref());

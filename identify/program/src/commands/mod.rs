@@ -78,9 +78,9 @@ enum IdentifyCommand {
 }
 
 impl IdentifyArguments {
-    /// Parses the words of a command line, of which the first is the program's name. Without a subcommand, `plan`
-    /// plans a path and `simulate` simulates the ball-bar. `calibrate` uses the ball-bar or, with `--experiment`,
-    /// the instruments of that file.
+    /// Parses the words of a command line. The first word is the program's name. Without a subcommand, `plan` plans a
+    /// path and `simulate` simulates the ball-bar. `calibrate` uses the ball-bar or, with `--experiment`, the instruments
+    /// of the experiment file.
     ///
     /// # Errors
     /// Errors of clap. Requests for help or the version are returned as errors, too.
@@ -110,7 +110,7 @@ fn default_subcommand(words: &[OsString]) -> Option<&'static str> {
     }
 }
 
-/// Reads the mapping of a robot's logs. Its joints, if it has any, must be the axes of the robot.
+/// Reads the mapping of a robot's logs. If the mapping contains joints, they must be the axes of the robot.
 fn load_log_mapping(path: &Path, robot: &RobotConfig) -> anyhow::Result<RobotLogMapping> {
     let mapping: RobotLogMapping = config::load(path)?;
     if let Some(mapping) = mapping.with_joints() {

@@ -1,4 +1,4 @@
-//! Progress of a long command on a terminal, and its end by Ctrl-C.
+//! Shows the progress of a long command on a terminal, and ends the command at Ctrl-C.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, OnceLock, PoisonError};
@@ -12,8 +12,8 @@ use crate::solver::{Progress, Watch};
 static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 /// Set when the handler of Ctrl-C has been installed.
 static HANDLER: OnceLock<()> = OnceLock::new();
-/// Whether the running command polls [`INTERRUPTED`] to keep its partial result. If so, the first Ctrl-C
-/// does not end the program.
+/// Whether the running command polls [`INTERRUPTED`] to keep its partial result. If so, the first Ctrl-C does
+/// not end the program.
 static POLLED: AtomicBool = AtomicBool::new(false);
 /// Progress bar of the running command. The handler of Ctrl-C removes it from the terminal.
 static SHOWN: Mutex<Option<ProgressBar>> = Mutex::new(None);
@@ -34,7 +34,7 @@ pub fn allow_commands() {
 }
 
 /// A progress bar, which is visible only on a terminal. Ctrl-C ends the program immediately with exit code 130. If the
-/// command keeps its partial result, the first Ctrl-C only requests its end, and the second one ends the program.
+/// command keeps its partial result, the first Ctrl-C only asks the command to end, and the second Ctrl-C ends the program.
 #[derive(Debug)]
 pub struct OnTerminal {
     bar: ProgressBar,

@@ -103,8 +103,7 @@ fn above_zero(option: &str, value: f64) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// A message proposes to mount the target at this distance from the last axis, so that the turn of this
-/// axis can be measured \[m\].
+/// Distance between target and last axis that a message proposes, so that the rotation of this axis can be measured \[m\].
 const OFF_AXIS_M: f64 = 0.1;
 /// Largest coordinate in a cell \[m\].
 const CELL_M_MAX: f64 = 100.0;
@@ -130,7 +129,8 @@ pub(super) fn in_metres(option: &str, numbers: &[f64], limit_m: f64) -> anyhow::
     Ok(())
 }
 
-/// Sets the posture of the design to the typed one, if there is one. It must have one number for each axis.
+/// Sets the posture of the design to the posture that the user typed, if there is one. The typed posture must have one
+/// number for each axis.
 pub(super) fn set_posture(design: &mut Design, typed: &[f64], robot: &RobotConfig) -> anyhow::Result<()> {
     let (given, axes) = (typed.len(), robot.axes());
     anyhow::ensure!(
@@ -325,7 +325,8 @@ impl Loaded {
             .with(Some(self.bodies.clone()), self.acceleration_rad_s2)
     }
 
-    /// Information of a run of this length. If an earlier calibration is given, its information is added.
+    /// Expected information of a run of this length. If an earlier calibration is given, the information of
+    /// that calibration is added.
     fn information(&self, duration_s: f64) -> anyhow::Result<Information> {
         let chains = (&self.arm, &self.bar_chain);
         let information = Information::new((&self.robot, &self.bar), chains, self.criterion, duration_s)?;
@@ -417,7 +418,8 @@ fn search_path(
     Ok(found?)
 }
 
-/// Checks, before the search, that the requested programs can be written.
+/// Checks whether the requested programs can be written. This is done before the search, so that an
+/// error is reported immediately.
 fn ensure_programs_can_be_written(asked: &[Language], robot: &RobotConfig) -> anyhow::Result<()> {
     asked.iter().try_for_each(|language| plan::can_be_programmed(*language, robot)).context("--program")
 }

@@ -69,7 +69,7 @@ pub fn run(arguments: &RobotArguments) -> anyhow::Result<()> {
     }
 }
 
-/// The path `given` by the user. By default, it is the name of the file `like` with another ending, in the current directory.
+/// The path `given` by the user. The default is a path in the current directory: the file name of `like` with this ending.
 fn output_path(given: Option<&PathBuf>, like: &Path, ending: &str) -> PathBuf {
     given
         .cloned()

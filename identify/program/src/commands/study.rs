@@ -121,7 +121,7 @@ fn compute(
     let (next, stop) = (AtomicUsize::new(0), AtomicBool::new(false));
     let (sender, receiver) = mpsc::channel::<TrialRows>();
     std::thread::scope(|scope| -> anyhow::Result<()> {
-        // Each thread runs the next experiment and sends its result, until none is missing.
+        // Each thread runs the next experiment and sends its result, until no experiment is left.
         for _ in 0..threads {
             let (sender, next, stop) = (sender.clone(), &next, &stop);
             scope.spawn(move || {

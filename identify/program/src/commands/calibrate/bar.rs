@@ -131,7 +131,8 @@ pub(super) fn run(arguments: &BarArguments) -> anyhow::Result<()> {
     calibrate(experiment(arguments)?, &arguments.common.result, arguments.truth.as_deref())
 }
 
-/// Content of the files of one run, or of a part of the run. Parts of a run share the files.
+/// Content of the files of one run or, after a split at a change point, of one part of the run. Parts of a
+/// run share the files.
 #[derive(Clone)]
 pub(super) struct RunFiles<'a> {
     pub(super) recording_path: &'a Path,
@@ -160,8 +161,8 @@ impl RunFiles<'_> {
         self.recording.cycles().get(self.cycles.clone()).unwrap_or_default()
     }
 
-    /// Splits the run at a time, which counts from the first valid sample \[s\]. `None` if one of the
-    /// two parts would be empty.
+    /// Splits the run at the time `at_s`, which counts from the first valid sample \[s\]. `None` if one of the two
+    /// parts would be empty.
     fn cut(&self, at_s: f64) -> Option<[Self; 2]> {
         let angles = bar_angles(self.cycles(), self.recording.encoders()).ok()?;
         let first = angles.first_time();
@@ -214,8 +215,8 @@ impl RunFiles<'_> {
         [InspectedLog { curves: of_bar, ..recording }, InspectedLog { curves: of_robot, ..robot_log }]
     }
 
-    /// Description of the measurement from the recording. For a file of another program, it states only that the data were
-    /// simulated, and is `None` for measured data.
+    /// Description of the measurement from the recording. For a file of another program, the description contains only that
+    /// the data were simulated. `None` if such a file contains measured data.
     pub(super) fn measured(&self) -> Option<MeasurementEntry> {
         match &*self.recording {
             BarLog::Recording(recording) => Some((&recording.run).into()),
@@ -263,8 +264,8 @@ pub(super) fn runs<'a>(
     Ok(files)
 }
 
-/// Reads the recording of a run. For a file of another program, also logs its anomalies and the information
-/// that it does not contain.
+/// Reads the recording of a run. For a file of another program, also logs its anomalies and the information that
+/// it does not contain.
 fn load_recording(
     path: &Path,
     bar: &BallBarConfig,
@@ -313,7 +314,7 @@ pub(super) fn solved<T>(
         let CalibrateError::Prepare { run, error } = &refused else { return Err(refused) };
         let cut = |at_s| {
             let changed = runs.get(*run)?;
-            // All parts of a run share its recording.
+            // A run and its parts have the same recording, so the parts are found by their recording.
             let parts = runs.iter().filter(|part| Arc::ptr_eq(&part.recording, &changed.recording));
             if parts.count() > CUTS_MAX { None } else { Some((at_s, changed.cut(at_s)?)) }
         };

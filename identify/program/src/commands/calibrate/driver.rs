@@ -57,6 +57,7 @@ pub(super) fn calibrate(
     let (rows, beside) = rows_of(&experiment, robot, &logs, directory)?;
     experiment.state(&rows);
     let experiment = &experiment;
+    // `others` contains the files of `--validate` for each file of rows.
     let others = (experiment.bars.len() + 1..)
         .zip(experiment.rows())
         .map(|(number, (kind, file))| ValidationFile::read_all(kind, file, number, robot))
@@ -82,7 +83,8 @@ pub(super) fn calibrate(
     let required_m = experiment.identify.require_mm.map(|mm| mm * 1e-3);
     let mut file = file.with_verdict(&evidence.workspace, &limits, required_m);
     let bars_with_source = bars.iter().map(|run| (&run.bar, Source::find(run.bar_path)));
-    // The runs of the files of rows come last.
+    // In `calibration.runs`, the files of rows come after the runs with a bar. Here, `others` contains the instruments other
+    // than the bar, each with the path of its mapping.
     let runs_of_rows = &calibration.runs[calibration.runs.len() - rows.len()..];
     let mappings = experiment.rows().map(|(_, file)| file.mapping.as_path());
     let others = runs_of_rows.iter().zip(mappings);
@@ -92,7 +94,8 @@ pub(super) fn calibrate(
     let line_numbers: Vec<&[u64]> = beside.iter().map(|beside| beside.lines.as_slice()).collect();
     let residuals = residuals_csv(&calibration, &line_numbers)?;
     let bar = bars.first().map(|run| &run.bar);
-    // Without a robot's log, the joint columns of the first table are those of the controller.
+    // Without a robot's log, the tables of corrections refer to the joint columns of the first file of rows, which are
+    // those of the controller.
     let table = beside.first().filter(|_| bars.is_empty());
     let table = table.map(|beside| RobotLogMapping { joints: beside.joints.clone(), ..Default::default() });
     let log_mapping = logs.mapping.as_ref().or(table.as_ref());
@@ -119,7 +122,7 @@ pub(super) fn calibrate(
     conclude(&file, verbose.as_deref(), &summary(&file, &evidence.workspace, &written, &page), &page)
 }
 
-/// Reads every file of rows, with its other content.
+/// Reads every file of rows. Returns the rows of each file, and in [`Beside`] the other content of the file.
 fn rows_of(
     experiment: &ExperimentFile,
     robot: &RobotConfig,
@@ -136,8 +139,8 @@ fn rows_of(
     })
 }
 
-/// Solves all data sets together, and validates on held-out data. If a run is split at a change point, `bars`
-/// contains its two parts afterwards.
+/// Solves all data sets together, and validates on held-out data. If a run is split at a change point, `bars` afterwards
+/// contains the two parts instead of the run.
 fn solved_and_validated(
     experiment: &ExperimentFile,
     robot: &RobotConfig,
@@ -192,8 +195,8 @@ fn calibration_file(
     file
 }
 
-/// Name of the instruments: the name of the bar if no other instrument was used, otherwise each instrument with
-/// its number of data sets.
+/// Name of the instruments: the name of the bar if no other instrument was used, otherwise each instrument with its
+/// number of data sets.
 fn instruments(bars: &[RunFiles<'_>], runs: &[Run]) -> String {
     if let (Some(first), true) = (bars.first(), bars.len() == runs.len()) {
         return first.bar.name.clone();

@@ -1,6 +1,6 @@
 //! The [`ExperimentFile`] contains paths and settings of one calibration, with any mix of instruments on one robot. All
-//! subcommands of `identify calibrate` create one from their options, and `--experiment FILE` reads one. It is written beside
-//! every result, so that one command repeats the calibration.
+//! subcommands of `identify calibrate` create an experiment from their options, and `--experiment FILE` reads an experiment
+//! from a file. The experiment is written beside every result, so that one command repeats the calibration.
 
 use std::path::{Component, Path, PathBuf};
 
@@ -117,7 +117,8 @@ impl Validate for ExperimentFile {
     }
 }
 
-/// Checks that the additional files of a file of rows suit its instrument.
+/// Checks that a block of the experiment file names only files that suit its instrument: table of sockets, table of faces,
+/// and log of the robot. Also checks that a mapping for validation files is given only with such files.
 fn check_row_file(kind: RowInstrument, index: usize, file: &RowFile) -> Result<(), Violation> {
     let key = kind.key();
     for (is_right, name, problem, remedy) in [
@@ -166,8 +167,8 @@ impl ExperimentFile {
         self.kinds().into_iter().flat_map(|(kind, files)| files.iter().map(move |file| (kind, file)))
     }
 
-    /// Stores the rule and the seed by which rows of each file are held out. If they were left open, a later
-    /// version could choose other defaults.
+    /// Stores in the experiment by which rule and seed the rows of each file were held out. Without these settings, a later
+    /// version could hold out other rows by its own defaults.
     pub(super) fn state(&mut self, rows: &[Rows]) {
         let Self { trackers, wires, contacts, touches, .. } = self;
         let files = trackers.iter_mut().chain(wires).chain(contacts).chain(touches);
@@ -184,8 +185,8 @@ impl ExperimentFile {
         self.clone().files_mut().into_iter().map(input).collect()
     }
 
-    /// Every file with its role, and its path for changes. Both the checksums and the paths beside a result use this list, so
-    /// that neither can lack a file.
+    /// Every file with its role and a mutable reference to its path. The checksums, and the paths in the experiment file
+    /// beside a result, are both made from this list, so that no file is missing in either of them.
     fn files_mut(&mut self) -> Vec<(&'static str, &mut PathBuf)> {
         let Self { robot, recording_mapping, log_mapping, force_mapping, bars, .. } = self;
         let Self { trackers, wires, contacts, touches, .. } = self;
@@ -227,16 +228,16 @@ impl ExperimentFile {
         files
     }
 
-    /// Refuses a data set that is given twice, because its measurements would count twice, and confidence intervals
-    /// would be too narrow. Also refuses a file of `--validate` with the rows that are fitted. `inputs` are the files of
-    /// the experiment with their checksums.
+    /// Refuses a data set that is given twice, because its measurements would count twice, and confidence intervals would be
+    /// too narrow. Also refuses a file of `--validate` that contains the same rows as a file of the fit. `inputs` are the
+    /// files of the experiment with their checksums.
     pub(super) fn ensure_distinct(&self, inputs: &[InputFile]) -> anyhow::Result<()> {
         let bars = self.bars.iter().map(|run| [&run.recording, &run.robot_log]);
         let rows = self.rows().map(|(_, rows)| [&rows.file, &rows.mapping]);
         let sets: Vec<[&PathBuf; 2]> = bars.chain(rows).collect();
         let checksum =
             |path: &PathBuf| inputs.iter().find(|input| input.path == *path).map(|input| &input.sha256);
-        // `None` if one of the two files has no checksum.
+        // `None` for a data set if one of its two files has no checksum.
         let checksums: Vec<Option<Vec<_>>> =
             sets.iter().map(|set| set.map(checksum).into_iter().collect()).collect();
         for (number, pair) in checksums.iter().enumerate() {
@@ -290,8 +291,8 @@ impl ExperimentFile {
     }
 
     /// Moves the experiment file of an earlier calibration from `directory` to `place`, where the results of that
-    /// calibration are now. Its paths are changed accordingly. If the present experiment was read from this file,
-    /// the file remains in `directory`.
+    /// calibration are now. The paths in the file are adapted to the new directory. If the present experiment was read from
+    /// this file, the file remains in `directory`.
     pub(super) fn set_aside(&self, directory: &Path, place: &Path) -> anyhow::Result<()> {
         let file = directory.join(NAME);
         let present = self.read_from.as_ref();
@@ -322,8 +323,8 @@ impl ExperimentFile {
     }
 }
 
-/// Relative path from a directory to a file; symbolic links are resolved in both. `None` if they are unrelated: their common
-/// folder is far above the directory, or it is a shared folder such as `/tmp`.
+/// Relative path from a directory to a file. In both paths, symbolic links have been resolved. `None` if the file is
+/// unrelated to the directory: their common folder is too far above the directory, or it is a shared folder such as `/tmp`.
 fn relative(file: &Path, directory: &Path) -> Option<PathBuf> {
     /// Largest number of steps upwards, sufficient from `project/results/monday/earlier` to `project/data`.
     const UP_MAX: usize = 3;

@@ -1,4 +1,4 @@
-//! A refused calibration: writes its page, and returns a message with the path of the page.
+//! Writes the page of a refused calibration, and returns a message with the path of the page.
 
 use std::path::Path;
 

@@ -1,4 +1,4 @@
-//! Writes those files of a calibration that its verdict allows, and prints its tables and summary.
+//! Writes the files of a calibration that the verdict allows, and prints the tables and the summary.
 
 use std::path::{Path, PathBuf};
 
@@ -15,9 +15,9 @@ use crate::report::summary::wrapped;
 use crate::report::verdict::Grade;
 
 /// Writes the files that the verdict allows and returns their paths. If the calibrated robot predicts held-out data
-/// significantly worse than the nominal robot, no file is written. If it predicts them no better, no file that
-/// could be applied is written. An earlier calibration is moved to another directory if one of its files would
-/// remain beside the new ones.
+/// significantly worse than the nominal robot, no file is written. If it does not predict all held-out data better, the
+/// files for controllers are not written. An earlier calibration is moved to another directory if one of its files would
+/// remain beside the new files.
 pub(super) fn write_files(
     file: &CalibrationFile,
     residuals: &str,

@@ -149,8 +149,9 @@ pub(super) struct Beside {
     pub(super) lines: Vec<u64>,
     /// Columns of the joints. Empty if the rows have times instead.
     pub(super) joints: Vec<JointColumn>,
-    /// Names in the file of the instrument's stations and of the targets on the flange. The key is the prefix of their
-    /// parameters: `tracker` has `tracker_x` for the first name, `tracker2_x` for the second and so on.
+    /// Names, as in the file, of the instrument's stations and of the targets on the flange. The key is the prefix of
+    /// the parameters of these stations or targets: `tracker` has `tracker_x` for the first name, `tracker2_x` for the
+    /// second and so on.
     pub(super) names: BTreeMap<String, Vec<String>>,
     /// Time alignment with the robot's log, if the rows have times.
     pub(super) aligned: Option<Aligned>,
@@ -324,8 +325,8 @@ fn timed_poses(
 }
 
 impl Aligned {
-    /// Entry of the clocks at the solution; `run` is the tracker's data set, from 0. At standstills, the solve does not
-    /// estimate the skew, so the skew of the alignment is reported.
+    /// Entry about the clocks at the solution; `run` is the tracker's data set, from 0. If all rows were measured at
+    /// standstills, the solve does not estimate the skew, so the entry contains the skew of the alignment.
     pub(super) fn clock(&self, run: usize, calibration: &Calibration) -> Option<ClockEntry> {
         let solved = ClockEntry::solved(calibration, run, (self.t_ref, self.is_dated), &self.alignment)?;
         let skew_ppm = if self.stood { self.alignment.skew * 1e6 } else { solved.skew_ppm };
