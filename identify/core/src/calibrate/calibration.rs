@@ -14,14 +14,15 @@ use crate::solver::{LossName, Solution};
 /// A calibrated robot, with the data sets and the solve from which it was computed.
 #[derive(Debug, Clone)]
 pub struct Calibration {
-    /// Data sets (one or more) with their parameters at the solution. Ball-bar runs are first, followed by the files of
-    /// rows, each in the order of the input. The columns of the first data set are the first columns of the solution.
+    /// One or more data sets, with their models at the solution. Ball-bar runs are first, followed by the files of rows,
+    /// each in the order of the input. The estimated parameters of the first data set are the first columns of the solution.
     pub runs: Vec<Run>,
-    /// For each file of rows, its errors per stage, rejected rows and drift.
+    /// For each file of rows: the errors after each stage, the rejected rows and the drift.
     pub rows: Vec<RowSet>,
     /// The joint solve of all data sets.
     pub solved: Solved,
-    /// Priors that the samples contradict, and a contradicted scale. The covariance of `solved` includes both.
+    /// Priors that the samples contradict, and the scale of all lengths if the samples contradict it. The covariance in
+    /// `solved` already includes these contradictions.
     pub contradicted: Contradicted,
     /// Changes during the measurement that were detected but did not cause a refusal.
     pub changed: Vec<Changed>,
@@ -68,18 +69,18 @@ impl Calibration {
         self.bar_runs().next().map(|(prepared, _)| prepared)
     }
 
-    /// Bar joints that have an encoder in every run.
+    /// For each bar joint, whether it has an encoder in every run.
     pub fn measured(&self) -> [bool; BAR_JOINTS] {
         measured(self.bar_runs().map(|(prepared, _)| prepared))
     }
 
-    /// Joints that the robot reported at each sample of all data sets.
+    /// Joint positions that the robot reported at each sample of all data sets.
     pub fn poses(&self) -> impl Iterator<Item = Joints> {
         self.runs.iter().flat_map(|run| run.instrument.poses(&run.model))
     }
 
-    /// Copies of the data sets, thinned to about `samples_max` samples in total. For statistics that do
-    /// not need more samples.
+    /// Copies of the data sets, thinned to about `samples_max` samples in total. Used for
+    /// statistics that do not need all samples.
     pub(super) fn thinned(&self, samples_max: usize) -> Vec<Run> {
         let samples: usize = self.runs.iter().map(|run| run.instrument.samples()).sum();
         let every = samples.div_ceil(samples_max.max(1)).max(1);

@@ -2,11 +2,11 @@
 //! most significant change of each data set, or an error that refuses a ball-bar run.
 //!
 //! Possible changes: an encoder slips, a joint offset steps, the bar or another instrument is displaced, or a clock steps.
-//! Each of these quantities may also drift linearly. Other checks do not detect such a change. The fit distributes it over
-//! link parameters and error terms, and held-out samples contain the same error.
+//! Each of these quantities may also drift linearly. Other checks do not detect such a change, because the fit distributes
+//! it over link parameters and error terms, and because held-out samples contain the same error.
 //!
-//! All hypotheses are tested on the residuals of the same solution, with one common false alarm rate ([`change_point`]). A
-//! large change refuses a ball-bar run. All other changes are listed in the report.
+//! All possible changes are tested on the residuals of the same solution. The false alarm rate applies to all tests together
+//! ([`change_point`]). A large change refuses a ball-bar run. All other changes are listed in the report.
 
 use std::fmt;
 
@@ -19,16 +19,17 @@ use crate::solver::{Change, Course, LossName, change_point};
 
 /// Probability of a false alarm in a data set without change.
 const FALSE_ALARMS: f64 = 1e-4;
-/// Minimum clock step that refuses a run \[s\]. A joint at 0.15 rad/s turns by the default `slip_min_mrad` in this time.
+/// A clock step above this value refuses a run \[s\]. In this time, a joint at 0.15 rad/s
+/// turns by the default `slip_min_mrad`.
 const CLOCK_S_MIN: f64 = 0.002;
-/// Lever arm that converts `slip_min_mrad` to the minimum displacement of the bar's base that refuses a run \[m\]. About
-/// the length of the rod.
+/// Lever arm \[m\], about the length of the rod. Multiplied by the angle `slip_min_mrad`, it gives the minimum displacement
+/// of the bar's base that refuses a run.
 const LEVER_M: f64 = 0.5;
 /// A change refuses a run only if it explains at least this fraction of the squared residuals. If the fraction is smaller,
 /// model errors dominate. Model errors can look like a change if the robot's path differs between parts of the run.
 const EXPLAINED: f64 = 0.3;
-/// Maximum number of samples in the test of a data set. A change that is significant only with more samples is
-/// too small to matter.
+/// Maximum number of samples that the test of a data set uses. A change that is significant only with
+/// more samples is too small to matter.
 const SAMPLES_MAX: usize = 3000;
 
 /// How a change develops over time.
@@ -36,7 +37,7 @@ const SAMPLES_MAX: usize = 3000;
 pub enum When {
     /// A step at this time after the first sample \[s\].
     At(f64),
-    /// A step after this fraction of the rows. For a robot at rest, whose rows have no time.
+    /// A step after this fraction of the rows. Used if the robot stood still at each row, because such rows have no time.
     After(f64),
     /// A linear drift from the first sample to the last.
     Drift,
@@ -49,7 +50,7 @@ pub struct Changed {
     pub data_set: usize,
     /// The cause that explains the change best.
     pub cause: Cause,
-    /// Time of the step, or a drift.
+    /// Whether the change is a step or a drift, and the time of a step.
     pub when: When,
     /// Change of each parameter of `cause`, in the order of `cause.ids`, SI.
     pub by: Vec<f64>,
@@ -57,18 +58,19 @@ pub struct Changed {
     pub explained: f64,
 }
 
-/// Error of the first run whose bar angles do not fit any geometry, according to the preparation. If the solve fails too,
-/// this error is returned instead, because it is more informative.
+/// Returns the error of the first run for which the preparation found no geometry that fits the bar angles. If the solve
+/// fails too, this error is reported instead of the solver's error, because it is more informative.
 pub(super) fn poor_fit(runs: &[Run]) -> Option<CalibrateError> {
     let refusal = |run: &Run| Some(run.instrument.prepared()?.poor_fit.as_ref()?.refusal());
     let first = runs.iter().enumerate().find_map(|(number, run)| Some((number, refusal(run)?)));
     first.map(|(run, error)| CalibrateError::Prepare { run, error: Box::new(error) })
 }
 
-/// Tests each data set for a change at its solution. `sigmas` contains the residual standard deviation of each data set.
+/// Tests each data set for a change, at the solution. `sigmas` contains the residual standard deviation of each data set.
 ///
 /// # Errors
-/// [`CalibrateError::Prepare`] for the first ball-bar run that has a large change, or whose angles do not fit any geometry.
+/// [`CalibrateError::Prepare`] for the first ball-bar run that has a large change, or whose bar angles do not fit any
+/// geometry.
 pub(super) fn checked(
     runs: &[Run],
     sigmas: &[f64],
@@ -88,7 +90,7 @@ fn change_of_run(
     Run { instrument, model }: &Run,
     sigma: f64,
 ) -> Result<Option<Changed>, CalibrateError> {
-    // Estimate parameters that are fixed at uncertain values, too. Otherwise their errors could be reported as a change.
+    // Also estimate the parameters that are fixed at uncertain values. Otherwise their errors could be reported as a change.
     let model =
         &model.with_considered(|parameter, sigma| Some(Role::Prior { value: parameter.value, sigma }));
     let can_change =
@@ -140,21 +142,22 @@ fn time_of_step(instrument: &Instrument, samples: &[usize], first_after: usize) 
 }
 
 impl Changed {
-    /// Magnitude of the change, SI. If the parameters of a cause have two units, only those with the unit of the first one
-    /// are used. For a tracker this is the distance without the rotation.
+    /// Magnitude of the change, SI. If the parameters of the cause have two units, only the parameters with the unit of the
+    /// first one are included. For a tracker, the magnitude is therefore the displacement without the rotation.
     pub fn size(&self) -> f64 {
         let components = self.by.iter().zip(&self.cause.ids);
         let of_unit = components.filter(|(_, id)| id.unit() == self.cause.unit());
         of_unit.map(|(by, _)| by * by).sum::<f64>().sqrt()
     }
 
-    /// Change of the first parameter. An encoder, a joint, a clock and a length offset have only this one.
+    /// Change of the first parameter. A cause that is an encoder, a joint, a clock or a
+    /// length offset has only one parameter.
     fn first_component(&self) -> f64 {
         self.by.first().copied().unwrap_or_default()
     }
 
-    /// Displacement that the change causes at the end of an arm with this reach \[m\]. Zero for a clock, which does
-    /// not change the geometry.
+    /// Displacement that the change causes at the end of an arm with this reach \[m\]. Zero for a step or drift of a clock,
+    /// because a clock does not change the geometry.
     pub fn displacement_m(&self, reach_m: f64) -> f64 {
         match self.cause.unit() {
             Unit::Radian => self.size() * reach_m,
@@ -163,8 +166,8 @@ impl Changed {
         }
     }
 
-    /// Error that refuses a ball-bar run because of this change. `None` if the change is a drift, is below its limit, or
-    /// has a cause that never refuses a run.
+    /// Returns the error that refuses a ball-bar run because of this change. `None` if the change is a drift, is below its
+    /// limit, or has a cause that never refuses a run.
     fn refusal(&self, options: &PrepareOptions) -> Option<PrepareError> {
         let When::At(at_s) = self.when else { return None };
         let slip_min_rad = options.slip_min_mrad * 1e-3;
@@ -190,8 +193,8 @@ impl Changed {
     }
 }
 
-/// Refuses ball-bar runs with a large change. Otherwise refuses runs whose angles did not fit any
-/// geometry in the preparation.
+/// Refuses the first ball-bar run that has a large change, or for which the preparation found no
+/// geometry that fits the bar angles.
 fn refuse(runs: &[Run], changed: &[Changed], options: &PrepareOptions) -> Result<(), CalibrateError> {
     for (run, Run { instrument, model }) in runs.iter().enumerate() {
         let Some(prepared) = instrument.prepared() else { continue };

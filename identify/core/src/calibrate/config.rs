@@ -1,6 +1,7 @@
-//! Options of a calibration, from `config/identify.toml`: cost, free parameters, and limits of the preparation. The options
-//! determine the role of every parameter of a model: free, fixed, prior or considered. [`IdentifyConfig::set_roles`] sets
-//! the roles of a ball-bar model. `set_link_roles` sets those of the robot's link parameters, for any instrument.
+//! Options of a calibration, from `config/identify.toml`: cost, free parameters, and limits of the preparation. The
+//! options determine the role of every parameter of a model: free, fixed, prior or considered.
+//! [`IdentifyConfig::set_roles`] sets the roles of all parameters of a ball-bar model. `set_link_roles` sets the roles of
+//! the robot's link parameters, for any instrument.
 
 use std::collections::BTreeMap;
 
@@ -15,12 +16,13 @@ use crate::model::{Group, Model, ModelError, Owner, ParameterId, Role, Selection
 use crate::prepare::PrepareOptions;
 use crate::solver::LossName;
 
-/// Standard deviation of the prior of encoder offsets after a counter lost its origin \[rad\]. The offsets are relative to
-/// those of the preparation, which assumed the nominal geometry, so their start value is zero. The prior is much wider than
-/// their error, so that the samples determine them. If a held-out segment contains all samples of an origin, its offsets
-/// keep their start value.
+/// Standard deviation of the prior of encoder offsets after a counter lost its origin \[rad\]. The preparation has already
+/// estimated these offsets for the nominal geometry. The parameters are the remaining corrections, so their prior expects
+/// zero. The prior is much wider than the corrections, so that the samples determine them. If all samples of an origin are
+/// held out, the corrections remain zero.
 const LOST_ORIGIN_SIGMA_RAD: f64 = 0.01;
-/// Standard deviation of the tilt of the bar's base if it is not estimated \[rad\]. For a base that was levelled by eye.
+/// Standard deviation of the tilt of the bar's base, used if the tilt is not estimated \[rad\]. Valid
+/// for a base that was levelled by eye.
 const BASE_TILT_SIGMA_RAD: f64 = 5e-3;
 
 /// Named sets of free parameters.
@@ -29,12 +31,14 @@ const BASE_TILT_SIGMA_RAD: f64 = 5e-3;
 pub enum SelectionName {
     /// The 38 parameters of the thesis and the clocks.
     Thesis,
-    /// All link parameters, each with a prior at its nominal value with the tolerance, which is widened if held-out samples
-    /// are then predicted better; and the pose and mounting of the instrument.
+    /// All link parameters, and the pose and mounting of the instrument. Each link parameter has a prior at
+    /// its nominal value, with the tolerance as standard deviation. The tolerance is widened if held-out
+    /// samples are then predicted better.
     #[default]
     #[serde(alias = "automatic")]
     Cell,
-    /// All parameters that the poses determine, without priors. Of each dependent group the most suitable parameter is fixed.
+    /// All parameters that the poses determine, without priors. In each group of dependent
+    /// parameters, the most suitable one is fixed.
     AllIdentifiable,
 }
 
@@ -48,7 +52,7 @@ impl SelectionName {
         }
     }
 
-    /// The selection, if it does not depend on the poses.
+    /// The selection of parameters. `None` if the selection depends on the poses.
     pub const fn fixed(self) -> Option<Selection> {
         match self {
             Self::Thesis => Some(Selection::ThesisWithClocks),
@@ -62,15 +66,15 @@ impl SelectionName {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct JointTermsConfig {
-    /// Groups of terms to try; a group is accepted only if it improves the prediction of held-out segments of the run.
+    /// Groups of terms to try. A group is accepted only if it improves the prediction of held-out segments of the run.
     pub candidates: Vec<TermGroup>,
     /// Standard deviation of the prior at zero for amplitudes of waves and half of the backlash \[urad\].
     pub amplitude_urad: f64,
     /// Standard deviation of gear ratio errors \[ppm\].
     pub ratio_ppm: f64,
-    /// Standard deviation of the delay of a joint relative to the others in the log \[ms\].
+    /// Standard deviation of the delay of a joint relative to the other joints in the log \[ms\].
     pub delay_ms: f64,
-    /// Standard deviation of an axis' deflection per metre of its load's lever arm \[urad/m\].
+    /// Standard deviation of an axis' deflection, per metre of the load's lever arm \[urad/m\].
     pub compliance_urad_per_m: f64,
 }
 
@@ -86,7 +90,7 @@ impl Default for JointTermsConfig {
     }
 }
 
-/// Obsolete key, because solves no longer start from random subsets. Files with `ransac = false` can still be read.
+/// Obsolete option: solves no longer start from random subsets. Files that contain `ransac = false` can still be read.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize)]
 #[serde(try_from = "bool")]
 pub struct NoRansac;
@@ -118,21 +122,23 @@ pub struct IdentifyConfig {
     pub free: Vec<ParameterId>,
     /// Parameters fixed in spite of the selection.
     pub fix: Vec<ParameterId>,
-    /// Standard deviation of the prior at zero for each encoder harmonic \[urad\], with any selection except `thesis`. The
-    /// samples may scale it for all of them; zero excludes them.
+    /// Standard deviation of the prior at zero for each encoder harmonic \[urad\], with any selection except `thesis`.
+    /// The calibration may multiply this value by a factor, common to all harmonics, that it estimates from the
+    /// samples. Zero excludes the harmonics.
     pub encoder_harmonics_urad: f64,
-    /// Standard deviation of the prior at zero for each wave of the bar's length by direction \[um\], with any selection except
-    /// `thesis`. All waves are accepted only if they improve the prediction of held-out segments of the run; zero excludes
-    /// them.
+    /// Standard deviation of the prior at zero for each wave of the bar's length by direction \[um\], with any
+    /// selection except `thesis`. All waves are accepted together, and only if they improve the prediction of held-out
+    /// segments of the run. Zero excludes the waves.
     pub bar_length_um: f64,
     /// Errors of the robot's axes, with any selection except `thesis`.
     pub joint_terms: JointTermsConfig,
-    /// Tolerance of link parameters, as standard deviation \[mm|mrad\]: with selection `cell` of the estimated ones, with any
-    /// selection of the fixed ones.
+    /// Tolerance of link parameters, as standard deviation \[mm|mrad\]. With selection `cell` it is the tolerance of the
+    /// estimated link parameters, with any selection that of the fixed ones.
     pub tolerance_mm_mrad: f64,
     /// Required position error of the calibrated robot, an upper limit \[mm\]; absent: no requirement.
     pub require_mm: Option<f64>,
-    /// Priors at the start value of parameters: standard deviations \[mm, mrad, ms or ppm\].
+    /// Priors that the configuration gives to parameters by name: standard deviation of each \[mm, mrad, ms or ppm\]. The
+    /// expected value is the start value of the parameter.
     pub priors: BTreeMap<ParameterId, f64>,
     /// Noise of encoder and robot angles.
     pub noise: NoiseConfig,
@@ -171,11 +177,11 @@ const fn only_defines_frames(id: ParameterId) -> bool {
 }
 
 impl IdentifyConfig {
-    /// Checks that the selection is the one for calibrations, with tolerances and names. The other
-    /// selections are for studies.
+    /// Checks that the selection is [`SelectionName::Cell`], which calibrations require. All
+    /// other selections are only for studies.
     ///
     /// # Errors
-    /// [`CalibrateError::Selection`] with the name of another selection.
+    /// [`CalibrateError::Selection`] with the name of the selection, if it is another one.
     pub fn require_usual_selection(&self) -> Result<(), CalibrateError> {
         match self.selection {
             SelectionName::Cell => Ok(()),
@@ -183,9 +189,9 @@ impl IdentifyConfig {
         }
     }
 
-    /// Sets the role of every parameter of a ball-bar model. `identifies` returns whether the cost identifies a parameter.
-    /// `identifiable` lists the parameters to free if the selection depends on the poses. Error terms that are only
-    /// candidates are not freed.
+    /// Sets the role of every parameter of a ball-bar model. `identifies` returns whether the cost identifies
+    /// a parameter. `identifiable` lists the parameters to free if the selection depends on the poses.
+    /// Candidate error terms are not freed here.
     ///
     /// # Errors
     /// [`ModelError`] for an invalid standard deviation.
@@ -234,7 +240,7 @@ impl IdentifyConfig {
         Ok(())
     }
 
-    /// Sets fixed parameters whose uncertainty is known to [`Role::Considered`].
+    /// Gives the role [`Role::Considered`] to fixed parameters whose uncertainty is known.
     fn consider_fixed(&self, model: &mut Model) -> Result<(), ModelError> {
         let axes = model.axes();
         for id in model.ids() {
@@ -247,10 +253,10 @@ impl IdentifyConfig {
         Ok(())
     }
 
-    /// Sets the roles of the robot's link parameters. They do not depend on the instrument. Each has a prior at its
-    /// nominal value, with the tolerance as standard deviation. Parameters that only define frames stay fixed. Parameters
-    /// of the last link are not changed, because they belong to the mounted instrument. Roles that the configuration sets
-    /// by name are applied last.
+    /// Sets the roles of the robot's link parameters, which do not depend on the instrument. Each link parameter gets a
+    /// prior at its nominal value, with the tolerance as standard deviation. Link parameters that only define frames stay
+    /// fixed. Those of the last link are not changed, because they belong to the mounted instrument. Roles that the
+    /// configuration sets by name are applied last.
     ///
     /// # Errors
     /// [`ModelError`] for an invalid standard deviation.
@@ -262,7 +268,7 @@ impl IdentifyConfig {
         self.set_tolerances(model, free.iter().copied())?;
         self.set_named_roles(model)?;
         for id in free {
-            // Links that the configuration fixes by name.
+            // The configuration fixes this link parameter by name.
             if model.role(id) == Some(Role::Fixed) {
                 self.consider(model, id)?;
             }
@@ -270,13 +276,14 @@ impl IdentifyConfig {
         Ok(())
     }
 
-    /// Fixes a link parameter at its value and considers its uncertainty: the stated one, or else the tolerance.
+    /// Fixes a link parameter at its value and considers its uncertainty. The uncertainty is the one that the configuration
+    /// states for the parameter by name, otherwise the tolerance.
     pub(crate) fn consider(&self, model: &mut Model, id: ParameterId) -> Result<(), ModelError> {
         let sigma = self.stated(id).unwrap_or_else(|| self.tolerance());
         model.set_role(id, Role::Considered { sigma })
     }
 
-    /// Standard deviation that the configuration states for a parameter by name, SI.
+    /// Standard deviation that the configuration states for this parameter by name, SI.
     fn stated(&self, id: ParameterId) -> Option<f64> {
         Some(self.priors.get(&id)? / id.unit().display_factor())
     }
@@ -320,7 +327,7 @@ impl IdentifyConfig {
         models: impl Iterator<Item = &'m Model> + Clone,
     ) -> Result<(), ModelError> {
         for id in self.named() {
-            // Models without a ball-bar receive their joint waves later.
+            // Models without a ball-bar do not contain joint waves yet: they are added later.
             let is_wave = matches!(id, ParameterId::JointWave { .. });
             if !is_wave && models.clone().all(|model| model.parameter(id).is_none()) {
                 return Err(ModelError::NotInModel { id });
@@ -329,8 +336,8 @@ impl IdentifyConfig {
         Ok(())
     }
 
-    /// Known lengths of a bar on a robot with `axes` axes, with their standard uncertainties \[m\]. Lengths that the
-    /// configuration frees or gives a prior by name are omitted.
+    /// Known lengths of a bar on a robot with `axes` axes, with their standard uncertainties \[m\]. A length is omitted if
+    /// the configuration frees it or gives it a prior by name.
     pub fn known_length_sigmas_m(&self, bar: &BallBarConfig, axes: usize) -> Vec<(ParameterId, f64)> {
         let u_um = |id| if id == ParameterId::ROD { bar.length_u_um } else { Some(bar.plate_u_um) };
         let is_open = |id: &ParameterId| !self.free.contains(id) && !self.priors.contains_key(id);
@@ -338,13 +345,14 @@ impl IdentifyConfig {
         known.filter_map(|id| Some((id, u_um(id).filter(|u_um| *u_um > 0.0)? * 1e-6))).collect()
     }
 
-    /// Standard deviation of a fixed parameter, SI. `None` if no uncertainty is stated, or if the value is arbitrary
-    /// because it only defines a frame. The uncertainty of the plate is in the bar's configuration, not here.
+    /// Standard deviation of a fixed parameter, SI. `None` if no uncertainty is stated, or if the value is
+    /// arbitrary because it only defines a frame. The uncertainty of the plate is not included here, because
+    /// the bar's configuration states it.
     fn uncertainty(&self, id: ParameterId, axes: usize) -> Option<f64> {
         if let Some(sigma) = self.stated(id) {
             return Some(sigma);
         }
-        // Whether the link parameter is a dimension of a real part. Other link parameters only define a frame.
+        // Whether the link parameter is a dimension of a real part. The other link parameters only define a frame.
         let is_dimension = match (self.selection, id) {
             // `set_link_roles` has set the uncertainty of the other links. Parameters that it left fixed
             // only define a frame.
@@ -378,7 +386,8 @@ impl IdentifyConfig {
         self.priors.keys().chain(&self.free).chain(&self.fix).copied()
     }
 
-    /// Harmonics of the bar's encoders, except those that the configuration names. They share one scale of their priors.
+    /// Harmonics of the bar's encoders, except those that the configuration names. The standard deviations of
+    /// their priors have a common factor.
     pub(crate) fn harmonics(&self) -> impl Iterator<Item = ParameterId> + '_ {
         let harmonics = ParameterId::of_term(TermGroup::EncoderHarmonics);
         harmonics.filter(|id| !self.named().any(|named| named == *id))
@@ -423,7 +432,7 @@ fn validate_preparation(prepare: &PrepareOptions) -> Result<(), Violation> {
         ("joint_travel_min_deg", prepare.joint_travel_min_deg, [0.0, 360.0]),
         ("slip_min_mrad", prepare.slip_min_mrad, [0.001, 1000.0]),
     ] {
-        // Tests that the value is within the range, because this test also rejects NaN.
+        // The condition is written as a test for values inside the range, so that NaN is rejected, too.
         if !(low..=high).contains(&value) {
             let remedy = format!("give a number from {low} to {high}");
             return Err(Violation::new(format!("prepare.{key}"), format!("{value} is out of range"), remedy));
@@ -465,8 +474,8 @@ impl IdentifyConfig {
         self.priors.iter().try_for_each(|(id, sigma)| positive(format!("priors.{id}"), *sigma))
     }
 
-    /// The required error and all standard deviations must be above zero, except those whose value zero excludes
-    /// a group of terms.
+    /// The required error and all standard deviations must be above zero. Exceptions are the standard deviations for
+    /// which zero excludes a group of terms.
     fn validate_sigmas(&self) -> Result<(), Violation> {
         positive("tolerance_mm_mrad".into(), self.tolerance_mm_mrad)?;
         if let Some(require_mm) =

@@ -1,6 +1,6 @@
-//! Detects priors that the samples contradict, and a contradicted scale of all lengths. The stated uncertainty of a
-//! contradicted quantity is too small. Therefore the covariance of the solution gets an additional source of uncertainty
-//! for each contradiction, as large as the contradiction. The tests are steps of [`super::calibrate`].
+//! Detects priors that the samples contradict, and tests whether the scale of all lengths is wrong. If a prior or the scale
+//! is contradicted, its stated uncertainty is too small. Therefore each contradiction adds a source of uncertainty to the
+//! covariance of the solution, as large as the contradiction. The tests are steps of [`super::calibrate`].
 //! `evaluate::limits` reports the contradictions.
 
 use std::fmt;
@@ -14,19 +14,20 @@ use crate::kinematics::LinkParameter;
 use crate::model::{Column, Model, Parameter, ParameterId, Role};
 use crate::solver::{Covariance, Solution, UncertaintySource};
 
-/// Standard deviation of the length errors of a robot's links \[m\]: the default of `tolerance_mm_mrad`.
+/// Standard deviation of the length errors of a robot's links \[m\]. It is the default of `tolerance_mm_mrad`.
 pub(crate) const LENGTH_SIGMA_M: f64 = 1e-3;
 /// Probability that a scale is reported as wrong although it is correct.
 const OTHER_SCALE_BY_CHANCE: f64 = 1e-3;
 /// Probability that any prior is reported although all priors are correct.
 const STRAINED_BY_CHANCE: f64 = 1e-3;
-/// Relative error of the influence of a prior on its estimate. The influence is computed by linearisation. It has about
-/// this error if the samples do not determine the parameter.
+/// Assumed relative error of `g`, the change of an estimate if its prior is wrong by one standard deviation. `g` is computed
+/// by linearisation, which has about this error if the samples do not determine the parameter.
 const NONLINEAR: f64 = 0.1;
-/// If an estimate deviates by more than this number of standard deviations of its prior, the parameter is not the cause.
-/// The actual cause resembles an error of the parameter only in the poses in which the robot was measured.
+/// If an estimate differs from its prior by more than this number of the prior's standard deviations, an error of this
+/// parameter is not the cause. The actual cause only looks like an error of this parameter in the measured poses.
 const OTHER_CAUSE: f64 = 10.0;
-/// Minimum fraction of a deviation that remains if the prior is used. Smaller fractions cannot be computed accurately.
+/// Minimum of `(s0 - g) / s0`, the fraction of a prior's error that remains as deviation of the estimate from the prior.
+/// Smaller fractions cannot be computed accurately.
 const REMAINING_MIN: f64 = 0.01;
 
 /// All contradictions that were detected in a calibration.
@@ -45,14 +46,15 @@ impl Contradicted {
         Self { priors: strained_priors(runs, solved), scale }
     }
 
-    /// Returns the covariance of a solution with an additional source for each contradiction, as large as
-    /// the contradiction. The solution may belong to another fit to the same samples. Its first columns must
-    /// be those of `model`.
+    /// Adds a source of uncertainty to the covariance of a solution for each contradiction, as large as the
+    /// contradiction. Returns the new covariance. The solution may belong to another fit to the same samples. Its
+    /// first columns must be those of `model`.
     pub(super) fn added_to(&self, Solved { solution, columns, .. }: &Solved, model: &Model) -> Covariance {
         let mut covariance = solution.covariance.clone();
         for prior in &self.priors {
             let Some(column) = columns.all().iter().position(|own| *own == prior.column) else { continue };
-            // Change of all estimates, if the prior is wrong by as much as the estimate without the prior deviates from it.
+            // Change of all estimates if the prior is wrong by `times_without` standard deviations. This is the deviation of
+            // the estimate from the prior if the prior is not used.
             let shift = solution.covariance.by_prior_on_all(column, prior.s0) * prior.times_without();
             covariance = covariance.with_source(UncertaintySource::Contradicted { column }, &shift);
         }
@@ -66,9 +68,9 @@ impl Contradicted {
 }
 
 /// Finds the contradicted priors, the most contradicted first. Each of the `n` priors is tested (Evans and Moshonov 2006).
-/// [`STRAINED_BY_CHANCE`] is the probability that any of them is reported although all are correct.
+/// [`STRAINED_BY_CHANCE`] is the probability that at least one prior is reported although all are correct.
 fn strained_priors(runs: &[Run], Solved { solution, columns, .. }: &Solved) -> Vec<ContradictedPrior> {
-    // As in the solve, the prior of a column is taken from the first data set that has the column.
+    // If several data sets have the column, the prior of the first one is used, as in the solve.
     let parameters: Vec<Vec<Parameter>> =
         runs.iter().map(|run| run.model.columns().copied().collect()).collect();
     let parameters = columns.gather(&parameters);
@@ -85,7 +87,7 @@ fn strained_priors(runs: &[Run], Solved { solution, columns, .. }: &Solved) -> V
     priors
 }
 
-/// An estimate with a prior, and the test quantities of their contradiction, in SI units.
+/// An estimated parameter that has a prior, and the quantities that test whether the two contradict each other, in SI units.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ContradictedPrior {
     column: Column,
@@ -102,15 +104,15 @@ pub struct ContradictedPrior {
 }
 
 impl ContradictedPrior {
-    /// Computes the quantities for a parameter. `None` if it has no prior.
+    /// Computes the quantities for a parameter. `None` if the parameter has no prior.
     ///
-    /// The prior expects `x0` with the standard deviation `s0`. The estimate is `x` with the standard deviation `s`. If the
-    /// prior is wrong by `s0`, the estimate changes by `g`. If the prior is correct, the variance of `x - x0` is
-    /// `(s0 - g)^2` plus the variance of `x` from all other sources. These are the samples, other priors, and errors of
-    /// fixed parameters. The fraction [`NONLINEAR`] of `g` is added as a tolerance.
+    /// The prior expects the value `x0` with the standard deviation `s0`. The estimate is `x` with the standard deviation
+    /// `s`. If the prior is wrong by `s0`, the estimate changes by `g`. If the prior is correct, the variance of `x - x0` is
+    /// `(s0 - g)^2` plus the variance of `x` from all other sources: the samples, other priors, and errors of fixed
+    /// parameters. The fraction [`NONLINEAR`] of `g` is added as a tolerance.
     ///
-    /// If the covariance does not separate the sources, the variance from the others is `s^2 (1 - g / s0)`, as for
-    /// independent noise. For a known noise the sum of the two is then `s0^2 - s^2`.
+    /// If the covariance does not separate its sources, the variance from all other sources is `s^2 (1 - g / s0)`, as for
+    /// independent noise. If the noise is also known, `g` is `s^2 / s0`, and the variance of `x - x0` is `s0^2 - s^2`.
     fn new(
         index: usize,
         column: Column,
@@ -130,19 +132,21 @@ impl ContradictedPrior {
         Some(Self { column, off: x.get(index)? - value, s0, s, g, spread })
     }
 
-    /// Whether the contradiction invalidates the result. This is so if it has another cause, or if the prior biases the
-    /// estimate by more than its uncertainty. The bias is the change of the estimate when the prior is removed.
+    /// Whether the contradiction makes the result invalid: either another error is the cause (`OTHER_CAUSE`), or
+    /// the prior biases the estimate by more than the uncertainty of the estimate. The bias is the change of the
+    /// estimate when the prior is removed.
     pub fn is_serious(&self) -> bool {
         self.off.abs() > OTHER_CAUSE * self.s0 || self.off.abs() * self.g > self.s * (self.s0 - self.g)
     }
 
-    /// Deviation of the estimate, relative to its standard deviation if all priors are correct.
+    /// Deviation of the estimate from the prior, divided by the standard deviation of this
+    /// deviation if all priors are correct.
     fn times(&self) -> f64 {
         self.off.abs() / self.spread
     }
 
-    /// Deviation of the estimate if this prior is removed, in standard deviations of the prior. With the prior only the
-    /// fraction `(s0 - g) / s0` of it remains.
+    /// Deviation from the prior of an estimate that does not use the prior, in standard deviations of the prior. If the
+    /// estimate uses the prior, only the fraction `(s0 - g) / s0` of this deviation remains.
     fn times_without(&self) -> f64 {
         self.off.abs() / (self.s0 - self.g).max(REMAINING_MIN * self.s0)
     }
@@ -187,18 +191,18 @@ pub(crate) fn lengths(model: &Model, solution: &Solution) -> impl Iterator<Item 
 /// A common relative error of all lengths of the robot.
 #[derive(Debug, Clone, PartialEq)]
 pub struct OtherScale {
-    /// Estimated error, positive if the estimated lengths are too long.
+    /// Estimated relative error, positive if the estimated lengths are too long.
     pub relative: f64,
     /// Absolute value of the error, in standard deviations.
     pub sigmas: f64,
 }
 
-/// Estimates a common relative error `s` of all robot lengths, which a wrong scale would cause. Uses generalised least
-/// squares of `off = s L`, with the nominal lengths `L`. The covariance is `(1 mm)^2 I + P`: manufacturing tolerances plus
-/// the covariance of the estimates.
+/// Estimates a common relative error `s` of all robot lengths, which a wrong scale would cause. Let `L` be the nominal
+/// lengths and `off` the estimated minus the nominal lengths. Generalised least squares of `off = s L` gives `s`. The
+/// covariance of `off` is `(1 mm)^2 I + P`, with manufacturing tolerances of 1 mm and the covariance `P` of the estimates.
 ///
-/// `None` if `s` is not significant. If the scale is correct, `s` is reported with the probability
-/// [`OTHER_SCALE_BY_CHANCE`].
+/// `None` if `s` is not significant. If the scale is correct, `s` is nevertheless reported with the
+/// probability [`OTHER_SCALE_BY_CHANCE`].
 fn other_scale(model: &Model, solution: &Solution) -> Option<OtherScale> {
     let covariance = &solution.covariance;
     let of_robot = |length: &LengthEstimate| {
@@ -213,7 +217,7 @@ fn other_scale(model: &Model, solution: &Solution) -> Option<OtherScale> {
         let estimated = covariance.between(lengths[row].column, lengths[column].column).unwrap_or(0.0);
         estimated + if row == column { LENGTH_SIGMA_M.powi(2) } else { 0.0 }
     });
-    // With this covariance `C`: `s = (L' C^-1 off) / (L' C^-1 L)`.
+    // With `C` for `length_covariance`: `s = (L' C^-1 off) / (L' C^-1 L)`.
     let weighted = length_covariance.cholesky()?.solve(&nominal_m);
     let (along, information) = (weighted.dot(&off_m), weighted.dot(&nominal_m));
     let sigmas = (along / information.sqrt()).abs();

@@ -1,6 +1,5 @@
-//! The input of a joint calibration: all measurements on one robot ([`DataSets`]). Ball-bar runs
-//! ([`RunInput`]) are prepared first, that is, their logs are aligned ([`BarRun`]). Files of rows from other
-//! instruments need no preparation here.
+//! The input of a joint calibration: all measurements on one robot ([`DataSets`]). The preparation aligns the logs of each
+//! ball-bar run ([`RunInput`]), which gives a [`BarRun`]. Files of rows from other instruments need no preparation here.
 
 use shared::config::{BallBarConfig, RobotConfig};
 use shared::recording::schema::{CycleRecord, EncoderInfo};
@@ -25,7 +24,7 @@ pub struct DataSets<'a> {
 pub struct BarRun<'a> {
     /// Samples, motion of the robot, and initial estimate of the bar's pose.
     pub prepared: Prepared,
-    /// The bar of this run; bars of different runs may differ in length.
+    /// The bar of this run. The bars of different runs may differ in length.
     pub bar: &'a BallBarConfig,
 }
 
@@ -36,8 +35,8 @@ pub struct RunInput<'a> {
     pub cycles: &'a [CycleRecord],
     /// Encoders of the recording, in the order of the recording.
     pub encoders: &'a [EncoderInfo],
-    /// Encoders whose readings wrapped and were unwrapped when a file of another program was read. The cycle records do not
-    /// show this. `None` for a recording of the daemon.
+    /// Encoders whose readings wrapped around and were unwrapped when the file of another program was read. The cycle
+    /// records do not show the wraps. `None` for a recording of the daemon.
     pub unwrapped: Option<&'a [Unwrapped]>,
     /// The robot's own log.
     pub log: &'a RobotLog,

@@ -29,12 +29,14 @@ use crate::solver::Watch;
 
 /// Estimates the robot from all data sets.
 ///
-/// Each link parameter has a prior at its nominal value, with the configured tolerance. The tolerance is widened until
-/// left-out groups of samples are predicted best. Ball-bar runs share the links of the bar. Each run has its own clock,
-/// position of the bar and encoder offsets. If a length of the bar differs between runs, each run has its own value.
+/// Each link parameter has a prior at its nominal value, with the configured tolerance. The tolerance is widened
+/// until left-out groups of samples are predicted best. All ball-bar runs have common link parameters of the bar.
+/// Each run has its own clock, position of the bar and encoder offsets. If a length of the bar differs between runs,
+/// each run has its own value of this length.
 ///
-/// A fifth of each file of rows is held out and predicted by a fit to all other data. Afterwards a last fit includes these
-/// rows. If the solve without them fails, nothing is held out. `watch` observes each solve and may cancel it.
+/// A fifth of each file of rows is held out and predicted by a fit to all other data. A last fit then includes the
+/// held-out rows. If the solve without these rows fails, the calibration is repeated without held-out rows. `watch`
+/// observes each solve and may cancel it.
 ///
 /// # Errors
 /// [`CalibrateError`] if the data are refused or a solve fails. If a calibration is returned, it has converged, and each of
@@ -52,11 +54,11 @@ pub fn calibrate(
     };
     // If a mistake in a file of rows explains the error, report the mistake.
     if let Some(likely) = rows::likely_of_all(&data.rows, &flange_chain(robot)) {
-        // Only the problem is kept from the message, because the mistake has its own remedy.
+        // Keep only the problem from the message, without its remedy, because the mistake has a remedy of its own.
         let found = error.to_string().split("; ").take(1).collect();
         return Err(CalibrateError::Implausible { found, likely: Some(likely) });
     }
-    // The data other than the held-out rows may be too few. Try again with all rows.
+    // Without the held-out rows, the data may be too few. Try again with all rows.
     if !error.is_of_solve() {
         return Err(error);
     }
@@ -94,8 +96,8 @@ pub fn calibrate_runs(
     calibrate(&DataSets { bars, rows: Vec::new() }, robot, config, watch)
 }
 
-/// Runs the stages of a calibration. If `held_out` is true, a fifth of each file of rows is predicted
-/// before it is included.
+/// Runs the stages of a calibration. If `held_out` is true, a fifth of each file of rows is held out, predicted,
+/// and only included in the last fit.
 fn calibrate_in_stages(
     data: &DataSets<'_>,
     robot: &RobotConfig,
@@ -123,10 +125,10 @@ fn calibrate_in_stages(
     Ok(Calibration { runs, rows, solved, contradicted, changed, loss: plan.loss })
 }
 
-/// Detects outlier rows and drifts, in the residuals of the best link parameters without error terms. The last of the
-/// `runs` belong to the files of rows.
+/// Detects outlier rows and drifts in files of rows. Uses the residuals at the best link parameters, without error terms.
+/// The last elements of `runs` belong to the files of rows.
 fn screen_rows(runs: &mut [Run], rows: &mut [RowSet], plan: &Plan<'_>) -> Result<(), CalibrateError> {
-    // Two fits to the fitting rows: all link parameters, and only the joint offsets.
+    // Two fits to the rows that are not held out: all link parameters, then only the joint offsets.
     let links_only = Plan { fix: plan.fix.clone(), watch: plan.watch, ..Plan::new(plan.loss) };
     let links = estimate(runs, &links_only)?;
     let offsets_only = fitted(runs, &links, Deployment::Offsets, plan.loss, plan.watch)?;
@@ -141,8 +143,8 @@ fn screen_rows(runs: &mut [Run], rows: &mut [RowSet], plan: &Plan<'_>) -> Result
     Ok(())
 }
 
-/// Fits all valid rows, including the held-out ones. `solved` is the solution for the fitted rows alone, which is the
-/// start of this fit.
+/// Fits all valid rows, including the held-out ones. The fit starts at `solved`, the solution
+/// for the rows that were not held out.
 fn fit_all_rows(
     runs: &mut [Run],
     rows: &mut [RowSet],
@@ -155,7 +157,8 @@ fn fit_all_rows(
         run.instrument = set.everything(&run.model)?;
     }
     let mut all = refit(runs, plan.loss, plan.watch, solved)?;
-    // This covariance assumes that the drift of an instrument is known. Widen it, because the drift was estimated.
+    // The covariance of this fit assumes that the drift of an instrument is known. The drift was
+    // estimated, so widen the covariance.
     for ((number, set), run) in (first_of_rows..).zip(rows).zip(&runs[first_of_rows..]) {
         let factor = set.widens(&run.model, all.sigmas[number])?;
         all.solution.covariance = all.solution.covariance.widened(number, factor);

@@ -77,8 +77,8 @@ pub enum CalibrateError {
     Implausible {
         /// Observations that show that the rows are not plausible.
         found: String,
-        /// Mistake in the file, its mapping or the robot's file that explains the rows best. `None` if no
-        /// known mistake explains them.
+        /// Mistake that explains the rows best: in the file, in its mapping or in the robot's file. `None` if
+        /// no known mistake explains the rows.
         likely: Option<Likely>,
     },
     /// The samples do not determine all free parameters.

@@ -24,7 +24,7 @@ use crate::solver::{LossName, Watch};
 
 /// Data sets with their models at the nominal robot, and the plan of the solve.
 pub(super) struct LaidOut<'w> {
-    /// Ball-bar runs, followed by the files of rows. The latter contain only the rows that the fit uses.
+    /// Ball-bar runs, followed by the files of rows. A run of a file contains only the rows that the fit uses.
     pub(super) runs: Vec<Run>,
     pub(super) rows: Vec<RowSet>,
     pub(super) plan: Plan<'w>,
@@ -43,7 +43,7 @@ pub(super) fn lay_out<'w>(
 ) -> Result<LaidOut<'w>, CalibrateError> {
     let flange = flange_chain(robot);
     let mut runs = bar_runs(&data.bars, robot, config)?;
-    // The files of rows: check the rows, hold some out, and estimate the pose of the instrument for the nominal robot.
+    // For each file of rows: check the rows, hold some out, and estimate the pose of the instrument with the nominal robot.
     let mut sets = Vec::new();
     let is_only_file = data.bars.is_empty() && data.rows.len() == 1;
     for file in &data.rows {
@@ -63,8 +63,8 @@ pub(super) fn lay_out<'w>(
         set.judge_nominal(model)?;
         config.set_link_roles(model)?;
     }
-    // Without a known length, the scale of the robot and of the distances between faces is undetermined. In this case fix
-    // the length of the longest link. The covariance still includes the tolerance of this length.
+    // If no instrument measures a known length, the scale of the robot and of the distances between faces is undetermined.
+    // In this case fix the longest link length. The covariance still includes the tolerance of this length.
     if !runs.is_empty() && runs.iter().all(|run| run.instrument.scale() == ScaleFrom::Robot) {
         let longest = longest_length(&runs[0].model);
         for Run { model, .. } in &mut runs {
@@ -97,8 +97,8 @@ fn place_instrument(
     if !run.instrument.place(&mut run.model, &config.fix)? {
         return Err(CalibrateError::NoPlace { data_set });
     }
-    // The scale is fixed during this fit, because errors of the nominal robot would bias it. The later fit, which also
-    // estimates the robot, separates the two.
+    // Fix the scale during this fit, because errors of the nominal robot would bias it. The later fit also estimates the
+    // robot and therefore separates the scale from these errors.
     let scale = run.model.role(ParameterId::Scale);
     if scale.is_some() {
         run.model.set_role(ParameterId::Scale, Role::Fixed)?;
@@ -106,7 +106,8 @@ fn place_instrument(
     if run.model.columns().len() > 0 {
         let plan = Plan { watch, ..Plan::new(LossName::Huber) };
         let placed = estimate(std::slice::from_mut(run), &plan);
-        // If lengths have a wrong unit, this fit may fail. The wrong unit is then the more useful error, so check it first.
+        // If lengths have a wrong unit, this fit may fail. An error that names the wrong unit is more useful than the error
+        // of the failed fit, so check the unit first.
         rows::unless_other_unit(set.whole(), &run.model, flange)?;
         placed?;
     }
@@ -142,8 +143,8 @@ fn bar_runs(
     let measured = measured(bars.iter().map(|run| &run.prepared));
     let cost = config.cost.unwrap_or_else(|| CostName::for_encoders(&measured));
     let start_run = |BarRun { prepared, bar }: &BarRun<'_>| {
-        // There are hundreds of possible waves. The model starts with those named in the configuration. Detected
-        // waves are added later.
+        // There are hundreds of possible waves. The model starts with the waves that the configuration names. Waves that are
+        // detected in residuals are added later.
         let named = config.named().filter(|id| matches!(id, ParameterId::JointWave { .. }));
         let model = start_model(prepared, robot, bar)?.with(named);
         let sigmas_m = config.known_length_sigmas_m(bar, model.axes());
@@ -188,8 +189,8 @@ fn tolerances(runs: &[Run], config: &IdentifyConfig) -> Vec<ParameterId> {
     ids.into_iter().collect()
 }
 
-/// Priors of the encoders' harmonics and of the joints' offsets. The samples determine one common scale for each
-/// of these two groups.
+/// Priors of the harmonics of the encoders, and priors of the joint offsets. For each of these two groups, the samples
+/// determine a common factor of the standard deviations.
 fn common_priors(runs: &[Run], tolerances: &[ParameterId], config: &IdentifyConfig) -> Vec<CommonPrior> {
     let is_offset =
         |link, parameter| runs.first().is_some_and(|run| run.model.robot().is_offset(link, parameter));
@@ -202,8 +203,8 @@ fn common_priors(runs: &[Run], tolerances: &[ParameterId], config: &IdentifyConf
     priors.into_iter().filter(|common| !common.sigmas.is_empty()).collect()
 }
 
-/// Model of a ball-bar run before the solve, with nominal robot and bar. The position of the bar, the encoder offsets and
-/// the clock skew are those that the preparation estimated.
+/// Model of a ball-bar run before the solve. Robot and bar are nominal. The position of the bar, the encoder offsets and the
+/// clock skew have the values that the preparation estimated.
 fn start_model(prepared: &Prepared, robot: &RobotConfig, bar: &BallBarConfig) -> Result<Model, ModelError> {
     let arm = robot_chain(robot, bar);
     let mut model = Model::ball_bar(&arm, &ball_bar_chain(bar))
@@ -222,8 +223,8 @@ fn start_model(prepared: &Prepared, robot: &RobotConfig, bar: &BallBarConfig) ->
     Ok(model)
 }
 
-/// Offset parameters for encoders whose counters lost their origin during the run. Only origins for which
-/// samples exist are included.
+/// Offset parameters of encoders whose counters lost their origin during the run. Each origin has its own parameters.
+/// Origins without samples have none.
 fn changed_offsets(prepared: &Prepared) -> impl Iterator<Item = ParameterId> {
     let has_samples = |number: usize| prepared.observations.iter().any(|one| one.origin == number);
     let spans = prepared.origins.iter().filter(move |span| {

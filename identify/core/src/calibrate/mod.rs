@@ -1,5 +1,5 @@
-//! Calibration of a robot from measurements: creates the models of the data sets, estimates their parameters,
-//! and validates the result.
+//! Calibration of a robot from measurements: creates the models of the data sets, estimates their parameters, and validates
+//! the result. `driver` runs these stages, and `pipeline` contains the estimation.
 
 mod calibration;
 pub mod change;

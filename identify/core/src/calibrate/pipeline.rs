@@ -1,15 +1,14 @@
-//! The estimation. Input: the runs, each with a start model, of any instruments on one robot. Output: the models
-//! at the solution, with their covariance. Used for calibrations, for fits to a deployment, and to estimate the
-//! pose of an instrument.
+//! The estimation. Input: the runs of any instruments on one robot, each with a start model. Output: the
+//! models at the solution, with their covariance. Used for calibrations, for fits to a deployment, and to
+//! estimate the pose of an instrument.
 //!
-//! 1. Solves, without outliers, until the weight of each data set agrees with the size of its residuals (`solve_links`).
-//! 2. Chooses error terms and widths of priors: those that predict left-out groups of samples best (`choose`).
+//! 1. Solves until the weight of each data set agrees with the size of its residuals (`solve_links`). Outliers are excluded.
+//! 2. Chooses the error terms and the widths of priors that predict left-out groups of samples best (`choose`).
 //! 3. Solves again with the chosen terms (`solve_with_terms`).
 //! 4. Computes the covariance (`add_covariance`).
 //!
-//! A sigma is the standard deviation of a residual. If all data sets are ball-bar runs, they share one sigma,
-//! and their residuals have the unit of their cost. Otherwise each data set has its own sigma, and residuals
-//! are in standard deviations.
+//! A sigma is the standard deviation of a residual. If all data sets are ball-bar runs, they share one sigma, and their
+//! residuals have the unit of the cost. Otherwise each data set has its own sigma, and residuals are in standard deviations.
 
 use super::change;
 use super::error::CalibrateError;
@@ -24,15 +23,16 @@ use crate::solver::{
     minimise_robust, solve,
 };
 
-/// Sigma of residuals that are not weighted: residuals as defined in the thesis, or residuals of `pose`,
-/// which are whitened already.
+/// Sigma of residuals that need no weight. These are residuals as defined in the thesis, or residuals of the cost
+/// `pose`, which are whitened already.
 const UNWEIGHTED: f64 = 1.0;
 /// Lower limit of a sigma, in the unit of the residual. A sigma determines the weight of the samples
 /// relative to the priors.
 const SIGMA_MIN: f64 = 1e-9;
 /// Smaller whitened residuals are only rounding errors. No error term can explain them.
 const RESIDUAL_MIN: f64 = 1e-3;
-/// Relative cost tolerance of all solves except the last. Reported values change by no more than this fraction.
+/// Relative cost tolerance of all solves except the last. A smaller tolerance would change reported
+/// values by no more than this fraction.
 const COST_TOLERANCE: f64 = 1e-6;
 /// Relative cost tolerance of the last solve. With ten thousand residuals, every parameter is then within a ten-thousandth
 /// of its standard deviation. Rounding errors prevent a much smaller tolerance.
@@ -41,31 +41,33 @@ const COST_TOLERANCE_LAST: f64 = 1e-12;
 const CONVERGED: f64 = 0.02;
 /// Maximum number of solves until the weights have converged.
 const ROUNDS_MAX: usize = 20;
-/// Number of groups of each data set for the choice of terms. Each group is held out in turn.
+/// Number of groups into which each data set is divided for the choice of terms. Each group is held out in turn.
 pub(super) const HELD_OUT: usize = 8;
-/// Number of groups of each data set for the covariance. Each group is left out in turn.
+/// Number of groups into which each data set is divided for the covariance. Each group is left out in turn.
 pub(super) const LEFT_OUT: usize = 30;
 
-/// Settings of a solve. Roles and start values of the parameters are not here but in the models of the data sets.
+/// Settings of a solve. The roles and start values of parameters are not part of the settings, because the
+/// models of the data sets contain them.
 #[derive(Debug, Clone)]
 pub struct Plan<'a> {
     /// Robust loss, which reduces the weight of samples with large residuals.
     pub loss: LossName,
-    /// Groups of error terms to try. If the line spectrum has no parameters, its waves are detected in the residuals.
+    /// Groups of error terms to try. If the group of the line spectrum has no parameters, its waves
+    /// are first detected in the residuals.
     pub groups: Vec<CandidateGroup>,
     /// Parameters that stay fixed.
     pub fix: Vec<ParameterId>,
-    /// Link parameters whose priors are widened by a common factor. The factor is the one that
-    /// predicts left-out groups best.
+    /// Link parameters whose priors are widened by a common factor. The chosen factor is the one
+    /// that predicts left-out groups best.
     pub tolerances: Vec<ParameterId>,
-    /// Groups of priors whose widths are estimated from the samples.
+    /// Groups of priors. Each group has a common factor of its standard deviations, which is estimated from the samples.
     pub(super) common: Vec<CommonPrior>,
     /// Observes each solve and may cancel it.
     pub watch: Option<&'a dyn Watch>,
 }
 
 impl Plan<'_> {
-    /// Settings without error terms to try and with unchanged widths of priors.
+    /// Settings that try no error terms and do not change the widths of priors.
     pub fn new(loss: LossName) -> Self {
         let (groups, fix, tolerances, common) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         Plan { loss, groups, fix, tolerances, common, watch: None }
@@ -75,7 +77,7 @@ impl Plan<'_> {
 /// Result of a joint solve of all runs.
 #[derive(Debug, Clone)]
 pub struct Solved {
-    /// Map from the columns of each run to those of the solution.
+    /// Map from the columns of each run to the columns of the solution.
     pub columns: SharedColumns,
     /// Solution of the last solve.
     pub solution: Solution,
@@ -83,7 +85,7 @@ pub struct Solved {
     pub covariance_columns: Vec<Column>,
     /// Models of the runs before any term was accepted.
     pub without_terms: Vec<Model>,
-    /// Groups of terms that were tried, with the result for each.
+    /// Groups of terms that were tried, with the result of each group.
     pub candidates: Vec<Candidate>,
     /// Factor by which the tolerances of link parameters were widened.
     pub prior_scale: f64,
@@ -91,8 +93,8 @@ pub struct Solved {
     pub sigmas: Vec<f64>,
 }
 
-/// Sigma of the residuals after a solve, which weights them relative to the priors. Residuals of
-/// `pose` are whitened already.
+/// Sigma of the residuals after a solve. It determines the weight of the residuals relative to the priors. For the cost `pose`
+/// it is 1, because these residuals are whitened already.
 fn residual_sigma(cost: CostName, reached: &Summary) -> f64 {
     if cost == CostName::Pose { UNWEIGHTED } else { reached.residual_rms.max(SIGMA_MIN) }
 }
@@ -118,11 +120,11 @@ pub(super) fn problem_with_models<'p>(
     Ok(CombinedDataSets::new(sets.collect::<Result<_, _>>()?, columns))
 }
 
-/// Factor, at least 1, that increases the `sigma` of a data set because its errors are correlated. Correlated errors
-/// contain less information than independent ones. The factor is the square root of their [`Normals::overdispersion`].
+/// Factor, at least 1, by which the `sigma` of a data set increases because its errors are correlated. Correlated errors
+/// contain less information than independent ones. The factor is the square root of [`Normals::overdispersion`].
 ///
-/// `groups` are groups of samples with independent errors. The residuals of `alone` are not divided by `sigma`, so their
-/// dispersion is divided by `sigma^2`.
+/// The errors of different `groups` of samples are independent of each other. The residuals of `alone` are not divided by
+/// `sigma`, so the dispersion is divided by `sigma^2`.
 fn correlation_factor(alone: &dyn LeastSquares, model: &Model, groups: &[Vec<usize>], sigma: f64) -> f64 {
     let loss = LossName::Cauchy.for_spread(sigma, alone.rows());
     let options = Options { loss, ..Options::default() };
@@ -131,8 +133,8 @@ fn correlation_factor(alone: &dyn LeastSquares, model: &Model, groups: &[Vec<usi
     (dispersion.unwrap_or(1.0) / sigma.powi(2)).max(1.0).sqrt()
 }
 
-/// The cost that defines the unit of the residuals, if all data sets have the same one. Otherwise `None`: residuals are
-/// then in standard deviations.
+/// The cost that defines the unit of the residuals, if all data sets have the same cost. Otherwise `None`, and
+/// residuals are in standard deviations.
 pub(super) fn residual_unit_of(runs: &[Run]) -> Option<CostName> {
     let mut costs = runs.iter().map(|run| run.instrument.residual_unit_of());
     let first = costs.next()??;
@@ -184,12 +186,12 @@ fn estimate_in_steps(runs: &mut [Run], plan: &Plan<'_>) -> Result<Solved, Calibr
 struct TermChoice {
     candidates: Vec<Candidate>,
     prior_scale: f64,
-    /// Whether another solve is needed, because the solution without terms is not the minimum any more.
+    /// Whether another solve is needed, because the choice has changed terms, priors or weights.
     needs_solve: bool,
 }
 
-/// Solves for the free parameters from the current values and sets the models to the solution. No other terms are tried:
-/// the solve `before` has chosen them.
+/// Solves for the free parameters from the current values and sets the models to the solution. No terms are tried, because
+/// the solve that returned `before` has chosen them.
 ///
 /// # Errors
 /// As [`estimate`].
@@ -218,9 +220,9 @@ pub(super) fn differ(runs: &[Run]) -> Vec<ParameterId> {
     ParameterId::known_lengths(axes).into_iter().filter(differs).collect()
 }
 
-/// Whether each data set has its own value of a parameter. All data sets share the robot, and all runs with a bar share
-/// the bar, except lengths that differ. The pose of an instrument and the offsets of encoders differ, because the
-/// instrument is set up anew.
+/// Whether each data set has its own value of a parameter. The parameters of the robot are common to all data sets, and
+/// those of the bar to all runs with a bar, except lengths that differ. The pose of an instrument and the offsets of
+/// encoders have a value for each data set, because the instrument is set up anew.
 pub(super) fn is_own(id: ParameterId, own_lengths: &[ParameterId]) -> bool {
     // If the lengths differ, the bars are different and have different compliances.
     let length = if id.group() == Group::Force { ParameterId::ROD } else { id };
@@ -253,13 +255,15 @@ impl<'a> Solver<'a> {
         residual_unit_of(self.runs)
     }
 
-    /// Factor that converts residuals for reports: to the unit of the cost, if all data sets share one. Otherwise 1.
+    /// Factor that converts residuals for reports. If all data sets have the same cost, it converts to the
+    /// unit of this cost. Otherwise it is 1.
     fn unit(&self) -> f64 {
         let first = self.sigmas.first().copied().unwrap_or(UNWEIGHTED);
         if self.residual_unit_of().is_some() { first } else { UNWEIGHTED }
     }
 
-    /// Solves without the terms to choose from. The bar has either compliance or play, whichever fits better.
+    /// Solves without candidate error terms. The bar has either compliance or play: the one
+    /// that predicts left-out groups better.
     fn solve_links(&mut self) -> Result<(SharedColumns, Solution), CalibrateError> {
         let (columns, solution) = self.solve_with_weights()?;
         if self.replaces_compliance_by_play(solution.loss)? {
@@ -268,8 +272,8 @@ impl<'a> Solver<'a> {
         Ok((columns, solution))
     }
 
-    /// Chooses terms and widths of priors at the solution without terms. Sets the roles of terms, the sigmas, and the loss
-    /// of `solution`, which depends on the improved models.
+    /// Chooses terms and widths of priors, starting at the solution without terms. Sets the roles of the terms and the
+    /// sigmas. Also sets the loss of `solution`, which depends on the improved models.
     fn choose(&mut self, solution: &mut Solution) -> Result<TermChoice, CalibrateError> {
         let plan = self.plan;
         let mut candidates = Vec::new();
@@ -279,10 +283,10 @@ impl<'a> Solver<'a> {
         if !(has_choices && has_residuals) {
             return Ok(TermChoice { candidates, prior_scale, needs_solve: false });
         }
-        // Among the costs of the ball-bar, only `pose` has a noise model.
+        // Of the costs of the ball-bar, only `pose` has a noise model.
         let estimates_noise = self.residual_unit_of().is_none_or(|cost| cost == CostName::Pose);
-        // Accepted terms reduce the noise, which changes the weight of the samples relative to the priors of the terms. The
-        // second round chooses again with this weight.
+        // Accepted terms reduce the noise, so the samples get more weight relative to the priors of the terms. A second
+        // round chooses again with this weight.
         let rounds = if estimates_noise { 2 } else { 1 };
         for _ in 0..rounds {
             let further_scale;
@@ -307,7 +311,7 @@ impl<'a> Solver<'a> {
         if self.residual_unit_of().is_none() {
             return self.solve_with_weights();
         }
-        // Accepted terms reduce the residuals, so estimate the scale of the loss again.
+        // Accepted terms reduce the residuals, so the scale of the loss must be estimated again.
         self.minimise_bars()?;
         self.last_solve()
     }
@@ -324,10 +328,10 @@ impl<'a> Solver<'a> {
         self.sigmas.fill(UNWEIGHTED);
         let first = self.minimise_bars()?;
         self.learn_noise();
-        // The first solve used whitening, angles of joints without encoder, and a weight of residuals against priors that
-        // were computed at the nominal geometry. Now compute them at the solution.
+        // The first solve used three quantities that were computed at the nominal geometry: the whitening, the angles of
+        // joints without encoder, and the weight of residuals relative to priors. Now compute them at the solution.
         //
-        // If this weight is too small, the priors keep the solution near the nominal geometry, where residuals are large.
+        // If the weight is too small, the priors keep the solution near the nominal geometry, where residuals are large.
         // Therefore repeat until the weight no longer increases.
         let mut sigma = residual_sigma(cost, &first);
         for _ in 0..ROUNDS_MAX {
@@ -339,9 +343,9 @@ impl<'a> Solver<'a> {
             sigma = (sigma * remaining).max(SIGMA_MIN);
         }
         let (columns, mut solution) = self.last_solve()?;
-        // The first solve was whitened with the noise before it was estimated here, the last solve with the
-        // estimate. The last solve starts near the first solution. The ratio of the two rms values there converts
-        // the rms at the first start.
+        // The noise estimate above changes the unit of whitened residuals. The first solve used the old unit, the last solve
+        // uses the new one. The first solve ended near the point where the last solve starts. The ratio of the two rms
+        // values at this point converts the rms at the start of the first solve to the new unit.
         let unit = solution.summary.residual_rms_start / first.residual_rms.max(SIGMA_MIN);
         let unit = if cost == CostName::Pose { unit } else { UNWEIGHTED };
         solution.summary.residual_rms_start = unit * first.residual_rms_start;
@@ -370,16 +374,17 @@ impl<'a> Solver<'a> {
         }
     }
 
-    /// Determines the outliers of each data set and excludes them. Returns whether the set of samples in use has changed.
+    /// Determines the outliers of each data set and excludes them. Returns whether the set of used samples has changed.
     fn screen(&mut self) -> bool {
         let runs = self.runs.iter_mut();
         runs.fold(false, |others, Run { instrument, model }| instrument.screen(model) || others)
     }
 
-    /// Factor by which the errors of each data set exceed its residuals. Residuals are smaller, because the fit adapts to
-    /// the errors. The factor is `sqrt(n / (n - p))` for `n` residuals and `p` effective parameters.
+    /// Factor by which the errors of each data set are larger than its residuals. Residuals are smaller, because the fit
+    /// adapts to the errors. The factor is `sqrt(n / (n - p))` for `n` residuals and `p` effective parameters.
     ///
-    /// Without the factor, a fit with as many terms as residuals would reduce the estimated noise each time, down to zero.
+    /// Without the factor, a fit with about as many terms as residuals would reduce the estimated
+    /// noise in each round, down to zero.
     fn errors_per_residual(&self) -> Result<Vec<f64>, CostError> {
         let columns = self.columns();
         let all = problem(self.runs, &columns, &self.sigmas)?;
@@ -394,7 +399,7 @@ impl<'a> Solver<'a> {
     }
 
     /// Estimates the sigma of each data set from its own residuals (variance components). Returns the noise of each data
-    /// set in its own unit.
+    /// set, in the unit of its measurements.
     fn estimate_sigmas(&mut self) -> Result<Vec<f64>, CostError> {
         let is_joint = self.runs.len() > 1;
         let mut noise = Vec::new();
@@ -418,8 +423,9 @@ impl<'a> Solver<'a> {
         Ok(noise)
     }
 
-    /// Improves the models, with residuals in standard deviations. Omits the rank analysis and the covariance, which are
-    /// slow for hundreds of columns and are needed only in the last solve. Returns the loss.
+    /// Minimises the cost and sets the models to the minimum. Residuals are in standard deviations. The rank
+    /// analysis and the covariance are omitted, because they are slow for hundreds of columns and are needed only
+    /// in the last solve. Returns the loss.
     fn minimise_whitened(&mut self, loss: LossName) -> Result<Loss, CalibrateError> {
         let columns = self.columns();
         let problem = problem(self.runs, &columns, &self.sigmas)?;
@@ -445,8 +451,8 @@ impl<'a> Solver<'a> {
         }
     }
 
-    /// Moves the models of ball-bar runs near their solution, where their residuals determine the weights. Also estimates
-    /// the scale of the loss.
+    /// Minimises the cost of ball-bar runs and sets the models to the minimum. The residuals there determine the weights of
+    /// the next solve. Also estimates the scale of the loss.
     fn minimise_bars(&mut self) -> Result<Summary, CalibrateError> {
         self.adapt_instruments();
         let columns = self.columns();
@@ -470,8 +476,8 @@ impl<'a> Solver<'a> {
         let Plan { loss, watch, .. } = *self.plan;
         let options = Options { cost_tolerance: COST_TOLERANCE_LAST, watch, ..Options::default() };
         let problem = problem(self.runs, &columns, &self.sigmas)?;
-        // The noise has converged, so the loss is constant. Residuals are in standard deviations, except if all
-        // runs are ball-bar runs.
+        // The noise has converged, so the scale of the loss is fixed. Residuals are in standard deviations,
+        // except if all runs are ball-bar runs.
         let loss =
             if of_bars { loss.for_spread_at(&problem, &start) } else { loss.for_spread(1.0, problem.rows()) };
         let solution = solve(&problem, &start, &Options { loss, ..options });

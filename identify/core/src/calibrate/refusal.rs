@@ -1,5 +1,5 @@
-//! Converts a [`CalibrateError`] to a refusal in structured form. A refusal is an error that is due to the data. Reports
-//! use it if they show more than the message for the terminal.
+//! Converts a [`CalibrateError`] to a refusal in structured form. A refusal is an error whose cause is in the data. Reports
+//! use it to show more than the message for the terminal.
 
 use super::error::CalibrateError;
 use crate::cost::CostError;
@@ -10,7 +10,7 @@ use crate::solver::SolveError;
 /// A refusal: the reason why the data do not give a calibration.
 #[derive(Debug, Clone)]
 pub struct CalibrationRefusal<'e> {
-    /// Message as on the terminal: the problem, then the remedy.
+    /// Message as on the terminal: first the problem, then the remedy.
     pub message: String,
     /// Index of the run, from 0; `None` if the refusal concerns all data.
     pub run: Option<usize>,
@@ -21,8 +21,8 @@ pub struct CalibrationRefusal<'e> {
 }
 
 impl CalibrateError {
-    /// Converts the error to a refusal. Returns `None` if the error is not due to the data, such as an invalid option
-    /// or a cancelled solve.
+    /// Converts the error to a refusal. Returns `None` if the cause is not in the data. Examples are an
+    /// invalid option or a cancelled solve.
     pub fn refusal(&self) -> Option<CalibrationRefusal<'_>> {
         let of_data = match self {
             Self::Model(_) | Self::NoRun | Self::Selection(_) | Self::NoEffect { .. } => false,

@@ -1,5 +1,5 @@
-//! Normal equations of the runs at the values of their models, and the covariance of a solution. Both are steps of
-//! `pipeline::estimate`. `selection` uses the same normal equations to test error terms.
+//! Normal equations of the runs at the values of their models, and the covariance of a solution. `pipeline::estimate`
+//! computes the covariance as its last step. `selection` uses the same normal equations to test error terms.
 
 use nalgebra::DMatrix;
 
@@ -10,8 +10,8 @@ use crate::instrument::Run;
 use crate::model::{Column, Model, Parameter, ParameterId, Role};
 use crate::solver::{Considered, Loss, Normals, Options, Solution, UncertaintySource, influence};
 
-/// Models of all runs, with the map from their columns to the columns of the joint problem. They may estimate more
-/// parameters than the models of the solve.
+/// Models of all runs, and the map from the columns of each model to the columns of the joint problem. These models may have
+/// more free parameters than the models of the solve.
 struct Models {
     of_runs: Vec<Model>,
     columns: SharedColumns,
@@ -24,14 +24,14 @@ impl Models {
     }
 }
 
-/// Prior with which a considered error term is estimated. `None` if the parameter is not an error term:
-/// it then stays fixed.
+/// Prior with which a considered error term is estimated. `None` if the parameter is not an error
+/// term. Such a parameter stays fixed.
 fn prior_of_term(parameter: &Parameter, sigma: f64) -> Option<Role> {
     parameter.id.term().map(|_| Role::Prior { value: parameter.value, sigma })
 }
 
-/// Standard deviations of the parameters that belong to the columns of `model`. An entry is zero if the parameter is not
-/// [`Role::Considered`] in the run.
+/// Standard deviations of the parameters of the columns of `model`. The entry of a parameter is zero if the parameter is
+/// not [`Role::Considered`] in the run.
 fn considered_sigmas(model: &Model, run: &Run) -> Vec<f64> {
     let sigma = |column: &Parameter| match run.model.role(column.id) {
         Some(Role::Considered { sigma }) => sigma,
@@ -48,9 +48,9 @@ impl Solver<'_> {
         Models { of_runs, columns }
     }
 
-    /// Normal equations of all runs at the values of `models`, for each independent group of samples. Also
-    /// returns the index of the run of each group. `count` is the maximum number of groups of a run. `None` if
-    /// residuals are not finite.
+    /// Normal equations of all runs at the values of `models`, one for each independent group of samples.
+    /// Also returns, for each group, the index of its run. `count` is the maximum number of groups of a run.
+    /// `None` if residuals are not finite.
     fn normals(
         &self,
         models: &Models,
@@ -82,20 +82,20 @@ impl Solver<'_> {
         Ok((models.columns, ids, normals))
     }
 
-    /// Sets the covariance of the solution and returns its columns. The covariance is computed by the jackknife if there
-    /// are enough groups. It includes the errors of parameters that are fixed at uncertain values.
+    /// Sets the covariance of the solution and returns the columns of the covariance. If there are enough groups, the
+    /// covariance is computed by the jackknife. It includes the errors of parameters that are fixed at uncertain values.
     ///
-    /// Whether excluded error terms exist is unknown. If they are estimated with their priors, the covariance and the
-    /// solution both change. The result includes both changes. It is the mean squared error of a solution without these
-    /// terms, provided that the priors are correct.
+    /// It is unknown whether excluded error terms exist. If they were estimated with their priors, the covariance and the
+    /// solution would both change. The result includes both changes. If the priors are correct, the result is the mean
+    /// squared error of a solution without these terms.
     pub(super) fn add_covariance(
         &self,
         columns: &SharedColumns,
         solution: &mut Solution,
     ) -> Result<Vec<Column>, CalibrateError> {
         self.begins("uncertainty");
-        // `all` contains the columns of the solution and of excluded error terms. `estimated` and `left_out` are the
-        // indices of these two groups in `all`.
+        // `all` contains the columns of the solution and the columns of excluded error terms. `estimated` and `left_out` are
+        // the indices of these two groups of columns in `all`.
         let mut of_covariance = columns.all().to_vec();
         let models = self.models(|model| model.with_considered(prior_of_term));
         let all = models.columns.all();
@@ -121,7 +121,7 @@ impl Solver<'_> {
         Ok(of_covariance)
     }
 
-    /// Effect of the errors of [`Role::Considered`] parameters on the solution, with the columns of these parameters.
+    /// Effect of the errors of [`Role::Considered`] parameters on the solution, and the columns of these parameters.
     /// `None` if there are no such parameters.
     fn considered(
         &self,
@@ -142,8 +142,8 @@ impl Solver<'_> {
         let problem = problem_with_models(self.runs, &models.of_runs, &models.columns, &self.sigmas)?;
         let options = Options { loss, ..Options::default() };
         let found = influence(&problem, &models.start(), &considered, &options)?;
-        // `found.change` has one row for each estimated column. The rows of the result are in the order of the
-        // solution, which may differ.
+        // The rows of `found.change` are in the order of the estimated columns in `all`. The rows of the result are in the
+        // order of the solution, which may differ.
         let mut change = DMatrix::zeros(columns.all().len(), considered.len());
         for (row, column) in (0..all.len()).filter_map(estimated).enumerate() {
             change.row_mut(column).copy_from(&found.change.row(row));

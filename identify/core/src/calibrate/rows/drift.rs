@@ -1,17 +1,17 @@
 //! Drift of an instrument's offset over the rows of a file.
 //!
-//! If a wire is rewound, slips or warms up, its offset changes. The errors of neighbouring rows are then correlated. The
-//! drift is modelled as a stationary random walk over the row number (Ornstein and Uhlenbeck 1930). Its size is a standard
-//! deviation, its memory a correlation length. The residuals (model minus measured length) are `r = g + e` with the drift
-//! `g` and white noise `e`.
+//! If a wire is rewound, slips or warms up, its offset changes, and the errors of neighbouring rows are correlated. The
+//! drift of the offset is modelled as a stationary random walk over the row number (Ornstein and Uhlenbeck 1930). It has two
+//! parameters: its size is a standard deviation, and its memory is a correlation length. The residuals (model minus measured
+//! length) are `r = g + e` with the drift `g` and white noise `e`.
 //!
-//! The inverse of the covariance `K` of `g` is tridiagonal. Therefore the best drift for given residuals is computed in one
-//! sweep over the rows. A fit of the robot by generalised least squares, which includes the drift, takes little more time
-//! than a fit without.
+//! The inverse of the covariance `K` of `g` is tridiagonal. Therefore one sweep over the rows computes the best
+//! drift for given residuals. A fit of the robot by generalised least squares that includes the drift takes little
+//! more time than a fit without drift.
 //!
 //! 1. Cross-validation over the fitting rows decides whether there is a drift, and chooses its size and memory (`choose`).
-//! 2. Size and white noise are scaled to the residuals (`scaled`).
-//! 3. A fit gives the drift of each row (`fit`). [`super::RowSet`] corrects the lengths by it.
+//! 2. The size and the white noise are multiplied by a common factor, so that they agree with the residuals (`scaled`).
+//! 3. A fit of model and drift gives the drift of each row (`fit`). [`super::RowSet`] corrects the lengths by it.
 //! 4. The covariance of the robot is widened, because the drift is not known exactly (`widens`).
 
 use nalgebra::{DMatrix, DVector};
@@ -30,7 +30,8 @@ pub struct Drift {
     pub size_m: f64,
     /// Correlation length in rows. Over this number of rows the correlation decreases to 1/e.
     pub memory_rows: f64,
-    /// Standard deviation of a single length without the drift \[m\]. If rows state their noise, that of the median row.
+    /// Standard deviation of a single length without the drift \[m\]. If rows have different
+    /// stated noise, that of the median row.
     pub white_m: f64,
     /// Root mean square error of the rows in the cross-validation, without a drift \[m\].
     pub rms_without_m: f64,
@@ -42,21 +43,21 @@ pub struct Drift {
 const FOLDS: usize = 8;
 /// Size of a drift that is negligible, relative to the standard deviation of a length.
 const NO_DRIFT: f64 = 1e-6;
-/// Number of reweighted steps of generalised least squares. Includes a margin: the third step already
-/// changes no printed digit.
+/// Number of reweighted steps of generalised least squares. Three steps are sufficient, because the third step changes no
+/// printed digit. The other steps are a margin.
 const STEPS: usize = 8;
 /// Loss of the residuals, in standard deviations. The influence of a residual is constant beyond the scale.
 const HUBER: Loss = Loss { name: LossName::Huber, scale: 3.0 };
 
 impl Drift {
-    /// A negligible drift of lengths with the standard deviation `sigma_m`.
+    /// A drift that is negligible compared with `sigma_m`, the standard deviation of a length.
     fn none(sigma_m: f64) -> Self {
         Self { size_m: NO_DRIFT * sigma_m, memory_rows: 1.0, white_m: sigma_m, ..Self::default() }
     }
 }
 
-/// Drifts to try. Their standard deviations are multiples of `sigma_m`, the standard deviation of a length in the
-/// fit without a drift.
+/// Drifts to try. Their standard deviations are multiples of `sigma_m`, which is the standard deviation of a
+/// length in the fit without a drift.
 fn candidates(sigma_m: f64) -> impl Iterator<Item = Drift> {
     const WHITE: [f64; 3] = [0.3, 0.6, 1.0];
     const SIZES: [f64; 4] = [0.5, 1.5, 5.0, 15.0];
@@ -73,17 +74,24 @@ fn candidates(sigma_m: f64) -> impl Iterator<Item = Drift> {
     })
 }
 
-/// Solves for the drift of all rows, with a matrix that is factored once (Thomas 1949). The equations are
-/// `(K^-1 + W / s^2) g = W r / s^2` with white noise `s` and weights `W`.
+/// Solves for the drift `g` of all rows: `(K^-1 + W / s^2) g = W r / s^2` with the white noise `s` and the weights `W` of
+/// the rows. The matrix is factored once, because it is the same for all residuals `r` (Thomas 1949).
 ///
-/// `K^-1` is divided by `size^2 (1 - rho^2)`, where `rho` is the correlation of neighbouring rows. Its entries are then
-/// `1 + rho^2` on the diagonal, 1 at both ends of the diagonal, and `-rho` next to the diagonal.
+/// `K^-1` is a tridiagonal matrix divided by `size^2 (1 - rho^2)`, where `rho` is the correlation of neighbouring rows. The
+/// tridiagonal matrix is, for four rows:
+///
+/// ```text
+///    1       -rho       0        0
+///  -rho   1 + rho^2   -rho       0
+///    0      -rho    1 + rho^2  -rho
+///    0        0       -rho       1
+/// ```
 struct Sweep {
-    /// `W / s^2` of each row; zero for rows that are not used.
+    /// `W / s^2` of each row. Zero for rows that are not used.
     weights: Vec<f64>,
-    /// Entries next to the diagonal, all equal.
+    /// The common value of all entries next to the diagonal.
     off_diagonal: f64,
-    /// Diagonal after the elimination.
+    /// Diagonal of the factored matrix.
     pivots: Vec<f64>,
 }
 
@@ -116,22 +124,22 @@ impl Sweep {
         g
     }
 
-    /// Product of the inverse covariance of `g + e` with the residuals: `(K + s^2 W^-1)^-1 r = W (r - g) / s^2`.
+    /// Multiplies the residuals by the inverse covariance of `g + e`: `(K + s^2 W^-1)^-1 r = W (r - g) / s^2`.
     fn by_inverse_covariance(&self, residuals: &[f64]) -> Vec<f64> {
         let drift = self.drift(residuals);
         residuals.iter().zip(drift).zip(&self.weights).map(|((r, g), w)| w * (r - g)).collect()
     }
 }
 
-/// Residuals and Jacobian of the model at the used rows \[m\]. Vectors have an entry for each row of the file, which is
-/// zero for rows that are not used.
+/// Residuals and Jacobian of the model at the used rows \[m\]. All vectors have one entry for each row of the file. Entries
+/// of residuals and Jacobian are zero for rows that are not used.
 struct Linear {
     residuals: Vec<f64>,
     /// Noise of each row of the file, relative to the median row.
     relative_noise: Vec<f64>,
     /// Jacobian, with one column for each free parameter.
     columns: Vec<Vec<f64>>,
-    /// Priors of the change of the parameters in a step, instead of their values.
+    /// Priors of the parameters, expressed for the change of each parameter in a step.
     priors: Vec<Prior>,
 }
 
@@ -140,7 +148,7 @@ impl Linear {
         let part = all.part(used);
         let problem = part.data_set(model, 1.0)?;
         let Some((residual, jacobian)) = stacked(&*problem, &model.start()) else { return Ok(None) };
-        // The problem divides residuals by the relative noise. Multiply again, so that they are in metres.
+        // The problem divides residuals by the relative noise. Multiply by it again, so that residuals are in metres.
         let divided_by = part.relative_noise();
         let over_file = |values: &mut dyn Iterator<Item = f64>| {
             let mut of_rows = vec![0.0; all.samples()];
@@ -159,7 +167,7 @@ impl Linear {
         }))
     }
 
-    /// The sweep with these weights, divided by the squared relative noise.
+    /// Creates the sweep for a drift. The weights of the rows are divided by the squared relative noise.
     fn sweep(&self, drift: &Drift, weights: &[f64]) -> Sweep {
         let by_noise = weights.iter().zip(&self.relative_noise).map(|(weight, noise)| weight / noise.powi(2));
         Sweep::new(drift, &by_noise.collect::<Vec<_>>())
@@ -202,8 +210,8 @@ impl Linear {
         after
     }
 
-    /// Mean squared error of each fold, predicted from the other folds \[m^2\]. The errors are divided by the relative
-    /// noise of their rows.
+    /// Mean squared error of each fold, predicted from the other folds \[m^2\]. Each error is
+    /// divided by the relative noise of its row.
     fn left_out(&self, drift: &Drift, folds: &[Vec<usize>]) -> Option<Vec<f64>> {
         let of_fold = |fold: &Vec<usize>| {
             let mut weights = vec![0.0; self.residuals.len()];
@@ -221,10 +229,10 @@ impl Linear {
 }
 
 /// Finds a drift that improves the prediction of left-out fitting rows. Returns the drift and its value at every row \[m\].
-/// Rows that were not used receive the value predicted from their neighbours.
+/// Rows that were not used also have a value, predicted from their neighbours.
 ///
-/// At the call the model must be at its fit without drift. `sigma_m` is the standard deviation of a length in this fit. If
-/// a drift is found, the model is at the fit with drift afterwards.
+/// Before the call, `model` must be at the fit without a drift. `sigma_m` is the standard deviation of a length in this fit.
+/// If a drift is found, `model` is at the fit with this drift afterwards.
 ///
 /// # Errors
 /// [`CalibrateError::Cost`] if the rows lack data that the cost needs.
@@ -241,8 +249,8 @@ pub(super) fn find(
     Ok(Some((drift, drift_m)))
 }
 
-/// The drift that predicts left-out fitting rows best. `None` if it is not significantly better than no drift. The model is
-/// at its fit without drift. `folds` contains indices into `fitting`.
+/// Chooses the drift that predicts left-out fitting rows best. `None` if it is not significantly better than no drift.
+/// `model` is at the fit without a drift. `folds` contains indices into `fitting`.
 fn choose(
     model: &Model,
     all: &Instrument,
@@ -263,9 +271,12 @@ fn choose(
     Ok(best.filter(|(_, with)| falls(&without, with)).map(|(best, _)| best))
 }
 
-/// Scales the size and the white noise of the drift to its residuals. If `C` is their covariance, `r^T C^-1 r` is then the
-/// number of rows minus the number of columns. Predictions depend only on the ratio of size to white noise, so the
-/// cross-validation cannot determine this scale.
+/// Multiplies the size and the white noise of the drift by a common factor. The cross-validation cannot determine this
+/// factor, because predictions depend only on the ratio of size to white noise.
+///
+/// Let `r` be the residuals of the fit and `C` their covariance according to the drift. If the factor is
+/// correct, the expected value of `r^T C^-1 r` is the number of rows minus the number of columns. The factor
+/// is chosen so that the two are equal.
 fn scaled(drift: Drift, model: &Model, all: &Instrument, fitting: &[usize]) -> Result<Drift, CalibrateError> {
     let Some(linear) = Linear::at(model, all, fitting)? else { return Ok(drift) };
     let mut weights = vec![0.0; all.samples()];
@@ -307,9 +318,9 @@ pub(super) fn fit(
     Ok(drift_m)
 }
 
-/// Factor by which the drift increases the standard deviations of the robot, compared with white noise `sigma_m` alone.
-/// Root mean square over the columns of the robot, at least 1. The drift absorbs some of the information, and errors of
-/// neighbouring lengths are correlated.
+/// Factor, at least 1, by which the standard deviations of the robot with this drift are larger than with white noise
+/// `sigma_m` alone. They are larger because the drift absorbs some of the information and because errors of neighbouring
+/// lengths are correlated. The factor is the root mean square over the columns of the robot.
 pub(super) fn widens(
     model: &Model,
     all: &Instrument,
@@ -334,7 +345,7 @@ pub(super) fn widens(
 mod tests {
     use super::*;
 
-    /// Compares the sweep with the dense formula `K (K + S)^-1 r`, with one row not used.
+    /// Compares the sweep with the formula `K (K + S)^-1 r` for dense matrices. One row is not used.
     #[test]
     fn the_sweep_is_the_best_prediction_of_the_random_walk() {
         let drift =

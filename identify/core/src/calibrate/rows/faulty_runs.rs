@@ -1,6 +1,6 @@
-//! Possible causes of faulty runs: consecutive rows with a common error. Input: the rejected rows and the residuals at the
-//! solution. A cause is tried by correcting it in the rows of the run. The report lists the result as a hint for the repair
-//! of the file. The data are not changed.
+//! Finds possible causes of faulty runs, which are consecutive rows with a common error. Input: the rejected rows and the
+//! residuals at the solution. To test a cause, its error is corrected in the rows of the run. The report lists the result,
+//! so that the user can correct the file. The data are not changed.
 
 use crate::instrument::{Instrument, Mistake, RejectedRow, Rejection};
 use crate::logs::JointMistake;
@@ -31,7 +31,8 @@ pub struct FaultyRun {
     pub last: usize,
     /// Median of the absolute residuals \[m\].
     pub median_m: f64,
-    /// The cause whose correction reduces the median most, if to a third or less. `None` if there is no such cause.
+    /// The cause whose correction reduces the median most, if it reduces the median to a
+    /// third or less. `None` if no cause does.
     pub cause: Option<RunCause>,
 }
 
@@ -51,8 +52,8 @@ pub(super) fn runs(model: &Model, all: &Instrument, rejected: &[RejectedRow]) ->
     consecutive.filter_map(run).collect()
 }
 
-/// The cause whose correction reduces the residuals of a run most. `rows` contains only the run. `median_m` is the median
-/// of its absolute residuals.
+/// Finds the cause whose correction reduces the residuals of a run most. `rows` contains only the rows of the run.
+/// `median_m` is the median of their absolute residuals.
 fn explain(model: &Model, rows: &Instrument, residuals_m: &[f64], median_m: f64) -> Option<RunCause> {
     /// A cause must reduce the residuals to this fraction or less.
     const PART_LEFT: f64 = 1.0 / 3.0;
@@ -64,7 +65,7 @@ fn explain(model: &Model, rows: &Instrument, residuals_m: &[f64], median_m: f64)
         .map(|(_, cause)| cause)
 }
 
-/// Median of the absolute residuals \[m\] if the sign of a joint is reversed.
+/// Median of the absolute residuals after the sign of a joint is reversed \[m\].
 fn sign_reversed(model: &Model, rows: &Instrument, joint: usize) -> Option<(f64, RunCause)> {
     let reversed = Mistake::Joints(JointMistake::Reversed(joint));
     let corrected = rows.undone(reversed, model.robot()).into_iter().next()?;
@@ -72,8 +73,8 @@ fn sign_reversed(model: &Model, rows: &Instrument, joint: usize) -> Option<(f64,
     Some((median_m, RunCause::SignReversed { joint: joint + 1 }))
 }
 
-/// Median of the absolute residuals \[m\] after correction of a changed offset. Residuals are robot minus measurement, so
-/// the change of the offset is their median with the opposite sign.
+/// Median of the absolute residuals after a changed offset is corrected \[m\]. Residuals are robot minus measurement, so the
+/// change of the offset is the negative median of the residuals.
 fn zero_moved(residuals_m: &[f64]) -> (f64, RunCause) {
     let median_m = quantile(&mut residuals_m.to_vec(), 0.5);
     (median_size(residuals_m.iter().map(|r| r - median_m)), RunCause::ZeroMoved { by_m: -median_m })

@@ -1,5 +1,5 @@
-//! Statistics of pose errors of any instrument. Tests whether a calibrated robot is better or worse than the nominal one
-//! for the same samples. Defines the stages of a calibration after which the errors of rows are recorded ([`Stages`]).
+//! Statistics of pose errors of any instrument. Tests whether the calibrated robot is better or worse than the nominal robot
+//! for the same samples. Also defines the stages of a calibration after which the errors of rows are recorded ([`Stages`]).
 
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, Normal};
@@ -38,23 +38,23 @@ impl PoseFigures {
     }
 }
 
-/// Number of independent errors of samples that share their errors, such as the samples of a segment: one along each axis.
+/// Number of independent errors of a group of samples with common errors, such as a segment: one along each axis.
 pub const INDEPENDENT_OF_GROUP: usize = 3;
 /// Probability that a calibrated robot is classified as better although it is not.
 const BETTER_BY_CHANCE: f64 = 0.05;
 /// Probability that a calibrated robot is classified as worse although it is not.
 const WORSE_BY_CHANCE: f64 = 1e-3;
 
-/// Quantile of the ratio of two root mean squares, at this probability, if both robots have equal errors. Each root mean
-/// square is that of `n` errors. The variance of the difference of their logarithms is at most `1 / n`, because both are
-/// for the same samples.
+/// Ratio of two root mean squares that is not exceeded with this probability if both robots have equal errors. Each root
+/// mean square is computed from `n` errors. The variance of the difference of their logarithms is at most `1 / n`, because
+/// both robots are tested with the same samples.
 fn ratio_by_chance(n: usize, probability: f64) -> f64 {
     let sigma = (n.max(1) as f64).sqrt().recip();
     (Normal::standard().inverse_cdf(probability) * sigma).exp()
 }
 
-/// Whether the calibrated robot is significantly better, from two root mean squares of `n` errors each. The position must
-/// be significantly better. The rotation, if it was measured, must be better by any amount.
+/// Whether the calibrated robot is significantly better than the nominal one. Each root mean square is computed from `n`
+/// errors. The position must be significantly better. The rotation, if it was measured, only has to be better.
 pub fn is_surely_better(n: usize, [nominal, calibrated]: [PoseError; 2]) -> bool {
     let limit_m = ratio_by_chance(n, BETTER_BY_CHANCE) * nominal.position_m;
     let rotations = nominal.rotation_rad.zip(calibrated.rotation_rad);
@@ -62,13 +62,14 @@ pub fn is_surely_better(n: usize, [nominal, calibrated]: [PoseError; 2]) -> bool
     n > 0 && calibrated.position_m < limit_m && rotation_is_better
 }
 
-/// Whether the calibrated robot is significantly worse, from two root mean squares of `n` errors each.
+/// Whether the calibrated robot is significantly worse than the nominal one. Each root mean
+/// square is computed from `n` errors.
 pub fn is_surely_worse(n: usize, [nominal, calibrated]: [f64; 2]) -> bool {
     calibrated > nominal * ratio_by_chance(n, 1.0 - WORSE_BY_CHANCE)
 }
 
-/// Results for the same rows after each of four fits to the fitting rows. A drift of the instrument's offset is
-/// removed from each result.
+/// Results for the same rows after each of four fits. The held-out rows were not used in these fits. If the instrument's
+/// offset drifts, the drift is removed from each result.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct Stages<T = PoseFigures> {
     /// Fit of the instrument alone, with the nominal robot.

@@ -1,9 +1,15 @@
 //! Refuses rows that are not plausible for the configured robot, and reports the most likely mistake.
 //!
 //! A fit with priors always has a solution, even if the rows contain a mistake. The mistake is visible in the solution:
-//! corrections exceed the tolerances of the links, held-out rows do not improve, residuals exceed usual joint errors, or
-//! there is a step in time. The driver tests this after the last stage of [`super::Stages`], before the fit to all rows.
-//! `likely` finds the mistake.
+//!
+//! - a correction of a link parameter exceeds its tolerance (`furthest_link`),
+//! - orientations differ although positions fit (`turned`),
+//! - residuals are larger than joint errors can cause (`too_far`),
+//! - the calibrated robot predicts held-out rows worse than the nominal one (`worse_than_nominal`),
+//! - the measured positions have a step in time (`step`).
+//!
+//! The driver runs these tests after the last stage of [`super::Stages`], before the fit to all rows. If a test
+//! fails, `likely` finds the mistake.
 
 use std::fmt;
 
@@ -28,8 +34,9 @@ pub struct Step {
 }
 
 impl Step {
-    /// Whether the nominal robot fits the rows before and after the step much better separately than together. The robot's
-    /// own errors may also cause a step, where its path continues in another region, but a smaller one.
+    /// Whether the nominal robot fits the rows much better if the rows before the step and those after it
+    /// are fitted separately. The robot's own errors may also cause a step, if the path continues in
+    /// another region, but this step is smaller.
     fn explains(&self, instrument: &Instrument, robot: &Chain) -> bool {
         likely(instrument, robot, &[Mistake::Moved(self.row - 1)]).is_some()
     }
@@ -48,7 +55,7 @@ impl fmt::Display for Step {
 }
 
 /// Refuses a calibration that is not plausible for a robot like the nominal one. `sets` contains the set of each file, in
-/// the order of `files`. `runs` are at their solution.
+/// the order of `files`. The models of `runs` are at the solution.
 ///
 /// # Errors
 /// [`CalibrateError::Implausible`] with the most likely mistake.
@@ -82,9 +89,10 @@ fn reasons_of_set(set: &RowSet, instrument: &Instrument, model: &Model, robot: &
     reasons.into_iter().flatten().collect()
 }
 
-/// Limit in standard deviations. By chance, one of 30 parameters exceeds it for one in 50 000 robots.
+/// Limit of the correction of a link parameter, in standard deviations. By chance, one of 50 000 robots
+/// has a larger correction among 30 parameters.
 const SIGMAS_MAX: f64 = 5.0;
-/// Standard deviation of length errors \[m\]. Large enough for robot files that were typed by hand.
+/// Standard deviation of length errors \[m\]. It is large enough for robot files that were typed by hand.
 const LINK_M: f64 = 1e-2;
 /// Standard deviation of angle errors, including joint offsets \[rad\].
 const LINK_RAD: f64 = 2e-2;
@@ -114,10 +122,10 @@ fn furthest_link(model: &Model) -> Option<String> {
 }
 
 /// Describes orientations that differ more than those of any real robot, although the positions fit. `None`
-/// if they are plausible.
+/// if the orientations are plausible.
 fn turned(set: &RowSet) -> Option<String> {
-    /// Limit of the orientation errors \[rad\]. Those of the nominal robot are smaller. Those of a wrong
-    /// angle convention are larger.
+    /// Limit of the orientation errors \[rad\]. Orientation errors of a nominal robot are smaller. Those of a
+    /// wrong angle convention are larger.
     const WRONG_RAD: f64 = 0.1;
     /// Quantile of the orientation errors that is compared with the limit. It allows one row in five to be an outlier.
     const PART: f64 = 0.78;
@@ -133,8 +141,8 @@ fn turned(set: &RowSet) -> Option<String> {
     })
 }
 
-/// Maximum joint errors of industrial arms with known links \[rad\]. They include errors of gears and resolvers, and
-/// commanded angles that were rounded to a tenth of a degree.
+/// Maximum joint errors of industrial arms whose link parameters are known \[rad\]. They include errors of gears and
+/// resolvers, and the rounding of commanded angles to a tenth of a degree.
 const JOINT_ERROR_RAD_MAX: f64 = 2e-3;
 
 /// Describes residuals of the calibrated robot that are larger than joint errors can cause. `None` if they are plausible.
@@ -150,8 +158,8 @@ fn too_far(errors: &[PoseError], robot: &Chain) -> Option<String> {
     })
 }
 
-/// Describes held-out rows that have larger errors with the calibrated than with the nominal robot. `None` if
-/// they are not larger.
+/// Describes held-out rows whose errors are significantly larger with the calibrated robot than with the
+/// nominal one. `None` if they are not.
 fn worse_than_nominal(set: &RowSet) -> Option<String> {
     let held_out = set.held_out();
     let [nominal_m, calibrated_m] = [held_out.nominal.position_m.rms, held_out.joints.position_m.rms];
@@ -168,7 +176,7 @@ fn worse_than_nominal(set: &RowSet) -> Option<String> {
 /// Number of blocks of consecutive rows.
 const BLOCKS: usize = 40;
 
-/// Median error of each block of consecutive rows along each axis, with the first row of the block.
+/// For each block of consecutive rows: the index of its first row, and the median error along each axis.
 fn blocks(errors_m: &[Vector3<f64>]) -> Vec<(usize, Vector3<f64>)> {
     let size = errors_m.len().div_ceil(BLOCKS).max(1);
     let median = |(number, block): (usize, &[Vector3<f64>])| {
@@ -186,9 +194,10 @@ const COEFFICIENTS: usize = 3;
 
 /// Finds the most significant step in time of the position errors. `None` if no step is significant.
 ///
-/// Uses medians of blocks of rows, so that single outliers cause no step. A linear regression of these medians has a mean,
-/// a linear drift and a step. Student's t of the step is tested along each of the three axes and for each possible position
-/// of the step (Bonferroni). The scatter of the blocks includes correlated errors.
+/// The rows are divided into blocks, and the median of each block is used, so that single outliers cause no step. A linear
+/// regression of these medians has a mean, a linear drift and a step. Student's t of the step is tested along each of the
+/// three axes and for each possible position of the step. The limit is corrected for this number of tests (Bonferroni). The
+/// errors of consecutive rows may be correlated, because the variance is estimated from the blocks.
 pub(super) fn step(instrument: &Instrument, model: &Model) -> Option<Step> {
     /// Probability of a false alarm in a file without a step.
     const FALSE_ALARMS: f64 = 1e-4;
@@ -207,7 +216,7 @@ pub(super) fn step(instrument: &Instrument, model: &Model) -> Option<Step> {
     let count = blocks.len();
     let freedom = count.checked_sub(COEFFICIENTS).filter(|freedom| *freedom > 2 * BESIDE)? as f64;
     let first_after = BESIDE..=count - BESIDE;
-    // Both signs of the three coordinates, for each position of the step.
+    // Number of tests: both signs of the three coordinates, for each position of the step.
     let tests = 2.0 * 3.0 * first_after.clone().count() as f64;
     let limit = StudentsT::new(0.0, 1.0, freedom).ok()?.inverse_cdf(1.0 - FALSE_ALARMS / tests);
     let steps = first_after.filter_map(|block| step_before(&blocks, block, freedom));
@@ -215,8 +224,9 @@ pub(super) fn step(instrument: &Instrument, model: &Model) -> Option<Step> {
     (student > limit).then_some(step)
 }
 
-/// The step before the block `first_after`, by a linear regression of the medians of the blocks. Also returns the largest
-/// Student's t of its coordinates. `freedom` is the number of blocks minus [`COEFFICIENTS`].
+/// Computes the step before the block `first_after` by a linear regression of the medians of the blocks. Also returns the
+/// largest Student's t of the three coordinates of the step. `freedom`, the degrees of freedom of one axis, is the number of
+/// blocks minus the [`COEFFICIENTS`] of the regression.
 fn step_before(blocks: &[(usize, Vector3<f64>)], first_after: usize, freedom: f64) -> Option<(f64, Step)> {
     let count = blocks.len();
     let design = DMatrix::from_fn(count, COEFFICIENTS, |block, column| match column {

@@ -1,6 +1,6 @@
-//! Finds the mistake that explains why rows do not fit the nominal robot. Each possible mistake is corrected in the
-//! rows, the instrument is placed again, and the errors before and after are compared. Used for refusals of
-//! calibrations and by `identify inspect`.
+//! Finds the mistake that explains why rows do not fit the nominal robot. Each possible mistake is corrected in the rows,
+//! the pose of the instrument is estimated again, and the errors before and after are compared. Used when a calibration is
+//! refused, and by `identify inspect`.
 
 use std::fmt;
 
@@ -18,8 +18,8 @@ use crate::statistics::{mean, median_size, rms};
 pub struct Likely {
     /// The mistake that explains the rows.
     pub mistake: Mistake,
-    /// Error of the nominal robot for the rows as read \[m\]. A root mean square, or a median if the unit of lengths was
-    /// tested. Infinite if the instrument cannot be placed.
+    /// Error of the nominal robot for the rows as read \[m\]. It is a root mean square, or a median if the mistake is the
+    /// unit of lengths. Infinite if the rows as read do not determine the pose of the instrument.
     pub as_read_m: f64,
     /// Error after correction of the mistake \[m\].
     pub undone_m: f64,
@@ -48,15 +48,16 @@ pub(super) fn placed(instrument: Instrument, model: Model) -> Result<Option<Mode
     Ok(Some(run.model))
 }
 
-/// Root mean square errors of a robot for samples. The same samples determine the pose of the instrument. `None` if they
-/// do not determine it.
+/// Root mean square errors of a robot for samples. The pose of the instrument is estimated from the same samples. `None`
+/// if they do not determine this pose.
 pub fn misfit(instrument: &Instrument, robot: &Chain) -> Option<PoseError> {
     instrument.contradicting(robot).ok().filter(|_| instrument.samples() >= instrument.samples_min())?;
     let model = placed(instrument.clone(), Model::alone(robot)).ok()??;
     Some(PoseFigures::of(instrument.errors(&model.geometry(&[]))).rms())
 }
 
-/// Thins the samples evenly. The rest is sufficient to compare robots and mistakes, because a mistake affects all samples.
+/// Thins the samples evenly. Few samples are sufficient to compare robots and mistakes,
+/// because a mistake affects all samples.
 pub fn some_of(instrument: &Instrument) -> Instrument {
     const TRIED: usize = 60;
     let (samples, wanted) = (instrument.samples(), TRIED.max(instrument.samples_min()));
@@ -72,11 +73,12 @@ fn misfit_m(instrument: &Instrument, robot: &Chain) -> Option<f64> {
     Some(position_m.hypot(TOOL_M * rotation_rad.unwrap_or(0.0)))
 }
 
-/// Error of the nominal robot after correction of the mistake \[m\]; `None` if the instrument cannot be placed.
+/// Error of the nominal robot after correction of the mistake \[m\]. `None` if the samples do not
+/// determine the pose of the instrument.
 fn corrected_misfit_m(mistake: Mistake, instrument: &Instrument, robot: &Chain) -> Option<f64> {
     match mistake {
         Mistake::Moved(row) => {
-            // Place the instrument separately for the samples before and after the displacement.
+            // Estimate the pose of the instrument separately for the samples before and after the displacement.
             let count = instrument.samples();
             let sum_of_squares = |samples: std::ops::Range<usize>| {
                 let (rows, samples) = (samples.len() as f64, samples.collect::<Vec<_>>());
@@ -86,7 +88,7 @@ fn corrected_misfit_m(mistake: Mistake, instrument: &Instrument, robot: &Chain) 
             Some(((sum_of_squares(0..row)? + sum_of_squares(row..count)?) / count as f64).sqrt())
         }
         Mistake::ModifiedTable => {
-            // In a table of modified DH parameters, `a` and `alpha` of a link are in the row of the next link.
+            // A table of modified DH parameters lists `a` and `alpha` of a link in the row of the next link.
             let mut read = robot.clone();
             let next = robot.links.iter().skip(1).map(|link| (link.a_m, link.alpha_rad));
             for (link, (a_m, alpha_rad)) in read.links.iter_mut().zip(next.chain([(0.0, 0.0)])) {
@@ -101,21 +103,21 @@ fn corrected_misfit_m(mistake: Mistake, instrument: &Instrument, robot: &Chain) 
     }
 }
 
-/// Upper limit of the nominal robot's error for rows that contain no mistake \[m\].
+/// If the error of the nominal robot is less than this, the rows contain no mistake \[m\].
 const NEAR_M: f64 = 0.05;
 
 /// Finds the mistake whose correction makes the samples fit the nominal robot best. `None` if no correction is sufficient.
 pub fn likely(instrument: &Instrument, robot: &Chain, mistakes: &[Mistake]) -> Option<Likely> {
-    /// A correction must reduce the error to less than this fraction. The robot's own errors are millimetres, those
-    /// of mistakes are centimetres.
+    /// A correction must reduce the error to less than this fraction. Errors of a robot are millimetres,
+    /// errors due to mistakes are centimetres.
     const REMAINING_MAX: f64 = 0.3;
-    // If the instrument cannot be placed at all with the rows as read, any placement is an improvement.
+    // If the rows as read do not determine the pose of the instrument, any correction that determines it is an improvement.
     let as_read_m = misfit_m(instrument, robot).unwrap_or(f64::INFINITY);
     let corrected = |&mistake: &Mistake| {
         Some(Likely { mistake, as_read_m, undone_m: corrected_misfit_m(mistake, instrument, robot)? })
     };
-    // A correction to shorter lengths also makes the errors smaller, even if the unit was right. Compare the errors at
-    // the lengths as read.
+    // A correction that makes lengths shorter also makes errors smaller, even if the unit was correct. Therefore convert all
+    // errors to the lengths as read before they are compared.
     let at_length_read_m = |likely: &Likely| likely.undone_m / likely.mistake.shortening();
     let found = mistakes.iter().filter_map(corrected);
     let best = found.min_by(|a, b| at_length_read_m(a).total_cmp(&at_length_read_m(b)))?;
@@ -129,11 +131,11 @@ pub(in crate::calibrate) fn likely_of_all(files: &[Rows], robot: &Chain) -> Opti
     files.iter().find_map(likely_of)
 }
 
-/// Refuses lengths whose unit differs from that of the mapping. `nominal` is the nominal robot with the
-/// instrument fitted to it.
+/// Refuses lengths if their unit is not the one that the mapping states. `nominal` is the nominal
+/// robot with the instrument fitted to it.
 ///
-/// The unit is wrong if the nominal robot does not explain the variation of the lengths as read, but does explain it
-/// in another usual unit.
+/// The unit is wrong if two conditions are true. The nominal robot does not explain the variation of the lengths as read.
+/// The nominal robot does explain the variation if another usual unit is assumed.
 ///
 /// # Errors
 /// [`CalibrateError::Implausible`] with the correct unit.
@@ -142,8 +144,8 @@ pub(in crate::calibrate) fn unless_other_unit(
     nominal: &Model,
     robot: &Chain,
 ) -> Result<(), CalibrateError> {
-    /// Maximum unexplained fraction of the variation of lengths in the right unit. The errors are
-    /// millimetres, the variation decimetres.
+    /// If the unit is right, the nominal robot leaves at most this fraction of the variation of the lengths unexplained. The
+    /// errors are millimetres, the variation is decimetres.
     const UNEXPLAINED: f64 = 0.3;
     if whole.lengths_m().is_empty() {
         return Ok(());

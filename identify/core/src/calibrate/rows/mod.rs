@@ -1,11 +1,17 @@
-//! The parts of a calibration that are specific to files of rows. A row is a measurement and the joints of the robot, which
-//! is usually at rest in this pose.
+//! The parts of a calibration that are specific to files of rows. A row contains a measurement and the joints of the robot,
+//! which usually stands still during the measurement.
 //!
 //! A fifth of the rows of each file is held out. These rows are used neither to choose error terms nor to detect outliers,
 //! so their errors validate the calibration. The final result is a fit to all rows.
 //!
 //! The driver calls the methods of [`RowSet`] in the order of its stages ([`Stages`]). Each stage fits more parameters than
-//! the previous one, and the errors of all rows are recorded after it.
+//! the previous one. After each stage the errors of all rows are recorded:
+//!
+//! 1. `RowSet::new` splits the rows, and `judge_nominal` records the errors of the nominal robot.
+//! 2. `judge_links` records the errors with the best joint offsets, and with the best link parameters.
+//! 3. `screen` rejects outliers and removes a drift of the offset.
+//! 4. `judge_joints` records the errors with error terms.
+//! 5. `leave_out_gross` rejects rows far from both robots, and `everything` returns all other rows for the last fit.
 
 mod drift;
 mod faulty_runs;
@@ -32,7 +38,7 @@ pub use likely::{Likely, likely, misfit, some_of};
 pub(super) use likely::{likely_of_all, unless_other_unit};
 pub use validate::{Validated, validate};
 
-/// Default maximum order of joint waves. Strain wave gears have no finer teeth near their output.
+/// Default maximum order of joint waves. The teeth of strain wave gears cause no higher orders per turn of the joint.
 pub const WAVES_PER_TURN_MAX: u8 = 64;
 
 /// Number of equal parts of a file. A calibration holds one of them out. A validation holds each of them out in turn.
@@ -43,8 +49,8 @@ pub(crate) fn rows_min(instrument: &Instrument) -> usize {
     (instrument.samples_min() * PARTS).div_ceil(PARTS - 1)
 }
 
-/// Returns the rows whose own data contradict each other. If the file is the only input (`alone`), the remaining rows must
-/// be sufficient for a fit.
+/// Checks the rows and returns those whose own data contradict each other. If the file is the only input (`alone`),
+/// enough other rows must remain for a fit.
 pub(super) fn checked(
     instrument: &Instrument,
     alone: bool,
@@ -64,7 +70,7 @@ pub(super) fn checked(
 pub struct RowSet {
     /// All rows of the file.
     whole: Instrument,
-    /// Errors of all rows after each stage, including rejected rows.
+    /// Errors of all rows after each stage, including the errors of rejected rows.
     pub errors: Stages<Vec<PoseError>>,
     /// Rows that the fits of the stages use.
     pub fitted_rows: Vec<usize>,
@@ -74,25 +80,25 @@ pub struct RowSet {
     pub rejected: Vec<RejectedRow>,
     /// Faulty runs, which are consecutive rows with a common error, with possible causes.
     pub runs: Vec<FaultyRun>,
-    /// Drift of the instrument's offset. `None` if the drift does not improve the prediction of left-out rows at the best
-    /// link parameters. A drift is removed from the errors of each stage. The last two stages use this drift. Each of the
-    /// first two stages has a drift of its own.
+    /// Drift of the instrument's offset. `None` if no drift improves the prediction of left-out rows at the best link
+    /// parameters. A drift is removed from the errors of each stage: this drift from the errors of the last two stages, and
+    /// a separately estimated drift from those of each of the first two.
     pub drift: Option<Drift>,
     /// Drift of each row \[m\]; empty without a drift.
     drift_m: Vec<f64>,
-    /// Rows that the last solve received, before it detected outliers of its own.
+    /// Rows that were given to the last solve. The solve may have excluded some of them as outliers.
     given: Vec<usize>,
     /// A significant step of the measured positions relative to the nominal robot.
     step: Option<Step>,
-    /// Model with the nominal robot, to which the instrument was fitted.
+    /// Model with the nominal robot. Its instrument parameters were fitted to the rows.
     nominal: Option<Model>,
 }
 
 impl RowSet {
-    /// Splits a file of rows, without the `rejected` ones. If `hold_out` is true, one part is held out.
+    /// Splits a file of rows without the `rejected` rows. If `hold_out` is true, one part of the rows is held out.
     pub(super) fn new(whole: Instrument, rejected: Vec<RejectedRow>, hold_out: bool) -> Self {
         let parts = if hold_out { whole.independent(PARTS) } else { Vec::new() };
-        // If all rows are in a single group of similar rows, nothing can be held out.
+        // If all rows are in one group, nothing can be held out, because groups are not split.
         let can_hold_out = parts.len() > 1;
         let mut held_out_rows = parts.into_iter().next().filter(|_| can_hold_out).unwrap_or_default();
         held_out_rows.sort_unstable();
@@ -122,7 +128,7 @@ impl RowSet {
         self.whole.part(&without(&self.fitted_rows, &self.rejected))
     }
 
-    /// Records the errors of the nominal robot. `model` contains the nominal robot, to which the instrument was fitted.
+    /// Records the errors of the nominal robot. `model` is the nominal robot with the instrument fitted to the rows.
     ///
     /// # Errors
     /// [`CalibrateError::Model`] if the role of the scale cannot be set.
@@ -160,11 +166,11 @@ impl RowSet {
     }
 
     /// Rejects rows that are far from both the nominal and the calibrated robot, whether they were fitted or held out.
-    /// Examples are a broken beam, a wrong target or a misread length. If the calibration predicts held-out rows poorly,
-    /// they are still near the nominal robot and are kept.
+    /// Causes of such rows are a broken beam, a wrong target or a misread length. If only the calibrated robot predicts
+    /// held-out rows poorly, they are kept, because they are near the nominal robot.
     ///
-    /// The errors of the nominal robot are computed without a drift. The drift of a held-out segment is unknown, so its
-    /// rows would be far from both robots.
+    /// A drift is not removed from the errors with the nominal robot. The drift of a held-out segment is not known. If a
+    /// wrong drift were removed, the rows of this segment would be far from both robots.
     pub(super) fn leave_out_gross(&mut self, model: &Model) {
         let mut whole = self.whole.clone();
         whole.adapt(model);
@@ -183,12 +189,12 @@ impl RowSet {
         self.whole.errors(&model.geometry(&[]))
     }
 
-    /// Errors of all rows at this model, with a drift of its own. The drift is the one that predicts left-out rows
-    /// among `rows` best, if any does. With the drift of another model, or without one, a comparison of the two models
-    /// would include the drift.
+    /// Errors of all rows at this model, after the drift at this model is removed. The drift is the one that predicts
+    /// left-out rows among `rows` best. If no drift improves the prediction, none is removed. Each model needs its own
+    /// drift. Otherwise a comparison of two models would also compare their drifts.
     fn errors_with_own_drift(&self, model: &Model, rows: &[usize]) -> Result<Vec<PoseError>, CalibrateError> {
         let mut model = model.clone();
-        // `sigma_m` is only the scale of the candidate drifts.
+        // `sigma_m` only determines the magnitude of the drifts to try.
         let without = self.errors_with(&model);
         let sigma_m = rms(rows.iter().filter_map(|&row| Some(without.get(row)?.position_m)));
         let found = drift::find(&mut model, &self.whole, rows, sigma_m)?;
@@ -196,19 +202,19 @@ impl RowSet {
         Ok(corrected.map_or(without, |whole| whole.errors(&model.geometry(&[]))))
     }
 
-    /// The instrument, with its lengths corrected for the drift if there is one.
+    /// The instrument. If there is a drift, it is removed from the lengths.
     fn without_drift(&self) -> Instrument {
         let corrected = self.drift.as_ref().and_then(|_| self.whole.longer_by(&self.drift_m));
         corrected.unwrap_or_else(|| self.whole.clone())
     }
 
-    /// Detects outliers and a drift of the offset in the lengths of a run. The model of the run contains the best link
-    /// parameters for the fitting rows, and `offsets` the best joint offsets alone. Later stages assume this drift. It is
-    /// also removed from the errors of the previous stages.
+    /// Detects outliers, and a drift of the offset, in the lengths of a run. The model of the run contains the best link
+    /// parameters for the fitting rows, and `offsets` contains only the best joint offsets. Later stages assume this drift
+    /// to be known. The errors of the previous stages are computed again without drift.
     ///
-    /// Single gross residuals are rejected from the fit only. Faulty runs are rejected from fit and statistics, but only
-    /// fitting rows decide where they are. If a drift is found, faulty runs are used again, because the drift includes the
-    /// change of their offset. Lengths of held-out rows have no influence.
+    /// A single gross residual is rejected only if its row is fitted. A faulty run is rejected with all its rows, fitted and
+    /// held out, but only its fitted rows are used to find it. If a drift is found, the rows of faulty runs are used again,
+    /// because the drift contains the change of their offset. Lengths of held-out rows have no influence.
     pub(super) fn screen(
         &mut self,
         data_set: usize,
@@ -232,10 +238,10 @@ impl RowSet {
         self.remove_drift(run, offsets, &self.usable_with_drift(&fitting), sigma_m)
     }
 
-    /// Rows that contradict the others at the model of the run. The run contains only the `fitting` rows. The noise of all
-    /// rows is estimated from the rows that its fit did not reject.
+    /// Finds rows that contradict the other rows at the model of the run. The run contains only the `fitting` rows. The
+    /// noise of all rows is estimated from the rows that the run's fit did not reject.
     fn faulty_rows(&mut self, run: &Run, fitting: &[usize]) -> Vec<RejectedRow> {
-        // The run counts rows within `fitting`. Convert to row numbers of the file.
+        // The run numbers only the rows in `fitting`. Convert these numbers to row numbers of the file.
         let in_file = |rejected: &RejectedRow| RejectedRow { row: fitting[rejected.row], ..*rejected };
         let rejected_by_fit = run.instrument.rejected().iter().map(in_file).collect::<Vec<_>>();
         let kept = without(fitting, &rejected_by_fit);
@@ -244,7 +250,7 @@ impl RowSet {
         faulty(&residuals_m, &self.whole.relative_noise(), fitting, &kept)
     }
 
-    /// Removes a drift from the lengths, if these `rows` show one. In this case the run contains these rows afterwards.
+    /// Removes a drift from the lengths if `rows` have one. The run then contains these rows with the corrected lengths.
     fn remove_drift(
         &mut self,
         run: &mut Run,
@@ -268,7 +274,7 @@ impl RowSet {
         Ok(())
     }
 
-    /// Removes the rows that are outliers even if there is a drift, that is, all rejected rows except faulty runs.
+    /// Removes the rows that are outliers even if there is a drift: all rejected rows except those of faulty runs.
     fn usable_with_drift(&self, rows: &[usize]) -> Vec<usize> {
         without(rows, &self.rejected_where(|why| !matches!(why, Rejection::FaultyRun { .. })))
     }
@@ -286,7 +292,8 @@ impl RowSet {
             self.drift_m = drift::fit(&mut model.clone(), &self.whole, &self.given, drift)?;
             return Ok(self.without_drift().part(&self.given));
         }
-        // If the fit detects outliers itself, it may use rows again that did not fit the best link parameters.
+        // If the fit detects outliers itself, it also receives the rows with gross residuals. They may fit now,
+        // because the model has more parameters.
         let fit_detects_gross = self.whole.judges_gross();
         let unusable = self.rejected_where(|why| match why {
             Rejection::FlangeContradicts { .. } => true,
@@ -297,8 +304,8 @@ impl RowSet {
         Ok(self.whole.part(&self.given))
     }
 
-    /// Robot minus measurement of every row at the last solution. If the row was excluded, also the reason. `run` is the
-    /// data set of these rows.
+    /// Difference of robot and measurement at every row, at the last solution. For excluded rows, also the reason.
+    /// `run` is the data set of these rows.
     pub fn deviations(&self, run: &Run) -> Vec<(Deviation, Option<Rejection>)> {
         let geometry = run.model.geometry(&[]);
         let deviations = self.without_drift().deviations(&geometry);
@@ -313,8 +320,8 @@ impl RowSet {
         all
     }
 
-    /// Factor that corrects standard deviations of the robot from a fit that assumed the drift to be known. At least 1.
-    /// `sigma_m` is the residual standard deviation of that fit \[m\].
+    /// Factor, at least 1, by which the standard deviations of the robot must be multiplied after a fit that assumed the
+    /// drift to be known. `sigma_m` is the residual standard deviation of this fit \[m\].
     pub(super) fn widens(&self, model: &Model, sigma_m: f64) -> Result<f64, CalibrateError> {
         let Some(drift) = &self.drift else { return Ok(1.0) };
         drift::widens(model, &self.whole, &self.given, drift, sigma_m)
@@ -339,8 +346,8 @@ impl RowSet {
         self.figures(&without(&self.held_out_rows, &self.rejected))
     }
 
-    /// Number of independent errors among all held-out rows. Rows of the same pose, segment or region share one error
-    /// along each measured direction.
+    /// Number of independent errors among all held-out rows. The rows of one pose, segment or region have one common
+    /// error along each measured direction.
     pub fn independent_held_out(&self) -> usize {
         let rows = self.whole.part(&self.held_out_rows);
         let of_group = if rows.lengths_m().is_empty() { INDEPENDENT_OF_GROUP } else { 1 };

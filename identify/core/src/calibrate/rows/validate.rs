@@ -20,8 +20,8 @@ pub struct Validated {
 
 /// Compares validation rows with the nominal and with a calibrated robot. `calibrated` must be a model for a file of rows.
 ///
-/// The robot is not changed, but the instrument has a new pose and mounting. These are estimated from four fifths of the
-/// rows, and the errors of the last fifth are computed. This is repeated for each fifth.
+/// The link parameters of the robot are not changed, but the instrument has a new pose and mounting. These are estimated
+/// from four fifths of the rows, and the errors of the last fifth are computed. This is repeated for each fifth.
 ///
 /// # Errors
 /// [`CalibrateError`] if there are too few rows, or if they do not determine the pose of the instrument.
@@ -49,7 +49,8 @@ pub fn validate(
     Ok(Validated { figures, gross })
 }
 
-/// Errors of each row for a robot. The rows of the other parts determine the pose of the instrument.
+/// Errors of each row for a robot. The pose of the instrument is estimated from the parts of
+/// the file that do not contain the row.
 fn predicted(instrument: &Instrument, robot: &Model) -> Result<Vec<PoseError>, CalibrateError> {
     let mut errors = vec![PoseError::default(); instrument.samples()];
     for left_out in instrument.independent(PARTS) {

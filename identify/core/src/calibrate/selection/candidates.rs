@@ -1,5 +1,6 @@
-//! The groups of optional error terms that a calibration tries. With a ball-bar, the configuration defines them. With files
-//! of rows, in which the robot is at rest in each pose, this file defines them. `choose` tries the groups.
+//! The groups of optional error terms that a calibration tries. If there is a ball-bar, the configuration
+//! defines them. If there are only files of rows, in which the robot stands still at each row, this file
+//! defines them. `choose` tries the groups.
 
 use super::terms::CandidateGroup;
 use crate::calibrate::rows::WAVES_PER_TURN_MAX;
@@ -33,8 +34,8 @@ pub(in crate::calibrate) fn candidate_groups(
     Ok(groups)
 }
 
-/// Highest order of joint waves to try. It leaves at least four measured values for each amplitude of each axis, because
-/// left-out groups could not confirm more amplitudes.
+/// Highest order of joint waves to try. There are at least four measured values for each amplitude of each axis. More
+/// amplitudes could not be confirmed by left-out groups.
 fn waves_per_turn(measured: usize, axes: usize) -> u8 {
     const MEASURED_PER_WAVE: usize = 4;
     let orders = measured / (MEASURED_PER_WAVE * Phase::ALL.len() * axes.max(1));
@@ -54,8 +55,8 @@ impl IdentifyConfig {
         groups
     }
 
-    /// [`Self::candidates`] with their parameters in the model. Parameters that the samples do not determine, or that the
-    /// configuration frees or fixes by name, are omitted.
+    /// [`Self::candidates`] with their parameters in the model. A parameter is omitted if the samples do not determine it,
+    /// or if the configuration frees or fixes it by name.
     pub fn groups(&self, model: &Model, identifies: impl Fn(ParameterId) -> bool) -> Vec<CandidateGroup> {
         let group = |group: TermGroup| {
             let open = model
@@ -78,8 +79,8 @@ fn joint_terms(wanted: &[TermGroup]) -> Vec<ParameterId> {
     ParameterId::all().filter(|id| id.term().is_some_and(|group| wanted.contains(&group))).collect()
 }
 
-/// Groups of joint error terms for files of rows. They contain only the parameters for which `offered` is true, and waves
-/// up to the order `waves_last`. For each group several standard deviations of its prior are tried.
+/// Groups of joint error terms for files of rows. They contain only parameters for which `offered` returns true, and waves
+/// up to the order `waves_last`. Each group is tried with several standard deviations of its prior.
 pub(crate) fn groups(waves_last: u8, offered: impl Fn(&ParameterId) -> bool) -> Vec<CandidateGroup> {
     const ANGLES_RAD: &[f64] = &[20e-6, 100e-6, 500e-6];
     const RATIOS: &[f64] = &[20e-6, 100e-6, 500e-6];
@@ -100,7 +101,8 @@ pub(crate) fn groups(waves_last: u8, offered: impl Fn(&ParameterId) -> bool) -> 
     groups
 }
 
-/// Bands of waves that are tried together, in waves per turn: eccentric gears; encoders and flexsplines; fine teeth.
+/// Bands of waves per turn. The waves of a band are tried together. Typical causes of the three bands: eccentric gears;
+/// encoders and flexsplines; fine teeth.
 const BANDS: [std::ops::RangeInclusive<u8>; 3] =
     [*Waves::OF_AXIS.start()..=10, 11..=30, 31..=*Waves::OF_AXIS.end()];
 

@@ -1,9 +1,15 @@
-//! Chooses the error terms that a calibration contains, and the widths of its priors. Input: models near their solution.
-//! The functions set the roles of the terms and the sigmas of the priors. `terms` contains the tests on left-out data.
-//! `pipeline::estimate` calls these functions as its steps.
+//! Chooses the error terms that a calibration contains, and the widths of its priors. `pipeline::estimate` calls
+//! these functions. Input: models near their solution. Output: the roles of the terms and the sigmas of the
+//! priors, which are set in the models.
 //!
-//! A group of terms is offered if it is tried: its terms have priors while the normal equations are computed. An offer is
-//! accepted or rejected as a whole.
+//! To offer a group of terms means to give its terms priors and to compute the normal equations. `terms`
+//! then tests on left-out data which offers improve the prediction. Each offer is accepted or rejected
+//! as a whole. Steps of `choose_terms`:
+//!
+//! 1. Detects the waves of a line spectrum in the residuals (`add_detected_waves`).
+//! 2. Offers all groups, and sets the priors of accepted terms (`offer`, `apply`).
+//! 3. Offers the terms of rejected groups again, separately for each axis (`choose_axes`).
+//! 4. Widens the priors of the tolerances (`widen_tolerances`).
 
 use std::collections::BTreeMap;
 
@@ -16,23 +22,23 @@ use crate::model::{ModelError, ParameterId, Role, TermGroup};
 use crate::solver::{Loss, Normals, Prior, Solution};
 use crate::statistics::mean;
 
-/// Parameters whose priors are multiplied by a common factor, which is estimated from the samples.
+/// Parameters whose prior standard deviations have a common factor, which is estimated from the samples.
 #[derive(Debug, Clone)]
 pub(in crate::calibrate) struct CommonPrior {
     /// Configured standard deviation of the prior of each parameter.
     pub sigmas: BTreeMap<ParameterId, f64>,
-    /// Factors to try, common to all these standard deviations.
+    /// Values of the common factor to try.
     pub scales: &'static [f64],
 }
 
 impl CommonPrior {
     /// Factors to try for the harmonics of the bar's encoders.
     pub const HARMONICS: &'static [f64] = &[2.0, 1.0, 0.5, 0.2, 0.1, 0.05, 0.02];
-    /// Factors to try for the offsets of joints. They are within the tolerance of links, or were set by hand with errors of
-    /// up to a degree (cobots).
+    /// Factors to try for the offsets of joints. Some robots have offsets within the tolerance of links. On others, such as
+    /// cobots, the offsets were set by hand, with errors of up to a degree.
     pub const ZEROS: &'static [f64] = &[1.0, 2.0, 5.0, 10.0, 20.0];
 
-    /// Creates the common prior of the parameters `ids`. Parameters that have a prior in no model are omitted.
+    /// Creates the common prior of the parameters `ids`. A parameter that has a prior in none of the models is omitted.
     pub fn new(runs: &[Run], ids: impl Iterator<Item = ParameterId>, scales: &'static [f64]) -> Self {
         let sigma = |id: ParameterId| {
             runs.iter().find_map(|run| match run.model.role(id)? {
@@ -48,7 +54,7 @@ impl CommonPrior {
 struct Offered {
     /// Parameter of each column.
     ids: Vec<ParameterId>,
-    /// Columns that are included in each solution.
+    /// Columns that are included in each solution, whichever terms are accepted.
     always: Vec<usize>,
     /// The groups of terms, as columns.
     offers: Vec<Offer>,
@@ -69,8 +75,9 @@ impl Offered {
 }
 
 impl Solver<'_> {
-    /// Tries each group of terms on held-out groups of samples, then the single axes of rejected groups. Sets the priors of
-    /// accepted terms. Also chooses the factor of the tolerances, which is returned together with the results.
+    /// Tries each group of terms on held-out groups of samples. Then tries the rejected groups again, separately
+    /// for each axis. Sets the priors of accepted terms. Also chooses the factor of the tolerances. Returns the
+    /// results of all groups and this factor.
     pub(in crate::calibrate) fn choose_terms(
         &mut self,
         solution: &Solution,
@@ -83,8 +90,8 @@ impl Solver<'_> {
         self.leave_out(&self.waves.only_without_a_fold())?;
         let mut report = Vec::new();
         let mut accepted = self.apply(&groups, &offered, &results, &mut report)?;
-        // A rejected line spectrum is not tried by axis. Its orders were detected in the same samples, so a test of these
-        // samples cannot confirm them.
+        // A rejected line spectrum is not tried again for each axis. Its orders were detected in these samples, so a test
+        // with the same samples cannot confirm them.
         let rejected: Vec<&CandidateGroup> = results
             .iter()
             .filter(|result| !result.accepted)
@@ -97,7 +104,7 @@ impl Solver<'_> {
         Ok((report, scale))
     }
 
-    /// If the line spectrum is to be tried but has no parameters, detects its waves and adds them to its group.
+    /// If the group of the line spectrum has no parameters, detects its waves and adds them to the group.
     fn add_detected_waves(
         &mut self,
         groups: &mut [CandidateGroup],
@@ -109,7 +116,7 @@ impl Solver<'_> {
         self.detect_line_spectrum(weights)?;
         spectrum.ids.clone_from(&self.waves.in_all);
         if !spectrum.ids.is_empty() {
-            // Waves that were detected only without some fold are used only to predict that fold.
+            // Waves that are in `without_fold` of a fold but not in `in_all` are only used to predict this fold.
             self.set_roles(
                 &self.waves.only_without_a_fold(),
                 Role::Prior { value: 0.0, sigma: spectrum.sigma },
@@ -133,10 +140,11 @@ impl Solver<'_> {
         self.apply(&axes, &offered, &offered.results(select_axes), report)
     }
 
-    /// Considers rejected terms as a source of uncertainty, unless all data sets are ball-bar runs.
+    /// Gives rejected terms the role [`Role::Considered`], so that they are a source of uncertainty,
+    /// unless all data sets are ball-bar runs.
     ///
-    /// Except waves of high order, rejected terms resemble errors of links. They are assumed to have the smallest size that
-    /// was tried, because left-out groups did not require more. With a ball-bar, the encoders separate error terms from
+    /// Rejected terms resemble errors of links, except waves of high order. Their assumed size is the smallest one that was
+    /// tried, because left-out groups did not require a larger one. With a ball-bar, the encoders separate error terms from
     /// links. The stated uncertainty is then correct without rejected terms (for 95 % of 185 simulated runs).
     fn consider_rejected(
         &mut self,
@@ -154,8 +162,8 @@ impl Solver<'_> {
         Ok(())
     }
 
-    /// Multiplies the priors of the tolerances by the factor that predicts left-out groups best. Returns the factor. The
-    /// factors of terms have been chosen before. Priors stated by the user are not changed.
+    /// Multiplies the standard deviations of the tolerances by the factor that predicts left-out groups best. Returns the
+    /// factor. The scales of the terms have been chosen before. Priors stated by the user are not changed.
     fn widen_tolerances(&mut self, offered: &Offered, accepted: &[ParameterId]) -> Result<f64, ModelError> {
         let Plan { tolerances, .. } = self.plan;
         let Some(normals) = offered.normals.as_ref().filter(|_| !tolerances.is_empty()) else {
@@ -167,8 +175,9 @@ impl Solver<'_> {
         Ok(scale)
     }
 
-    /// Chooses between play and compliance of the bar: an axial force either takes up the play or elongates the bar as a
-    /// spring. If play predicts left-out groups better, it is free instead of compliance. Returns whether this is so.
+    /// Chooses between play and compliance of the bar. An axial force either takes up the play or elongates
+    /// the bar as a spring. If play predicts left-out groups better, play becomes free and compliance
+    /// fixed. Returns whether play is better.
     pub(in crate::calibrate) fn replaces_compliance_by_play(
         &mut self,
         loss: Loss,
@@ -184,7 +193,7 @@ impl Solver<'_> {
         let (columns, ids, normals) = self.normals_here(loss, HELD_OUT)?;
         let error_without = |excluded: ParameterId| {
             let kept: Vec<usize> = (0..ids.len()).filter(|column| ids[*column] != excluded).collect();
-            // `about` has the estimated value of the compliance if it is included. Without it, its value is zero.
+            // The linearisation is about the current estimates, but the excluded parameter is zero.
             let mut about = self.start(&columns);
             about.iter_mut().zip(&ids).filter(|(_, id)| **id == excluded).for_each(|(value, _)| *value = 0.0);
             let normals = normals.as_ref()?.about(&about);
@@ -199,7 +208,7 @@ impl Solver<'_> {
         Ok(play_is_better)
     }
 
-    /// Sets the priors of the terms of all groups. Then linearises at the current weights, at the models with all these
+    /// Offers all groups: sets the priors of their terms and computes the normal equations, about the models with all these
     /// terms set to zero. Groups without columns are removed. `count` is the number of folds.
     fn offer(
         &mut self,
@@ -214,7 +223,7 @@ impl Solver<'_> {
         let mut offered = Offered { ids, always: Vec::new(), offers: Vec::new(), normals: None };
         groups.retain(|group| offered.columns_of(&group.ids).next().is_some());
         let offer_of = |group: &CandidateGroup| {
-            // The waves of a line spectrum with which each fold is predicted.
+            // Only a line spectrum has different waves for each fold: those that were detected without the fold.
             let without = self.waves.without_fold.iter().filter(|_| group.group == TermGroup::LineSpectrum);
             Offer {
                 columns: offered.columns_of(&group.ids).collect(),
@@ -232,8 +241,8 @@ impl Solver<'_> {
         Ok(offered)
     }
 
-    /// Sets the priors of accepted terms and excludes the others. Adds a line for each result to `report`.
-    /// Returns the accepted terms.
+    /// Sets the priors of accepted terms and fixes all other offered terms at zero. Adds a line for each result to
+    /// `report`. Returns the accepted terms.
     fn apply(
         &mut self,
         groups: &[CandidateGroup],
@@ -292,11 +301,12 @@ impl Solver<'_> {
         Ok(())
     }
 
-    /// Sets each common prior to the width for which the samples are most probable (empirical Bayes: type-II maximum
-    /// likelihood, Berger 1985). Accounts for correlated errors.
+    /// Sets the common factor of each group of priors to the value for which the samples are most probable (empirical Bayes:
+    /// type-II maximum likelihood, Berger 1985). Accounts for correlated errors.
     ///
-    /// If encoders have no eccentricity, their harmonics then do not increase the uncertainty. If the configured width is
-    /// too small, it does not bias them.
+    /// For example, if encoders have no eccentricity, the priors of their harmonics become narrow, and the
+    /// harmonics do not increase the uncertainty. If the configured standard deviation is too small, it is
+    /// increased and does not bias the harmonics.
     pub(in crate::calibrate) fn fit_common_priors(&mut self, loss: Loss) -> Result<(), CalibrateError> {
         let plan = self.plan;
         if plan.common.is_empty() {

@@ -1,16 +1,22 @@
-//! Detects waves of the robot's axes in the residuals of a solution. They are errors of gears whose numbers of teeth or
-//! lobes are unknown. `choose` tries the detected orders as error terms. An order is a number of waves per turn of a drive.
+//! Detects waves of the robot's axes in the residuals of a solution. Such waves are errors of gears whose numbers
+//! of teeth or lobes are unknown. `choose` tries the detected waves as error terms. The order of a wave is its
+//! number of periods per turn of a drive.
 //!
-//! An error `a sin(n g) + b cos(n g)` of a drive at angle `g` adds `(a sin(n g) + b cos(n g)) J` to a residual `r`. `J` is
-//! the derivative of the residual by the drive's angle. The best `a` and `b` decrease the sum of squares. This decrease, as
-//! a function of the order `n`, is a periodogram of the residuals over the drive's angle (Lomb 1976, weighted with `J`).
+//! Let a drive at angle `g` have the error `a sin(n g) + b cos(n g)`. It adds `(a sin(n g) + b cos(n g)) J` to a
+//! residual `r`, where `J` is the derivative of the residual by the drive's angle. The best `a` and `b` decrease the
+//! sum of squares. This decrease, as a function of the order `n`, is a periodogram of the residuals over the drive's
+//! angle (Lomb 1976, weighted with `J`).
 //!
-//! Axes that move together show each other's waves. Therefore the strongest wave is fitted and subtracted before the next
-//! one is detected (orthogonal matching pursuit, Pati 1993). The residuals are orthogonal to the parameters of the
-//! solution. Parameters that resemble a wave can therefore hide it, but they cannot create one.
+//! If two axes move together, a wave of one of them also appears in the periodogram of the other. Therefore the
+//! strongest wave is fitted and subtracted before the next one is detected (orthogonal matching pursuit, Pati 1993).
+//! The residuals are orthogonal to the parameters of the solution. Parameters that resemble a wave can therefore
+//! hide it, but they cannot create one.
 //!
-//! Orders are detected in all samples, and again without each fold of the samples. In this way a fold never confirms an
-//! order that was detected in it. All detections use the same sums over the samples of each fold, which are computed once.
+//! Orders are detected in all samples, and again with each fold of the samples left out. In this way no fold confirms an
+//! order that was detected in the same fold. All detections use sums over the samples of each fold, which are computed once.
+//!
+//! Steps: [`LineSpectrum::add`] computes the products of residuals and Jacobian of each sample. [`LineSpectrum::detect`]
+//! sums them for each fold. `WaveDetection` then finds the waves, once in all folds and once without each fold.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::TAU;
@@ -24,7 +30,8 @@ use crate::model::{DriveTrain, JointState, JointTerm, Model, ParameterId, Period
 use crate::solver::{Subset, stacked};
 use crate::statistics::extremes;
 
-/// Maximum number of samples of a run. A wave that is significant only with more samples is too small to matter.
+/// Maximum number of samples of a run that are used. A wave that is significant only with
+/// more samples is too small to matter.
 const SAMPLES_MAX: usize = 3000;
 const ORDER_MIN: u8 = *Waves::OF_AXIS.start();
 const ORDERS: usize = (*Waves::OF_AXIS.end() - ORDER_MIN + 1) as usize;
@@ -34,21 +41,23 @@ const ORDERS: usize = (*Waves::OF_AXIS.end() - ORDER_MIN + 1) as usize;
 const DETECTION_LIMIT: f64 = 32.0;
 /// Median of the chi-squared distribution with two degrees of freedom.
 const CHI_SQUARED_MEDIAN: f64 = 1.386;
-/// Highest order of the waves that are other error terms of every axis: once and twice per turn.
+/// Highest order of the slow waves, once and twice per turn. Every axis has separate error terms for slow waves.
 const SLOW_ORDER_MAX: f64 = 2.0;
-/// Maximum number of waves of one axis: an order, twice this order, and the order of another gear stage.
+/// Maximum number of detected waves of one axis: for example an order, twice this order,
+/// and the order of another gear stage.
 const WAVES_MAX: usize = 3;
 
 /// A wave: index of its axis from 0, and its order.
 type AxisWave = (usize, u8);
 
-/// Sums of `J^T J` times `sin^2`, `sin cos` and `cos^2` of one wave.
+/// Sums over samples of `J^T J` times `sin^2`, `sin cos` and `cos^2` of one wave. The three sums are in this order.
 type WaveNormal = [f64; 3];
 
-/// Products of one wave with all waves: sums of `J_a^T J_b` times the sine or cosine of each of the two. `b` is the
-/// axis of this wave.
+/// Sums of products of one wave (of axis `b`) with each wave (of axis `a`), including itself. A product is `J_a^T J_b` times
+/// the sine or cosine of the one wave times the sine or cosine of the other.
 ///
-/// Indices: axis `a` of the other wave, its order, its phase, and the phase of this wave.
+/// Indices: `cross[a][order of a][phase of a][phase of b]`. The first order is `ORDER_MIN`. Phase
+/// 0 is the sine, phase 1 the cosine.
 type Cross = Vec<[[[f64; 2]; 2]; ORDERS]>;
 
 /// Detected waves. Each has a sine and a cosine parameter.
@@ -56,7 +65,7 @@ type Cross = Vec<[[[f64; 2]; 2]; ORDERS]>;
 pub(in crate::calibrate) struct DetectedWaves {
     /// Waves detected in all samples together.
     pub in_all: Vec<ParameterId>,
-    /// For each fold, the waves detected in the other folds. Only these waves are used to predict the fold.
+    /// For each fold, the waves that were detected when this fold was left out. The fold is predicted with these waves only.
     pub without_fold: Vec<Vec<ParameterId>>,
 }
 
@@ -68,7 +77,7 @@ impl DetectedWaves {
         all.into_iter().collect()
     }
 
-    /// Waves that were detected without some fold, but not in all samples together.
+    /// Waves that were detected when one fold was left out, but not when all samples were used.
     pub fn only_without_a_fold(&self) -> Vec<ParameterId> {
         self.ids().into_iter().filter(|id| !self.in_all.contains(id)).collect()
     }
@@ -78,8 +87,8 @@ impl DetectedWaves {
         self.without_fold.iter_mut().chain([&mut self.in_all]).for_each(|ids| ids.retain(&wanted));
     }
 
-    /// Adds waves that were detected later. Waves detected before are kept: they were fitted, so the residuals
-    /// no longer contain them.
+    /// Adds waves that were detected later. The earlier waves are kept. They are not detected again, because they were
+    /// fitted and the residuals no longer contain them.
     pub fn extend(&mut self, others: Self) {
         let add = |own: &mut Vec<ParameterId>, new: Vec<ParameterId>| {
             own.retain(|id| !new.contains(id));
@@ -91,8 +100,8 @@ impl DetectedWaves {
     }
 }
 
-/// Products of the residuals `r` of one sample with their derivatives `J` by the drives' angles, multiplied
-/// by the sample's weight.
+/// Products of the residuals `r` of one sample and of their derivatives `J` by the drives' angles. All
+/// products include the weight of the sample.
 #[derive(Debug)]
 struct SampleProducts {
     fold: usize,
@@ -115,9 +124,9 @@ struct Sums {
     squared: f64,
     /// Number of residuals in these samples.
     rows: f64,
-    /// Sums of `J^T r` times sine and cosine.
+    /// Sums of `J^T r` times sine and cosine, with the indices axis, order and phase.
     gradients: Vec<[[f64; 2]; ORDERS]>,
-    /// Sums of `J^T J` times products of sine and cosine.
+    /// Sums of `J^T J` times products of sine and cosine, with the indices axis and order.
     normals: Vec<[WaveNormal; ORDERS]>,
 }
 
@@ -161,19 +170,21 @@ fn add_each(sums: &mut [f64], values: &[f64]) {
     sums.iter_mut().zip(values).for_each(|(sum, value)| *sum += value);
 }
 
-/// Products of the samples of all runs, with their folds.
+/// The products of the samples of all runs. Each sample belongs to one fold of its run. Folds of
+/// all runs are numbered consecutively.
 #[derive(Debug, Default)]
 pub(in crate::calibrate) struct LineSpectrum {
     samples: Vec<SampleProducts>,
     /// Number of folds of all runs.
     folds: usize,
-    /// Waves that are already other terms of the model.
+    /// Waves for which the model already has another error term.
     separate: BTreeSet<AxisWave>,
 }
 
 impl LineSpectrum {
-    /// Adds the samples of a run at the values of its model. `sigma` is the standard deviation of its residuals, and
-    /// `weights` contains the weight of each sample. `folds` are the groups of samples that are left out in turn.
+    /// Adds the samples of a run, with residuals at the values of its model. `sigma` is the standard
+    /// deviation of these residuals, and `weights` contains the weight of each sample. `folds` are the groups
+    /// of samples that are left out in turn.
     ///
     /// # Errors
     /// [`CostError`] if the samples lack data that the cost needs.
@@ -192,7 +203,7 @@ impl LineSpectrum {
         let Some(joint_model) = joints_only(model) else { return Ok(()) };
         let problem = instrument.data_set(&joint_model, sigma)?;
         let every = problem.samples().div_ceil(SAMPLES_MAX).max(1);
-        // Sample, fold, weight and reported joints. Samples without a value have weight zero and are omitted.
+        // For each used sample: its index, fold, weight and reported joints. Samples with the weight zero are not used.
         let mut present: Vec<(usize, usize, f64, JointState)> = folds
             .iter()
             .enumerate()
@@ -212,7 +223,7 @@ impl LineSpectrum {
         }
         for (number, (_, fold, weight, state)) in present.into_iter().enumerate() {
             let rows = number * per_sample..(number + 1) * per_sample;
-            // An entry of `J`: the derivative of a residual by a drive's angle, from its derivatives by the joints.
+            // An entry of `J`: the derivative of a residual by a drive's angle, computed from the derivatives by the joints.
             let by_drive = |row: usize, axis: usize| -> f64 {
                 let by_joints = jacobian.row(row);
                 let joint_from_drive = drives.joint_from_drive[axis].iter();
@@ -237,7 +248,7 @@ impl LineSpectrum {
         Ok(())
     }
 
-    /// Detects the waves that exceed both the noise and the median wave of their axis.
+    /// Detects the waves whose decrease exceeds both the noise and the median decrease of their axis.
     pub fn detect(&self) -> DetectedWaves {
         let axes = self.samples.first().map_or(0, |sample| sample.angles_rad.len());
         let mut folds = vec![Sums::zeros(axes); self.folds];
@@ -251,13 +262,13 @@ impl LineSpectrum {
         }
     }
 
-    /// Minimum difference of two orders that can be distinguished over the travel of the drive.
+    /// Minimum difference of two orders that the travel of the drive can distinguish.
     fn order_distance_min(&self, axis: usize) -> f64 {
         let [low, high] = extremes(self.samples.iter().map(|sample| sample.angles_rad[axis]));
         (TAU / (high - low)).ceil()
     }
 
-    /// Cross products of one wave with all waves, for each fold.
+    /// Cross products of one wave with all waves, one [`Cross`] for each fold.
     fn crosses(&self, (axis, order): AxisWave) -> Vec<Cross> {
         let axes = self.samples.first().map_or(0, |sample| sample.angles_rad.len());
         let mut crosses = vec![vec![[[[0.0; 2]; 2]; ORDERS]; axes]; self.folds];
@@ -277,20 +288,20 @@ impl LineSpectrum {
     }
 }
 
-/// State of the detections with all folds and without each fold.
+/// State that the detections with all folds and without each fold have in common.
 struct WaveDetection<'a> {
     spectrum: &'a LineSpectrum,
     /// Sums of each fold.
     folds: Vec<Sums>,
     /// For each axis, the minimum difference of orders that can be distinguished.
     order_distances_min: Vec<f64>,
-    /// Cross products of the waves that any detection has found so far.
+    /// Cross products of each wave that a detection has found so far, one [`Cross`] for each fold.
     crosses: BTreeMap<AxisWave, Vec<Cross>>,
 }
 
 impl WaveDetection<'_> {
-    /// Detects waves in all folds except `without`, or in all folds. Returns the parameters of waves that are
-    /// not other terms already.
+    /// Detects waves in all folds except `without`. `None` uses all folds. Returns the parameters of the detected waves,
+    /// except waves for which the model already has another error term.
     fn detect(&mut self, without: Option<usize>) -> Vec<ParameterId> {
         let is_used = |fold: &usize| Some(*fold) != without;
         let folds: Vec<usize> = (0..self.folds.len()).filter(is_used).collect();
@@ -309,13 +320,14 @@ impl WaveDetection<'_> {
             .collect()
     }
 
-    /// The strongest wave in the residuals, if it is significant. `None` otherwise.
+    /// The strongest significant wave in the residuals. `None` if no wave is significant. Waves
+    /// in `found` are not detected again.
     fn strongest(&self, residual: &Sums, found: &[AxisWave]) -> Option<AxisWave> {
         let is_new = |&(_, (axis, order)): &(f64, AxisWave)| {
             let of_axis = found.iter().filter(|wave| wave.0 == axis);
-            // Over less than a turn, a wave resembles waves of neighbouring orders. Therefore exclude the neighbours of
-            // waves that were detected. Also exclude the neighbours of one and two waves per turn: these are other terms,
-            // which may not have been fitted yet.
+            // If a drive moves over less than a turn, a wave resembles the waves of neighbouring orders. Therefore exclude
+            // the neighbours of waves that were detected. Also exclude the neighbours of one and two waves per turn. The
+            // slow waves are separate error terms, which may not have been fitted yet.
             let mut distances = of_axis.clone().map(|wave| f64::from(wave.1.abs_diff(order)));
             let distance_min = self.order_distances_min[axis];
             let is_slow = f64::from(order) <= SLOW_ORDER_MAX + distance_min;
@@ -333,7 +345,8 @@ impl WaveDetection<'_> {
         significant.filter(is_new).max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, wave)| wave)
     }
 
-    /// Sums after a joint fit of the `waves` to the residuals of the `folds`. `None` if the waves cannot be separated.
+    /// Sums after a joint fit of the `waves` to the residuals of the `folds`. `None` if the waves cannot be separated. The
+    /// matrix of the normal equations has two rows and columns for each wave, first the sine, then the cosine.
     fn subtract(&self, all: &Sums, waves: &[AxisWave], folds: &[usize]) -> Option<Sums> {
         let crosses: Vec<Cross> = waves.iter().map(|wave| sum_over(&self.crosses[wave], folds)).collect();
         let index = |order: u8| usize::from(order - ORDER_MIN);
@@ -370,7 +383,8 @@ fn sum_over(crosses: &[Cross], folds: &[usize]) -> Cross {
     sum
 }
 
-/// Orders of an axis that are significant for this variance of the residuals, each with its ratio to the noise.
+/// Orders of an axis that are significant if the residuals have this variance. Each is
+/// returned after its ratio to the noise.
 fn significant_orders(
     gradients: &[[f64; 2]; ORDERS],
     normals: &[WaveNormal; ORDERS],
@@ -379,8 +393,8 @@ fn significant_orders(
     let decreases: [f64; ORDERS] = std::array::from_fn(|order| decrease(gradients[order], normals[order]));
     let mut sorted = decreases;
     sorted.sort_unstable_by(f64::total_cmp);
-    // Other errors increase the decreases of all orders to a common floor. A significant order must exceed this floor as
-    // well as the noise.
+    // Errors that are not waves increase the decreases of all orders to a common floor. A significant order
+    // must exceed this floor and the noise.
     let floor = sorted[ORDERS / 2] / CHI_SQUARED_MEDIAN;
     let noise = floor.max(variance);
     let orders = decreases.into_iter().zip(ORDER_MIN..);
@@ -388,8 +402,8 @@ fn significant_orders(
     significant.map(|(decrease, order)| (decrease / noise, order)).collect()
 }
 
-/// Decrease of the sum of squares if one wave is fitted: `v^T N^-1 v` with the gradient `v = (s, c)` and
-/// the normal equations `N`.
+/// Decrease of the sum of squares if one wave is fitted. It is `v^T N^-1 v` with the gradient `v = (s, c)` and the
+/// matrix `N` of the normal equations.
 fn decrease([s, c]: [f64; 2], [ss, sc, cc]: WaveNormal) -> f64 {
     let determinant = ss * cc - sc * sc;
     // The axis did not move, or its travel is so short that sine and cosine are proportional.
@@ -399,7 +413,7 @@ fn decrease([s, c]: [f64; 2], [ss, sc, cc]: WaveNormal) -> f64 {
     (s * s * cc - 2.0 * s * c * sc + c * c * ss) / determinant
 }
 
-/// Waves of cycloid lobes and motor turns, which are other error terms of the axes.
+/// The waves of cycloid lobes and of motor turns, for which the axes have separate error terms.
 fn separate_terms(drives: &DriveTrain) -> impl Iterator<Item = AxisWave> + '_ {
     let turns = [(Period::Cycloid, &drives.cycloid_lobes), (Period::Motor, &drives.motor_turns)];
     turns.into_iter().flat_map(move |(period, numbers)| {
@@ -411,7 +425,7 @@ fn separate_terms(drives: &DriveTrain) -> impl Iterator<Item = AxisWave> + '_ {
     })
 }
 
-/// The model with only the `theta` of each joint free. `None` if it lacks the `theta` of any joint.
+/// The model with only the `theta` of each joint free. `None` if the model lacks the `theta` of any joint.
 fn joints_only(model: &Model) -> Option<Model> {
     let mut model = model.clone();
     model.free_only(|id| matches!(id, ParameterId::Robot { parameter: LinkParameter::Theta, .. }));
@@ -436,8 +450,8 @@ mod tests {
 
     const FOLDS: usize = 8;
 
-    /// Spectrum of two axes that make full turns. Each axis is observed by a residual of its own with unit noise. Each wave
-    /// has an amplitude for each fold.
+    /// Spectrum of two axes that make full turns. Each axis has a residual of its own, with unit noise. Each
+    /// wave has an amplitude for each fold.
     fn spectrum(waves: &[(AxisWave, [f64; FOLDS])]) -> LineSpectrum {
         let mut random = StdRng::seed_from_u64(5);
         let sample = |number: usize| {

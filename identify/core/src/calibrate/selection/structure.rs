@@ -1,6 +1,6 @@
-//! Finds the parameters that the poses of a run can identify, independent of noise. Computes the rank of the cost's
-//! Jacobian, at poses that fit the nominal geometry exactly. Used for the selection `all_identifiable`. `identify examine`
-//! uses the same order to fix dependent parameters.
+//! Finds the parameters that the poses of a run can identify, independent of noise. Computes the rank of the cost's Jacobian
+//! at poses that fit the nominal geometry exactly. Used for the selection `all_identifiable`. `identify examine` fixes
+//! dependent parameters in the same order ([`redundant`]).
 
 use crate::calibrate::CalibrateError;
 use crate::cost::{Length, LoopProblem, Position, PositionAngles, Residual, Transform, fill_in};
@@ -9,12 +9,12 @@ use crate::kinematics::{LinkParameter, robot_inverse};
 use crate::model::{Model, Observation, ParameterId, PerObservation, RobotMotion, Role, thesis_fixed};
 use crate::solver::{Identifiability, Options, identifiability};
 
-/// Maximum number of poses. A rank analysis does not need more.
+/// Maximum number of poses. More poses do not change the rank.
 const POSES_MAX: usize = 300;
 
-/// Rank of a parameter in the order in which dependent parameters are fixed, lowest first. The parameters that the thesis
-/// fixes are first (TFRT-6017 section 3.3). The bar follows, because its parameters are not needed afterwards, then the
-/// robot. The bar's base is last.
+/// Position of a parameter in the order in which dependent parameters are fixed, the first one lowest. First are the
+/// parameters that the thesis fixes (TFRT-6017 section 3.3). The bar's other parameters follow, because they are not needed
+/// afterwards, then the robot's. The pose of the bar's base is last.
 fn preference(id: ParameterId, axes: usize) -> usize {
     let of_thesis = thesis_fixed(axes);
     of_thesis.iter().position(|fixed| *fixed == id).unwrap_or(match id {
@@ -24,9 +24,9 @@ fn preference(id: ParameterId, axes: usize) -> usize {
     })
 }
 
-/// Poses in which the ends of robot and bar coincide exactly on the nominal geometry, with the robot's joints in
-/// these poses. If the ends differed by millimetres, dependent parameters would have small nonzero singular
-/// values and appear independent.
+/// Poses in which the ends of robot and bar coincide exactly for the nominal geometry. Also returns the robot's joints in
+/// these poses. If the ends differed by millimetres, dependent parameters would have small singular values instead of
+/// zero, and would appear independent.
 fn consistent_poses(
     model: &Model,
     motion: &impl RobotMotion,
@@ -60,8 +60,8 @@ pub fn is_geometry(id: ParameterId) -> bool {
     }
 }
 
-/// The largest set of parameters that the poses determine, without the clocks. In each group of dependent parameters, the
-/// one that comes first in `preference` is fixed.
+/// The largest set of parameters that the poses determine, without the parameters of the clocks. In each group of dependent
+/// parameters, the first one in the order of `preference` is fixed.
 ///
 /// # Errors
 /// [`CalibrateError`] if a parameter does not exist, or if the poses lack data that the cost needs.
@@ -73,7 +73,7 @@ pub fn identifiable(
 ) -> Result<Vec<ParameterId>, CalibrateError> {
     let mut model = model.clone();
     let (poses, joints) = consistent_poses(&model, motion, observations);
-    // These poses have no time.
+    // These poses have no time, so the clock parameters have no effect.
     for id in [ParameterId::ClockShift, ParameterId::ClockSkew] {
         model.set_value(id, 0.0)?;
     }
@@ -106,8 +106,8 @@ fn reduce<R: Residual + Copy>(
     }
 }
 
-/// The parameters to fix among the `free` ones: those without effect, and in each dependent group the first one in
-/// `preference`. The robot has `axes` axes.
+/// The parameters to fix among the `free` ones: parameters without effect, and in each dependent group the first parameter
+/// in the order of `preference`. The robot has `axes` axes.
 pub fn redundant(found: &Identifiability, free: &[ParameterId], axes: usize) -> Vec<ParameterId> {
     let ids_of = |columns: &[usize]| -> Vec<ParameterId> {
         columns.iter().filter_map(|column| free.get(*column).copied()).collect()

@@ -1,6 +1,7 @@
-//! Selects optional error terms. A group of terms is accepted only if it improves the prediction of left-out folds. The
-//! input are the normal equations of the folds and the columns of each group ([`Offer`]). The output is a result for each
-//! group ([`OfferResult`]). No new solve is needed. `choose` applies the results.
+//! Selects optional error terms. A group of terms is accepted only if it improves the prediction of left-out folds. Input:
+//! the normal equations of the folds, and the columns of each group ([`Offer`]). Output: a result for each group
+//! ([`OfferResult`]). No further solve is needed, because predictions are computed from the normal equations. `choose`
+//! sets the accepted terms in the models.
 
 use std::collections::BTreeSet;
 
@@ -27,7 +28,7 @@ pub struct CandidateGroup {
 }
 
 impl CandidateGroup {
-    /// Splits the group into one group for each axis. Empty if all terms belong to one axis.
+    /// Splits the group into one group for each axis. Empty if all terms belong to one axis, because nothing can be split.
     pub(super) fn by_axis(&self) -> Vec<Self> {
         let axes: BTreeSet<usize> = self.ids.iter().filter_map(|id| id.axis()).collect();
         let of_axis = |axis: usize| Self {
@@ -72,19 +73,19 @@ impl Candidate {
 pub struct Offer {
     /// Columns of the terms.
     pub columns: Vec<usize>,
-    /// For each fold, the columns that were detected in the other folds. Empty if the columns are the same for all folds.
+    /// For each fold, the columns that were detected when this fold was left out. Empty if all folds have the same columns.
     pub without: Vec<Vec<usize>>,
-    /// Factors of the standard deviations of their priors to try.
+    /// Factors to try for the standard deviations of the priors of these columns.
     pub scales: Vec<f64>,
 }
 
 impl Offer {
-    /// Columns with which a fold is predicted.
+    /// Columns that are used to predict this fold.
     fn columns(&self, fold: usize) -> &[usize] {
         self.without.get(fold).unwrap_or(&self.columns)
     }
 
-    /// Whether the column is used to predict any fold, or in a fit to all samples.
+    /// Whether the column is used to predict any fold, or in the fit to all samples.
     pub(in crate::calibrate) fn has(&self, column: usize) -> bool {
         self.without.iter().chain([&self.columns]).any(|columns| columns.contains(&column))
     }
@@ -97,26 +98,27 @@ pub struct OfferResult {
     pub offer: usize,
     /// Factor of the standard deviations of the priors at which left-out folds are predicted best.
     pub scale: f64,
-    /// Mean squared residual of left-out folds, predicted without the offer but with all offers accepted before.
+    /// Mean squared residual of left-out folds, predicted with all offers that were accepted before, but without this offer.
     pub before: f64,
-    /// Mean squared residual of left-out folds, predicted with the offer in addition.
+    /// Mean squared residual of left-out folds, predicted with this offer in addition.
     pub after: f64,
     /// Whether the offer is accepted.
     pub accepted: bool,
 }
 
-/// One-sided significance level of the test whether left-out folds are predicted better. Terms that only fit noise make
-/// predictions worse. Therefore fewer terms without a real effect are accepted than the level suggests. In simulations, 3
-/// to 4 % of the groups of one parameter were accepted, and 1 to 4 % of the groups of twelve. The noise was white, or
-/// correlated over ten samples.
+/// One-sided significance level of the test whether left-out folds are predicted better. Terms without a real effect
+/// are accepted less often than this level, because terms that only fit noise make predictions worse. In
+/// simulations, 3 to 4 % of the groups of one parameter were accepted, and 1 to 4 % of the groups of twelve. The
+/// noise was white, or correlated over ten samples.
 const SIGNIFICANCE_LEVEL: f64 = 0.15;
 /// Minimum relative decrease of the mean squared residual. A smaller decrease does not change any reported value.
 const DECREASE_MIN: f64 = 1e-3;
-/// Probability that any axis of the rejected groups is accepted by chance in a calibration.
+/// Probability that at least one axis of the rejected groups is accepted by chance in a calibration.
 const AXIS_BY_CHANCE: f64 = 0.02;
 
-/// Whether the errors of the folds decrease significantly, and their mean by more than the fraction `DECREASE_MIN`. The
-/// test is a one-sided Student's t test of the logarithms, because the errors of the folds may differ by large factors.
+/// Whether the errors of the folds decrease significantly, and their mean by more than the fraction `DECREASE_MIN`. The test
+/// is a one-sided Student's t test of the decreases of the logarithms, with one degree of freedom less than folds.
+/// Logarithms are used because the errors of different folds may differ by large factors.
 pub(in crate::calibrate) fn falls(before: &[f64], after: &[f64]) -> bool {
     let logarithm = |squared: f64| squared.max(f64::MIN_POSITIVE).ln();
     let decreases: Vec<f64> =
@@ -131,8 +133,9 @@ pub(in crate::calibrate) fn falls(before: &[f64], after: &[f64]) -> bool {
         && mean(after) < (1.0 - DECREASE_MIN) * mean(before)
 }
 
-/// Forward selection. Accepts the offer with which left-out folds are predicted best. Then accepts the best of the others
-/// in addition, until none improves the prediction. At the end chooses the scales of the accepted offers once more.
+/// Forward selection. Accepts the offer with which left-out folds are predicted best. Then accepts, in
+/// addition, the best of the other offers, until no other offer improves the prediction. At the end chooses the
+/// scales of the accepted offers again.
 ///
 /// The columns `always` are included in all predictions. The result contains the accepted offers in the order of
 /// acceptance, followed by the rejected ones.
@@ -157,11 +160,11 @@ pub fn select(normals: &Normals, always: &[usize], offers: &[Offer]) -> Vec<Offe
     }
 }
 
-/// Forward selection of single axes. The errors of one drive are small compared with those of all others. The prediction of
-/// left-out folds improves only if a term is larger than its uncertainty. Therefore the gradients of the folds are tested
-/// instead of the predictions.
+/// Forward selection of single axes. The error of one drive is small compared with the errors of all other drives. Adding a
+/// term improves the prediction of left-out folds only if the term is larger than its uncertainty. Therefore the gradients
+/// of the folds are tested instead of the predictions.
 ///
-/// Accepts the offer whose gradients are least probable by chance, then the next one, until none is below
+/// Accepts the offer whose gradients are least probable by chance, then the next one. Stops when no probability is below
 /// [`AXIS_BY_CHANCE`] divided by the number of offers (Bonferroni). The result contains only the accepted offers.
 pub fn select_axes(normals: &Normals, always: &[usize], offers: &[Offer]) -> Vec<OfferResult> {
     let mut selection = ForwardSelection { normals, always, offers, accepted: Vec::new() };
@@ -203,9 +206,9 @@ impl ForwardSelection<'_> {
         self.normals.scores(&kept, &self.priors())
     }
 
-    /// Tries an offer in addition to the accepted ones. Returns its result, at the scale that predicts best, and the mean
-    /// squared residual of each left-out fold. `before` contains these residuals without the offer. `None` if the folds do
-    /// not determine the columns.
+    /// Tries an offer in addition to the accepted ones. Returns its result at the scale that predicts best, and the mean
+    /// squared residual of each left-out fold. `before` contains the mean squared residuals without the offer. `None` if the
+    /// folds do not determine the columns.
     fn try_offer(&mut self, offer: usize, before: &[f64]) -> Option<(OfferResult, Vec<f64>)> {
         self.accepted.push(OfferResult {
             offer,
@@ -218,11 +221,12 @@ impl ForwardSelection<'_> {
         Some((self.accepted.pop()?, errors?))
     }
 
-    /// Chooses the scale of each accepted offer again, with all others accepted.
+    /// Chooses the scale of each accepted offer again, while all other offers stay accepted.
     fn rescale(&mut self) {
         if self.accepted.iter().any(|result| self.offers[result.offer].scales.len() > 1) {
             for _ in 0..self.accepted.len() {
-                // `choose_scale` acts on the last offer. After the loop the order of the offers is as before.
+                // `choose_scale` acts on the last offer, so move the first one to the end.
+                // After the loop the order is as before.
                 let first = self.accepted.remove(0);
                 self.accepted.push(first);
                 self.choose_scale();
@@ -265,11 +269,11 @@ fn scaled(priors: &[Prior], scale: impl Fn(usize) -> f64) -> Vec<Prior> {
     priors.iter().map(|prior| Prior { sigma: prior.sigma * scale(prior.column), ..*prior }).collect()
 }
 
-/// Factor that widens the prior standard deviations of some columns. It is the factor on a grid that predicts left-out
-/// folds best, if the improvement is significant. Otherwise it is one.
+/// Factor by which the prior standard deviations of some columns are widened. It is the factor on a grid that predicts
+/// left-out folds best, if the improvement is significant. Otherwise it is one.
 ///
-/// The factor is never less than one. Parameters that the samples hardly determine are predicted best with narrow priors,
-/// but this does not show that their true values are near nominal.
+/// The factor is never less than one. If the samples hardly determine the parameters, narrow priors predict best, but this
+/// does not show that the true values of the parameters are near nominal.
 pub fn prior_scale(normals: &Normals, columns: &[usize], of_scale: impl Fn(usize) -> bool) -> f64 {
     const GRID: [f64; 5] = [2.0, 5.0, 10.0, 30.0, 100.0];
     let errors_at = |scale: f64| {
@@ -293,8 +297,8 @@ mod tests {
     use super::*;
     use crate::solver::{LeastSquares, Linearisation, Options};
 
-    /// Rows on a straight line plus a wave, whose amplitude may be zero. A second wave is offered to the fit, but is
-    /// never in the rows.
+    /// Rows on a straight line, plus a wave whose amplitude may be zero. A second wave is offered to the
+    /// fit, but the rows never contain it.
     struct WaveRows {
         t: Vec<f64>,
         noise: Vec<f64>,
@@ -311,7 +315,7 @@ mod tests {
             Self { t, noise, wave, priors }
         }
 
-        /// Results for the absent wave and for the other one.
+        /// Results for the offered wave that the rows do not contain, and for the other wave.
         fn results(&self) -> Vec<OfferResult> {
             self.selected(8, select)
         }
@@ -390,11 +394,11 @@ mod tests {
             };
             (0..trials).filter(is_taken).count() as f64 / trials as f64
         };
-        // Three standard deviations of the number of events.
+        // Three standard deviations of the fraction of trials in which an axis is accepted by chance.
         let within = 3.0 * (AXIS_BY_CHANCE / trials as f64).sqrt();
         let by_chance = taken(0.0, None);
         assert!((by_chance - AXIS_BY_CHANCE).abs() < within, "{by_chance}");
-        // Five standard deviations of its estimate.
+        // In this case the amplitude is five of its standard deviations.
         assert!(taken(0.04, Some(1)) > 0.9);
     }
 }

@@ -1,13 +1,14 @@
-//! Test whether data sets that were solved together agree about the robot. The report lists disagreements as limitations.
+//! Tests whether data sets that were solved together agree about the robot. The report lists disagreements as limitations.
 //!
-//! The solution of a single data set alone differs from the joint solution. Let `H` be its normal equations and `g`
-//! their gradient, both at the joint solution and with the priors. Its own solution then has a sum of squares that
-//! is smaller by `g' H^-1 g`.
+//! If a single data set were solved alone, its solution would differ from the joint solution. Let `H` be the normal
+//! equations of this data set and `g` their gradient, both at the joint solution and with the priors. The sum of squares of
+//! the data set is smaller by `g' H^-1 g` at its own solution.
 //!
-//! If all data sets are of one robot and in one unit, this reduction is due to noise (specification test, Hausman 1978).
-//! The noise acts on the `p` effective parameters that the data set has in common with the others. Then
-//! `g' H^-1 g / (p s^2)` is not larger than a variable with Fisher's F distribution. `s^2` is the error variance of the
-//! data set at its own solution, which accounts for correlated errors.
+//! If all data sets are of one robot and in one unit, only noise causes this reduction (specification test, Hausman 1978).
+//! The noise acts on the `p` effective parameters that the data set has in common with the other data sets. `p` is the
+//! number of effective parameters minus the number of columns that only this data set has. Then `g' H^-1 g / (p s^2)` is not
+//! larger than a variable with Fisher's F distribution with `p` and `folds - 1` degrees of freedom. `s^2` is the error
+//! variance of the data set at its own solution, which accounts for correlated errors.
 
 use nalgebra::DVector;
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
@@ -16,7 +17,7 @@ use crate::calibrate::pipeline::{LEFT_OUT, differ, is_own};
 use crate::instrument::Run;
 use crate::solver::{Loss, Normals, Options};
 
-/// Probability that any data set is reported although all agree.
+/// Probability that at least one data set is reported although all agree.
 const DISAGREES_BY_CHANCE: f64 = 1e-3;
 
 /// A data set that contradicts the others.
@@ -24,13 +25,12 @@ const DISAGREES_BY_CHANCE: f64 = 1e-3;
 pub struct Disagreement {
     /// Index of the data set, from 0.
     pub data_set: usize,
-    /// Ratio of the root mean square residual of this data set in the joint solution to that in its own solution.
+    /// Ratio of two root mean square residuals of this data set: in the joint solution and in its own solution.
     pub times: f64,
 }
 
-/// Finds the data sets that contradict the others. The values of the models must be the joint solution. `sigmas`
-/// contains the residual standard deviation of each data set, and `loss` is the loss of the solve. Empty if there is
-/// only one data set.
+/// Finds the data sets that contradict the others. The models must be at the joint solution. `sigmas` contains the residual
+/// standard deviation of each data set, and `loss` is the loss of the solve. Returns nothing if there is only one data set.
 pub fn disagreeing(runs: &[Run], sigmas: &[f64], loss: Loss) -> Vec<Disagreement> {
     if runs.len() < 2 {
         return Vec::new();
@@ -46,7 +46,7 @@ pub fn disagreeing(runs: &[Run], sigmas: &[f64], loss: Loss) -> Vec<Disagreement
         let step = at_joint.step()?;
         let reduction = -at_joint.whole().gradient.dot(&step);
         let at_own = at_joint.about((DVector::from_vec(x) + step).as_slice());
-        // The number `p` of effective parameters that are shared, and the error variance `s^2`.
+        // `p`, the number of effective parameters in common with other data sets, and the error variance `s^2`.
         let rows: f64 = at_own.of_folds().iter().map(|fold| fold.rows).sum();
         let effective: f64 = at_own.taken()?.iter().sum();
         let not_shared = model.columns().filter(|parameter| is_own(parameter.id, &own_lengths)).count();

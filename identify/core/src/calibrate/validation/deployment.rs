@@ -1,9 +1,9 @@
 //! Calibration for deployment: the best geometry for a controller that applies only some of the estimated parameters.
 //!
 //! Errors of the same axis are correlated: an offset, a ratio, a compliance and a slow gear wave can partly replace each
-//! other. Therefore a geometry that was estimated together with the other terms is not the best one if the controller
-//! ignores these terms. It can be worse than the nominal geometry. For each deployment, a fit of its own estimates only
-//! those robot parameters that the controller applies.
+//! other. If the controller ignores some terms, a geometry that was estimated together with them is therefore not the best
+//! one. It can even be worse than the nominal geometry. Therefore there is a separate fit for each deployment, which
+//! estimates only the robot parameters that the controller applies.
 
 use serde::{Deserialize, Serialize};
 
@@ -60,7 +60,7 @@ pub struct Deployed {
 }
 
 impl Deployed {
-    /// Takes model and solution from the calibration for this deployment.
+    /// Converts a calibration for this deployment, of which only the model and the solution are kept.
     pub fn new(deployment: Deployment, found: Calibration) -> Self {
         Self { deployment, model: found.model().clone(), solution: found.solved.solution }
     }
@@ -85,8 +85,8 @@ impl Calibration {
     }
 }
 
-/// Fits the parameters that a deployment applies. `runs` and `solved` are the solution with all parameters. `None` if the
-/// solve does not converge.
+/// Fits the parameters that a deployment applies. `runs` and `solved` are at the solution with all parameters.
+/// `None` if the solve does not converge.
 ///
 /// # Errors
 /// [`CalibrateError`] if the solve fails for another reason.

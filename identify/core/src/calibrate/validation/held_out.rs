@@ -1,6 +1,6 @@
-//! Predicts held-out segments of time of ball-bar runs. This validates the calibration with data that the fit did not
-//! use. Each segment is returned with the parameters from the fit without it. `evaluate::held_out` computes the
-//! errors of these predictions.
+//! Predicts held-out segments of time of ball-bar runs. This validates the calibration with data that the fit did
+//! not use. The result contains each segment with the model from a fit to all other data. `evaluate::held_out`
+//! computes the errors of these predictions.
 
 use std::ops::Range;
 
@@ -15,7 +15,7 @@ use crate::solver::{Normals, Options, Watch};
 const SAMPLES_MAX: usize = 3000;
 /// Maximum number of segments of one run.
 const SEGMENTS: usize = 8;
-/// Maximum number of segments of all runs together. Nevertheless each run has at least two.
+/// Maximum number of segments of all runs together. Each run has at least two segments, even if this exceeds the maximum.
 const SEGMENTS_OF_ALL: usize = 16;
 
 /// A held-out segment of one run. The model has the parameters from the fit to all other data.
@@ -31,9 +31,9 @@ pub struct Segment {
     pub model: Option<Model>,
 }
 
-/// Computes the parameters of the calibration without each segment of time of the ball-bar runs. Each fit is one step on
-/// the normal equations of the other segments, which starts at the calibration. The step reaches the minimum, because one
-/// segment has so little influence that residuals are linear.
+/// Computes the model of the calibration without each segment of time of the ball-bar runs. Each fit is one step from the
+/// calibration, on the normal equations of the other segments. One step is sufficient, because one segment has so little
+/// influence that residuals are linear.
 ///
 /// Only the parameters are estimated again. The error terms were chosen with the whole runs.
 ///
@@ -58,8 +58,8 @@ pub fn without_each_segment(
     Ok(segments.iter().zip(without_each).filter_map(with_model).collect())
 }
 
-/// The segment with the indices `left_out`, which count the samples of all runs. `starts` contains the first index of each
-/// run. `x` is the solution without the segment.
+/// Returns one segment with its model. The segment has the indices `left_out`, which count the samples of all runs. `starts`
+/// contains the first index of each run. `x` is the solution without the segment.
 fn segment(
     runs: &[Run],
     columns: &SharedColumns,
@@ -82,14 +82,14 @@ fn segment(
     Some(Segment { run: number, seen_by_none: observations.get(samples)?.to_vec(), others, model })
 }
 
-/// Keeps the values of the full fit for those encoder offsets that only samples of the segment determine. These offsets
-/// follow the loss of a counter's origin, so no other data could predict them.
+/// Keeps the values of the full fit for encoder offsets that only the samples of the segment determine. Such offsets follow
+/// the loss of a counter's origin, so no other data could predict them.
 fn keep_undetermined_offsets(model: &mut Model, whole: &Model, others: &[Observation]) {
     for parameter in whole.columns() {
         if let ParameterId::EncoderOffset { origin, .. } = parameter.id
             && others.iter().all(|one| one.origin != origin)
         {
-            // Cannot fail: both models have the same parameters.
+            // This cannot fail, because both models have the same parameters.
             let _ = model.set_value(parameter.id, parameter.value);
         }
     }

@@ -1,6 +1,6 @@
 //! Predicts the rows at each part of an instrument, such as a socket, with a fit to all other rows. This validates the
-//! calibration at places without any fitted row. The place of the part must follow from the other parts and their known
-//! geometry, as for the sockets of a plate.
+//! calibration at places without any fitted row. It requires that the position of the part follows from the other parts and
+//! their known geometry, as for the sockets of a plate.
 
 use serde::{Deserialize, Serialize};
 
@@ -11,7 +11,7 @@ use crate::instrument::{Run, Section, without};
 use crate::model::Model;
 use crate::solver::{LeastSquares, Normals, Options};
 
-/// Result for the rows at one part of an instrument, which the fit to all other data predicts.
+/// Result for the rows at one part of an instrument. A fit to all other data predicts these rows.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct UnseenPart {
     /// Number of the data set, from 1.
@@ -34,7 +34,8 @@ struct LeftOutRows {
     samples: Vec<usize>,
 }
 
-/// The parts of one data set. `first` is the index of the data set's first sample among the samples of all data sets.
+/// Rows at each part of one data set. `first` is the index of the data set's first sample
+/// among the samples of all data sets.
 fn parts((data_set, run): (usize, &Run), first: usize) -> Vec<LeftOutRows> {
     let sections = run.instrument.sections();
     let mut all: Vec<usize> = sections.iter().flat_map(|section| section.samples.iter().copied()).collect();
@@ -49,8 +50,8 @@ fn parts((data_set, run): (usize, &Run), first: usize) -> Vec<LeftOutRows> {
     sections.into_iter().map(part).collect()
 }
 
-/// Predicts the rows at each part of each instrument. The prediction uses one step on the normal equations of all other
-/// data, which starts at the calibration. Parts that the other data do not determine are omitted.
+/// Predicts the rows at each part of each instrument. The prediction is one step from the calibration, on the normal
+/// equations of all other data. Parts that the other data do not determine are omitted.
 pub fn unseen_parts(calibration: &Calibration) -> Vec<UnseenPart> {
     let Calibration { runs, solved: Solved { columns, solution, sigmas, .. }, .. } = calibration;
     if runs.iter().all(|run| run.instrument.sections().is_empty()) {
@@ -60,7 +61,7 @@ pub fn unseen_parts(calibration: &Calibration) -> Vec<UnseenPart> {
     let parts: Vec<LeftOutRows> =
         runs.iter().enumerate().zip(problem.starts()).flat_map(|(run, first)| parts(run, *first)).collect();
     let mut folds: Vec<Vec<usize>> = parts.iter().map(|part| part.samples.clone()).collect();
-    // The samples that belong to no part form an additional fold. It is included in each prediction.
+    // Samples that belong to no part are in an additional fold, which is included in each prediction.
     let mut is_rest: Vec<bool> = (0..problem.samples()).map(|sample| !problem.is_known(sample)).collect();
     folds.iter().flatten().for_each(|sample| is_rest[*sample] = false);
     folds.push((0..is_rest.len()).filter(|sample| is_rest[*sample]).collect());
