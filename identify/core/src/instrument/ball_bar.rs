@@ -1,6 +1,6 @@
-//! The sensed double ball-bar: the aligned logs of a run, with one of five costs. The residuals of each sample (`cost/bar`)
-//! are the difference between the end of the robot and the end of the bar. A cost uses only those coordinates of this
-//! difference that its encoders determine.
+//! The sensed double ball-bar: the aligned logs of a run, and one of five costs. The residual of each sample (`cost/bar`) is
+//! the difference between the end of the robot and the end of the bar. A cost uses only those coordinates of this difference
+//! that the available encoders determine.
 
 use super::repetition::independent_segments;
 use super::{Cause, Deviation, Doubt, Instrument, Measures, Noise, ScaleFrom};
@@ -52,8 +52,8 @@ impl CostName {
         }
     }
 
-    /// The cost of the thesis with the same residuals, but without weights. Used to find the parameters that a set
-    /// of poses can identify.
+    /// The cost of the thesis that has the same residuals without weights. Used to find the
+    /// parameters that a set of poses can identify.
     pub(crate) fn unweighted(self, measured: &[bool; BAR_JOINTS]) -> Self {
         match self {
             Self::Pose if lacks_rod_encoder(measured) => Self::PositionAngles,
@@ -62,7 +62,7 @@ impl CostName {
         }
     }
 
-    /// Cost that uses as many of the available encoders as possible.
+    /// The cost that uses as many of the available encoders as possible.
     pub fn for_encoders(measured: &[bool; BAR_JOINTS]) -> Self {
         match measured {
             [true, true, _, true, true] => Self::Pose,
@@ -71,7 +71,7 @@ impl CostName {
         }
     }
 
-    /// Default loss. The costs of the thesis have none, because they are sums of squares.
+    /// Default loss. The costs of the thesis have no robust loss, because they are sums of squares.
     pub const fn usual_loss(self) -> LossName {
         match self {
             Self::Pose => LossName::Huber,
@@ -90,7 +90,8 @@ impl CostName {
         }
     }
 
-    /// [`Residual::identifies`] of the cost's residual. `measured` contains whether each bar joint has an encoder.
+    /// Whether the cost identifies a parameter, see [`Residual::identifies`]. `measured` states for each
+    /// bar joint whether it has an encoder.
     pub fn identifies(self, measured: &[bool; BAR_JOINTS], id: ParameterId, robot: &Chain) -> bool {
         match self {
             Self::Pose if lacks_rod_encoder(measured) => WhitenedPoseOfFour::identifies(id, robot),
@@ -108,7 +109,7 @@ const fn lacks_rod_encoder(measured: &[bool; BAR_JOINTS]) -> bool {
     !measured[ROD_JOINT]
 }
 
-/// White noise of the angles; gives the weights of the `pose` cost.
+/// White noise of the angles, from which the weights of the cost `pose` are computed.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct NoiseConfig {
@@ -143,12 +144,12 @@ pub struct BallBar {
     pub estimated: Option<FoundNoise>,
     /// For each bar joint, whether it has an encoder in all runs that are solved together.
     pub measured: [bool; BAR_JOINTS],
-    /// Standard uncertainty of each known length of the bar \[m\]. These lengths determine the scale.
+    /// Standard uncertainty of each known length of the bar \[m\]. The known lengths determine the scale.
     pub sigmas_m: Vec<(ParameterId, f64)>,
 }
 
 impl BallBar {
-    /// Noise of the angles: the estimated one, or the configured one before the first estimate.
+    /// Noise of the angles. Before the first estimate it is the configured noise, afterwards the estimated one.
     pub fn angle_noise(&self) -> AngleNoise {
         self.estimated.map_or_else(|| self.configured.into(), |estimate| estimate.noise)
     }
@@ -187,12 +188,12 @@ impl Measures for BallBar {
     }
 
     /// The robot's end minus the bar's end: the position, and for the costs `pose` and `transform` also the rotation. For
-    /// the cost `length`, the distance of the robot's end from the gimbal minus the bar's length.
+    /// the cost `length`: the distance of the robot's end from the gimbal, minus the bar's length.
     fn deviations(&self, geometry: &Geometry) -> Vec<Deviation> {
         let Prepared { motion, observations, .. } = &self.prepared;
         let mut closures = loop_closures(geometry, motion, observations).into_iter().peekable();
         let deviation = |observation: &Observation| {
-            // Samples outside the robot's log have no loop closure. Their deviation is NaN.
+            // A sample outside the robot's log has no residual. Its deviation is NaN.
             let closure = closures.next_if(|closure| closure.t_s == observation.t_s);
             let Some(closure) = closure else { return Deviation::of_place(Vector3::repeat(f64::NAN)) };
             let position = Deviation::of_place(closure.position_error_m);
@@ -243,11 +244,11 @@ impl Measures for BallBar {
         self.prepared.observations.len()
     }
 
-    /// Sets the roles of the known lengths only. The preparation sets the start values, and the configuration
-    /// sets the other roles.
+    /// Sets the roles of the known lengths only. The preparation sets start values, and the
+    /// configuration sets the other roles.
     ///
-    /// With the cost `pose`, a known length gets a prior. The other costs become smaller if all lengths become shorter.
-    /// With these costs a known length stays fixed, and its uncertainty is considered.
+    /// With the cost `pose`, each known length gets a prior. The other costs would decrease if all lengths became shorter.
+    /// Therefore known lengths stay fixed with these costs, and their uncertainty is considered.
     fn place(&self, model: &mut Model, fix: &[ParameterId]) -> Result<bool, ModelError> {
         for &(id, sigma) in &self.sigmas_m {
             let Some(&Parameter { nominal: value, role, .. }) = model.parameter(id) else { continue };
@@ -288,8 +289,8 @@ impl Measures for BallBar {
         self.cost.identifies(&self.measured, id, robot)
     }
 
-    /// Sets the angles of joints without encoder to the values that the robot's pose implies. Returns `None`, because
-    /// [`Measures::learn_noise`] estimates the noise.
+    /// Sets the angles of bar joints without encoder to the values that follow from the robot's pose. Returns `None`,
+    /// because [`Measures::learn_noise`] estimates the noise.
     fn adapt(&mut self, model: &Model) -> Option<f64> {
         if !self.cost.encoders().is_empty() {
             fill_in(&model.geometry(&[]), &self.prepared.motion, &mut self.prepared.observations);

@@ -1,17 +1,18 @@
-//! Causes of a change (a step or a drift) during a measurement. A part of an instrument, a part of the robot or
-//! a clock may change.
+//! Causes of a change during a measurement. A change is a step or a drift of a part of an instrument, of
+//! a part of the robot or of a clock.
 
 use shared::config::JointKind;
 
 use crate::kinematics::LinkParameter;
 use crate::model::{ParameterId, Unit};
 
-/// A quantity that can change during a measurement. The instrument or robot that has its parameters defines its name.
+/// A quantity that can change during a measurement. Its name is defined by the instrument or robot that has its parameters.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Cause {
     /// Name of the changed part in messages.
     pub name: String,
-    /// Parameters that change together. Those with the same unit as the first one define the size of the change.
+    /// Parameters that change together. The size of the change is computed from the parameters that
+    /// have the same unit as the first one.
     pub ids: Vec<ParameterId>,
 }
 
@@ -38,7 +39,7 @@ impl Cause {
     }
 }
 
-/// Number of a part in a message, with `noun` before it. Empty for the first part.
+/// Number of a part, with `noun` before it, for a message. Empty for the first part.
 pub(super) fn numbered(noun: &str, number: usize) -> String {
     if number == 0 { String::new() } else { format!("{noun} {}", number + 1) }
 }

@@ -1,5 +1,5 @@
-//! Descriptions of an instrument for reports: the source of its scale, its noise, groups of its samples, and reasons why
-//! its results may be wrong.
+//! Descriptions of an instrument for reports: the source of its scale, its noise, groups of its samples, and
+//! reasons for doubts about its results.
 
 use super::Contradiction;
 use crate::cost::AngleNoise;
@@ -13,18 +13,19 @@ pub struct Section {
     pub name: String,
     /// Prefix of the names of the parameters of this part.
     pub parameters: String,
-    /// Samples of the section, whether they are used in the fit or not.
+    /// All samples of the section, including those that the fit does not use.
     pub samples: Vec<usize>,
 }
 
 /// Reason why the results of a data set may be wrong.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Doubt {
-    /// The assignment of encoders to joints, or a counting direction, differs from that of the recording.
+    /// The residuals show another assignment of encoders to joints, or another counting
+    /// direction, than the recording states.
     OtherEncoders(EncoderMap),
     /// Another time alignment fits nearly as well, because the motion repeats.
     MotionRepeats,
-    /// Rows contradict the table of sockets or faces.
+    /// Rows contradict the known geometry in the table of sockets or faces.
     OtherTable(Vec<Contradiction>),
 }
 
@@ -46,12 +47,13 @@ pub enum ScaleFrom {
 }
 
 impl ScaleFrom {
-    /// Standard uncertainty of the scale for a typical instrument of this type \[ppm\]. Zero if the known lengths of the
-    /// instrument have uncertainties of their own.
+    /// Standard uncertainty of the scale for a typical instrument of this type \[ppm\]. Zero if the uncertainty of the scale
+    /// follows from the uncertainties of known lengths.
     ///
-    /// Laser trackers have an error limit of 15 um + 6 um/m (k = 2), which is 3 ppm of the length. The air changes the
-    /// wavelength by 1 ppm/K and 0.27 ppm/hPa. Draw-wires have an error limit of 0.1 % of their range. If all errors within
-    /// the limit are equally probable, this is 577 ppm. Calibrated draw-wires have 100 to 200 ppm.
+    /// Laser trackers have an error limit of 15 um + 6 um/m (k = 2), of which the second term is a standard uncertainty
+    /// of 3 ppm. The air changes the wavelength by 1 ppm/K and 0.27 ppm/hPa. Draw-wires have an error limit of 0.1 % of
+    /// their range. If all errors within this limit are equally probable, the standard uncertainty is 577 ppm.
+    /// Calibrated draw-wires have 100 to 200 ppm.
     pub const fn usual_u_ppm(self) -> f64 {
         match self {
             Self::Tracker => 5.0,
@@ -61,8 +63,8 @@ impl ScaleFrom {
     }
 }
 
-/// Sets the prior of the scale to its standard uncertainty. If the uncertainty is zero or the scale is in `fix`, the scale
-/// is exact and fixed.
+/// Gives the scale a prior with this standard uncertainty. If the uncertainty is zero or the scale is in
+/// `fix`, the scale is exact and fixed.
 pub(super) fn set_scale_prior(model: &mut Model, u_ppm: f64, fix: &[ParameterId]) -> Result<(), ModelError> {
     let is_exact = u_ppm == 0.0 || fix.contains(&ParameterId::Scale);
     let role = if is_exact { Role::Fixed } else { Role::Prior { value: 0.0, sigma: u_ppm * 1e-6 } };
@@ -79,8 +81,8 @@ pub enum Noise {
 }
 
 impl Section {
-    /// Creates a section for each named part. `parameters` is the common prefix of the parameters' names, to which the
-    /// number of the part is added, from 1. `part_of` yields the part of each sample, from 0.
+    /// Creates a section for each named part. The name of a parameter begins with `parameters` and the number of the part,
+    /// from 1. `part_of` returns the part of a sample, from 0.
     pub(super) fn each(
         names: &[String],
         parameters: &str,
@@ -103,8 +105,8 @@ impl Section {
     }
 }
 
-/// Text that names the part which fits a sample best, unless this is the part `own` of the sample. Otherwise empty. `off_m`
-/// returns the distance of the sample from a part \[m\].
+/// Returns a text with the name of the part that fits a sample best. Empty if this is the part `own`, to which the sample
+/// belongs. `off_m` returns the distance of the sample from a part \[m\].
 pub(super) fn nearest(names: &[String], own: usize, off_m: impl Fn(usize) -> f64) -> String {
     let nearest = (0..names.len()).min_by(|a, b| off_m(*a).total_cmp(&off_m(*b)));
     nearest.filter(|part| *part != own).map_or_else(String::new, |part| {

@@ -1,5 +1,5 @@
-//! The trait [`Measures`]: the functions of an instrument that the estimator, its checks and the reports use. Most
-//! functions have a default for instruments without the feature.
+//! The trait [`Measures`]: the functions of an instrument that the estimator, the checks of the data and the reports use.
+//! Most functions have a default, which is that of an instrument without the feature.
 
 use std::fmt;
 
@@ -22,8 +22,8 @@ pub trait Measures: Boxed + fmt::Debug + Send + Sync {
     /// Name of the minimised cost.
     fn cost(&self) -> &'static str;
 
-    /// The cost that defines the unit of the residuals. `None` for instruments other than the ball-bar: the solver then
-    /// estimates a noise for each data set, and residuals are in standard deviations.
+    /// The cost that defines the unit of the residuals. `None` for all instruments except the ball-bar. The solver then
+    /// estimates the noise of each data set, and residuals are in standard deviations.
     fn residual_unit_of(&self) -> Option<CostName> {
         None
     }
@@ -31,10 +31,11 @@ pub trait Measures: Boxed + fmt::Debug + Send + Sync {
     /// Quantity that determines the scale of all lengths.
     fn scale(&self) -> ScaleFrom;
 
-    /// Standard deviation of a reading of the median sample at the last solution. Multiply by the sigma of the data set.
+    /// Standard deviation of a reading of the median sample, at the last solution. It must be
+    /// multiplied by the sigma of the data set.
     fn noise(&self) -> Noise;
 
-    /// Name, in tables, of the parts that are fitted in addition to the robot.
+    /// Name of the instrument's own parameters in tables, such as `tip and faces`.
     fn parts(&self) -> &'static str {
         self.name()
     }
@@ -52,20 +53,20 @@ pub trait Measures: Boxed + fmt::Debug + Send + Sync {
     /// State that the robot reports at a sample; `None` outside its log.
     fn reported(&self, sample: usize, clock: &Clock) -> Option<JointState>;
 
-    /// Joints of the robot at each sample, before any fit changes the clock.
+    /// Joints of the robot at each sample, before a fit changes the clock.
     fn joints(&self) -> Vec<Joints> {
         let clock = Clock::default();
         (0..self.samples()).map(|sample| self.reported(sample, &clock).unwrap_or_default().q).collect()
     }
 
-    /// Time of a sample on the instrument's clock, relative to the reference time \[s\]. `None` for rows of
-    /// a robot at rest.
+    /// Time of a sample on the instrument's clock, relative to the reference time \[s\]. `None` if
+    /// the robot stood still at each row.
     fn time_s(&self, _sample: usize) -> Option<f64> {
         None
     }
 
-    /// Time of the first measured sample, whether it is used or not, on the same clock \[s\]. Times in messages
-    /// are relative to it.
+    /// Time of the first measured sample on the same clock \[s\], even if the sample is not used. Times in
+    /// messages are relative to this time.
     fn first_s(&self) -> Option<f64> {
         self.time_s(0)
     }
@@ -78,32 +79,32 @@ pub trait Measures: Boxed + fmt::Debug + Send + Sync {
     /// Copies the instrument with only these samples.
     fn part(&self, samples: &[usize]) -> Instrument;
 
-    /// Divides the samples into at most `count` groups whose errors are independent of each other.
+    /// Divides the samples into at most `count` groups. The errors of different groups are independent.
     fn independent(&self, count: usize) -> Vec<Vec<usize>>;
 
-    /// Sets the group of each sample. Samples of a group are held out together. `seed` is that of the random assignment
-    /// of groups to folds.
+    /// Sets the group of each sample. All samples of a group are held out together. Groups are
+    /// assigned to folds at random, with `seed`.
     fn group(&mut self, _groups: &[usize], _seed: u64) {}
 
-    /// How samples are held out by default.
+    /// What is held out together by default.
     fn hold_out(&self) -> HoldOut {
         HoldOut::Rows
     }
 
-    /// Minimum number of samples for a fit with this instrument alone.
+    /// Minimum number of samples for a calibration with this instrument alone.
     fn samples_min(&self) -> usize {
         0
     }
 
     // Parameters and residuals.
 
-    /// Adds the parameters of the instrument to the model of a robot. Their values are zero.
+    /// Adds the parameters of the instrument to the model of a robot, with the value zero.
     fn fitted_out(&self, robot: Model) -> Model {
         robot
     }
 
-    /// Estimates start values of the instrument's parameters, for the robot of the model. Frees those that are not in
-    /// `fix`. Returns false if the samples do not determine start values.
+    /// Estimates start values of the instrument's parameters for the robot of the model. Frees the instrument's parameters
+    /// that are not in `fix`. Returns false if the samples do not determine start values.
     ///
     /// # Errors
     /// [`ModelError`] if the model was made for another instrument.
@@ -118,8 +119,8 @@ pub trait Measures: Boxed + fmt::Debug + Send + Sync {
     /// [`CostError`] if the samples lack data that the residuals need.
     fn data_set<'a>(&'a self, model: &'a Model, sigma: f64) -> Result<Box<dyn DataSet + 'a>, CostError>;
 
-    /// Robot minus measurement of every sample, whether it is used or not. NaN outside the robot's log, and for stations or
-    /// targets that the geometry does not contain.
+    /// Robot minus measurement of every sample, including samples that are not used. NaN if the sample is outside the
+    /// robot's log, or if the geometry does not contain its station or target.
     fn deviations(&self, geometry: &Geometry) -> Vec<Deviation>;
 
     /// Absolute sizes of [`Measures::deviations`].
@@ -127,32 +128,33 @@ pub trait Measures: Boxed + fmt::Debug + Send + Sync {
         self.deviations(geometry).into_iter().map(PoseError::from).collect()
     }
 
-    /// [`Measures::deviations`] as one number each: signed difference of lengths, or distance of positions \[m\].
+    /// [`Measures::deviations`] as one number for each sample: signed difference of lengths, or distance of positions \[m\].
     fn residuals_m(&self, geometry: &Geometry) -> Vec<f64> {
         self.deviations(geometry).iter().map(Deviation::signed_m).collect()
     }
 
     // Weights of the samples.
 
-    /// Updates quantities that depend on the geometry. Called before a solve, which starts at the model. If the
-    /// instrument estimates its noise, returns the noise of a measurement in its unit. Residuals are in standard
-    /// deviations in this case.
+    /// Updates quantities that depend on the geometry. Called before each solve, with the start model of the solve. If the
+    /// instrument estimates its noise, returns the noise of a measurement in the unit of the instrument. In this case its
+    /// residuals are in standard deviations.
     fn adapt(&mut self, model: &Model) -> Option<f64>;
 
-    /// Estimates the noise of the readings from the residuals at a solution. Later residuals are weighted with this noise.
+    /// Estimates the noise of the readings from the residuals at a solution. Afterwards
+    /// residuals are weighted with this noise.
     fn learn_noise(&mut self, _model: &Model) {}
 
-    /// Noise of each sample relative to the median sample, from uncertainties that the file states. Computed
-    /// by the last [`Measures::adapt`].
+    /// Noise of each sample relative to the median sample, from uncertainties that the file states. The
+    /// last [`Measures::adapt`] computed it.
     fn relative_noise(&self) -> Vec<f64> {
         vec![1.0; self.samples()]
     }
 
-    /// Estimates the relative noise at the model, from these samples alone.
+    /// Estimates the relative noise from the residuals of these samples at the model.
     fn weigh_by(&mut self, _model: &Model, _samples: &[usize]) {}
 
-    /// Lag-one autocorrelation of the residuals, and its standard deviation for white noise. Computed by the last
-    /// [`Measures::learn_noise`]. The autocorrelation is approximately the correlated fraction of the variance.
+    /// Lag-one autocorrelation of the residuals, and its standard deviation if the noise were white. The last
+    /// [`Measures::learn_noise`] computed it. The autocorrelation is approximately the correlated fraction of the variance.
     fn autocorrelation(&self) -> Option<[f64; 2]> {
         None
     }
@@ -167,8 +169,8 @@ pub trait Measures: Boxed + fmt::Debug + Send + Sync {
         Ok(Vec::new())
     }
 
-    /// Excludes samples that are outliers at the model. Uses samples again that are not outliers any more. Returns whether
-    /// the set of used samples has changed.
+    /// Determines again which samples are outliers at the model. Excludes outliers and uses all other samples. Returns
+    /// whether the set of used samples has changed.
     fn screen(&mut self, _model: &Model) -> bool {
         false
     }
@@ -183,19 +185,19 @@ pub trait Measures: Boxed + fmt::Debug + Send + Sync {
         &[]
     }
 
-    /// Samples that cannot be measurements of this model, whether they were fitted or held out.
+    /// Samples that cannot be measurements of this model, among all samples, fitted or held out.
     fn misplaced(&self, _model: &Model) -> Vec<RejectedRow> {
         Vec::new()
     }
 
-    /// Possible reasons why samples are excluded, as text, with the number of each sample.
+    /// Possible reasons why samples were excluded: the number of each sample and a text.
     fn remarks(&self, _geometry: &Geometry) -> Vec<(usize, String)> {
         Vec::new()
     }
 
     // Possible errors of the measurement or its file.
 
-    /// Parts that can change at one instant during a measurement.
+    /// Causes of a change that this instrument can have during a measurement.
     fn causes(&self, geometry: &Geometry) -> Vec<Cause>;
 
     /// Reasons why the results at a solution may be wrong.
@@ -208,8 +210,8 @@ pub trait Measures: Boxed + fmt::Debug + Send + Sync {
         Vec::new()
     }
 
-    /// The samples with a mistake corrected. If the mistake can have two directions, a result for each. Empty if it cannot
-    /// be corrected in the samples.
+    /// The samples after a mistake is corrected. If the mistake can have two directions, there is a result for each. Empty
+    /// if the samples do not contain what must be corrected.
     fn undone(&self, _mistake: Mistake, _robot: &Chain) -> Vec<Instrument> {
         Vec::new()
     }
@@ -219,7 +221,8 @@ pub trait Measures: Boxed + fmt::Debug + Send + Sync {
         Vec::new()
     }
 
-    /// The instrument with each length increased by its entry of `by_m` \[m\]. `None` for instruments without lengths.
+    /// The instrument with changed lengths: `by_m` contains the increase of each length \[m\].
+    /// `None` for instruments without lengths.
     fn longer_by(&self, _by_m: &[f64]) -> Option<Instrument> {
         None
     }

@@ -1,7 +1,7 @@
-//! Instruments that measure the robot: ball-bar, tracker, wire, and a tip in sockets or on faces. Each instrument has
-//! a file with its residuals, start values and outliers. `logs` defines its rows. `calibrate` uses all instruments
-//! through the trait [`Measures`]. The model of the robot does not depend on instruments, and instruments do not
-//! depend on the estimator.
+//! Instruments that measure the robot: ball-bar, tracker, wire, and a tip in sockets or on faces. The file of each
+//! instrument contains its residuals, start values and outlier tests. Its rows are defined in `logs`. `calibrate` uses
+//! all instruments through the trait [`Measures`]. The model of the robot does not depend on instruments, and
+//! instruments do not depend on the estimator.
 
 mod ball_bar;
 mod cause;
@@ -34,7 +34,7 @@ pub use wire::Wire;
 use crate::kinematics::Joints;
 use crate::model::Model;
 
-/// Copies an instrument of any type, because `dyn Measures` cannot implement `Clone`.
+/// Copies an instrument of any type. Needed because `dyn Measures` cannot implement `Clone`.
 pub trait Boxed {
     /// A copy of the instrument with all its samples.
     fn boxed(&self) -> Instrument;

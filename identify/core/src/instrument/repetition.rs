@@ -1,10 +1,12 @@
-//! Divides a ball-bar run into segments whose errors are independent, even if the motion repeats. The repetitions of a
-//! motion have the same errors of gears and encoders. A held-out repetition is therefore not independent of the fitted
-//! ones, and all repetitions must be in the same segment.
+//! Divides a ball-bar run into segments whose errors are independent, even if the motion repeats. Errors of gears and
+//! encoders are equal in all repetitions of a motion. If a repetition is held out and another one is fitted, their errors
+//! are not independent. Therefore all repetitions must be in the same segment.
 //!
-//! The period of the motion is estimated as follows. For each sample, the later sample with the most similar joints
-//! is found. The period is the shortest time between the two that occurs for enough samples ([`REPEATED_MIN`]). It
-//! is refined by Gauss-Newton.
+//! The period of the motion is estimated in three steps:
+//!
+//! 1. For each sample, the later sample with the most similar joints is found.
+//! 2. The start value is the shortest time between such samples that occurs often enough ([`REPEATED_MIN`]).
+//! 3. Gauss-Newton refines the period.
 
 use std::ops::Range;
 
@@ -14,25 +16,26 @@ use crate::statistics::largest_difference;
 
 /// Maximum number of samples of a run that are compared with each other.
 const COMPARED_MAX: usize = 600;
-/// Samples that are closer in time are not repetitions but neighbours \[s\].
+/// Minimum time between two samples that may be repetitions of each other \[s\]. Samples that
+/// are closer in time are neighbours.
 const APART_S: f64 = 5.0;
-/// First test: two poses are similar if no joint differs by more \[rad, m\]. The limit is large, because the samples of two
-/// repetitions are not at the same phase.
+/// First test: two poses are similar if the difference of each joint is less than this \[rad, m\]. The limit is large,
+/// because the samples of two repetitions are not at the same phase.
 const ALIKE_MAX: f64 = 0.1;
-/// Second test: two motions are equal if the root mean square difference of their joints is not larger \[rad, m\].
+/// Second test: two motions are equal if the root mean square difference of their joints is less than this \[rad, m\].
 const SAME_MAX: f64 = 2e-3;
 /// Bin width of the histogram of times between similar poses \[s\].
 const BIN_S: f64 = 0.5;
 /// Minimum number of segments.
 const SEGMENTS_MIN: usize = 8;
-/// Minimum fraction of the samples that belong to a repeated motion. Half of these samples have a later repetition.
+/// Minimum fraction of the samples that belong to a repeated motion. Only half of these samples have a later repetition.
 const REPEATED_MIN: f64 = 0.4;
 
 /// Divides a run, which was measured at `times_s`, into at most `count` segments. Returns the samples of each segment. All
 /// repetitions of a motion are in the same segment.
 ///
-/// If the motion repeats, there are fewer segments. Each then lasts as long as in a run without repetitions, because errors
-/// of gears and bearings are correlated over seconds.
+/// If the motion repeats, there are fewer segments. Each segment of one period then lasts as long as a segment of a run
+/// without repetitions, because errors of gears and bearings are correlated over seconds.
 pub fn independent_segments(motion: &impl RobotMotion, times_s: &[f64], count: usize) -> Vec<Vec<usize>> {
     let samples: Vec<usize> = (0..times_s.len()).collect();
     let span_s = times_s.last().zip(times_s.first()).map_or(0.0, |(last, first)| last - first);
@@ -71,22 +74,23 @@ pub fn period_s(motion: &impl RobotMotion, times_s: &[f64]) -> Option<f64> {
         bins.resize(bins.len().max(bin + 1), 0);
         bins[bin] += 1;
     }
-    // Half of the repeated samples have a later repetition, with times in one bin or in two adjacent ones. At least ten are
-    // needed, because fewer could be similar by chance.
+    // Half of the repeated samples have a later repetition. Their times are in one bin or in two adjacent ones. At least ten
+    // samples are needed, because fewer could be similar by chance.
     let needed = (0.5 * REPEATED_MIN * states.len() as f64).max(10.0) as usize;
     let first_bin = bins.windows(2).position(|pair| pair[0] + pair[1] >= needed)?;
     refine(motion, &states, (first_bin + 1) as f64 * BIN_S)
 }
 
-/// Refines the period by Gauss-Newton: minimises `sum |q(t + period) - q(t)|^2`. `None` if the joints of
-/// the repetitions still differ.
+/// Refines the period by Gauss-Newton: minimises `sum |q(t + period) - q(t)|^2` for the joints `q`. `None` if the joints of
+/// the repetitions still differ afterwards.
 fn refine(motion: &impl RobotMotion, states: &[(f64, JointState)], start_s: f64) -> Option<f64> {
     const STEPS: usize = 8;
     let mut period_s = start_s;
     for step in 0..=STEPS {
         let pairs: Vec<(JointState, JointState)> =
             states.iter().filter_map(|(t_s, state)| Some((*state, motion.at(t_s + period_s)?))).collect();
-        // Sums of three products: rate times difference, squared rate (the derivative), and squared difference.
+        // `gradient` is the sum of rate times difference, `curvature` of the squared rate, and `squared` of the squared
+        // difference. The rate is the derivative of the difference by the period.
         let (mut gradient, mut curvature, mut squared) = (0.0, 0.0, 0.0);
         for (state, repeated) in &pairs {
             for joint in 0..state.q.len() {

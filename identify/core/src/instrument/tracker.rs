@@ -1,7 +1,7 @@
-//! A tracker that measures positions or poses of targets on the flange, from one or more stations. The robot stands
-//! still or moves. The residual is the pose of the target predicted by the robot, minus the measured pose
-//! ([`MeasuredPose`]) or position ([`MeasuredPosition`]). The fit also estimates the poses of stations (`places`) and of
-//! targets (`probes`), and the scale.
+//! A tracker that measures positions or poses of targets on the flange, from one or more stations. The robot stands still or
+//! moves. The residual is the predicted pose of the target minus the measured pose ([`MeasuredPose`]) or position
+//! ([`MeasuredPosition`]). In addition to the robot, the fit estimates the poses of the stations (`places`), the poses of
+//! the targets (`probes`), and the scale.
 
 use nalgebra::{Rotation3, Vector3};
 
@@ -21,12 +21,13 @@ use crate::model::{
 use crate::prepare::{Moving, PROBE_SIGMA_M, Sighted, all_placements};
 use crate::statistics::median_size;
 
-/// Minimum number of rows of a fit: gives twice as many measured numbers as tracker, probe and links have unknowns.
+/// Minimum number of rows of a fit. They contain at least twice as many coordinates as
+/// tracker, probe and links have unknowns.
 const ROWS_MIN: usize = 20;
-/// Minimum number of rows of each station if there are several. Gives twice as many numbers as its six unknowns, even if
-/// some rows are held out.
+/// Minimum number of rows of each station, if there is more than one. They contain twice as many coordinates as the station
+/// has unknowns (six), even if some rows are held out.
 const STATION_ROWS_MIN: usize = 5;
-/// Minimum number of rows of each target if there are several.
+/// Minimum number of rows of each target, if there is more than one.
 const TARGET_ROWS_MIN: usize = 3;
 
 /// The rows of one file, and the noise of each row.
@@ -46,24 +47,25 @@ pub struct Tracker {
 }
 
 impl Tracker {
-    /// Creates the instrument from rows at which the robot stood still, in the order in which it visited them.
+    /// Creates the instrument for a robot that stood still at each row. `rows` are in the
+    /// order in which the robot visited them.
     pub fn new(rows: &[PoseRow]) -> Self {
         Self::from_parts(Standing::new(rows, |row| row.joints_rad), None)
     }
 
-    /// Creates the instrument from rows that were measured while the robot moved.
+    /// Creates the instrument for rows that were measured while the robot moved.
     pub fn of_moving(rows: &[PoseRow], moving: Moving) -> Self {
         Self::from_parts(Standing::new(rows, |row| row.joints_rad), Some(moving))
     }
 
-    /// Sets the standard uncertainty of the scale \[ppm\] to the one that the mapping states. Zero means exact.
-    /// `None` keeps the default.
+    /// Sets the standard uncertainty of the scale to the value that the mapping states \[ppm\]. Zero means that the scale
+    /// is exact. `None` keeps the default.
     #[must_use]
     pub fn with_scale_u_ppm(self, stated: Option<f64>) -> Self {
         Self { scale_u_ppm: stated.unwrap_or(self.scale_u_ppm), ..self }
     }
 
-    /// The instrument with other rows, as if the robot had stood still. The joints are those of the first alignment.
+    /// The instrument with other rows, treated as if the robot had stood still. The joints are those of the first alignment.
     fn at_rest(&self, rows: Standing<PoseRow>) -> Instrument {
         Self::from_parts(rows, None).with_scale_u_ppm(Some(self.scale_u_ppm)).into()
     }
@@ -86,7 +88,7 @@ impl Tracker {
     /// State that the robot reports at each row, with the clock in `geometry`.
     fn states(&self, geometry: &Geometry) -> impl Iterator<Item = JointState> {
         let clock = geometry.clock;
-        // The preparation keeps rows away from the ends of the log, so a reported state normally exists.
+        // The preparation removes rows near the ends of the log, so a reported state normally exists.
         let state = move |(row, state): (usize, &JointState)| self.reported(row, &clock).unwrap_or(*state);
         self.rows.states.iter().enumerate().map(state)
     }
@@ -101,8 +103,8 @@ impl Tracker {
         Self { noise, scale_u_ppm: self.scale_u_ppm, ..Self::from_parts(self.rows.chosen(rows), moving) }
     }
 
-    /// For each row, the pose of the station, and the pose of the target predicted by the robot. `None` for a station or
-    /// target that the geometry does not contain.
+    /// For each row, the pose of the station and the predicted pose of the target. `None` if the geometry does not
+    /// contain the station or the target.
     fn predicted(&self, geometry: &Geometry) -> impl Iterator<Item = (&PoseRow, Option<[Pose; 2]>)> {
         let tracker = &geometry.tracker;
         let stations: Vec<Pose> = tracker.places.iter().map(Placement::pose).collect();
@@ -121,7 +123,7 @@ impl Tracker {
         median_size(self.noise.iter().map(|noise| noise.position_m))
     }
 
-    /// The rows as a least-squares problem with this residual, which is divided by `sigma`.
+    /// The rows as a least-squares problem with this residual. Residuals are divided by `sigma`.
     fn loop_problem<'a, R: Residual + 'a>(
         &'a self,
         model: &'a Model,
@@ -163,7 +165,7 @@ impl Measures for Tracker {
         "tracker and probe"
     }
 
-    /// Adds the stations and targets of the rows.
+    /// Adds the parameters of the stations and targets that occur in the rows.
     fn fitted_out(&self, robot: Model) -> Model {
         let model =
             robot.with_set_ups(Owner::Tracker, SetUp::counts(self.rows.rows.iter().map(|row| row.set_up)));
@@ -192,7 +194,7 @@ impl Measures for Tracker {
                 ParameterId::Probe { target, coordinate } => {
                     let role = match coordinate {
                         Coordinate::Position(_) => Role::Prior { value: 0.0, sigma: PROBE_SIGMA_M },
-                        // Positions alone do not determine the orientation of the probe.
+                        // Positions alone do not determine the orientation of the probe, so keep it fixed.
                         Coordinate::Rotation(_) if !self.has_rotations => Role::Fixed,
                         Coordinate::Rotation(_) => Role::Free,
                     };
@@ -237,11 +239,11 @@ impl Measures for Tracker {
         depends && (self.moving.is_some() || id.group() != Group::Clock)
     }
 
-    /// Estimates the standard deviations of position coordinates and of angles, from medians, because most errors are
-    /// normal. Returns the standard deviation of a coordinate of the median row \[m\].
+    /// Estimates the standard deviations of position coordinates and of angles. Uses medians, because most errors are
+    /// normally distributed. Returns the standard deviation of a coordinate of the median row \[m\].
     fn adapt(&mut self, model: &Model) -> Option<f64> {
         let errors = self.errors(&model.geometry(&[]));
-        // Standard deviation of each row, either of the position or of the rotation.
+        // Computes the standard deviation of each row, of the position or of the rotation.
         let sigmas = |error: fn(&PoseError) -> f64, stated: fn(&PoseUncertainty) -> Option<f64>| {
             let stated = || self.rows.rows.iter().map(move |row| stated(&row.uncertainty));
             let noise = RowNoise::behind(errors.iter().map(error).zip(stated()), MEDIAN_OF_THREE);
@@ -266,7 +268,7 @@ impl Measures for Tracker {
         self.rows.group(groups, seed);
     }
 
-    /// Holds out single poses if there are several stations, because a region could contain all rows of one station.
+    /// If there are several stations, single poses are held out, because a region could contain all rows of one station.
     fn hold_out(&self) -> HoldOut {
         let several = self.moving.is_none() && self.rows.rows.iter().any(|row| row.set_up.station > 0);
         if several { HoldOut::Rows } else { HoldOut::Regions }
@@ -291,7 +293,7 @@ impl Measures for Tracker {
     }
 
     fn mistakes(&self, axes: usize) -> Vec<Mistake> {
-        /// Number of segments of the file. A displacement is tried at each boundary between two segments.
+        /// Number of segments of the file. At each boundary between two segments, a displacement is tried.
         const PLACES: usize = 40;
         let others = [Mistake::RowsShifted, Mistake::Mirrored, Mistake::ModifiedTable];
         let moved = (1..PLACES).map(|place| Mistake::Moved(place * self.samples() / PLACES));
@@ -305,7 +307,7 @@ impl Measures for Tracker {
             Mistake::Joints(mistake) => vec![self.at_rest(rows.undone(mistake, robot))],
             Mistake::RowsShifted => rows.shifted().map(|rows| self.at_rest(rows)).to_vec(),
             Mistake::Mirrored => {
-                // Each mirror image is equal to this one, with another pose of the tracker.
+                // One mirror image is sufficient. Any other one is equal to it, with another pose of the tracker.
                 let mut mirrored = rows.clone();
                 for row in &mut mirrored.rows {
                     row.position_m.z = -row.position_m.z;
@@ -325,8 +327,8 @@ impl Measures for Tracker {
         }
     }
 
-    /// Position of the target predicted by the robot minus the measured position, in the robot's base. Also the
-    /// angle between the orientations.
+    /// Predicted minus measured position of the target, in the frame of the robot's base. Also the
+    /// angle between the two orientations.
     fn deviations(&self, geometry: &Geometry) -> Vec<Deviation> {
         let deviation = |(row, poses): (&PoseRow, Option<[Pose; 2]>)| {
             let Some([station, probe]) = poses else { return Deviation::of_place(Vector3::repeat(f64::NAN)) };
@@ -344,8 +346,8 @@ impl Measures for Tracker {
     }
 
     fn causes(&self, Geometry { tracker, .. }: &Geometry) -> Vec<Cause> {
-        // A displacement of the station without a rotation is tested as a separate cause. Rotations are measured so
-        // accurately that, with few poses, a test of all six coordinates does not detect it.
+        // A displacement of the station without a rotation is a separate cause. A test of all six coordinates does not
+        // detect it if there are few poses, because rotations are measured very accurately.
         let station = |station| {
             let name = format!("the place of the tracker{}", numbered(" in station", station));
             let cause = |coordinates: &[Coordinate]| {

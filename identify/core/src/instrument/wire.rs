@@ -1,10 +1,10 @@
 //! A draw-wire or telescoping bar that measures one length at each pose, from an anchor to an attachment on the flange. The
-//! residual is `(1 + scale) |attachment - anchor| + offset - length` ([`MeasuredLength`]). The fit also estimates anchor,
-//! attachment, offset and scale.
+//! residual is `(1 + scale) |attachment - anchor| + offset - length` ([`MeasuredLength`]). In addition to the robot, the fit
+//! estimates anchor, attachment, offset and scale.
 //!
 //! The errors of lengths have heavy tails, because the wire sags, sticks or is read too late. A step of the offset, or a
-//! joint that was logged with the wrong sign, shifts whole runs of rows. Rows that contradict the others are excluded. They
-//! are determined again after each solve.
+//! joint that was logged with the wrong sign, changes the residuals of whole runs of rows. Rows that contradict the other
+//! rows are excluded. After each solve, the excluded rows are determined again.
 
 use nalgebra::{DMatrix, DVector, Vector3};
 
@@ -22,12 +22,13 @@ use crate::model::{
 };
 use crate::statistics::median_size;
 
-/// Minimum number of rows of a fit: twice the seven unknowns of the wire.
+/// Minimum number of rows of a fit. It is twice the number of unknowns of the wire, which is seven.
 const ROWS_MIN: usize = 14;
-/// Minimum number of rows of each anchor if there are several. The equations for its start value have four unknowns, and
-/// some rows are held out.
+/// Minimum number of rows of each anchor, if there is more than one. The equations for the start value of an anchor have
+/// four unknowns, and some rows are held out.
 const ANCHOR_ROWS_MIN: usize = 8;
-/// Minimum number of rows of each attachment if there are several: twice its three coordinates.
+/// Minimum number of rows of each attachment, if there is more than one. It is twice the number
+/// of its coordinates, which is three.
 const ATTACHMENT_ROWS_MIN: usize = 6;
 
 /// Rows of one file, and the noise of their lengths.
@@ -38,19 +39,20 @@ pub struct Wire {
     noise: RowNoise,
     /// Standard uncertainty of the scale \[ppm\]; zero means exact.
     scale_u_ppm: f64,
-    /// Noise of each row in use, relative to the median row.
+    /// Noise of each used row, relative to the median row.
     relative_noise: Vec<f64>,
 }
 
 impl Wire {
-    /// Creates the instrument from rows at which the robot stood still, in the order in which it visited them.
+    /// Creates the instrument for a robot that stood still at each row. `rows` are in the
+    /// order in which the robot visited them.
     pub fn new(rows: &[LengthRow]) -> Self {
         let rows = Screened::new(Standing::new(rows, |row| row.joints_rad));
         Self::from_parts(rows, RowNoise::ALIKE, ScaleFrom::Wire.usual_u_ppm())
     }
 
-    /// Sets the standard uncertainty of the scale \[ppm\] to the one that the mapping states. Zero means exact.
-    /// `None` keeps the default.
+    /// Sets the standard uncertainty of the scale to the value that the mapping states \[ppm\]. Zero means that the scale
+    /// is exact. `None` keeps the default.
     #[must_use]
     pub fn with_scale_u_ppm(self, stated: Option<f64>) -> Self {
         Self { scale_u_ppm: stated.unwrap_or(self.scale_u_ppm), ..self }
@@ -92,8 +94,8 @@ fn estimate_noise(rows: &Standing<LengthRow>, geometry: &Geometry) -> Option<Row
     stated().any(|stated| stated.is_some()).then(|| RowNoise::behind(errors_m.zip(stated()), MEDIAN_OF_ONE))
 }
 
-/// Checks that the rows are of this robot. If a few rows contradict the robot's file, their joints are wrong. If most rows
-/// do, the file is of another robot.
+/// Checks that the rows were measured with this robot. `contradicting` are the rows that contradict the robot's file. If
+/// there are few of them, their joints are wrong. If they are most of the rows, the file is of another robot.
 fn ensure_this_robot(contradicting: &[RejectedRow], rows: usize) -> Result<(), RowError> {
     let rejected = contradicting.len();
     if 2 * rejected <= rows {
@@ -106,13 +108,14 @@ fn ensure_this_robot(contradicting: &[RejectedRow], rows: usize) -> Result<(), R
     Err(RowError::OtherRobot { rejected, rows, median_mm: median_size(distances_m) * 1e3 })
 }
 
-/// Start value of the anchor from the measured lengths. Assumes that the wire is attached at the flange's origin, which is
-/// at `positions_m`. `None` if the positions lie in a plane.
+/// Start value of the anchor from the measured lengths. The wire is assumed to be attached at the flange's origin.
+/// `positions_m` are the positions of this origin. `None` if the positions lie in a plane.
 ///
 /// With the anchor `c`, `|p - c|^2 = l^2` is linear in `c` and `k = |c|^2`: `2 p.c - k = |p|^2 - l^2`. `k` is estimated as
 /// a fourth unknown, so it also absorbs some of a constant offset of the lengths.
 fn start_anchor(positions_m: &[Vector3<f64>], lengths_m: &[f64]) -> Option<Vector3<f64>> {
-    /// If the ratio of the smallest to the largest singular value is not larger, the positions lie in a plane.
+    /// The positions are treated as lying in a plane if the ratio of the smallest to the largest
+    /// singular value is not larger than this.
     const FLATNESS: f64 = 1e-6;
     let rows = positions_m.len();
     let matrix = DMatrix::from_fn(rows, 4, |i, j| if j < 3 { 2.0 * positions_m[i][j] } else { -1.0 });
@@ -146,14 +149,14 @@ impl Measures for Wire {
         self.rows.at.rows.len()
     }
 
-    /// Adds the anchors and attachments of the rows.
+    /// Adds the parameters of the anchors and attachments that occur in the rows.
     fn fitted_out(&self, robot: Model) -> Model {
         let set_ups = self.rows.all.rows.iter().map(|row| row.set_up);
         robot.with_set_ups(Owner::Wire, SetUp::counts(set_ups)).without_clocks()
     }
 
-    /// Sets start values of the anchors and frees the parameters of the wire. Returns false if the positions of an anchor's
-    /// rows lie in a plane.
+    /// Sets start values of the anchors and frees the parameters of the wire. Returns false if the flange positions at
+    /// the rows of an anchor lie in a plane.
     fn place(&self, model: &mut Model, fix: &[ParameterId]) -> Result<bool, ModelError> {
         let geometry = model.geometry(&[]);
         let rows = || self.rows.at.rows.iter().zip(&self.rows.at.states);
@@ -198,8 +201,8 @@ impl Measures for Wire {
         MeasuredLength::depends_on(id, robot) && id.group() != Group::Clock
     }
 
-    /// Updates the relative noise of the rows. Returns `None`, because residuals stay in metres and the solver
-    /// estimates their common sigma.
+    /// Updates the relative noise of the rows. Returns `None`, because residuals stay in
+    /// metres. The solver estimates their sigma.
     fn adapt(&mut self, model: &Model) -> Option<f64> {
         if let Some(noise) = estimate_noise(&self.rows.at, &model.geometry(&[])) {
             *self = Self::from_parts(self.rows.clone(), noise, self.scale_u_ppm);
@@ -213,7 +216,7 @@ impl Measures for Wire {
         }
     }
 
-    /// Excludes outliers, unless more than half of the rows would be excluded.
+    /// Excludes outliers. If more than half of the rows are outliers, nothing changes.
     fn screen(&mut self, model: &Model) -> bool {
         let residuals_m = self.residuals_m(&model.geometry(&[]));
         let changed = self.rows.screen(&residuals_m, &self.relative_noise(), |_| true);
@@ -237,10 +240,10 @@ impl Measures for Wire {
         ROWS_MIN
     }
 
-    /// Finds rows in which the flange position of the controller contradicts the joint angles.
+    /// Finds rows whose joint angles and flange position, both reported by the controller, contradict each other.
     fn contradicting(&self, robot: &Chain) -> Result<Vec<RejectedRow>, RowError> {
-        /// Maximum distance between the two positions \[m\]. Larger than the rounding of controllers and the
-        /// error of nominal links.
+        /// Maximum distance between the reported flange position and the one computed from the joint angles \[m\]. It is
+        /// larger than the rounding of controllers and the error of nominal links.
         const TOLERANCE_M: f64 = 5e-3;
         let all = &self.rows.all;
         all.ensure_finite(|row| row.flange_m.into_iter().flatten())?;
@@ -299,7 +302,7 @@ impl Measures for Wire {
         &self.rows.rejected
     }
 
-    /// The position of each anchor, and the offset of the lengths.
+    /// The position of each anchor, and the offset of the lengths, can change.
     fn causes(&self, Geometry { wire, .. }: &Geometry) -> Vec<Cause> {
         let anchor = |station| {
             let name = format!("the anchor{} of the wire", numbered("", station));
@@ -309,7 +312,7 @@ impl Measures for Wire {
         (0..wire.anchors_m.len()).map(anchor).chain([offset]).collect()
     }
 
-    /// Noise of all rows, whether they are in use or not, relative to the median row.
+    /// Noise of each row relative to the median row, including rows that are not used.
     fn relative_noise(&self) -> Vec<f64> {
         self.noise.relative(self.rows.all.rows.iter().map(|row| row.uncertainty_m))
     }

@@ -26,7 +26,7 @@ pub enum RowError {
         /// Median distance between the two flange positions \[mm\].
         median_mm: f64,
     },
-    /// One of several stations or targets has too few rows.
+    /// There are two or more stations or targets, and one of them has too few rows.
     #[error(
         "{what} {number} has {rows} rows, at least {needed} are needed to estimate its position; measure more with it, or remove them"
     )]
@@ -72,7 +72,7 @@ pub enum RowError {
         /// Number of fitted rows.
         rows: usize,
     },
-    /// A row is of a socket that the table of sockets does not contain.
+    /// A row names a socket that the table of sockets does not contain.
     #[error("row {row} is of a socket that the table of sockets does not have; correct one of them")]
     UnknownSocket {
         /// Number of the row, from 1.

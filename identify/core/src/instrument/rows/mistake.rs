@@ -13,16 +13,18 @@ pub enum Mistake {
     RowsShifted,
     /// Two axes of the positions are exchanged, or one axis has the opposite sign.
     Mirrored,
-    /// The instrument, its target or the robot was displaced before this row. Index from 0.
+    /// The instrument, its target or the robot was displaced just before the row with this index, from 0.
     Moved(usize),
-    /// True length (or distance between positions) divided by the length as read, times 1000.
+    /// The unit of lengths is wrong. True length divided by the length as read, times 1000. Distances
+    /// between positions are lengths, too.
     LengthUnit(u32),
-    /// The table in the robot's file uses Craig's modified convention, but is read in the standard convention.
+    /// The table in the robot's file uses Craig's modified convention, but it was read as
+    /// a table of the standard convention.
     ModifiedTable,
 }
 
 impl Mistake {
-    /// Typical wrong units: m read as mm, cm read as mm, inches read as mm, and the reverse of each.
+    /// Typical wrong units: metres, centimetres or inches read as millimetres, and the reverse of each.
     pub const LENGTH_UNITS: [Self; 6] = [
         Self::LengthUnit(1_000_000),
         Self::LengthUnit(10_000),
@@ -37,8 +39,8 @@ impl Mistake {
         JointMistake::all(axes).into_iter().map(Self::Joints).collect()
     }
 
-    /// Factor by which lengths, and with them all errors, become shorter when the mistake is corrected. 1 if they
-    /// do not become shorter.
+    /// Factor by which lengths become shorter when the mistake is corrected. Errors become smaller by the same factor.
+    /// 1 if lengths do not become shorter.
     pub fn shortening(self) -> f64 {
         match self {
             Self::LengthUnit(thousandths) => (f64::from(thousandths) / 1e3).min(1.0),

@@ -1,4 +1,4 @@
-//! Rows of measurements at poses of the robot: the code that all instruments which measure row by row have in common.
+//! Rows of measurements at poses of the robot: the code that is common to all instruments that measure row by row.
 
 mod error;
 mod mistake;
@@ -29,12 +29,12 @@ pub const SEED: u64 = 1042;
 pub struct Rows {
     /// The instrument with its rows.
     pub instrument: Instrument,
-    /// Which rows are held out together. `None`: the default of the instrument.
+    /// Which rows are held out together. `None` uses the default of the instrument.
     pub hold_out: Option<HoldOut>,
-    /// Seed of the random assignment of groups to folds. `None`: [`SEED`].
+    /// Seed of the random assignment of groups to folds. `None` uses [`SEED`].
     pub seed: Option<u64>,
-    /// Highest order of joint waves, in waves per turn of a joint, for a fit without a ball-bar. `None`: depends on
-    /// the number of rows.
+    /// Highest order of joint waves, in waves per turn of a joint, for a fit without a ball-bar. If it is
+    /// `None`, the number of rows determines it.
     pub joint_waves: Option<u8>,
 }
 
@@ -61,7 +61,8 @@ impl Rows {
         self.seed.unwrap_or(SEED)
     }
 
-    /// The instrument with its rows divided into groups that are held out together. `robot` is the nominal chain.
+    /// The instrument, with its rows divided into groups. The rows of a group are held out
+    /// together. `robot` is the nominal chain.
     pub(crate) fn grouped(&self, robot: &Chain) -> Instrument {
         let mut grouped = self.instrument.clone();
         let groups = self.hold_out().groups(robot, &self.instrument.joints());

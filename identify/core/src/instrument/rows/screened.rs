@@ -1,13 +1,13 @@
-//! Detects outliers among rows, from the residuals at a solution and a robust standard deviation (by the median). The
-//! outliers are determined again after each solve. There are two types: single rows with gross residuals, and faulty runs,
-//! which are consecutive rows with a common error.
+//! Detects outliers among rows. Residuals at a solution are compared with a robust standard deviation, which is computed
+//! from their median. The outliers are determined again after each solve. There are two types: single rows with gross
+//! residuals, and faulty runs, which are consecutive rows with a common error.
 
 use super::{MEDIAN_OF_ONE, Standing, sigma_by_median};
 use crate::instrument::PoseError;
 use crate::statistics::median_size;
 
-/// A single row is an outlier beyond this number of standard deviations. No row of a normal distribution exceeds it, and
-/// few rows of a heavy-tailed one.
+/// A single row is an outlier if its residual exceeds this number of standard deviations. No row of a normal distribution
+/// does, and only few rows of a heavy-tailed distribution do.
 const GROSS: f64 = 8.0;
 
 /// Reason why a row is excluded.
@@ -25,7 +25,8 @@ pub enum Rejection {
     },
     /// The row is in a faulty run: consecutive rows with a common error.
     FaultyRun {
-        /// Median of the absolute residuals of neighbouring rows, divided by their relative noise \[m\].
+        /// Median of the absolute residuals of the row and its neighbours \[m\]. Each residual is
+        /// divided by the relative noise of its row.
         median_m: f64,
     },
 }
@@ -39,32 +40,32 @@ pub struct RejectedRow {
     pub why: Rejection,
 }
 
-/// Rows of one file, with and without outliers.
+/// The rows of one file, with the outliers that are currently excluded.
 #[derive(Debug, Clone)]
 pub(in crate::instrument) struct Screened<R> {
     /// All rows of the file.
     pub(in crate::instrument) all: Standing<R>,
     /// Outliers among `all`, in ascending order.
     pub(in crate::instrument) rejected: Vec<RejectedRow>,
-    /// The rows of `all` that are in use.
+    /// The rows of `all` that are not outliers.
     pub(in crate::instrument) at: Standing<R>,
 }
 
 impl<R: Copy> Screened<R> {
-    /// Creates the rows without outliers: all are in use.
+    /// Creates the rows without outliers: all rows are used.
     pub(in crate::instrument) fn new(all: Standing<R>) -> Self {
         Self { rejected: Vec::new(), at: all.clone(), all }
     }
 
-    /// Sets the groups as [`Standing::group`]. Must be called while all rows are in use.
+    /// Sets the groups, see [`Standing::group`]. Must be called while all rows are used.
     pub(in crate::instrument) fn group(&mut self, groups: &[usize], seed: u64) {
         self.all.group(groups, seed);
         self.at.group(groups, seed);
     }
 
-    /// Determines the outliers from the residuals of all rows \[m\] and from their noise relative to the median row.
-    /// Returns whether the set of rows in use has changed. Nothing changes if more than half of the rows are outliers, or
-    /// if the remaining rows are not sufficient.
+    /// Determines the outliers from the residuals of all rows \[m\], and from the noise of all rows relative to the median
+    /// row. Returns whether the set of used rows has changed. If more than half of the rows are outliers, or if the other
+    /// rows are not sufficient, nothing changes.
     pub(in crate::instrument) fn screen(
         &mut self,
         residuals_m: &[f64],
@@ -88,8 +89,9 @@ impl<R: Copy> Screened<R> {
     }
 }
 
-/// Finds rows that a fit must not use. One type is a single fitted row with a gross residual. The other type is every row,
-/// fitted or held out, in a run of rows in which most fitted rows have large residuals.
+/// Finds rows that a fit must not use. There are two types. The first is a single fitted row with a gross
+/// residual. The second is a faulty run: rows among which most fitted rows have large residuals. All rows of a
+/// faulty run are returned, fitted or held out.
 ///
 /// `residuals_m` contains the residuals of all rows \[m\]. `relative_noise` is relative to the median row. `fitting`
 /// contains the fitted rows. The standard deviation of the residuals is estimated from the rows `kept`.
@@ -99,10 +101,10 @@ pub(crate) fn faulty(
     fitting: &[usize],
     kept: &[usize],
 ) -> Vec<RejectedRow> {
-    /// A row is in a faulty run if the median of neighbouring rows exceeds this number of standard deviations. Independent
-    /// rows exceed it less than once in a million.
+    /// A row belongs to a faulty run if the median absolute residual of neighbouring rows exceeds this number of standard
+    /// deviations. If errors are independent, less than one row in a million exceeds it.
     const RUN: f64 = 3.0;
-    // Residuals divided by the relative noise: all rows are then as uncertain as the median row.
+    // Divide residuals by the relative noise. The results have the noise of the median row.
     let scaled_m: Vec<f64> = residuals_m.iter().zip(relative_noise).map(|(r, noise)| r / noise).collect();
     let sigma_m = sigma_by_median(kept.iter().map(|&row| scaled_m[row]), MEDIAN_OF_ONE);
     let single = |&row: &usize| {
@@ -129,17 +131,17 @@ pub(crate) fn gross_rows(
     calibrated: &[PoseError],
     relative_noise: &[f64],
 ) -> Vec<bool> {
-    /// Limit for the nominal robot, in robust standard deviations of distances. It corresponds to about seven standard
-    /// deviations of a single coordinate.
+    /// Limit of the distance from the nominal robot, in robust standard deviations of distances. It corresponds to about
+    /// seven standard deviations of a single coordinate.
     const OF_NOMINAL: f64 = 3.0;
     let far_from_nominal = beyond(nominal, relative_noise, OF_NOMINAL);
     let far_from_calibrated = beyond(calibrated, relative_noise, GROSS);
     far_from_nominal.iter().zip(&far_from_calibrated).map(|(a, b)| *a && *b).collect()
 }
 
-/// Whether each error exceeds this number of robust standard deviations, in position or in rotation.
+/// For each error, whether its position or its rotation exceeds this number of robust standard deviations.
 fn beyond(errors: &[PoseError], relative_noise: &[f64], sigmas: f64) -> Vec<bool> {
-    // Errors divided by the relative noise: all rows are then as uncertain as the median row.
+    // Divide errors by the relative noise. The results have the noise of the median row.
     let scaled = |(error, noise): (&PoseError, &f64)| PoseError {
         position_m: error.position_m / noise,
         rotation_rad: error.rotation_rad.map(|angle| angle / noise),
@@ -156,11 +158,11 @@ fn beyond(errors: &[PoseError], relative_noise: &[f64], sigmas: f64) -> Vec<bool
     errors.iter().map(is_beyond).collect()
 }
 
-/// Median absolute residual of the fitted rows just before or just after a row, whichever is larger. A faulty run ends
-/// abruptly. At its edge, only the rows on one side have large residuals.
+/// Returns the larger one of two medians of absolute residuals: of the fitted rows just before a row, and of those just
+/// after it. A faulty run ends abruptly, so at its edge only the rows on one side have large residuals.
 fn neighbour_median_m(residuals_m: &[f64], fitting: &[usize], row: usize) -> f64 {
     const ROWS_EACH_SIDE: usize = 5;
-    // If the row itself is fitted, it belongs to both sides.
+    // If the row itself is fitted, it counts as a row of both sides.
     let begin = fitting.partition_point(|&fitting_row| fitting_row < row);
     let end = begin + usize::from(fitting.get(begin) == Some(&row));
     let sides = [end.saturating_sub(ROWS_EACH_SIDE)..end, begin..(begin + ROWS_EACH_SIDE).min(fitting.len())];

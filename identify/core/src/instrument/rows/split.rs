@@ -1,4 +1,4 @@
-//! Divides samples into groups that are held out together. Assigns these groups at random to folds of about equal size.
+//! Divides samples into groups that are held out together. Assigns the groups at random to folds of about equal size.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -39,7 +39,8 @@ impl HoldOut {
     }
 }
 
-/// Group of each row, from the number of its pose (ascending) and from the nominal position of the robot's end.
+/// Group of each row. `poses` contains the number of the pose of each row, in ascending order. `positions_m` contains the
+/// nominal position of the robot's end at each row.
 fn groups(hold_out: HoldOut, poses: &[usize], positions_m: &[Vector3<f64>]) -> Vec<usize> {
     match hold_out {
         HoldOut::Rows => poses.to_vec(),
@@ -51,7 +52,7 @@ fn groups(hold_out: HoldOut, poses: &[usize], positions_m: &[Vector3<f64>]) -> V
     }
 }
 
-/// Number of the box that contains each position. Only boxes that contain a position are counted.
+/// Number of the box that contains each position. Boxes without positions have no number.
 fn boxes(positions_m: &[Vector3<f64>]) -> Vec<usize> {
     let Some(first) = positions_m.first() else { return Vec::new() };
     let low = positions_m.iter().fold(*first, |low, p| low.inf(p));

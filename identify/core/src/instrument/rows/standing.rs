@@ -1,6 +1,6 @@
-//! Rows that were measured while the robot stood still. Used by tracker, wire, contact and touch. Determines from the
-//! joints of consecutive rows which rows are of the same pose, and in which direction each joint moved last. The direction
-//! is needed for backlash.
+//! Rows that were measured while the robot stood still. Used by tracker, wire, contact and touch. From the joints of
+//! consecutive rows it determines two things: which rows belong to the same pose, and the direction of the last motion of
+//! each joint. The direction is needed for backlash.
 
 use std::collections::BTreeMap;
 
@@ -10,11 +10,11 @@ use crate::logs::JointMistake;
 use crate::model::{JointState, Observation, ParameterId, PerObservation, SetUp};
 use crate::statistics::largest_difference;
 
-/// A joint that moved by less since the previous pose keeps its last direction of motion \[rad, m\].
+/// A joint keeps its last direction of motion if it has moved by less than this since the previous pose \[rad, m\].
 const MOVED_MIN: f64 = 1e-3;
 
-/// State of the robot at each pose, in the order of the poses. The rate of a joint is +1 or -1, the sign of its last motion
-/// \[rad/s, m/s\]. It is 0 before its first motion.
+/// State of the robot at each pose, in the order of the poses. The rate of a joint is not a speed but the sign of its last
+/// motion, +1 or -1 \[rad/s, m/s\]. It is 0 before the first motion of the joint.
 pub fn standing(joints_rad: impl Iterator<Item = Joints>) -> Vec<JointState> {
     let mut directions = Joints::default();
     let mut previous: Option<Joints> = None;
@@ -36,8 +36,8 @@ pub fn standing(joints_rad: impl Iterator<Item = Joints>) -> Vec<JointState> {
     states.collect()
 }
 
-/// Number of the pose of each row. Consecutive rows without a motion between them, such as rows of several targets, are of
-/// the same pose and share the robot's error.
+/// Number of the pose of each row. Consecutive rows without a motion between them belong to the same pose and have the same
+/// error of the robot. An example are rows of two or more targets.
 pub(super) fn poses(joints_rad: &[Joints]) -> Vec<usize> {
     let mut pose = 0;
     let mut first_of_pose = joints_rad.first();
@@ -52,19 +52,20 @@ pub(super) fn poses(joints_rad: &[Joints]) -> Vec<usize> {
     numbers.collect()
 }
 
-/// Observations that contain only the time of each row, see [`Standing::observations`].
+/// Observations that contain only a time, see [`Standing::observations`]. There is one for each row.
 fn observations(rows: usize) -> Vec<Observation> {
     (0..rows).map(|row| Observation::time_only(PerObservation::time_s(row))).collect()
 }
 
-/// Rows of one file, in the order in which the robot visited them. Row `i` has the time `i` seconds.
+/// Rows of one file, in the order in which the robot visited them. Rows have no measured time.
+/// The time of row `i` is `i` seconds.
 #[derive(Debug, Clone)]
 pub(in crate::instrument) struct Standing<R> {
     /// Measurement of each row.
     pub(in crate::instrument) rows: Vec<R>,
     /// State of the robot at each row.
     pub(in crate::instrument) states: Vec<JointState>,
-    /// Observation of each row. It contains only the time, because the measurements are in `rows`.
+    /// Observation of each row, which contains only the time. The measurements are in `rows`.
     pub(in crate::instrument) observations: Vec<Observation>,
     /// Group of each row. Rows of the same group are held out together.
     groups: Vec<usize>,
@@ -72,7 +73,7 @@ pub(in crate::instrument) struct Standing<R> {
 }
 
 impl<R: Copy> Standing<R> {
-    /// Creates the rows. `joints_rad` returns the joints of a row. Each pose is a group of its own
+    /// Creates the rows. `joints_rad` returns the joints of a row. Each pose is a separate group
     /// until [`Standing::group`] is called.
     pub(in crate::instrument) fn new(rows: &[R], joints_rad: impl Fn(&R) -> Joints) -> Self {
         let joints_rad: Vec<Joints> = rows.iter().map(joints_rad).collect();
@@ -85,8 +86,8 @@ impl<R: Copy> Standing<R> {
         }
     }
 
-    /// Sets the group of each row. Rows of a group are held out together. `seed` is that of the random assignment
-    /// of groups to folds.
+    /// Sets the group of each row. All rows of a group are held out together. Groups are
+    /// assigned to folds at random, with `seed`.
     pub(in crate::instrument) fn group(&mut self, groups: &[usize], seed: u64) {
         (self.groups, self.seed) = (groups.to_vec(), seed);
     }
@@ -96,14 +97,14 @@ impl<R: Copy> Standing<R> {
         self.states.iter().map(|state| state.q).collect()
     }
 
-    /// The same rows with a mistake in their joints corrected.
+    /// The same rows, after a mistake in their joints is corrected.
     pub(in crate::instrument) fn undone(&self, mistake: JointMistake, robot: &Chain) -> Self {
         let undone = self.states.iter().map(|state| mistake.undone(&state.q, robot.joint_kinds()));
         Self { states: standing(undone), ..self.clone() }
     }
 
-    /// Two corrections of shifted rows: each measurement with the joints of the next row, then with those
-    /// of the previous row.
+    /// Two possible corrections if joints are in the wrong rows: each measurement gets the joints of the next
+    /// row, or those of the previous row.
     pub(in crate::instrument) fn shifted(&self) -> [Self; 2] {
         let count = self.rows.len().saturating_sub(1);
         if count == 0 {
@@ -118,7 +119,7 @@ impl<R: Copy> Standing<R> {
         [combined(&without_last, &without_first), combined(&without_first, &without_last)]
     }
 
-    /// Checks that all joints, and the numbers that `numbers` returns for a row, are finite.
+    /// Checks that all numbers are finite: the joints of each row, and the numbers that `numbers` returns for it.
     pub(in crate::instrument) fn ensure_finite<'r, N: Iterator<Item = f64>>(
         &'r self,
         numbers: impl Fn(&'r R) -> N,
@@ -131,9 +132,9 @@ impl<R: Copy> Standing<R> {
         Ok(())
     }
 
-    /// Checks that there are not too many stations and targets. If there are several, also checks that each has enough rows
-    /// to be located with any part of the file held out. `needed` contains the name and the minimum number of rows, first
-    /// of a station and then of a target.
+    /// Checks that there are not too many stations and targets. If there are two or more, also checks that each has enough
+    /// rows to be located when any part of the file is held out. `needed` contains the name and the minimum number of rows,
+    /// first of a station and then of a target.
     pub(in crate::instrument) fn ensure_each_has_rows(
         &self,
         set_up: impl Fn(&R) -> SetUp,
@@ -165,8 +166,8 @@ impl<R: Copy> Standing<R> {
         }
     }
 
-    /// Divides the rows into at most `count` folds that do not split their groups. Each fold contains rows of all classes
-    /// if there are enough.
+    /// Divides the rows into at most `count` folds. The rows of a group stay in one fold. Each fold contains rows of
+    /// all classes if there are enough rows.
     pub(in crate::instrument) fn independent(
         &self,
         count: usize,

@@ -1,6 +1,6 @@
-//! A ball on the flange that is seated in one of several sockets. Two poses with the ball in the same socket close a loop.
-//! The residual is the position of the ball predicted by the robot minus the position of its socket ([`SeatedBall`]). Known
-//! distances between the sockets determine the scale.
+//! A ball on the flange that is seated in one of several sockets. If the ball is in the same socket in two poses, both must
+//! give the same position. The residual is the position of the ball predicted by the robot, minus the position of its socket
+//! ([`SeatedBall`]). Known distances between the sockets determine the scale.
 
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
@@ -17,8 +17,8 @@ use crate::model::{Axis, Geometry, Owner, ParameterId, Role};
 pub type Contact = Tip<Sockets>;
 
 impl Contact {
-    /// Creates the instrument from rows at which the ball was seated in a socket of the table, in the order in which
-    /// the robot visited them.
+    /// Creates the instrument. `rows` are in the order in which the robot visited them. In each row the ball
+    /// was seated in a socket of the table.
     ///
     /// # Errors
     /// [`RowError`] if rows and table are not sufficient to calibrate a robot.
@@ -32,7 +32,7 @@ impl Contact {
             }
             *visits.get_mut(row.part).ok_or(RowError::UnknownSocket { row: number })? += 1;
         }
-        // Remove the sockets that no row visits. The others are numbered again.
+        // Remove the sockets that no row visits, and number the others again.
         let visited: Vec<usize> = (0..names.len()).filter(|socket| visits[*socket] > 0).collect();
         for row in &mut all.rows {
             row.part = visited.partition_point(|socket| *socket < row.part);
@@ -89,9 +89,9 @@ impl Artefact for Sockets {
         Deviation::of_place(ball_m - socket_m.unwrap_or_else(|| Vector3::repeat(f64::NAN)))
     }
 
-    /// Estimates ball and sockets by linear least squares: `p_k + R_k ball = socket` is linear in both.
-    /// `(R_k, p_k)` is the pose of the flange at row `k`. A weak prior of the ball at zero is effective only if the
-    /// poses do not determine the ball.
+    /// Estimates ball and sockets by linear least squares, because `p_k + R_k ball = socket` is linear in both.
+    /// `(R_k, p_k)` is the pose of the flange at row `k`. A weak prior of the ball at zero has an effect only if
+    /// the poses do not determine the ball.
     fn start(&self, touches: &TouchedPoses) -> Option<Vec<(ParameterId, f64, Role)>> {
         let sockets = self.names.len();
         let size = 3 * (1 + sockets);
@@ -99,7 +99,8 @@ impl Artefact for Sockets {
         matrix.view_mut((0, 0), (3, 3)).fill_diagonal(tip_weight(touches.len()));
         for (flange, row) in touches {
             let (r, p) = (flange.rotation.matrix(), flange.translation.vector);
-            // First index of ball and socket among the unknowns.
+            // Order of the unknowns: three coordinates of the ball, then three of each socket. These are
+            // the first indices of ball and socket.
             let (ball, socket) = (0, 3 * (1 + row.part));
             let mut add_to_matrix = |place: (usize, usize), block: &Matrix3<f64>| {
                 let mut view = matrix.fixed_view_mut::<3, 3>(place.0, place.1);

@@ -1,7 +1,8 @@
-//! Flat faces that a tip touches, with their known distances and angles: the table of the file ([`FaceTable`]), and its
-//! entries as residuals with derivatives ([`Faces`]). The fit uses them in addition to the rows of [`super::Touch`].
+//! Flat faces that a tip touches, with their known distances and angles. [`FaceTable`] is the table of the file. [`Faces`]
+//! converts its entries to residuals with derivatives, which the fit uses in addition to the rows of [`super::Touch`].
 //!
-//! A face is represented by the plane `n.x = d` on which the centre of the touching tip lies. `n` may have any length.
+//! A face is represented by the plane `n.x = d`. The plane contains the centre of the tip when the tip touches
+//! the face. `n` may have any length.
 
 use std::collections::BTreeSet;
 
@@ -16,12 +17,12 @@ use crate::model::{Face, FaceNumber, Geometry, ParameterId, Unit};
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Touched {
-    /// Both ends of a block: the centre of the tip moves by the distance of the faces plus the tip's diameter.
+    /// Outer faces of a block. Between the faces, the centre of the tip moves by their distance plus the tip's diameter.
     #[default]
     Outside,
-    /// Two walls of a gap: the centre moves by the distance minus the diameter.
+    /// Two walls of a gap. Between the walls, the centre moves by their distance minus the tip's diameter.
     Inside,
-    /// A step, both faces touched from the same side: the centre moves by the distance.
+    /// Faces of a step, both touched from the same side. Between the faces, the centre moves by their distance.
     Step,
 }
 
@@ -33,10 +34,10 @@ pub struct Spacing {
     pub between: [String; 2],
     /// Distance of the faces themselves \[mm\].
     pub distance_mm: f64,
-    /// Sides from which they are touched.
+    /// Sides from which the two faces are touched.
     #[serde(default)]
     pub touched: Touched,
-    /// Standard uncertainty \[um\]; absent: that of the table.
+    /// Standard uncertainty \[um\]. If it is absent, the uncertainty in the table applies.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub u_um: Option<f64>,
 }
@@ -47,9 +48,9 @@ pub struct Spacing {
 pub struct KnownAngle {
     /// Names of the two faces in the rows.
     pub between: [String; 2],
-    /// Angle between their planes, 0 to 90 \[deg\].
+    /// Angle between the planes of the faces, 0 to 90 \[deg\].
     pub angle_deg: f64,
-    /// Standard uncertainty \[urad\]; absent: that of the table.
+    /// Standard uncertainty \[urad\]. If it is absent, the uncertainty in the table applies.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub u_urad: Option<f64>,
 }
@@ -58,13 +59,13 @@ pub struct KnownAngle {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FaceTable {
-    /// Standard uncertainty of each distance without one of its own \[um\].
+    /// Standard uncertainty of each distance that has none of its own \[um\].
     #[serde(default = "usual_u")]
     pub u_um: f64,
-    /// Standard uncertainty of each angle without one of its own \[urad\].
+    /// Standard uncertainty of each angle that has none of its own \[urad\].
     #[serde(default = "usual_u_angle")]
     pub u_urad: f64,
-    /// Diameter of the tip's ball, for faces that are touched from opposite sides \[mm\].
+    /// Diameter of the tip's ball \[mm\]. Needed for faces that are touched from opposite sides.
     #[serde(default)]
     pub tip_diameter_mm: f64,
     /// Centre of the tip's ball in the flange frame, if known \[mm\].
@@ -100,7 +101,7 @@ impl Default for FaceTable {
 }
 
 impl FaceTable {
-    /// Names of faces that have a known distance or angle but are not in `touched`. Each name occurs once.
+    /// Names of faces that are not in `touched` but have a known distance or angle. Each name occurs once.
     pub fn untouched(&self, touched: &[String]) -> BTreeSet<&str> {
         let distances = self.distances.iter().flat_map(|one| &one.between);
         let named = distances.chain(self.angles.iter().flat_map(|one| &one.between));
@@ -164,9 +165,10 @@ impl Validate for FaceTable {
 /// A known quantity of two faces.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Known {
-    /// Distance between the planes on which the centre of the tip lies: the stated distance corrected for the diameter of
-    /// the tip \[m\]. The estimated planes are not exactly parallel. Therefore one point of the second plane is used: the
-    /// point nearest to `at_m`, where the second face is touched. The distance is its height above the first plane.
+    /// Distance between two planes \[m\]. A plane contains the centre of the tip when the tip touches the face, so the
+    /// stated distance is corrected for the diameter of the tip. The estimated planes are not exactly parallel. Therefore
+    /// the distance is the height of one point of the second plane above the first plane. This point is the one nearest to
+    /// `at_m`, the position at which the second face is touched.
     Distance { faces: [usize; 2], distance_m: f64, sigma_m: f64, at_m: Vector3<f64> },
     /// Angle between two planes that are not parallel.
     Angle { faces: [usize; 2], angle_rad: f64, sigma_rad: f64 },
@@ -184,7 +186,8 @@ pub struct Faces {
     known: Vec<Known>,
 }
 
-/// Unit normal of a face, and its derivative by the parameters of the normal, which is a symmetric matrix.
+/// Unit normal of a face, and its derivative by the coordinates of the face's `normal`.
+/// The derivative is a symmetric matrix.
 fn unit_normal(face: &Face) -> (Vector3<f64>, Matrix3<f64>) {
     let length = face.normal.norm();
     let normal = face.normal / length;
@@ -192,11 +195,12 @@ fn unit_normal(face: &Face) -> (Vector3<f64>, Matrix3<f64>) {
 }
 
 impl Faces {
-    /// Creates the faces `names`, in this order, with their known geometry in the table. Entries for other faces are
-    /// ignored. `centre_m` contains the approximate touched position of each face, in the robot's base.
+    /// Creates the faces `names`, in this order, with their known geometry from the table. Entries of the
+    /// table for other faces are ignored. `centre_m` contains the approximate touched position of each
+    /// face, in the frame of the robot's base.
     pub fn new(table: &FaceTable, names: &[String], centre_m: &[Vector3<f64>]) -> Self {
-        /// Planes with a smaller known angle are treated as parallel, because the direction of their
-        /// inclination is undefined \[deg\].
+        /// Planes with a known angle below this value are treated as parallel \[deg\]. The derivatives of so small an angle
+        /// are not defined, because the direction of the inclination is unknown.
         const PARALLEL_DEG: f64 = 0.1;
         let number = |name: &String| names.iter().position(|other| other == name);
         let numbers = |between: &[String; 2]| {
@@ -273,14 +277,14 @@ impl Knowns for Faces {
         match *self.known.get(known)? {
             Known::Distance { faces: [first, second], distance_m, sigma_m, at_m } => {
                 let (face_1, face_2) = (faces.get(first)?, faces.get(second)?);
-                // The point of the second face nearest to the touched position (`foot_m`), and its height
-                // above the first face.
+                // `foot_m`, the point of the second plane nearest to the touched position,
+                // and its height above the first plane.
                 let (length_1, squared_2) = (face_1.normal.norm(), face_2.normal.norm_squared());
                 let over_2 = face_2.normal.dot(&at_m) - face_2.distance_m;
                 let foot_m = at_m - face_2.normal * (over_2 / squared_2);
                 let height_m = (face_1.normal.dot(&foot_m) - face_1.distance_m) / length_1;
                 let (normal_1, _) = unit_normal(face_1);
-                // d foot / d n2 = -(over_2 I + n2 x^T) / n2^2 + 2 n2 n2^T over_2 / n2^4. `x` is the touched position.
+                // With `x` for the touched position: d foot / d n2 = -(over_2 I + n2 x^T) / n2^2 + 2 n2 n2^T over_2 / n2^4.
                 let by_normal_2 = -(normal_1 * over_2 + at_m * normal_1.dot(&face_2.normal)) / squared_2
                     + face_2.normal * (2.0 * over_2 * normal_1.dot(&face_2.normal) / squared_2.powi(2));
                 let by_distance_2 = normal_1.dot(&face_2.normal) / squared_2;
@@ -310,7 +314,7 @@ impl Knowns for Faces {
             Known::Parallel { faces: [first, second], sigma_rad } => {
                 let (normal_1, by_1) = unit_normal(faces.get(first)?);
                 let (normal_2, by_2) = unit_normal(faces.get(second)?);
-                // The angle has no derivative at zero, but the cross product of the normals has one.
+                // At zero, the angle has no derivative, but the cross product of the normals has one.
                 let cross = normal_1.cross(&normal_2) / sigma_rad;
                 let mut derivative = DMatrix::zeros(3, columns);
                 let by_first = -normal_2.cross_matrix() * by_1 / sigma_rad;

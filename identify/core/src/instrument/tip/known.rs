@@ -1,5 +1,5 @@
-//! Known quantities of an instrument's parts, such as distances between sockets. They are additional samples in the fit
-//! ([`crate::cost::LoopProblem::with_knowns`]). A test shows whether the other samples contradict them.
+//! Known quantities of an instrument's parts, such as distances between sockets. In the fit they are additional samples
+//! ([`crate::cost::LoopProblem::with_knowns`]). [`Knowns::contradicted`] tests whether the measured samples contradict them.
 
 use std::fmt;
 
@@ -8,10 +8,10 @@ use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 use crate::model::{Geometry, ParameterId, Unit};
 
-/// Probability that any quantity is reported although the table is correct.
+/// Probability that at least one quantity is reported although the table is correct.
 const CONTRADICTED_BY_CHANCE: f64 = 1e-3;
 
-/// Maximum distance in a table \[mm\]. A larger distance has a wrong unit.
+/// Maximum distance in a table \[mm\]. If a distance is larger, its unit is wrong.
 pub(super) const SPAN_MM_MAX: f64 = 20_000.0;
 
 /// Known lengths, positions and angles of the parts of an instrument.
@@ -25,20 +25,21 @@ pub trait Knowns: fmt::Debug + Sync {
     /// Name in messages, such as `the distance between faces ...`.
     fn name_of(&self, known: usize) -> String;
 
-    /// Standard uncertainty of a known quantity, in SI units, and the unit.
+    /// Standard uncertainty of a known quantity, in SI units, and the unit of the quantity.
     fn sigma_of(&self, known: usize) -> (f64, Unit);
 
-    /// Residual of a known quantity: estimated minus known value, in standard deviations. Also its derivatives, whose
-    /// columns are those of [`Knowns::column`]. `None` if the geometry does not contain a part.
+    /// Residual of a known quantity: estimated minus known value, in standard deviations. Also the
+    /// derivatives of the residual. [`Knowns::column`] assigns parameters to the columns of the derivatives.
+    /// `None` if the geometry does not contain a part.
     fn known(&self, known: usize, geometry: &Geometry) -> Option<(DVector<f64>, DMatrix<f64>)>;
 
-    /// Column of a parameter in the derivatives. `None` if they do not depend on it.
+    /// Column of a parameter in the derivatives. `None` if the residuals do not depend on the parameter.
     fn column(&self, id: ParameterId) -> Option<usize>;
 
     /// Finds the known quantities that the estimated geometry contradicts.
     ///
-    /// Each quantity is tested by chi-squared. [`CONTRADICTED_BY_CHANCE`] is the probability of a false report for all
-    /// quantities together. The test is conservative, because the estimates are also constrained to the known values.
+    /// Each quantity is tested by chi-squared. [`CONTRADICTED_BY_CHANCE`] is the probability of a false report among all
+    /// quantities together. The test is conservative, because the fit also uses the known values.
     fn contradicted(&self, geometry: &Geometry) -> Vec<Contradiction> {
         let chance = CONTRADICTED_BY_CHANCE / self.knowns().max(1) as f64;
         let contradiction = |known: usize| {

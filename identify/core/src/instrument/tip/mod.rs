@@ -1,10 +1,9 @@
-//! A tip on the flange that touches the parts of an artefact, whose pose is unknown. Either the tip is a ball
-//! that is seated in the sockets of a plate ([`Sockets`]). Or it is a probe or a dial gauge that touches the
-//! faces of a block ([`Faces`]).
+//! A tip on the flange that touches the parts of an artefact, whose pose is unknown. The tip is either a ball that is seated
+//! in the sockets of a plate ([`Sockets`]), or a probe or dial gauge that touches the faces of a block ([`Faces`]).
 //!
-//! A row contains the joints of the robot and the number of the touched part. The residual is the difference between the
-//! tip and this part. The fit also estimates the positions of tip and parts. Known quantities of the parts, such as
-//! distances, determine the scale.
+//! A row contains the joints of the robot and the number of the touched part. The residual is the difference between the tip
+//! and this part. In addition to the robot, the fit estimates the positions of the tip and of the parts. Known quantities of
+//! the parts, such as distances, determine the scale.
 
 mod contact;
 mod faces;
@@ -30,18 +29,19 @@ use crate::kinematics::{Chain, Pose};
 use crate::logs::TipRow;
 use crate::model::{Clock, Geometry, JointState, Model, ModelError, Owner, ParameterId, Role, SetUp};
 
-/// Standard deviation of the prior of the tip's position on the flange \[m\]. It is so weak that it is effective only if
+/// Standard deviation of the prior of the tip's position on the flange \[m\]. The prior is weak: it has an effect only if
 /// the poses do not determine the tip.
 const TIP_SIGMA_M: f64 = 1.0;
 
-/// Weight of the tip's prior in normal equations that are a sum of this number of rows with weight one.
+/// Weight of the tip's prior in normal equations. The normal equations must be a sum over
+/// `rows` rows that have the weight one.
 fn tip_weight(rows: usize) -> f64 {
     /// Assumed error of a measured position \[m\].
     const ERROR_M: f64 = 1e-3;
     rows as f64 * (ERROR_M / TIP_SIGMA_M).powi(2)
 }
 
-/// Minimum number of measured numbers: twice the number of unknowns of tip, parts and links.
+/// Minimum number of measured coordinates or distances: twice the number of unknowns of tip, parts and links.
 fn numbers_min(parts: usize, axes: usize) -> usize {
     const NUMBERS_OF_LINK: usize = 4;
     2 * (3 * (1 + parts) + NUMBERS_OF_LINK * axes)
@@ -58,17 +58,18 @@ pub trait Artefact: Knowns + Clone + Send + 'static {
     const NAME: &'static str;
     /// Name of tip and parts in tables.
     const TIP_AND_PARTS: &'static str;
-    /// Name of one part. It begins the names of its parameters.
+    /// Name of one part. The names of its parameters begin with it.
     const PART: &'static str;
-    /// Message for a tip at another part than the row states. The name of the stated part follows.
+    /// Message for a row whose tip is not at the part that the row states. In the message,
+    /// the name of the stated part follows.
     const ELSEWHERE: &'static str;
     /// Owner of the parameters of tip and parts.
     const OWNER: Owner;
-    /// Median absolute size of errors with standard deviation one.
+    /// Median absolute value of errors whose standard deviation is one.
     const MEDIAN: f64;
-    /// Minimum number of rows of each part. Zero if the rows were checked before.
+    /// Minimum number of rows of each part. Zero if the number of rows was checked before.
     const PART_ROWS_MIN: usize;
-    /// Number of rows of each part that are never excluded as outliers.
+    /// Minimum number of rows of each part that remain when outliers are excluded.
     const PART_ROWS_KEPT: usize;
 
     /// Names of the parts in the rows.
@@ -83,24 +84,24 @@ pub trait Artefact: Knowns + Clone + Send + 'static {
     /// Position of the tip on the flange \[m\].
     fn tip_m(geometry: &Geometry) -> Vector3<f64>;
 
-    /// The tip minus a part. `tip_m` is the position of the tip in the robot's base \[m\]. NaN if the geometry does
-    /// not contain the part.
+    /// Position of the tip minus the position of a part. `tip_m` is the position of the tip in the robot's base \[m\]. NaN
+    /// if the geometry does not contain the part.
     fn deviation(geometry: &Geometry, part: usize, tip_m: Vector3<f64>, reading_m: f64) -> Deviation;
 
     /// Start value and role of each parameter of tip and parts. `None` if the rows do not determine them.
     fn start(&self, touches: &TouchedPoses) -> Option<Vec<(ParameterId, f64, Role)>>;
 
-    /// Parts that can change at one instant during a measurement.
+    /// Causes of a change of the tip or the parts during a measurement.
     fn causes() -> Vec<Cause> {
         Vec::new()
     }
 
-    /// Minimum number of rows for an arm with this number of axes. Zero if the rows were checked before.
+    /// Minimum number of rows for an arm with this number of axes. Zero if the number of rows was checked before.
     fn samples_min(&self, _axes: usize) -> usize {
         0
     }
 
-    /// Whether the rows can reveal this mistake. If not, it is not tried.
+    /// Whether the rows can reveal this mistake. A mistake that they cannot reveal is not tried.
     fn reveals(_: &Mistake) -> bool {
         true
     }
@@ -167,7 +168,7 @@ impl<A: Artefact> Measures for Tip<A> {
         Section::each(self.artefact.names(), A::PART, self.rows.all.rows.iter().map(|row| row.part))
     }
 
-    /// Names the part that is nearest to the tip of an excluded row.
+    /// For each excluded row, names the part that is nearest to the tip.
     fn remarks(&self, geometry: &Geometry) -> Vec<(usize, String)> {
         let (names, all) = (self.artefact.names(), &self.rows.all);
         let remark = |rejected: &RejectedRow| {
@@ -207,7 +208,7 @@ impl<A: Artefact> Measures for Tip<A> {
         self.rows.at.states.get(sample).copied()
     }
 
-    /// Only causes of the tip: the parts cannot change, because they are on one rigid body.
+    /// Only the tip can change. The parts are on one rigid body.
     fn causes(&self, _: &Geometry) -> Vec<Cause> {
         A::causes()
     }
@@ -216,13 +217,13 @@ impl<A: Artefact> Measures for Tip<A> {
         <A::Cost<'_>>::depends_on(id, robot) && id.owner() != Owner::Clocks
     }
 
-    /// Estimates the standard deviation from the median, because most residuals are normal.
+    /// Estimates the standard deviation from the median of the residuals, because most of them are normally distributed.
     fn adapt(&mut self, model: &Model) -> Option<f64> {
         self.noise_m = sigma_by_median(self.residuals_m(&model.geometry(&[])).into_iter(), A::MEDIAN);
         Some(self.noise_m)
     }
 
-    /// Excludes outliers, unless more than half of the rows would be excluded or a part would keep too few rows.
+    /// Excludes outliers. If more than half of the rows are outliers, or if a part would keep too few rows, nothing changes.
     fn screen(&mut self, model: &Model) -> bool {
         let residuals_m = self.residuals_m(&model.geometry(&[]));
         let parts = self.artefact.names().len();
@@ -265,7 +266,7 @@ impl<A: Artefact> Measures for Tip<A> {
         Ok(Vec::new())
     }
 
-    /// Rows whose tip is at another part than stated. No model can predict them.
+    /// Finds rows whose tip is at another part than the row states. No model can predict such rows.
     fn misplaced(&self, model: &Model) -> Vec<RejectedRow> {
         let mut screened = self.clone();
         screened.screen(model);

@@ -1,5 +1,6 @@
-//! Sockets that hold the ball, with their known positions or distances: the table of the file ([`SocketTable`]), and its
-//! entries as residuals with derivatives ([`Sockets`]). The fit uses them in addition to the rows of [`super::Contact`].
+//! Sockets that hold the ball, with their known positions or distances. [`SocketTable`] is the table of
+//! the file. [`Sockets`] converts its entries to residuals with derivatives, which the fit uses in
+//! addition to the rows of [`super::Contact`].
 
 use std::collections::BTreeSet;
 
@@ -17,9 +18,9 @@ use crate::prepare::nearest_rotation;
 pub struct PlacedSocket {
     /// Name in the rows.
     pub name: String,
-    /// Centre of the seated ball in any frame of the plate \[mm\].
+    /// Centre of the seated ball \[mm\]. All sockets of a plate use the same frame, which may be any frame.
     pub position_mm: [f64; 3],
-    /// Standard uncertainty of each coordinate \[um\]; absent: that of the table.
+    /// Standard uncertainty of each coordinate \[um\]. If it is absent, the uncertainty in the table applies.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub u_um: Option<f64>,
 }
@@ -30,9 +31,9 @@ pub struct PlacedSocket {
 pub struct KnownDistance {
     /// Names of the two sockets in the rows.
     pub between: [String; 2],
-    /// Distance between the centres of the seated ball \[mm\].
+    /// Distance between the centres of the ball when it is seated in one and in the other socket \[mm\].
     pub distance_mm: f64,
-    /// Standard uncertainty \[um\]; absent: that of the table.
+    /// Standard uncertainty \[um\]. If it is absent, the uncertainty in the table applies.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub u_um: Option<f64>,
 }
@@ -41,9 +42,9 @@ pub struct KnownDistance {
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SocketTable {
-    /// Standard uncertainty of each number without one of its own \[um\].
+    /// Standard uncertainty of each position or distance that has none of its own \[um\].
     pub u_um: f64,
-    /// Sockets of one plate, with their positions.
+    /// Sockets of one plate, with their known positions.
     #[serde(default, rename = "socket", skip_serializing_if = "Vec::is_empty")]
     pub sockets: Vec<PlacedSocket>,
     /// Known distances of pairs of sockets.
@@ -107,7 +108,8 @@ impl Validate for SocketTable {
 }
 
 impl SocketTable {
-    /// Names of all sockets: those with a position in the order of the table, then those that occur only in distances.
+    /// Names of all sockets. Sockets with a known position are first, in the order of the table. Sockets
+    /// that occur only in distances follow.
     pub fn names(&self) -> Vec<&str> {
         let mut names: Vec<&str> = self.sockets.iter().map(|one| one.name.as_str()).collect();
         for name in self.distances.iter().flat_map(|one| &one.between) {
@@ -141,14 +143,14 @@ struct Spaced {
 pub struct Sockets {
     /// Names in the rows.
     pub(super) names: Vec<String>,
-    /// Known quantities. They are numbered in this order: first the positions on the plate, then the distances.
+    /// Known positions of sockets on the plate. They are the first known quantities. The known distances follow.
     placed: Vec<KnownPosition>,
     distances: Vec<Spaced>,
 }
 
 impl Sockets {
-    /// Creates the sockets `names`, in this order, with their known geometry in the table. Entries for
-    /// other sockets are ignored.
+    /// Creates the sockets `names`, in this order, with their known geometry from the table. Entries of the
+    /// table for other sockets are ignored.
     pub fn new(table: &SocketTable, names: &[&str]) -> Self {
         let number = |name: &String| names.iter().position(|other| other == name);
         let sigma_m = |u_um: Option<f64>| u_um.unwrap_or(table.u_um) * 1e-6;
@@ -164,33 +166,33 @@ impl Sockets {
         });
         Self {
             names: names.iter().map(ToString::to_string).collect(),
-            // The position of a single socket on the plate contains no information.
+            // If only one socket has a known position, this position contains no information.
             placed: if placed.len() > 1 { placed } else { Vec::new() },
             distances: distances.collect(),
         }
     }
 
-    /// A known quantity, if it is a distance. Otherwise `None`.
+    /// A known quantity as a distance. `None` if it is not a distance.
     fn distance(&self, known: usize) -> Option<&Spaced> {
         self.distances.get(known.checked_sub(self.placed.len())?)
     }
 
-    /// Residuals `(s_j - T c_j) / u_j` of the sockets on the plate, with their derivatives by `s_j`. `s_j` are the
-    /// estimated positions in the robot's base, `c_j` the known positions, and `u_j` their uncertainties. `T` is the pose
-    /// of the plate that fits them best.
+    /// Residuals `(s_j - T c_j) / u_j` of the sockets on the plate, and their derivatives by `s_j`. `s_j` are the estimated
+    /// positions in the robot's base, `c_j` the known positions, and `u_j` the uncertainties of these positions. `T` is the
+    /// pose of the plate for which the residuals are smallest.
     ///
-    /// The pose is eliminated (variable projection, Golub and Pereyra 1973, in Kaufman's form). Let `D` be
-    /// the diagonal matrix of the `1 / u_j`, and `M` the derivatives by the pose. The derivative of the
-    /// residuals is then `(I - M M^+) D`.
+    /// The pose `T` depends on `s_j`, but it is not a parameter of the fit (variable projection, Golub and Pereyra 1973, in
+    /// Kaufman's form). Let `D` be the diagonal matrix of the `1 / u_j`, and `M` the derivatives of the residuals by the
+    /// pose. The derivative of the residuals is then `(I - M M^+) D`.
     fn plate_residual(&self, sockets_m: &[Vector3<f64>]) -> Option<(DVector<f64>, DMatrix<f64>)> {
-        /// Smaller singular values, relative to the largest, are treated as zero. An example is a rotation about a
-        /// line through all sockets.
+        /// Singular values below this fraction of the largest one are treated as zero. For example, if all sockets are on a
+        /// line, the residuals do not depend on a rotation about this line.
         const RANK_TOLERANCE: f64 = 1e-9;
         let size = 3 * self.placed.len();
         let s: Vec<Vector3<f64>> =
             self.placed.iter().map(|placed| sockets_m.get(placed.socket).copied()).collect::<Option<_>>()?;
         let c: Vec<Vector3<f64>> = self.placed.iter().map(|placed| placed.position_m).collect();
-        // The pose of the plate by weighted means and the rotation that fits best.
+        // The pose of the plate, from weighted means of the positions and the rotation that fits best.
         let weights: Vec<f64> = self.placed.iter().map(|placed| placed.sigma_m.powi(-2)).collect();
         let centre = |points: &[Vector3<f64>]| {
             let sum: Vector3<f64> = points.iter().zip(&weights).map(|(point, weight)| point * *weight).sum();
@@ -201,7 +203,7 @@ impl Sockets {
         let products: Matrix3<f64> =
             weighted.map(|((s, c), weight)| (s - s_centre) * (c - c_centre).transpose() * *weight).sum();
         let rotation: Rotation3<f64> = nearest_rotation(&products);
-        // Residuals, and the derivatives `M` by translation and rotation of the plate.
+        // The residuals, and their derivatives `M` by translation and rotation of the plate.
         let (mut residual, mut by_pose) = (DVector::zeros(size), DMatrix::zeros(size, 6));
         let mut per_sigma = DVector::zeros(size);
         for (place, ((s, c), weight)) in s.iter().zip(&c).zip(&weights).enumerate() {

@@ -1,6 +1,6 @@
-//! A tip on the flange that touches flat faces. The residual is the distance of the tip from the plane of the touched face
-//! plus the reading ([`TouchedFace`]). The reading is the travel of a dial gauge's plunger, or zero for a probe. The faces
-//! may have any orientation. Known distances between them determine the scale.
+//! A tip on the flange that touches flat faces. The residual is the distance of the tip from the plane of the touched face,
+//! plus the reading ([`TouchedFace`]). The reading of a dial gauge is the travel of its plunger. The reading of a probe is
+//! zero. The faces may have any orientation. Known distances between faces determine the scale.
 
 use nalgebra::{DMatrix, DVector, Matrix3, SymmetricEigen, Vector3};
 
@@ -13,15 +13,15 @@ use crate::logs::{JointMistake, TipRow};
 use crate::model::{Axis, Face, FaceNumber, Geometry, JointState, Owner, ParameterId, Role};
 use crate::statistics::rms;
 
-/// Minimum number of rows of a face: twice the three unknowns of its plane.
+/// Minimum number of rows of a face. It is twice the number of unknowns of a plane, which is three.
 const FACE_ROWS_MIN: usize = 6;
 
 /// A tip that touches faces.
 pub type Touch = Tip<Faces>;
 
 impl Touch {
-    /// Creates the instrument from rows in the order in which the robot visited them. `names` contains the names of the
-    /// faces, and `table` their known geometry. `robot` is the nominal chain up to the flange.
+    /// Creates the instrument. `rows` are in the order in which the robot visited them. `names` contains the names of the
+    /// faces, and `table` the known geometry of the faces. `robot` is the nominal chain up to the flange.
     pub fn new(rows: &[TipRow], names: &[String], table: &FaceTable, robot: &Chain) -> Self {
         let all = Standing::new(rows, |row| row.joints_rad);
         let tip_m = Vector3::from(table.tip_mm.unwrap_or_default()) * 1e-3;
@@ -48,18 +48,19 @@ struct TipFit {
 
 /// Fits the tip and the planes of `faces` faces to poses of a robot. `start_m` is the start value of the tip.
 ///
-/// Repeats two linear steps until they have converged: first the planes for a known tip by least squares, then the
-/// tip for known normals.
+/// Repeats two linear fits until both have converged. The first fits the planes with the tip fixed. The second fits the tip
+/// and the distances of the planes with the normals fixed.
 fn fit_tip_and_planes(touches: &TouchedPoses, faces: usize, start_m: Vector3<f64>) -> Option<TipFit> {
     const ROUNDS: usize = 60;
     let mut tip_m = start_m;
     let mut planes = Vec::new();
     for _ in 0..ROUNDS {
         planes = (0..faces).map(|face| fit_plane(touches, face, tip_m)).collect::<Option<Vec<Face>>>()?;
-        // `n.(p + R t) - d + reading = 0` is linear in the tip `t` and in the `d` of all faces.
+        // With `n` fixed, `n.(p + R t) - d + reading = 0` is linear in the tip `t` and in the distance `d` of each face. The
+        // unknowns are the three coordinates of `t`, then the `d` of all faces.
         let size = 3 + faces;
         let (mut matrix, mut right) = (DMatrix::zeros(size, size), DVector::zeros(size));
-        // The expected value of the tip's prior is its last estimate.
+        // The prior of the tip expects its last estimate.
         let prior_weight = tip_weight(touches.len());
         matrix.view_mut((0, 0), (3, 3)).fill_diagonal(prior_weight);
         right.rows_mut(0, 3).copy_from(&(tip_m * prior_weight));
@@ -83,8 +84,8 @@ fn fit_tip_and_planes(touches: &TouchedPoses, faces: usize, start_m: Vector3<f64
     Some(TipFit { tip_m, planes, rms_m })
 }
 
-/// Fits a plane through the tip positions on a face, at least three. The readings determine only the sign of its normal:
-/// the reading decreases in the direction of the normal.
+/// Fits a plane through the tip positions on a face, of which there must be at least three. The readings only determine the
+/// sign of the normal: the reading decreases in the direction of the normal.
 fn fit_plane(touches: &TouchedPoses, face: usize, tip_m: Vector3<f64>) -> Option<Face> {
     let on_face = || touches.iter().filter(|(_, row)| row.part == face);
     let tips_m: Vec<Vector3<f64>> =
@@ -96,7 +97,8 @@ fn fit_plane(touches: &TouchedPoses, face: usize, tip_m: Vector3<f64>) -> Option
     let eigen = SymmetricEigen::try_new(scatter, f64::EPSILON, 1000)?;
     let normal = eigen.eigenvectors.column(eigen.eigenvalues.imin()).into_owned();
     let mean_m = on_face().map(|(_, row)| row.reading_m).sum::<f64>() / count.max(1.0);
-    // Covariance of height and reading. Their sum is constant on a plane, so the covariance must be negative.
+    // Covariance of height and reading. On a plane, the sum of height and reading is constant,
+    // so the covariance must be negative.
     let covariance: f64 = on_face()
         .zip(&tips_m)
         .map(|((_, row), tip)| normal.dot(&(tip - centre_m)) * (row.reading_m - mean_m))
@@ -132,15 +134,16 @@ impl Artefact for Faces {
         geometry.touch.tip_m
     }
 
-    /// Distance of the tip from the plane of a face, along its normal, plus the reading of the gauge.
+    /// Distance of the tip from the plane of a face along the normal of the face, plus the reading of the gauge.
     fn deviation(geometry: &Geometry, face: usize, tip_m: Vector3<f64>, reading_m: f64) -> Deviation {
         let off_m = |face: &Face| face.normal.dot(&tip_m) - face.distance_m;
         let height_m = geometry.touch.faces.get(face).map(|face| off_m(face) / face.normal.norm());
         Deviation::of_length(height_m.unwrap_or(f64::NAN) + reading_m)
     }
 
-    /// Starts at the tip in the table. Without one, tries several tips along the flange's axis and uses the best fit. A
-    /// plane has only three parameters, so the largest coordinate of each normal is fixed at 1 or -1.
+    /// The start value of the tip is the position in the table. If the table contains none, several positions along the
+    /// flange's axis are tried, and the best fit is used. A plane has only three parameters, so the largest coordinate
+    /// of each normal is fixed at 1 or -1.
     fn start(&self, touches: &TouchedPoses) -> Option<Vec<(ParameterId, f64, Role)>> {
         const STARTS_M: [f64; 5] = [0.0, 0.1, 0.2, 0.3, 0.4];
         let starts_m =
@@ -180,8 +183,8 @@ impl Artefact for Faces {
         numbers_min(self.names.len(), axes)
     }
 
-    /// Wrong units of the joints are not tried. In a smaller unit the arm hardly moves, and such poses are
-    /// consistent with any plane.
+    /// Wrong units of the joints cannot be revealed. In a smaller unit the arm hardly moves, and such
+    /// poses are consistent with any plane.
     fn reveals(mistake: &Mistake) -> bool {
         !matches!(mistake, Mistake::Joints(JointMistake::InRadians | JointMistake::InDegrees))
     }
