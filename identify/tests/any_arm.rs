@@ -52,8 +52,8 @@ fn parsed(toml: &str) -> RobotConfig {
     robot
 }
 
-/// Forward kinematics of a URDF, implemented from its specification and read with `urdf-rs`. Right angles with
-/// nine decimals are made exact.
+/// Forward kinematics of a URDF, implemented from the specification of URDF. The crate `urdf-rs` reads the file. Right
+/// angles with nine decimals are replaced by exact ones.
 fn by_urdf(text: &str, base: &str, tip: &str, joints: &[f64]) -> Matrix<f64> {
     let robot = urdf_rs::read_from_string(text).unwrap();
     let mut path = Vec::new();
@@ -125,7 +125,8 @@ fn links_of_a_urdf_are_those_of_the_data_sheet_where_it_has_any() {
     let robot = imported(ARMS[0]).config;
     let lengths: Vec<[f64; 2]> = robot.links.iter().map(|link| [link.a_m, link.d_m]).collect();
     let rounded = lengths.iter().flatten().map(|length| (length.abs() * 1e6).round() / 1e6);
-    // The offset along three parallel axes can be assigned to any of them. Their sum is assigned to the shoulder.
+    // The offset along three parallel axes can be assigned to any of the three. The import assigns the
+    // sum of all offsets to the shoulder.
     let expected = [0.0, 0.1273, 0.612, 0.0, 0.5723, 0.0, 0.0, 0.163941, 0.0, 0.1157, 0.0, 0.0922];
     assert_eq!(rounded.collect::<Vec<f64>>(), expected);
     assert_eq!(imported(ARMS[1]).joints, ["a1", "a2", "a3", "a4", "a5", "a6", "a7"]);
@@ -203,16 +204,16 @@ fn a_urdf_that_gives_no_serial_arm_is_refused_with_what_to_do() {
     }
 }
 
-/// Text of a URDF joint with these attributes. `rest` has its further elements, such as origin and axis.
+/// Text of a URDF joint with these attributes. `rest` contains the further elements of the joint, such as origin and axis.
 fn joint(name: &str, kind: &str, [parent, child]: [&str; 2], rest: &str) -> String {
     format!(
         "<joint name=\"{name}\" type=\"{kind}\"><parent link=\"{parent}\"/><child link=\"{child}\"/>{rest}</joint>\n"
     )
 }
 
-/// A URDF in the style of ROS-Industrial. In addition to the arm it has frames `base` and `tool0`, duplicate materials,
-/// sensors of a simulator, and transmissions. The arm has the six axes of a FANUC arm with spherical wrist. Its axes 2
-/// and 3 have opposite directions.
+/// A URDF in the style of ROS-Industrial. The arm has the six axes of a FANUC arm with spherical wrist, of which axes
+/// 2 and 3 have opposite directions. The file also contains frames `base` and `tool0`, duplicate materials, sensors
+/// of a simulator, and transmissions.
 fn fanuc_urdf() -> String {
     let links =
         ["base_link", "link_1", "link_2", "link_3", "link_4", "link_5", "link_6", "base", "flange", "tool0"];
@@ -278,8 +279,8 @@ fn an_arm_is_found_among_the_frames_shapes_and_sensors_of_its_urdf() {
     );
     assert_eq!(base, "base_link");
     assert!(left_out[0].contains("--base world"), "{left_out:?}");
-    // The standard name of a flange has priority over parts that are mounted on it. The last axis may end at a link whose
-    // name is that of a gripper.
+    // If there is a link with the standard name of a flange, parts that are mounted on it are ignored. The last link of the
+    // arm may have a name that is usual for a gripper.
     assert_eq!(of(&[fixed("tcp", "hand"), fixed("link_6", "arm_link8")], "tcp").1, "arm_link8");
     let wrist = fanuc_urdf().replace("\"link_6\"", "\"gripper\"").replace("\"tool0\"", "\"tcp\"");
     assert_eq!(import(&wrist.replace("\"flange\"", "\"plate\""), None, None).unwrap().config.axes(), 6);
@@ -333,7 +334,7 @@ fn numbers_are_written_as_people_mean_them() {
     );
     let imported = import(&urdf, None, None).unwrap();
     let written = imported.to_toml("x");
-    // Joint limits keep the values of the file, so their lines are skipped here.
+    // Joint limits are not rounded, so their lines are skipped here.
     let lines = written.lines().filter(|line| !line.starts_with('#') && !line.starts_with("joint_limits"));
     let numbers = lines.flat_map(|line| {
         line.split(|c: char| !(c.is_ascii_alphanumeric() || ".-".contains(c)))
@@ -348,17 +349,17 @@ fn numbers_are_written_as_people_mean_them() {
         "{written}"
     );
     assert_eq!(check(&imported.config).suspicious, Vec::<String>::new());
-    // The import reports a rounded angle if the rounding is larger than the repeatability of a robot.
+    // If the import rounds an angle by more than the repeatability of a robot, it must report this.
     let told = imported.assumed.concat();
     assert!(told.contains("turned by 1.57 rad in the file: 90 deg are taken"), "{told}");
     assert_eq!(told.matches("are taken").count(), 1, "{told}");
-    // Many URDF files of UR robots have angles with nine decimals. They are rounded without a report.
+    // Many URDF files of UR robots have angles with nine decimals. The import rounds these angles without a report.
     let turned = |rpy: &str| {
         let urdf = fanuc_urdf().replacen("rpy=\"0 0 0\"", &format!("rpy=\"{rpy}\""), 1);
         import(&urdf, None, None).unwrap().config
     };
     assert_eq!(turned("1.570796325 0 0"), turned("1.5707963267948966 0 0"));
-    // An angle that was measured is not rounded.
+    // An angle that was measured must not be rounded.
     let measured = fanuc_urdf().replacen("rpy=\"0 0 0\"", "rpy=\"1.5702 0 1.5699\"", 1);
     assert!(!import(&measured, None, None).unwrap().assumed.concat().contains("are taken"));
 }
@@ -373,7 +374,7 @@ fn joint_3_of_a_fanuc_controller_does_not_include_joint_2() {
     let other = import(&fanuc_urdf().replace("fanuc_lrmate200id", "arm"), None, None).unwrap();
     assert_eq!(other.config.log.raw_to_joint[1][2], 0.0);
     assert_eq!(other.assumed, Vec::<String>::new());
-    // If axes are reversed, the user must decide whether the joints are coupled.
+    // If axes 2 and 3 are reversed, the user must decide whether the joints are coupled.
     let along = import(&fanuc_urdf().replacen("0 -1 0", "0 1 0", 1), None, None).unwrap();
     assert_eq!(along.config.log.raw_to_joint[1][2], 0.0);
     assert!(along.assumed[0].contains("J3 of a FANUC controller does not include J2"), "{:?}", along.assumed);
@@ -528,7 +529,8 @@ fn twists_of_prismatic_axes_and_of_links_behind_them_are_the_derivatives() {
             chain.forward(&joints)
         };
         let (before, after) = (end(-1e-6), end(1e-6));
-        // The logarithm of nalgebra uses the arc cosine, which loses half of the digits for small angles.
+        // The logarithm of nalgebra computes an arc cosine, which loses half of the digits for small angles. Compute the
+        // rotation vector from the sine instead.
         let turn = *(after.rotation * before.rotation.inverse()).matrix();
         let turned = 0.5
             * Vector3::new(
@@ -553,7 +555,7 @@ fn twists_of_prismatic_axes_and_of_links_behind_them_are_the_derivatives() {
     }
 }
 
-/// Checks that the derivative by a link parameter is zero exactly if the cost states that the parameter has no effect.
+/// Checks that the derivative by a link parameter is zero if and only if the cost states that the parameter has no effect.
 fn depends_as_stated<R: Residual>(residual: R, arm: &Chain, poses: &[Joints]) {
     let mut bar = ball_bar_chain(&crate::support::bar());
     bar.root_from_base.translation.vector = Vector3::new(1.0, 0.05, 0.35);
@@ -569,7 +571,8 @@ fn depends_as_stated<R: Residual>(residual: R, arm: &Chain, poses: &[Joints]) {
         let stated = R::depends_on(parameter.id, arm);
         assert_eq!(has_effect, stated, "{} by {} of {} axes", R::NAME, parameter.id, model.axes());
     }
-    // For the end, a rotation after the last joint has the same effect as `d` and `theta` of its link.
+    // For costs that use only the end, a rotation after the last joint has the same effect
+    // as `d` and `theta` of the last link.
     model.select(Selection::Cell, R::identifies);
     let is_free =
         |link: usize| model.column_of(ParameterId::Robot { link, parameter: LinkParameter::Alpha }).is_some();
@@ -582,7 +585,7 @@ fn positions_depend_on_all_rotations_of_an_arm_except_those_of_the_link_at_whose
     let (bar, mut random) = (crate::support::bar(), StdRng::seed_from_u64(9));
     for arm in ARMS {
         let mut robot = imported(arm).config;
-        // The offset plate is part of the last link. If the flange is displaced, it follows the flange instead.
+        // The offset plate is part of the last link. With a displaced flange, the plate would follow the flange instead.
         robot.flange = TransformConfig::default();
         robot.links.last_mut().unwrap().alpha_deg = 0.0;
         let mut displaced = robot.clone();
@@ -610,8 +613,8 @@ fn arms_without_a_closed_form_are_inverted_from_near_and_move_no_further_than_th
             assert!((chain.forward(&found).to_homogeneous() - target.to_homogeneous()).amax() < 1e-9);
             let moved = found.iter().zip(&joints).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
             let known = by.iter().map(|by| by * by).sum::<f64>().sqrt();
-            // With more than six axes, a solution with a shorter motion than the known one may exist. The solver may also
-            // find a slightly longer one, because the path is curved.
+            // With more than six axes, the solver may find a solution with a shorter motion than the known one. It may also
+            // find a slightly longer one, because it follows the curved path.
             assert!(moved < 1.05 * known + 1e-9, "{}: {moved} {known}", arm.0);
         }
         let regular = Joints::from_fn(robot.axes(), |axis| 0.4 + 0.1 * axis as f64);
@@ -626,7 +629,8 @@ fn arms_without_a_closed_form_are_inverted_from_near_and_move_no_further_than_th
     assert_eq!(refused, InverseError::Links { found: 3, expected: 6 });
 }
 
-/// Rows of a tracker for an arm with errors in all links, and the true chain. The rows have noise of 20 um and 20 urad.
+/// Rows of a tracker for an arm with errors in all links, and the true chain of the arm. The
+/// rows have noise of 20 um and 20 urad.
 fn tracked(robot: &RobotConfig, count: usize) -> (Vec<PoseRow>, Chain) {
     const NOISE: f64 = 2e-5;
     let mut random = StdRng::seed_from_u64(5);
@@ -673,8 +677,9 @@ fn seven_axes_and_an_arm_on_a_track_are_calibrated_by_a_tracker_and_written_as_u
         // The norm of the noise of three coordinates has an RMS of 35 um.
         assert!(nominal.rms > 1e-3 && found.rms < 4.2e-5, "{}: {nominal:?} {found:?}", arm.0);
         assert!(report.held_out().joints.rotation_rad.unwrap().rms < 4.2e-5, "{}", arm.0);
-        // The data determine 4 parameters for each revolute axis, 2 for each prismatic one, and 6 others. Tracker and probe
-        // have 12 of these, so the links have the rest. All are identified much better than by their priors.
+        // The data determine 4 parameters for each revolute axis, 2 for each prismatic axis, and 6 others. Of all these
+        // parameters, 12 are the poses of tracker and probe. The others belong to the links, and the data determine
+        // them much better than their priors do.
         let links = report.model().ids().into_iter();
         let links = links.filter(|id| matches!(id, ParameterId::Robot { .. }));
         let sigmas: Vec<_> = links.filter_map(|id| Some((id, report.sigma(id)?))).collect();
@@ -716,8 +721,8 @@ fn seven_axes_and_an_arm_on_a_track_are_calibrated_by_the_ball_bar() {
         let terms = JointTermsConfig { candidates: Vec::new(), ..JointTermsConfig::default() };
         let config = IdentifyConfig { joint_terms: terms, ..IdentifyConfig::default() };
         let found = calibrate_run(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, &config).unwrap();
-        // Compares distances between two positions, because they do not depend on the frame. The position of
-        // a track's frame is arbitrary.
+        // Compare distances between two positions, because they do not depend on the frame. The
+        // position of a track's frame is arbitrary.
         let nominal = robot_chain(&robot, &bar);
         let truth = run.truth.robot_chain(&nominal);
         let mut random = StdRng::seed_from_u64(8);
@@ -748,7 +753,7 @@ fn a_posture_has_millimetres_for_a_prismatic_axis() {
 }
 
 /// A rotation of the lift about its axis has the same effect as an offset of the next joint, because the tracker may stand
-/// at any angle. The stated uncertainty must include this.
+/// at any angle about this axis. The stated uncertainty must account for this.
 #[test]
 fn an_arm_on_a_lift_is_known_as_well_as_the_tracker_shows_it() {
     let link = |joint: &str, [a_m, alpha_deg, d_m]: [f64; 3]| {
@@ -770,8 +775,8 @@ fn an_arm_on_a_lift_is_known_as_well_as_the_tracker_shows_it() {
         [0, 1, 2, 3].map(unit)
     ));
     let (rows, truth) = tracked(&robot, 300);
-    // Errors of the last link cannot be separated from the position of the probe. This also holds for the offset along the
-    // axis that is parallel to the last one. These parameters are set to their true values so that the ends can be compared.
+    // Errors of the last link cannot be separated from the position of the probe, nor can the offset along the axis that is
+    // parallel to the last one. Set these parameters to their true values, so that the ends can be compared.
     let (mut robot, last) = (robot, truth.links[3]);
     robot.links[2].d_m = truth.links[2].d_m;
     robot.links[3] = LinkConfig {
@@ -784,8 +789,8 @@ fn an_arm_on_a_lift_is_known_as_well_as_the_tracker_shows_it() {
     let found = Alone::quick().without_joint_errors().poses(&rows, &robot).unwrap();
     let chain = found.model().geometry(&found.model().start()).robot;
     let mut random = StdRng::seed_from_u64(8);
-    // Distances between two positions do not depend on the base. A distance error contains one of three coordinates of two
-    // position errors, hence the factor 1.5.
+    // Distances between two positions do not depend on the base. The error of a distance contains one of the three
+    // coordinates of each of two position errors. This explains the factor 1.5.
     let off = (0..500).map(|_| {
         let [one, other] = [0, 1].map(|_| random_joints(&robot, &mut random));
         let distance_m = |chain: &Chain| {
@@ -849,7 +854,7 @@ fn a_check_states_what_an_arm_is_and_what_looks_wrong() {
     ] {
         wrong(&|robot| robot.links[1].alpha_deg = rounded_deg, &format!("may be {rad}"));
     }
-    // A robot that is already calibrated gets no such message.
+    // The message must not appear for a robot that is already calibrated.
     for calibrated_deg in [-0.06499325789, 0.001, 89.95321, 179.9981237, 90.0, 180.0] {
         let mut robot: RobotConfig = config::load(&repository("config/robots/ur10.toml")).unwrap();
         robot.links[0].alpha_deg = calibrated_deg;
@@ -888,7 +893,7 @@ fn import_and_check_on_the_command_line() {
     let urdf = urdf.to_str().unwrap();
     let (done, told) = run(&["import", urdf, "--base", "base", "--tip", "flange"]);
     assert!(done && told.contains("7 axes from link `base` to link `flange`"), "{told}");
-    // An existing file may have been edited by the user. It is only overwritten on request.
+    // The user may have edited an existing file. Therefore it is only overwritten on request.
     let file = directory.path().join("seven_axes.toml");
     std::fs::write(&file, "edited").unwrap();
     for out in [&[][..], &["--out", "seven_axes.toml"]] {

@@ -9,10 +9,12 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal, StudentT};
 
 const SAMPLES: usize = 1500;
-/// Number of parameters: offsets of both channels, a delay relative to a common motion, and two errors of geometry.
+/// Number of parameters: the offset of each channel, the delay relative to a motion that both channels have in
+/// common, and two errors of geometry.
 const COLUMNS: usize = 5;
 
-/// A least-squares problem with two channels over an irregular motion: `r = offset + lag speed + bends - y`.
+/// A least-squares problem with two channels over an irregular motion. The residual is the model minus the measurement `y`.
+/// The model is a sum of offset, delay times speed, and two errors of geometry (`bend` and `other`).
 struct Channels {
     motion: Vec<[f64; 3]>,
     y: Vec<[f64; 2]>,
@@ -139,7 +141,7 @@ fn runs_in_which_nothing_changes_show_a_change_no_more_often_than_stated() {
         let often = alarms(0.05);
         let seldom = if often == 0 { 0 } else { alarms(1e-4) };
         println!("{noise:?}: {often} and {seldom} of {RUNS}");
-        // The expected number of false alarms, plus five standard deviations of their number.
+        // The limit is the expected number of false alarms, plus five standard deviations of this number.
         assert!(often <= 5 + 11, "{noise:?}: {often}");
         assert_eq!(seldom, 0, "{noise:?}");
     }

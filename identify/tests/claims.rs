@@ -62,13 +62,14 @@ fn claims(run: &Simulated, robot: &RobotConfig, bar: &BallBarConfig) -> Vec<(&'s
     all
 }
 
-/// The shipped bar, with a plate length that deviates at random from the true one by its stated uncertainty.
+/// The shipped bar, but its plate length differs from the true one by a random error, as large as its stated uncertainty.
 fn measured(seed: u64) -> BallBarConfig {
     let off: f64 = ChaCha8Rng::seed_from_u64(41_000 + seed).sample(StandardNormal);
     BallBarConfig { plate_m: bar().plate_m + 1e-6 * bar().plate_u_um * off, ..bar() }
 }
 
-/// Calibrates this number of runs for each kind and robot. Prints each stated error with its interval and the true error.
+/// Calibrates this number of runs of each kind with each robot. Prints each stated error
+/// with its interval, and the true error.
 fn of_runs(seeds: u64) -> Vec<(&'static str, Claim)> {
     let mut all = Vec::new();
     for robot in [irb2400(), nj220()] {
@@ -103,8 +104,8 @@ fn hold(all: &[(&'static str, Claim)]) {
         times.sort_by(f64::total_cmp);
         let median = times[times.len() / 2];
         println!("{name}: {holding} of {} hold, claimed over true {median:.2} (median)", of.len());
-        // A correct interval contains the true value with a probability of 95 %. A smaller number than `least` occurs by
-        // chance once in a hundred cases.
+        // A correct interval contains the true value with a probability of 95 %. Once in a hundred cases, fewer than
+        // `least` intervals contain it by chance.
         let least = Binomial::new(0.95, of.len() as u64).unwrap().inverse_cdf(0.01);
         assert!(holding >= least, "{name}: {holding} of {}", of.len());
         assert!((0.8..2.5).contains(&median), "{name}: {median}");

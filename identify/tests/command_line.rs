@@ -46,15 +46,15 @@ fn calibrate(recording: &Path, log: &Path, extra: &[&str], out: &Path) -> Output
     identify(&arguments, IRB, out)
 }
 
-/// Checks that the command failed with the texts `why` and wrote nothing to `out`. This is the case for a
-/// wrong option or unreadable input.
+/// Checks that the command failed because of a wrong option or unreadable input. The output must contain each text
+/// of `why`, and `out` must be empty.
 fn refused(output: &Output, why: &[&str], out: &Path) {
     fails(output, why);
     assert_eq!(std::fs::read_dir(out).unwrap().count(), 0, "something was left behind");
 }
 
-/// Checks that the command failed with the texts `why` because the data are not usable. It must write a page with
-/// the reason, but no calibration.
+/// Checks that the command failed because the data are not usable. The output must contain each text of `why`. The command
+/// must write a page with the reason, but no calibration.
 fn refused_with_page(output: &Output, why: &[&str], out: &Path) {
     fails(output, why);
     let left: Vec<_> = std::fs::read_dir(out).unwrap().map(|one| one.unwrap().file_name()).collect();
@@ -70,8 +70,8 @@ fn fails(output: &Output, why: &[&str]) {
     }
 }
 
-/// Writes the robot log of the experiment with each data line changed by `edit`, which receives the number
-/// and text of the line.
+/// Writes the robot log of the experiment, but replaces each data line by the result of `edit`. `edit` receives
+/// the number and the text of the line.
 fn edited_log(directory: &Path, edit: impl Fn(usize, &str) -> String) -> PathBuf {
     let text = std::fs::read_to_string(experiment().join("robot_log.csv")).unwrap();
     let mut row = 0;
@@ -139,8 +139,8 @@ fn a_calibration_prints_a_table_and_writes_every_parameter_with_sigma_and_state(
     let (status, has_sigma, correction) = entry("ra3");
     assert_eq!((status.as_str(), has_sigma), ("identified_with_prior", true));
     assert!((correction.as_float().unwrap() + 1.52e-3).abs() < 1e-6);
-    // The plate has its measured uncertainty. balpha4 is fixed by name and has its tolerance. rd1 is fixed, because it
-    // defines the position of the base.
+    // The plate has its measured uncertainty. The parameter balpha4 is fixed by name, so its uncertainty is the tolerance.
+    // The parameter rd1 is fixed, because it defines the position of the base.
     let (status, has_sigma, correction) = entry("ra6");
     assert_eq!((status.as_str(), has_sigma), ("identified_with_prior", true));
     assert!(correction.as_float().unwrap().abs() < 1e-7);
@@ -267,8 +267,9 @@ fn numbers_that_no_clock_and_no_table_has_are_refused_and_a_page_is_no_log() {
     fails(&output, &["a web page, not a log"]);
 }
 
-/// Counters of the experiment in the file format of the thesis' program, and its lines. A line has a date and the counters
-/// of joints 1, 2, 4 and 5. There is no header.
+/// Writes the counters of the experiment in the file format of the thesis' program. Returns the path of
+/// the file and the options that are needed to read it. Each line has a date and the counters of joints 1,
+/// 2, 4 and 5. The file has no header.
 fn counters(directory: &Path) -> (PathBuf, Vec<String>) {
     let recording = Recording::open(&experiment().join("recording.mcap")).unwrap();
     let line = |cycle: &CycleRecord| {
@@ -358,7 +359,7 @@ fn the_encoder_map_that_is_typed_is_the_one_that_is_used() {
     refused(&told, &["--encoders", "give 5 different bar joints"], out.path());
     let told = calibrate(&recording, &log, &["--encoders", "left"], out.path());
     refused(&told, &["find, recorded"], out.path());
-    // The encoder map is wrong, so no geometry near the nominal one explains the data.
+    // This encoder map is wrong, so no geometry near the nominal one explains the data.
     let told = calibrate(&recording, &log, &["--encoders", "2,1,3,4,5"], out.path());
     refused_with_page(&told, &["error:"], out.path());
 }
@@ -481,7 +482,7 @@ fn the_part_of_a_recording_that_a_shorter_robot_log_covers_is_printed() {
 fn measured_lengths_calibrate_from_a_csv_with_a_mapping() {
     let robot = shared::config::load(&config("robots/irb120_3.toml")).unwrap();
     let csv = lengths::table(&robot, 200, 12.0);
-    // Repeats the first rows. The calibration must not use the copies.
+    // Append copies of the first rows. The calibration must not use the copies.
     let copies = csv.lines().skip(1).take(10).collect::<Vec<_>>().join("\n");
     let (inputs, out) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let path = inputs.path().join("lengths.csv");
@@ -649,7 +650,7 @@ fn a_place_for_results_that_cannot_be_used_is_found_before_any_work() {
     let inputs = tempfile::tempdir().unwrap();
     let file = inputs.path().join("result.csv");
     std::fs::write(&file, "").unwrap();
-    // The robot log does not exist. This must not matter, because the output directory is checked first.
+    // The robot log does not exist either, but the output directory is checked first.
     let missing = inputs.path().join("missing.csv");
     for out in [file.as_path(), &file.join("deeper"), Path::new("/proc/results")] {
         let output = calibrate(&experiment().join("recording.mcap"), &missing, &[], out);
@@ -659,7 +660,7 @@ fn a_place_for_results_that_cannot_be_used_is_found_before_any_work() {
     let bar = config("ball_bar.toml");
     let simulated = identify(&["simulate", "--duration", "2h", "--bar", bar.to_str().unwrap()], IRB, &file);
     fails(&simulated, &["--out", "give a directory"]);
-    // Checking whether the directory can be written leaves no files.
+    // The check whether the directory can be written must leave no files.
     let out = inputs.path().join("not/yet");
     fails(&calibrate(&experiment().join("recording.mcap"), &missing, &[], &out), &["missing.csv"]);
     let left: Vec<_> =
@@ -696,8 +697,8 @@ fn milliseconds_under_a_header_of_seconds_and_decimal_commas_are_refused_with_wh
         _ => line.to_owned(),
     };
     refused_log(units, &["`s` is not a number", "unit_lines = 1"]);
-    // With the proposed mapping the file can be read. Its columns are those of the robot's own log:
-    // motor angles with gear ratios.
+    // The proposed mapping can be used to read the file. The columns are those of the robot's own
+    // log: motor angles with gear ratios.
     for (number, edit) in [&in_ms as &dyn Fn(usize, &str) -> String, &commas].into_iter().enumerate() {
         let log = edited_log(inputs.path(), edit);
         let mapping = inputs.path().join(format!("mapping{number}.toml"));
@@ -736,7 +737,7 @@ fn a_result_of_the_simulated_bus_says_so_first_and_one_of_a_robot_does_not() {
         let text = String::from_utf8_lossy(&output.stdout);
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
         assert_eq!(text.starts_with("SIMULATED: "), simulated, "{text}");
-        // The sheet states the source of the scale and the effect of a plate with another length.
+        // The sheet names the source of the scale, and says what happens if the plate has another length.
         let words = text.split_whitespace().collect::<Vec<_>>().join(" ");
         let scale = "scale: the offset plate of 250.000 mm within 0.010 mm (one sigma), as ball_bar.toml states; a plate longer by \
                      0.1 mm would move positions by ";
@@ -775,10 +776,10 @@ fn on_another_bus(path: &Path) {
 fn ctrl_c_ends_a_calibration_from_rows_with_the_shells_code() {
     let (inputs, out) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let robot: shared::config::RobotConfig = shared::config::load(&config("robots").join(IRB)).unwrap();
-    // The solve of this number of rows would take several minutes.
+    // Solving this number of rows would take several minutes.
     let path = inputs.path().join("lengths.csv");
     std::fs::write(&path, lengths::table(&robot, 50_000, 12.0)).unwrap();
-    // A shell's background job inherits SIGINT as ignored, and the program does not handle an ignored signal.
+    // A shell starts background jobs with SIGINT ignored, and the program does not handle a signal that is ignored.
     let mut command = Command::new("env");
     command.args(["--default-signal=INT", env!("CARGO_BIN_EXE_identify")]);
     command.args(["calibrate", "wire"]).arg(&path).arg("--mapping").arg(config("measured_length.toml"));
@@ -789,8 +790,8 @@ fn ctrl_c_ends_a_calibration_from_rows_with_the_shells_code() {
     let pid = child.id().to_string();
     assert!(Command::new("kill").args(["-INT", &pid]).status().unwrap().success());
     let status = child.wait().unwrap();
-    // Until the handler of the signal is installed, the signal ends the process directly. Shells report the
-    // same exit code for both.
+    // If the handler of the signal is not yet installed, the signal ends the process directly. Shells
+    // report the same exit code in both cases.
     assert!(status.code() == Some(130) || status.code().is_none(), "{status}");
     assert_eq!(std::fs::read_dir(out.path()).unwrap().count(), 0);
 }

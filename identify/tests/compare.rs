@@ -1,4 +1,5 @@
-//! Comparison of several calibrations. They agree if the robot is the same, and contradict each other after a change.
+//! Comparison of several calibrations. If the robot is the same, the calibrations agree. After a change of
+//! the robot they contradict each other.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use crate::support::campaign::size;
@@ -13,7 +14,7 @@ use identify::simulate::{self, Effects, Experiment, StaticErrors};
 const NOISE: Effects =
     Effects { robot_noise_urad: 15.0, encoder_noise_urad: 5.0, base_tilt_urad: 5000.0, ..Effects::NONE };
 
-/// A calibration of the robot whose errors follow from the seed `errors`, on the path of the seed `path`.
+/// A calibration of a robot. The seed `errors` determines the errors of the robot, the seed `path` the path.
 fn file(path: u64, errors: u64) -> CalibrationFile {
     let (robot, bar) = (irb2400(), bar());
     let errors = StaticErrors::Drawn { seed: errors };
@@ -47,8 +48,8 @@ fn other_paths_of_one_robot_agree_and_another_robot_does_not() {
     assert!(page.contains("not consistent") && page.contains("&lt;tuesday&gt;") && page.contains("<svg"));
 }
 
-/// If all intervals were exact, half of the probabilities would be above 0.5. Probabilities of one robot are correlated, so
-/// the test needs several robots. Intervals may be too wide, but not too narrow.
+/// If all intervals were exact, half of the probabilities would be above 0.5. Probabilities from one robot are correlated,
+/// so the test needs several robots. Intervals may be too wide, but not too narrow.
 #[test]
 #[ignore = "30 calibrations: a minute"]
 fn probabilities_of_ten_robots_are_spread_as_true_intervals_spread_them() {
@@ -58,8 +59,9 @@ fn probabilities_of_ten_robots_are_spread_as_true_intervals_spread_them() {
         robots.map(|robot| Consistency::new(&[file(1, robot), file(2, robot), file(3, robot)]).unwrap());
     let p: Vec<f64> = all.flat_map(|one| one.parameters).map(|one| one.p.unwrap()).collect();
     let high = p.iter().filter(|p| **p > 0.5).count() as f64 / p.len() as f64;
-    // The standard deviation depends on the number of robots, because probabilities of one robot are correlated. The
-    // expected fraction is above 0.5, because tolerances bias all calibrations of one robot in the same direction.
+    // Probabilities from one robot are correlated, so the standard deviation of the fraction depends on
+    // the number of robots. The expected fraction is above 0.5, because the tolerances bias all
+    // calibrations of one robot in the same direction.
     let spread = 0.553 / (count as f64).sqrt();
     assert!(p.len() == 22 * count && (0.65 - spread..0.65 + spread).contains(&high), "{high} of {}", p.len());
 }
@@ -96,11 +98,11 @@ fn identified_values_are_compared_whatever_the_nominal_ones_were() {
         Consistency::new(&[one.clone(), file]).unwrap()
     };
     let names = ["monday".to_owned(), "tuesday".to_owned()];
-    // The same robot, compared to other nominal values: value and nominal value changed equally.
+    // The same robot compared with other nominal values: the value does not change, but the nominal value does.
     let same = moved(1e-3, 0.0);
     assert!(same.is_consistent() && same.other_nominals == ["ra2"], "{same:?}");
     assert!(side_by_side::table(&same, &names).contains("nominal values of ra2 differ"));
-    // Another robot whose correction from its nominal values is the same.
+    // Another robot: value and nominal value change by the same amount, so the correction is equal.
     let other = moved(1e-3, 1e-3);
     assert!(!other.is_consistent() && other.other_nominals == ["ra2"], "{other:?}");
     let equal = moved(0.0, 0.0);
@@ -122,7 +124,7 @@ fn the_robots_ends_are_as_far_apart_as_their_links_say() {
     let found = Consistency::new(&[one.clone(), longer, file(1, 9)]).unwrap();
     let apart = found.apart[0].unwrap();
     assert!((apart.mean - 2e-4).abs() < 1e-9 && (apart.max - 2e-4).abs() < 1e-9, "{apart:?}");
-    // The distance needs joint ranges. The file has none, so no distance is computed.
+    // A distance between the ends needs the joint ranges. This file has none, so no distance is computed.
     assert_eq!(found.apart[1], None);
     let names = ["monday", "tuesday", "none"].map(str::to_owned);
     let text = side_by_side::table(&found, &names);

@@ -55,7 +55,7 @@ fn an_unknown_parameter_is_refused_where_the_file_names_it() {
     }
 }
 
-/// Keys of `all`, with the names of their tables, that are missing in `said`.
+/// Keys of `all` that are missing in `said`, with the names of their tables.
 fn unsaid(all: &toml::Table, said: &toml::Table) -> Vec<String> {
     let absent = |(key, value): (&String, &toml::Value)| match (value, said.get(key)) {
         (toml::Value::Table(all), Some(toml::Value::Table(said))) => {

@@ -1,5 +1,5 @@
-//! Some parameters are fixed at values that are wrong by their tolerance. The stated error over the
-//! workspace must include the effect.
+//! Some parameters are fixed at values that are wrong by their tolerance. The stated error over the workspace must
+//! include the effect of these wrong values.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -44,7 +44,7 @@ fn calibrated(
     calibrate_run(&run.cycles, &run.encoders, &run.robot_log, robot, bar, config).unwrap()
 }
 
-/// True and stated mean position error \[m\]. The plate length is wrong at random by its uncertainty.
+/// True and stated mean position error \[m\]. The plate length has a random error, as large as its uncertainty.
 fn with_the_bar(seed: u64, plate_u_um: f64, config: &IdentifyConfig) -> (f64, Expected) {
     let (run, robot, mut bar) = (simulated(seed), irb2400(), bar());
     let off: f64 = StdRng::seed_from_u64(seed).sample(StandardNormal);
@@ -94,7 +94,7 @@ fn with_a_tracker(seed: u64) -> (f64, Expected) {
     (error_m, workspace_error(&found.0, &limits).after)
 }
 
-/// Number of errors within their stated 95 % interval, and number of errors below the upper end of this interval.
+/// Counts errors within their stated 95 % interval, and errors below the upper end of this interval.
 fn held(name: &str, found: impl Iterator<Item = (f64, Expected)>) -> [usize; 2] {
     let mut held = [0; 2];
     for (error_m, Expected { interval_m: [low, high], mean_m, .. }) in found {
@@ -106,8 +106,8 @@ fn held(name: &str, found: impl Iterator<Item = (f64, Expected)>) -> [usize; 2] 
     held
 }
 
-/// Evaluates this number of experiments for each setting: fixed links, fixed plate, fixed base, other costs, and a tracker.
-/// Returns the counts of [`held`] for each setting.
+/// Evaluates this number of experiments for each setting. The settings are fixed links, a fixed plate, a fixed base, the
+/// cost `position`, and a tracker. Returns the counts of [`held`] for each setting.
 fn campaign(seeds: u64) -> Vec<[usize; 2]> {
     let thesis = IdentifyConfig { selection: SelectionName::Thesis, ..quick(&[]) };
     let position = IdentifyConfig { cost: Some(CostName::Position), ..quick(&[]) };
@@ -128,7 +128,7 @@ fn campaign(seeds: u64) -> Vec<[usize; 2]> {
     of_bars.into_iter().chain([of_tracker]).collect()
 }
 
-/// With three correct 95 % intervals, fewer than two contain the true value once in 140 cases.
+/// If three 95 % intervals are correct, fewer than two of them contain the true value once in 140 cases.
 #[test]
 #[ignore = "several calibrations: a quarter of a minute"]
 fn what_is_fixed_at_a_wrong_value_is_part_of_the_error_that_is_claimed() {
@@ -217,7 +217,7 @@ fn each_contribution_of_the_budget_is_what_its_source_does_to_the_robot() {
     }
     let sum: f64 = contributions.iter().map(|one| one.u_m.powi(2)).sum();
     assert!((sum.sqrt() - u_m).abs() < 1e-9 && (expanded_m - 2.0 * u_m).abs() < 1e-12);
-    // The mean of a norm is below its root mean square.
+    // The error is a norm. The mean of a norm is below its root mean square.
     let mean_m = claimed.after.mean_m;
     assert!(mean_m < *u_m && mean_m > 0.7 * u_m, "{mean_m} {u_m}");
 }

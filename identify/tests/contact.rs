@@ -74,8 +74,8 @@ fn distances_serve_as_well_as_places_and_two_sockets_are_enough() {
     assert!(places < 0.1 && distances < 0.1 && two < 0.2, "{places} {distances} {two}");
 }
 
-/// The prediction for a socket uses a fit without its rows, computed as one step on the normal equations. The test compares
-/// it with a calibration of the other rows, in which the plate determines the position of the socket.
+/// The rows at a socket are predicted by a fit without these rows, which is one step on the normal equations. The prediction
+/// is compared with a calibration of the other rows, in which the plate determines the position of the socket.
 #[test]
 fn rows_at_an_unseen_socket_are_predicted_as_by_a_calibration_without_them() {
     let robot = irb2400();
@@ -107,13 +107,13 @@ fn rows_at_an_unseen_socket_are_predicted_as_by_a_calibration_without_them() {
         let refitted_mm = (squares.iter().sum::<f64>() / squares.len() as f64).sqrt() * 1e3;
         let [predicted_mm, fitted_mm] = [part.predicted, part.fitted].map(|one| one.position_m.rms * 1e3);
         println!("{}: {fitted_mm:.4} fitted, {predicted_mm:.4} by the step, {refitted_mm:.4} mm", part.name);
-        // The tolerance is wide, because the calibration of the other rows determines widths of priors and terms again.
+        // The tolerance is wide, because the calibration of the other rows chooses widths of priors and terms again.
         assert!((predicted_mm / refitted_mm).ln().abs() < 0.3, "{predicted_mm} {refitted_mm}");
     }
 }
 
-/// Joint 2 has an error that depends on two other joints together, so no term describes it. In the fit, the free position of
-/// each socket absorbs this error.
+/// Joint 2 has an error that depends on two other joints together, which no term describes. In the fit, each socket is free
+/// to move and absorbs some of this error.
 #[test]
 fn an_error_that_no_term_describes_is_larger_at_unseen_sockets_than_in_the_fit() {
     let robot = irb2400();
@@ -153,8 +153,8 @@ fn what_is_known_of_sockets_has_the_derivatives_of_their_places() {
     table.validate().unwrap();
     let sockets = Sockets::new(&table, &table.names());
     let turn = Rotation3::new(Vector3::new(0.4, -1.9, 0.7));
-    // Derivatives are compared at the best fit of the plate. They omit terms that contain residuals,
-    // as in the Gauss-Newton method.
+    // Compare derivatives at the best fit of the plate. As in the Gauss-Newton method, they
+    // omit terms that contain residuals.
     let at: Vec<Vector3<f64>> = table
         .sockets
         .iter()
@@ -199,8 +199,8 @@ fn rows_of_a_wrong_socket_take_no_part() {
         found.runs[0].instrument.rejected().iter().map(|one| one.row).collect::<Vec<_>>(),
         [20, 77, 131]
     );
-    // The file of residuals contains all rows with their line numbers, and marks unused rows. An unused row is off by about
-    // the distance between two sockets.
+    // The file of residuals contains all rows with their line numbers, and marks unused rows. The residual of the unused row
+    // is about the distance between two sockets.
     let lines: Vec<u64> = (2..).take(rows.len()).collect();
     let text = residuals_csv(&found, &[&lines]).unwrap();
     let table: Vec<Vec<&str>> = text.lines().skip(1).map(|line| line.split(',').collect()).collect();
@@ -257,7 +257,7 @@ fn experiment(file: &Path, out: &Path, more: &[&str]) -> String {
     String::from_utf8([run.stdout, run.stderr].concat()).unwrap()
 }
 
-/// `inspect` describes the rows without a calibration, also if one of them has a wrong name. It proposes a mapping.
+/// `inspect` describes the rows without a calibration, even if a row has a wrong name. It proposes a mapping.
 fn inspected(at: &Path, rows: &str) {
     let robot = repository("config/robots/irb120_3.toml");
     let inspect = |file: &str, more: &[&str]| {
@@ -293,7 +293,7 @@ fn inspected(at: &Path, rows: &str) {
     assert_eq!(names(&proposed), names(&written));
 }
 
-/// The robot is exactly nominal, so any calibration predicts worse than the nominal robot and the verdict is red.
+/// The robot is exactly nominal. Any calibration predicts worse than the nominal robot, so the verdict is red.
 #[test]
 fn a_red_verdict_leaves_its_page_also_in_a_new_directory() {
     let directory = tempfile::tempdir().unwrap();
@@ -322,7 +322,7 @@ fn a_person_simulates_calibrates_and_repeats_it() {
     let page = std::fs::read_to_string(at.join("out/report.html")).unwrap();
     assert!(page.contains("contact, ") && page.contains("held-out rows, calibrated, RMS"));
     assert!(page.contains("stated geometry of sockets or faces") && page.contains("mounting of the ball"));
-    // This name begins like parameters of the bar but is not one of them.
+    // The name `ball_x` begins like names of the bar's parameters, but is not one of them.
     assert!(page.contains(">ball_x") && !page.contains("Ball-bar and encoders"));
     // The experiment file also names a second plate that was measured with the same robot.
     let other = at.join("other");
@@ -368,7 +368,7 @@ fn a_person_simulates_calibrates_and_repeats_it() {
     let text = experiment(&at.join("out/experiment.toml"), &again, &[]);
     assert!(text.contains("verdict green"), "{text}");
     assert!(!values(&again).is_empty() && values(&again) == values(&at.join("out")));
-    // This also holds after the directory of data and result was moved, and with another required accuracy.
+    // The result is also the same after the directory of data and result was moved, and with another required accuracy.
     let moved = at.join("moved");
     std::fs::create_dir_all(moved.join("out")).unwrap();
     for name in ["contacts.csv", "contact.toml", "sockets.toml", "out/experiment.toml"] {
@@ -442,7 +442,7 @@ fn a_person_simulates_calibrates_and_repeats_it() {
     );
 }
 
-/// Simulates a robot with gear errors. At the joints that the true gear terms correct, the ball must be in its sockets.
+/// Simulates a robot with gear errors. If the true gear terms correct the joints, the ball must be in its sockets.
 #[test]
 fn gear_errors_of_the_truth_seat_the_ball() {
     for robot in [irb120(), seven_axes()] {

@@ -18,8 +18,8 @@ fn run(robot: &RobotConfig, seed: u64) -> Simulated {
     laboratory::run(robot, &bar(), seed, &Level::USUAL, Design::for_robot(robot))
 }
 
-/// The shipped bar with an error of the stated plate length \[mm\]. If `rod_off_mm` is given, the rod length is also
-/// stated, with this error \[mm\].
+/// The shipped bar, whose stated plate length has the error `plate_off_mm` \[mm\]. If `rod_off_mm` is given, the rod length
+/// is also stated, with this error \[mm\].
 fn stated(run: &Simulated, plate_off_mm: f64, rod_off_mm: Option<f64>) -> BallBarConfig {
     let mut bar = bar();
     bar.plate_m += 1e-3 * plate_off_mm;
@@ -67,7 +67,8 @@ fn a_plate_and_a_rod_that_contradict_each_other_widen_the_uncertainty() {
     println!("stated {:.3} mm, true {:.3} mm", claimed_m * 1e3, true_m * 1e3);
     assert_eq!(contradicted(&found), ["bd3", "ra6"]);
     assert!(true_m > 0.3e-3 && true_m < claimed_m && claimed_m < 6.0 * true_m, "{true_m} {claimed_m}");
-    // The uncertainty of the plate from the samples alone is smaller than the one that includes the contradiction.
+    // The uncertainty of the plate that follows from the samples alone is smaller than the
+    // one that includes the contradiction.
     let plate = found.model().column_of(ParameterId::plate(6)).unwrap();
     let covariance = &found.solution().covariance;
     assert!(covariance.sigma_before_contradictions(plate) < covariance.sigma(plate));

@@ -1,6 +1,6 @@
-//! Compares the deployments of a calibration, which a controller applies, with direct fits of the same
-//! parameters by another program. That program is the kinematic chain of pybotics with SciPy's least
-//! squares. `CAMPAIGNS=full` evaluates twenty arms.
+//! Compares the deployments of a calibration, which a controller applies, with direct fits of the same parameters by
+//! another program. The other program combines the kinematic chain of pybotics with SciPy's least squares.
+//! `CAMPAIGNS=full` evaluates twenty arms.
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -62,8 +62,8 @@ fn direct_m(robot: &RobotConfig, fitted: &[PoseRow], others: &[PoseRow]) -> BTre
     serde_json::from_slice(&output.stdout).unwrap()
 }
 
-/// Ratio of the held-out errors to those of a direct fit, for offsets and for links. A deployment that would be written must
-/// not be worse than the nominal robot.
+/// Held-out errors of the deployments divided by those of a direct fit, first for offsets, then for links. Also checks that
+/// a deployment that would be written is not worse than the nominal robot.
 fn by_direct_fit(name: &str, robot: &RobotConfig, rows: &[PoseRow]) -> [f64; 2] {
     let (fitted, others) = rows.split_at(rows.len() * 3 / 4);
     let found = Alone::default().poses(fitted, robot).unwrap();
@@ -111,8 +111,8 @@ fn what_a_controller_takes_predicts_as_well_as_a_direct_fit_of_it() {
         let mean = (of_word().map(f64::ln).sum::<f64>() / ratios.len() as f64).exp();
         let most = of_word().fold(0.0, f64::max);
         println!("{word}: {mean:.3} of a direct fit as a mean, {most:.3} at most");
-        // The tolerance has two causes: each set has only fifty rows, and loss and priors differ from
-        // those of the direct fit.
+        // The tolerance is needed for two reasons: each set has only fifty rows, and the direct fit
+        // has another loss and other priors.
         assert!(mean < 1.01 && most < 1.05, "{word}: {mean} {most}");
     }
 }

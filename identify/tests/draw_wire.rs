@@ -81,8 +81,8 @@ fn made_up(count: usize) -> (Vec<LengthRow>, Vector3<f64>) {
         link.alpha_rad += random.random_range(-2e-3..2e-3);
     }
     let rows = measured(&truth, count, &mut random);
-    // Lengths do not separate the offset of the first joint from the position of the anchor. The base of the calibrated
-    // robot is therefore rotated about the first axis.
+    // Lengths do not separate the offset of the first joint from the position of the anchor. Therefore the base of the
+    // calibrated robot is rotated about the first axis, compared with the base of the true robot.
     let turned_rad = truth.links[0].theta_rad - nominal.links[0].theta_rad;
     (rows, Rotation3::from_axis_angle(&Vector3::z_axis(), -turned_rad) * WIRE_M[0])
 }
@@ -143,7 +143,8 @@ fn faults_in_the_rows_are_found_named_and_kept_out_of_the_fit() {
     });
     let gross_m: Vec<(usize, f64)> = gross_m.collect();
     assert!((4..=10).contains(&gross_m.len()), "{:?}", report.rows().rejected);
-    // A residual has the same sign for fitted and held-out rows: it is negative if the measured length is too long.
+    // The sign of residuals is the same for fitted and held-out rows: a residual is negative
+    // if the measured length is too long.
     let signed = |(row, residual_m): &(usize, f64)| *row < 400 || (residual_m + 2e-2).abs() < 2e-3;
     assert!(gross_m.iter().all(signed), "{gross_m:?}");
     assert!(report.fitted().joints.position_m.rms < 1.5e-4, "{:?}", report.fitted().joints);
@@ -203,7 +204,7 @@ impl Watch for Reported {
     }
 
     fn goes_on(&self, progress: &Progress) -> bool {
-        // Each pass belongs to a stage that was named before.
+        // Each pass of the solver belongs to a stage whose name was reported before.
         assert!(progress.samples > 0 && !self.0.lock().unwrap().is_empty());
         true
     }
@@ -255,13 +256,14 @@ fn lengths_of_two_qualities_calibrate_better_with_their_uncertainties() {
         let row = |(row, u): (&LengthRow, f64)| LengthRow { uncertainty_m: Some(times * u), ..*row };
         untold.iter().zip([good, bad].into_iter().cycle()).map(row).collect::<Vec<_>>()
     };
-    // The scale is fixed. Its uncertainty is then the same for both, and larger than the effect of the noise.
+    // Fix the scale. Its uncertainty is then the same with and without stated uncertainties, and
+    // larger than the effect of the noise.
     let alone = Alone::default().without_joint_errors().with_fixed(&[ParameterId::Scale]);
     let calibrated = |rows: &[LengthRow]| {
         let found = alone.lengths(rows, &irb120()).unwrap();
         let errors = Wire::new(judging).errors(&found.model().geometry(&[]));
         let squared = errors.iter().map(|error| error.position_m.powi(2)).sum::<f64>() / errors.len() as f64;
-        // Error of the calibration alone, after the noise of the held-out rows is subtracted.
+        // Error that the calibration causes: the noise of the held-out rows is subtracted.
         let beyond_m = (squared - good * good).max(0.0).sqrt();
         let rejected = found.rows().rejected.len();
         let wanders = found.rows().drift.is_some();
@@ -363,8 +365,8 @@ fn all_rows_of_the_real_irb_120_predict_rows_that_no_fit_has_seen() {
     assert!(rows >= 140);
 }
 
-/// Best published results for these data, which come from different methods. Mean, RMS and maximum over
-/// all 208 held-out rows \[mm\].
+/// Mean, RMS and maximum error over all 208 held-out rows \[mm\]. Each is the best published result for these data. The
+/// three results come from different methods.
 const WIRE: [f64; 3] = [0.94, 1.60, 4.5];
 
 #[test]
@@ -384,7 +386,7 @@ fn all_rows_of_the_real_irb_120_over_several_splits() {
     }
 }
 
-/// If whole segments of the file are held out, the offset of their lengths is unknown. The figures include the effect.
+/// If whole segments of the file are held out, the offsets of their lengths are unknown. This affects the figures.
 #[test]
 #[ignore = "needs the measured rows in the folder BALLBAR_DATA"]
 fn all_rows_of_the_real_irb_120_where_segments_and_regions_are_held_out() {

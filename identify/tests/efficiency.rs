@@ -52,7 +52,8 @@ impl Setup {
         (observations, joints)
     }
 
-    /// Solves as a calibration does. Residuals are whitened at the nominal geometry, and again at the first solution.
+    /// Solves in the same way as a calibration: residuals are whitened at the nominal
+    /// geometry, and again at the first solution.
     fn pose(&self, (observations, joints): &(Vec<Observation>, PerObservation), loss: LossName) -> Solution {
         let solve_from = |x: &[f64]| {
             let whitened = WhitenedPose::new(&self.model.geometry(x), joints, observations, NOISE);
@@ -86,7 +87,7 @@ impl Setup {
     }
 }
 
-/// Root mean square error of each parameter relative to its bound, averaged over the parameters.
+/// Root mean square error of each parameter divided by its bound, averaged over the parameters.
 fn over_bound(errors: &[Vec<f64>], bound: &[f64]) -> f64 {
     let of = |(column, bound): (usize, &f64)| {
         let squares: f64 = errors.iter().map(|error| error[column].powi(2)).sum();

@@ -65,8 +65,8 @@ fn the_offset_plate_is_fixed_behind_the_last_axis_of_any_arm() {
     assert!(found.influence.held.contains(&"ra7".to_owned()), "{:?}", found.influence.held);
 }
 
-/// Uses the method of the thesis: adds an error of 1 mm|mrad to one fixed parameter, solves, and compares the changes of the
-/// other parameters with the stated influence.
+/// Computes influences as in the thesis: adds an error of 1 mm|mrad to one fixed parameter and solves. The changes of the
+/// other parameters must agree with the stated influences.
 fn solves_show_the_influence<R: Residual + Copy>(residual: R, cost: CostName) {
     let (robot, bar) = (crate::support::irb2400(), crate::support::bar());
     let examined = examine(&robot, &bar, cost, 300, 1).unwrap();
@@ -99,8 +99,8 @@ fn a_solve_with_an_error_in_a_fixed_parameter_moves_the_others_as_the_table_says
 }
 
 /// Reproduces table 3.4 of the thesis for the costs with encoders, except for one entry. In the thesis, an error of balpha2
-/// changes bd2 and bd3. With the reconstructed bar it changes bd2, by 0.6 mm per mrad, which is the length of the rod. With
-/// costs that include rotations, it also changes a few angles.
+/// changes bd2 and bd3. With the reconstructed bar it changes only bd2 of the two, by 0.6 mm per mrad, which is the length
+/// of the rod. With costs that include rotations, it also changes a few angles.
 #[test]
 fn the_thesis_table_of_influences_is_reproduced() {
     let affected = |cost, held: &str| -> Vec<String> {

@@ -32,8 +32,8 @@ fn an_empty_directory_has_the_robots_and_the_bar_of_the_program() {
         told.contains("ABB IRB 2400/16 with double ball-bar") && told.contains("`ball_bar` as built into"),
         "{told}"
     );
-    // An argument that is the name of a file never selects a built-in configuration. The lengths of another bar
-    // would cause a wrong scale.
+    // If an argument is the name of a file, the file must exist. Its name must not select a built-in configuration, because
+    // the lengths of another bar would cause a wrong scale.
     let (code, told) = identify(at, &["examine", "--robot", "irb2400_16", "--bar", "ball_bar.toml"]);
     assert_eq!(code, Some(1), "{told}");
     assert!(

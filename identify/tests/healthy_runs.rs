@@ -1,4 +1,5 @@
-//! Runs without faults must not be refused. Their cells were not used in the development of the preparation.
+//! Runs without faults must not be refused. The set-ups of robot and bar in these runs were not used in
+//! the development of the preparation.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 
 use crate::support::{bar, irb2400, nj220};
@@ -52,8 +53,8 @@ fn what_worn_gears_do_to_the_angles_is_no_slip() {
     }
 }
 
-/// The robot log begins after the recording and ends before it, as if one had been started after the other. During the
-/// search for the time shift, the first samples are therefore outside the log.
+/// The robot log begins after the recording and ends before the end of the recording. During the search for the time shift,
+/// the first samples are therefore outside the log.
 #[test]
 #[ignore = "several calibrations: a quarter of a minute"]
 fn a_robot_log_that_is_shorter_than_the_recording_is_aligned_as_well() {

@@ -189,8 +189,8 @@ fn static_errors_of_the_thesis_are_recovered_from_1500_poses() {
     }
 }
 
-/// Starts `seeds` solves with errors of up to 20 mm|mrad in every free parameter. Returns the number of solves
-/// that end at the truth.
+/// Solves `seeds` problems. Each starts with errors of up to 20 mm|mrad in every free parameter. Returns the
+/// number of solves that end at the truth.
 fn recovered_from_afar<R: Residual>(cell: &Cell, residual: R, seeds: u64) -> usize {
     let mut model = cell.model();
     model.select(Selection::Thesis, R::identifies);

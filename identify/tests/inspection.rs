@@ -76,7 +76,7 @@ fn a_joint_that_does_not_move_is_suspected() {
     assert!(told.contains("q4 moved by less than 5 degrees"), "{told}");
 }
 
-/// Joint 1 is a slide that moves by 20 mm in a second. Joint 4 moves so little that it counts as still.
+/// Joint 1 is a slide that moves by 20 mm in a second. Joint 4 moves so little that it is treated as standing still.
 #[test]
 fn a_slide_is_shown_in_millimetres_and_a_still_joint_of_the_robot_has_no_plug() {
     let mut robot = irb2400();
@@ -108,7 +108,7 @@ fn a_column_that_freezes_for_a_while_is_suspected_by_name_and_a_joint_that_stand
     let told = inspect::robot_log(&log, &irb2400()).suspicious.join("\n");
     assert!(told.contains("q2 is constant from"), "{told}");
     assert!(!told.contains("q1 is constant") && !told.contains("q3 is constant"), "{told}");
-    // After the rest, the joint continues from the position at which it was.
+    // After the rest, the joint continues from the position at which it rested.
     let by = log.q_rad[to][1] - held;
     log.q_rad[to..].iter_mut().for_each(|q| q[1] -= by);
     let told = inspect::robot_log(&log, &irb2400()).suspicious.join("\n");

@@ -90,7 +90,8 @@ fn a_singular_bar_is_told_by_its_margin() {
     assert!(margin_rad(&bar, [0.3, 1.0, 0.1, PI, 0.2]) < 1e-12);
     assert!((margin_rad(&bar, [0.3, 1.2, 0.1, PI - 0.05, 0.2]) - 0.05).abs() < 1e-12);
     assert!((margin_rad(&bar, [0.3, -0.2, 0.1, -1.0, 0.2]) - 0.2).abs() < 1e-12);
-    // The joints of this bar have other offsets. The margin is the angle between the links, so offsets have no effect.
+    // The joints of this bar have other offsets. The margin must not depend on offsets, because
+    // it is the angle between the links.
     bar.links[1].theta_rad = 0.5 * PI;
     bar.links[3].theta_rad = -0.5 * PI;
     assert!((margin_rad(&bar, [0.3, 0.0, 0.1, 0.2, 0.2]) - (0.5 * PI - 0.2)).abs() < 1e-12);

@@ -5,7 +5,8 @@ use identify::kinematics::{Chain, DhLink, robot_chain};
 use nalgebra::{Rotation3, Vector3};
 use proptest::prelude::*;
 
-/// Two directions count as parallel or perpendicular if sine or cosine of their angle is below this.
+/// If the sine of the angle between two directions is below this value, they are treated as parallel. If the cosine is
+/// below, they are treated as perpendicular.
 const DEGENERATE: f64 = 1e-12;
 
 /// A point on the next axis \[m\] and the direction of that axis. Both are in the frame before the
@@ -15,8 +16,9 @@ fn axis_after(link: &DhLink) -> (Vector3<f64>, Vector3<f64>) {
     (pose.translation.vector, pose.rotation * Vector3::z())
 }
 
-/// Hayati's link (Hayati and Mirmirani 1985) to the same axis, with this `d`. It leads to the intersection of the axis with
-/// a plane across the previous axis, and then rotates a second time. `None` if axis and plane do not intersect.
+/// Hayati's link (Hayati and Mirmirani 1985) to the same axis, with this `d`. The origin of the link is the point at
+/// which the axis intersects a plane perpendicular to the previous axis. Then the link has a second rotation. `None`
+/// if axis and plane do not intersect.
 fn hayati_link(link: &DhLink, d_m: f64) -> Option<DhLink> {
     let (point_m, direction) = axis_after(link);
     if direction.z.abs() < DEGENERATE {
@@ -41,8 +43,8 @@ fn standard_link(link: &DhLink) -> Option<DhLink> {
     if sine < DEGENERATE {
         return None;
     }
-    // x of the link is perpendicular to both axes. Of its two possible directions, the one that keeps the sign
-    // of the length is used.
+    // The x axis of the link is perpendicular to both axes. It has two possible directions. Use the one
+    // that keeps the sign of the length.
     let foot = point_m - u * ((point_m.x * u.x + point_m.y * u.y) / (sine * sine));
     let across = Vector3::new(-u.y, u.x, 0.0) / sine;
     let length = across.dot(&foot);
@@ -58,7 +60,7 @@ fn standard_link(link: &DhLink) -> Option<DhLink> {
     })
 }
 
-/// The chain with another link to the same axis. The next link is changed by the difference along and about this axis.
+/// The chain with another link to the same axis. The next link compensates the difference along and about this axis.
 fn replaced(chain: &Chain, link: usize, other: impl Fn(&DhLink) -> Option<DhLink>) -> Option<Chain> {
     let mut chain = chain.clone();
     let [old, next] = chain.links.get_mut(link..link + 2)? else { return None };
@@ -130,7 +132,7 @@ proptest! {
         chain.links[1].alpha_rad = alpha;
         chain.links[1].beta_rad = beta;
         let standard = with_standard(&chain, 1).unwrap();
-        // The distance of the common normal is length divided by angle, which is metres to kilometres.
+        // The distance of the common normal is the length divided by the angle. This is metres to kilometres.
         prop_assert!(apart(&chain, &standard, &joints) < 1e-12 / alpha.min(beta));
     }
 }
@@ -143,7 +145,7 @@ fn some_links_have_one_form_only() {
     assert!(with_standard(&chain, 9).is_none());
     let mut square = chain.clone();
     square.links[2].alpha_rad = std::f64::consts::FRAC_PI_2;
-    // In binary, cos(pi/2) is not exactly zero. It must count as zero.
+    // The floating-point cosine of pi/2 is not exactly zero. It must be treated as zero.
     assert!(with_hayati(&square, 2, 0.0).is_none());
     let same = with_hayati(&chain, 1, chain.links[1].d_m).unwrap();
     assert!(apart(&chain, &same, &[0.3; 6]) < 1e-15);

@@ -58,7 +58,8 @@ impl Score {
     }
 }
 
-/// Configurations of the estimation methods with their names, from the method of the thesis to the default.
+/// Configurations of the estimation methods, with a name for each. The first is the method of
+/// the thesis, the last is the default.
 fn ways() -> Vec<(&'static str, IdentifyConfig)> {
     let with = |cost, selection, encoder_harmonics_urad| IdentifyConfig {
         cost: Some(cost),

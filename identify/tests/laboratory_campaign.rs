@@ -26,7 +26,7 @@ struct Outcome {
     robot_mm_mrad: f64,
     shift_ms: f64,
     skew_ppm: f64,
-    /// Standard deviation of the alignment over disjoint segments of about 20 s \[ms\].
+    /// Standard deviation of the clock difference between alignments of disjoint segments of about 20 s \[ms\].
     repeats_ms: f64,
     /// Mean position error over the workspace, including the errors of joints \[mm\].
     position_mm: f64,
@@ -184,7 +184,7 @@ fn ten_runs_of_each_kind_with_both_robots() {
 }
 
 /// Evaluates the cost and the parameters of the thesis on the files of the default runs. Alignment and sample selection are
-/// those of the default, so the difference is the effect of cost and parameters.
+/// those of the default. Any difference in the results is therefore the effect of cost and parameters.
 fn as_the_thesis(robot: &RobotConfig, bar: &BallBarConfig, seeds: u64) {
     let config = IdentifyConfig {
         cost: Some(CostName::Transform),

@@ -1,5 +1,5 @@
-//! All tests of `identify` that need only its library and binary. They form one program, which is linked only once and
-//! runs long tests in parallel.
+//! All tests of `identify` that need only its library and binary. They are one program, so that linking is done only
+//! once and long tests run in parallel.
 //!
 //! To run the tests of one file: `cargo test -p identify --test all preparation_crossing`.
 

@@ -113,7 +113,7 @@ fn probes(model: &Model, by: ParameterId, t_s: f64, measured: &PoseRow) -> [Matr
     [held, product(&placed(&six[..6]), &measured)]
 }
 
-/// Position of the probe as predicted minus as measured.
+/// Predicted minus measured position of the probe.
 fn position([held, seen]: &[Matrix<Dual64>; 2]) -> Vec<Dual64> {
     (0..3).map(|i| held[i][3] - seen[i][3]).collect()
 }
@@ -142,9 +142,9 @@ fn measured() -> Vec<PoseRow> {
     times().map(row).collect()
 }
 
-/// Compares residual and Jacobian of a cost with `independent`. This function returns the residual of a sample as dual
-/// numbers, for the parameter of the derivative, the index of the sample, and its time. Also checks that the derivative is
-/// zero exactly for parameters on which the residual does not depend.
+/// Compares residual and Jacobian of a cost with `independent`. `independent` returns the residual of a sample as dual
+/// numbers. Its arguments are the parameter of the derivative, the index of the sample, and the time of the sample. Also
+/// checks that the derivative by a parameter is zero if and only if the residual does not depend on the parameter.
 fn agrees<R: Residual>(
     model: &Model,
     residual: R,
@@ -180,7 +180,7 @@ fn agrees<R: Residual>(
 /// Frees all parameters. Their values avoid points at which derivatives vanish by symmetry.
 fn all_free(model: Model, rotation_rad: [f64; 3]) -> Model {
     let mut model = model.with(ParameterId::joint_waves(7));
-    // The errors of the robot's axes do not depend on the cost, so `jacobians` tests their derivatives.
+    // The derivatives by the errors of the robot's axes do not depend on the cost. They are tested in `jacobians`.
     let ids = model.ids().into_iter().filter(|id| match id {
         ParameterId::Joint { .. } => false,
         ParameterId::JointWave { order, .. } => WAVES.contains(order),
@@ -294,7 +294,7 @@ fn samples_that_were_not_measured_take_no_part() {
 }
 
 proptest! {
-    /// The derivative of a placement's rotation is an angular velocity. It is compared with
+    /// The derivative of a placement's rotation is an angular velocity, which is compared with
     /// finite differences of the rotation.
     #[test]
     fn a_placement_turns_as_its_rotation_vector_says(w in prop::array::uniform3(-1.8_f64..1.8), small in any::<bool>()) {

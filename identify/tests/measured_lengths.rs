@@ -98,7 +98,7 @@ fn stated_uncertainties_are_read_in_millimetres() {
     };
     let read = self::read(&rows("1.5"), &stated).unwrap().rows;
     assert_eq!((read[0].uncertainty_m, read[12].uncertainty_m), (Some(0.2 * 1e-3), Some(1.5 * 1e-3)));
-    // Uncertainties that are missing, too small, not a valid number, or in another unit.
+    // Stated uncertainties that are missing, too small, not a valid number, or in a wrong unit.
     for bad in ["", "0", "-0.1", "250"] {
         let error = self::read(&rows(bad), &stated).unwrap_err().to_string();
         assert!(error.contains("line 14 column `cable_u`"), "{error}");

@@ -33,8 +33,8 @@ fn real_rows(path: &Path) -> Vec<PoseRow> {
     MeasuredPoses::load(path, &mapping).unwrap().rows
 }
 
-/// Rows of a tracker at a random position, with the true robot, the pose of the tracker and that of the probe. The robot has
-/// errors of some mm and mrad, and a harmonic of order 17 on joint 2.
+/// Rows of a tracker at a random position. Also returns the true robot, the pose of the tracker and the pose of the probe.
+/// The robot has errors of some mm and mrad, and a harmonic of order 17 on joint 2.
 fn made_up(count: usize, noise: f64, wave_rad: f64) -> (Vec<PoseRow>, Chain, Pose, Pose) {
     let mut random = StdRng::seed_from_u64(5);
     let mut truth = flange_chain(&ur10());
@@ -98,7 +98,8 @@ fn tracker_probe_robot_and_joint_waves_are_found_and_what_is_not_there_is_left_o
     let geometry = report.model().geometry(&report.model().start());
     assert!(wave_error_rad(&geometry) < 2e-5, "{}", wave_error_rad(&geometry));
     let value = |name: &str| report.model().parameter(name.parse().unwrap()).unwrap().value;
-    // Height and rotation of the tracker include the length and the offset of link 1, so other parameters are compared.
+    // Height and rotation of the tracker absorb errors of the length and the offset of link 1.
+    // Therefore compare other parameters.
     let tracker = geometry.tracker.places[0].pose();
     assert!((tracker.translation.vector - place.translation.vector).norm() < 2e-2);
     assert!((value("ra2") - truth.links[1].a_m).abs() < 5e-5);
@@ -204,7 +205,7 @@ fn rows_of_two_qualities_calibrate_better_with_their_uncertainties() {
         let truly = validate(&Tracker::new(&clean).into(), &ur10(), found.model(), 1).unwrap().figures[1]
             .position_m
             .rms;
-        // Error of the calibration alone, after the noise of the held-out rows is subtracted.
+        // Error that the calibration causes: the noise of the held-out rows is subtracted.
         let beyond = |rms: f64| (rms.powi(2) - 3.0 * good * good).max(0.0).sqrt();
         (beyond(truly), found.sigma("ra2".parse().unwrap()).unwrap())
     };
@@ -286,7 +287,7 @@ fn the_command_calibrates_validates_and_writes_what_it_took() {
     let (offsets, links) = (corrections("offsets.csv"), corrections("corrections.csv"));
     assert!(offsets.iter().all(|row| row.deployment == Deployment::Offsets && !row.what.starts_with("link")));
     assert!(links.iter().any(|row| row.what == "link 2 a") && links[0].held_out_mm < offsets[0].held_out_mm);
-    // There is no robot log, so the joints of the controller are the columns of the table.
+    // There is no robot log, so the columns of the table contain the joints of the controller.
     let of_table = corrections("corrections_log.csv");
     assert!(of_table[1].what == "shoulder_lift_joint" && of_table[1].unit == "rad", "{of_table:?}");
     // A row with a joint angle outside the measured range is reported.
@@ -322,7 +323,7 @@ fn the_command_calibrates_validates_and_writes_what_it_took() {
     let (repeated, err) = experiment(&folder.path().join("out/experiment.toml"));
     assert!(repeated, "{err}");
     assert_eq!(found("out").parameters, found("again").parameters);
-    // A single solve uses two files of one robot. Each file has its own tracker and probe.
+    // Two files of one robot are combined in a single solve. Each file has its own tracker and probe.
     let text = std::fs::read_to_string(folder.path().join("out/experiment.toml")).unwrap();
     let second =
         "\n[[tracker]]\nfile = \"../other.csv\"\nmapping = \"MAPPING\"\n".replace("MAPPING", mapping[1]);
@@ -333,8 +334,8 @@ fn the_command_calibrates_validates_and_writes_what_it_took() {
     let (solved, err) = experiment(&path);
     assert!(solved, "{err}");
     let names: Vec<String> = found("again").parameters.into_iter().map(|one| one.name).collect();
-    // One fifth of the rows is held out. Of the second file, whole regions are held out,
-    // which only approximates this fraction.
+    // One fifth of the rows is held out. Of the second file, whole regions are held out, so the
+    // fraction is only approximately one fifth.
     let held_out: Vec<(usize, u64)> =
         found("again").rows.iter().map(|rows| (rows.held_out.joints.rows, rows.seed)).collect();
     assert!(held_out[0] == (80, 1042) && (15..=25).contains(&held_out[1].0), "{held_out:?}");
@@ -362,10 +363,10 @@ fn the_command_calibrates_validates_and_writes_what_it_took() {
         assert!(said.contains("unexpected argument") && said.contains(bar_only[0]), "{said}");
     }
     assert!(refused(&[&mapping[..2], &["--fix", "bd3"]].concat()).contains("bd3"));
-    // The rows of the fit cannot validate the same fit.
+    // Rows that were used in a fit cannot validate this fit.
     let said = refused(&[&mapping[..2], &["--validate", "poses.csv"]].concat());
     assert!(said.contains("poses.csv of --validate contains the rows of poses.csv"), "{said}");
-    // A missing file is reported before the fit, and nothing is written.
+    // If a file is missing, this is reported before the fit, and nothing is written.
     std::fs::remove_dir_all(folder.path().join("out")).unwrap();
     assert!(refused(&[&mapping[..2], &["--validate", "missing.csv"]].concat()).contains("missing.csv"));
     assert!(!folder.path().join("out").exists());
@@ -394,7 +395,7 @@ fn below(figures: &PoseFigures, [mean, p95, max]: [f64; 3]) {
 const GRID: [f64; 3] = [0.399, 0.76, 1.18];
 const CUBES: [f64; 3] = [0.354, 0.71, 1.28];
 
-/// The fit uses one in 32 of the 11 911 rows, and its errors are below those that were published for all rows.
+/// The fit uses one in 32 of the 11 911 rows. Its errors are smaller than those published for all rows.
 #[test]
 #[ignore = "two calibrations with hundreds of terms: half a minute"]
 fn the_real_ur10_on_its_grid_and_from_its_grid_to_its_cubes() {
@@ -402,15 +403,15 @@ fn the_real_ur10_on_its_grid_and_from_its_grid_to_its_cubes() {
     assert_eq!((grid.len(), cubes.len()), (373, 316));
     let (Stages { nominal, offsets, links, .. }, independent, on_cubes) =
         grid_and_from_grid_to_cubes(&grid, &cubes);
-    // On held-out rows, joint offsets alone are slightly better than the nominal robot, which may be chance. On
-    // the cubes they are worse.
+    // On held-out rows, a fit of joint offsets alone is slightly better than the nominal robot, which may
+    // be chance. On the cubes it is worse.
     let is_better = |stage: PoseFigures| is_surely_better(independent, [nominal.rms(), stage.rms()]);
     assert!(is_better(links) && !is_better(offsets));
     assert!(offsets.position_m.rms < nominal.position_m.rms && on_cubes[1] > on_cubes[0], "{on_cubes:?}");
 }
 
-/// Errors on held-out rows of the grid, the number of these rows that are independent, and RMS errors on the cubes \[m\].
-/// The RMS errors are those of the nominal robot, and of a fit of joint offsets alone.
+/// Returns the errors on held-out rows of the grid, the number of independent rows among them, and two RMS errors on the
+/// cubes \[m\]. The first RMS error is that of the nominal robot, the second that of a fit of joint offsets alone.
 fn grid_and_from_grid_to_cubes(grid: &[PoseRow], cubes: &[PoseRow]) -> (Stages, usize, [f64; 2]) {
     let report = Alone { joint_waves: Some(40), ..Alone::default() }.poses(grid, &ur10()).unwrap();
     let others = Instrument::from(Tracker::new(cubes));
@@ -418,8 +419,8 @@ fn grid_and_from_grid_to_cubes(grid: &[PoseRow], cubes: &[PoseRow]) -> (Stages, 
     println!("{}cubes: {figures:?}", report.table());
     below(&report.held_out().joints, GRID);
     below(&figures[1], CUBES);
-    // If a controller applies only some parameters, these are fitted alone. On another file this is better than taking
-    // them from the full model.
+    // If a controller applies only some parameters, these are fitted alone. On another file, this fit is better than the
+    // same parameters of the full model.
     let Stages { nominal, offsets, links, joints } = report.held_out();
     let held_out = [nominal, offsets, links, joints].map(|of| of.position_m.rms);
     assert!(held_out.is_sorted_by(|more, less| more > less), "{held_out:?}");
@@ -474,7 +475,7 @@ fn all_rows_of_the_real_ur10() {
     let folder = data.join("ur10-tracker");
     let cubes = real_rows(&folder.join("iso_cubes_632.csv"));
     cubes_whatever_is_held_out(&cubes);
-    // Uses every fourth row, because the whole file takes minutes and has the same result.
+    // Use every fourth row, because the whole file takes minutes and gives the same result.
     let grid: Vec<PoseRow> = real_rows(&folder.join("grid_11911.csv")).into_iter().step_by(4).collect();
     grid_and_from_grid_to_cubes(&grid, &cubes);
 }

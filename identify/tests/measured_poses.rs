@@ -119,7 +119,7 @@ columns = ["a", "b", "c", "d", "e", "f", "g", "h", "i"]"#,
         if block.contains("deg") {
             continue;
         }
-        // Two columns have exchanged signs. The matrix is then not a rotation, or the values are in another convention.
+        // Exchange the signs of two columns. The matrix is then not a rotation, or the values are in another convention.
         let spoiled = format!("1;0;0;0;0;0;0;1;2;3{}\n", ";0,9".repeat(numbers.len()));
         let error = read(spoiled.repeat(10)).unwrap_err().to_string();
         assert!(error.contains("is not a rotation") && error.contains("order of the columns"), "{error}");

@@ -129,7 +129,7 @@ impl Cell {
         calibrate(&data, &robot, config, None).unwrap()
     }
 
-    /// The same cell with a tracker and a wire whose readings are longer by these relative errors.
+    /// The same cell, but with a tracker and a wire whose readings are too long by these relative errors.
     fn reading_longer(mut self, [tracker, wire]: [f64; 2]) -> Self {
         self.poses.iter_mut().for_each(|row| row.position_m *= 1.0 + tracker);
         // The offset of the wire is not affected by its scale.
@@ -224,7 +224,7 @@ fn seated(truth: &Chain, gears: &Gears, random: &mut StdRng) -> (Vec<TipRow>, So
 const ALL: [bool; 4] = [true; 4];
 
 /// Mean errors of the combined solve and of each instrument alone \[mm\]. Also returns the fraction of the wrist coordinates
-/// that are within their 95 % intervals in the combined solve.
+/// whose true value is within the 95 % interval of the combined solve.
 fn means_mm(seeds: u64) -> ([f64; 5], f64) {
     let ways = [
         ("all", ALL),
@@ -271,7 +271,7 @@ fn over_twenty_robots_a_mix_is_nearer_than_each_alone_and_its_intervals_hold() {
     assert!(within > 0.85, "{within}");
 }
 
-/// Numbers of the data sets that are reported to contradict the others.
+/// Numbers of the data sets that are reported to contradict the other data sets.
 fn contradicting(found: &Calibration) -> Vec<usize> {
     let loss = found.solved.solution.loss;
     let all = disagreeing(&found.runs, &found.solved.sigmas, loss);
@@ -289,8 +289,8 @@ fn data_sets_of_one_robot_agree_and_a_scale_or_zero_of_their_own_is_said() {
         other.poses.iter_mut().for_each(|row| row.position_m *= part);
         other
     };
-    // Bar with tracker, and tracker with wire. Usually the scale of a wire is uncertain, so a wire may differ. Here its
-    // scale is fixed, so the difference is a contradiction.
+    // Two combinations: bar with tracker, and tracker with wire. Usually the scale of a wire is uncertain, so the wire may
+    // differ from the tracker. Here the scale of the wire is fixed, so a difference is a contradiction.
     let exact = IdentifyConfig { fix: vec![ParameterId::Scale], ..IdentifyConfig::default() };
     for (with, config) in
         [([true, true, false, false], IdentifyConfig::default()), ([false, true, true, false], exact)]
@@ -299,7 +299,7 @@ fn data_sets_of_one_robot_agree_and_a_scale_or_zero_of_their_own_is_said() {
         assert!(!contradicting(&scaled(1.002).calibrated_by(with, &config)).is_empty(), "{with:?}");
     }
     assert!(contradicting(&cell.calibrated([false, true, true, false])).is_empty());
-    // The wire is in a second data set. Its scale contradicts the stated uncertainty.
+    // The wire is the second data set. Its scale differs from the other one by more than the stated uncertainty.
     let calibrated_wire = Cell { wire_u_ppm: Some(100.0), ..scaled(1.002) };
     let found = calibrated_wire.calibrated([false, true, true, false]);
     let priors: Vec<String> = found.contradicted.priors.iter().map(ToString::to_string).collect();
@@ -400,8 +400,8 @@ fn scale(found: &Calibration, data_set: usize) -> [f64; 2] {
     [solution.x[column], solution.covariance.sigma(column).unwrap()]
 }
 
-/// Number of seeds for which the stated uncertainty contains the true error, if the wire reads 0.1 % too long. In the first
-/// count the scale of the wire is assumed to be exact.
+/// Number of seeds for which the stated uncertainty contains the true error, if the wire reads 0.1 % too long. For the first
+/// count, the scale of the wire is assumed to be exact.
 fn contained(seeds: u64) -> [u64; 2] {
     let exact = IdentifyConfig { fix: vec![ParameterId::Scale], ..IdentifyConfig::default() };
     let mut contained = [0; 2];

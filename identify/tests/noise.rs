@@ -1,5 +1,5 @@
-//! The noise of the angles is estimated from the data, and the configuration only has the start value. Another configured
-//! noise must lead to the same robot. `CAMPAIGNS=full` evaluates more runs.
+//! The noise of the angles is estimated from the data. The configured noise is only the start value of this estimate.
+//! Another start value must lead to the same robot. `CAMPAIGNS=full` evaluates more runs.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 

@@ -1,5 +1,5 @@
-//! Regression tests. The program made these wrong decisions on data of other authors. Each test repeats one with simulated
-//! data, whose truth is known.
+//! Regression tests. Each test repeats a wrong decision that the program once made on data of other authors. The test uses
+//! simulated data, whose truth is known.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -28,7 +28,7 @@ fn calibrated(run: &Simulated, robot: &RobotConfig, config: &IdentifyConfig) -> 
     calibrate_run(&run.cycles, &run.encoders, &run.robot_log, robot, &bar(), config).unwrap()
 }
 
-/// Before: terms of errors that the robot does not have were selected and reduced the accuracy by a third.
+/// Before: the program selected terms for errors that the robot does not have, which made the result a third less accurate.
 #[test]
 #[ignore = "sixteen calibrations: half a minute"]
 fn where_there_is_noise_alone_terms_that_nothing_asks_for_cost_nothing() {
@@ -54,8 +54,8 @@ fn where_there_is_noise_alone_terms_that_nothing_asks_for_cost_nothing() {
     }
 }
 
-/// Before: from the lengths of the bar alone, the calibrated robot was worse than stated, and worse in
-/// rotation than the nominal one.
+/// Before: if only lengths of the bar were measured, the calibrated robot was less accurate than stated, and its rotations
+/// were less accurate than those of the nominal robot.
 #[test]
 fn a_calibration_by_lengths_alone_is_not_green_where_it_is_worse_than_it_claims() {
     for (seed, robot) in [(1, irb2400()), (2, nj220()), (3, irb2400())] {
@@ -87,8 +87,8 @@ fn intervals_of_single_parameters_hold_where_gears_err_otherwise_than_the_model_
             let effects = Effects { gear_sine_urad: 0.0, cycloid_urad: 0.0, ..Effects::LABORATORY };
             let mut run =
                 simulate::run(&Experiment { effects, seed, ..Experiment::new(&robot, &bar()) }).unwrap();
-            // These harmonics are functions of the joint angles, whereas gear errors of the model are functions of
-            // the drive angles.
+            // These harmonics are functions of the joint angles. In the model, gear errors
+            // are functions of the drive angles.
             let mut random = StdRng::seed_from_u64(seed);
             let phases: [f64; 6] = std::array::from_fn(|_| random.random_range(-3.0..3.0));
             for q in run.robot_log.q_rad.iter_mut() {
@@ -151,13 +151,13 @@ fn rows_of_a_precise_arm_are_calibrated_whatever_their_order_and_number() {
     }
 }
 
-/// Before: errors of single held-out rows were not valid in another part of the joint range.
+/// Before: the errors stated for single held-out rows were too small for another part of the joint range.
 #[test]
 fn the_figure_of_rows_that_were_held_out_holds_in_another_part_of_the_joints_range() {
     for seed in 1..=3 {
         let made = rows(Kind::Tracker, &irb2400(), seed, &USUAL);
-        // The calibration uses one half of the travel of the first joint, the validation uses the other half. Both have the
-        // same pose of the tracker.
+        // The calibration uses one half of the travel of the first joint, the validation the other half. The
+        // tracker has the same pose in both.
         let (fitted, others): (Vec<PoseRow>, Vec<PoseRow>) =
             made.poses().into_iter().partition(|row| row.joints_rad[0] < 0.3);
         let found = Alone::default().poses(&fitted, &irb2400()).unwrap();
@@ -188,7 +188,7 @@ fn a_plate_that_is_longer_than_was_stated_is_named() {
     }
 }
 
-/// Before: of play and compliance, the wrong one was selected, together with a warning about the right one.
+/// Before: the program selected compliance instead of play, or play instead of compliance, and warned about the right one.
 #[test]
 fn a_force_and_play_of_the_bar_are_told_as_play() {
     let load = BarLoad { force_n: 150.0, compliance_um_per_n: 0.0, play_um: 25.0, noise_n: 1.0 };

@@ -1,5 +1,5 @@
-//! An instrument that is defined only in this file calibrates a robot: a gauge that measures the height of a point of the
-//! flange above a plate. It gets the same features as the instruments of the library: tables, residuals, page, limits,
+//! An instrument that is defined only in this file calibrates a robot. It is a gauge that measures the height of a point of
+//! the flange above a plate. It gets the same features as the instruments of the library: tables, residuals, page, limits,
 //! held-out figures, deployments and change detection.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 
@@ -51,7 +51,8 @@ impl Column {
     }
 }
 
-/// The residual `z(p + R attachment) + offset - height` \[m\]. It uses the parameters of a wire with the same meaning.
+/// The residual `z(p + R attachment) + offset - height` \[m\]. `attachment` and `offset` are the
+/// parameters with the same meaning of a wire.
 struct Height<'a>(&'a [f64]);
 
 impl Residual for Height<'_> {

@@ -31,7 +31,7 @@ fn request(robot: &RobotConfig, measures: MeasuredQuantity) -> PoseRequest<'_> {
     PoseRequest { robot, measures, target_m: [0.0, 0.0, 0.1], anchor_m: [1.5, -0.5, 0.2], noise }
 }
 
-/// Rows of a real UR10. A plan may select from `offered`; `others` are held out.
+/// Rows of a real UR10. A plan may select rows from `offered`. The rows `others` are held out.
 struct Rows {
     offered: Vec<PoseRow>,
     others: Vec<PoseRow>,
@@ -86,8 +86,8 @@ fn fifty_planned_rows_calibrate_a_real_robot_better_than_most_random_fifties() {
     assert!(planned < random[2], "{planned} {random:?}");
 }
 
-/// Fifty planned rows are only almost as good as 200 random ones, because gear errors have more amplitudes than
-/// fifty poses have measured numbers.
+/// Fifty planned rows are not quite as good as 200 random ones, because gear errors have more amplitudes than
+/// fifty poses have measured coordinates.
 #[test]
 #[ignore = "needs the measured data: set BALLBAR_DATA; calibrates a hundred times"]
 fn all_rows_of_the_real_grid_offer_poses_that_do_the_work_of_twice_as_many_random_ones() {
@@ -159,7 +159,7 @@ fn a_browser_draws_the_arm_from_pose_to_pose_and_asks_nobody_else() {
     ];
     assert!(identify(&arguments, "ur10.toml", directory.path()).status.success());
     let shown = browser::shown(&std::fs::read_to_string(directory.path().join("poses.html")).unwrap());
-    // The script of the page writes the number of the pose that it draws.
+    // The script of the page writes the number of the pose that it shows.
     let pose = shown.document.split_once("id=\"path-shown\">").unwrap().1.split_once('<').unwrap().0;
     assert!(pose.starts_with("pose ") && pose.ends_with(" of 8"), "{pose:?} {}", shown.stderr);
     assert_eq!(shown.foreign, Vec::<String>::new());
@@ -170,7 +170,8 @@ fn poses_are_drawn_over_the_whole_of_a_track() {
     let track = std::fs::read_to_string(repository("identify/tests/data/on_a_track.urdf")).unwrap();
     let mut robot = import(&track, Some("cell"), Some("tool")).unwrap().config;
     robot.joint_limits_m = vec![[0.0, 8.0]];
-    // The margin of 3 deg is one of 3 mm on the track, so positions keep more than 2 mm to the ends of 0 and 8 m.
+    // The margin of 3 deg corresponds to 3 mm on the track. Therefore positions are more than 2 mm from
+    // the ends of the track at 0 and 8 m.
     let drawn = random_postures(&robot, &Bodies::for_reach(1.3), &design(3.0), 200, 1).unwrap();
     assert!(drawn.iter().all(|q| (0.002..7.998).contains(&q[0])));
     assert!(drawn.iter().any(|q| q[0] > 7.0) && drawn.iter().any(|q| q[0] < 1.0));
@@ -215,13 +216,13 @@ fn poses_of_any_arm_and_instrument_are_clear_within_limits_and_expected_to_be_be
         }
         println!("{} {measures:?}: {} {} {}", robot.name, found.position_m, found.random_m, found.before_m);
         assert!(found.position_m < found.random_m && found.random_m < found.before_m);
-        // The order of the poses makes the motion shorter than the random order of the candidates.
+        // The planned order of the poses makes the motion shorter than the random order of the candidates does.
         let mut by_number: Vec<_> = found.chosen.iter().zip(&found.joints).collect();
         by_number.sort_by_key(|(number, _)| **number);
         let by_number: Vec<Joints> = by_number.into_iter().map(|(_, q)| *q).collect();
         let [short, long]: [f64; 2] = [&found.joints, &by_number].map(|order| moves(order).sum());
         assert!(short < 0.8 * long, "{short} {long}");
-        // Joints that must not pass a certain angle move in the other direction, so no move is blocked.
+        // If a joint must not pass a certain angle, it moves in the other direction. Therefore no move is blocked.
         assert!(found.blocked().is_empty(), "{} {measures:?}: {:?}", robot.name, found.blocked());
         // Each move is free of collisions. This is checked with smaller steps than in the planner.
         for (postures, way) in found.moves().zip(&found.ways[1..]) {
@@ -275,7 +276,7 @@ fn the_command_writes_poses_that_calibrate_reads_and_a_program_that_stops_at_eac
     assert!(planned.status.success(), "{}", String::from_utf8_lossy(&planned.stderr));
     let said = String::from_utf8(planned.stdout).unwrap();
     assert!(said.contains("20 of 60 poses") && said.contains("waves per turn"), "{said}");
-    // The default target is on the axis of joint 6, so it does not move if joint 6 turns.
+    // The default target is on the axis of joint 6, so a rotation of joint 6 does not move the target.
     assert!(said.contains("on the axis of joint 6") && said.contains("--target 0.1,0,0.1"), "{said}");
     assert!(said.contains("--count 20 is too few: `identify calibrate` needs at least 25"), "{said}");
     let mapping: JointTableMapping = config::load(&out.join("poses.toml")).unwrap();
@@ -314,7 +315,7 @@ fn the_command_writes_poses_that_calibrate_reads_and_a_program_that_stops_at_eac
         let program = read(name);
         assert_eq!([program.matches(stop).count(), program.matches(wait).count()], [20, 20], "{name}");
     }
-    // The written table is read again.
+    // The table that was written can be read again.
     let (table, mapping) = (out.join("poses.csv"), out.join("poses.toml"));
     let [table, mapping] = [&table, &mapping].map(|path| path.to_str().unwrap());
     let again = identify(
@@ -347,7 +348,7 @@ fn the_command_writes_poses_that_calibrate_reads_and_a_program_that_stops_at_eac
     }
 }
 
-/// Checks the program in each language for two moves: one without a free path, and one through an intermediate posture.
+/// For each language, checks the program for two moves: one without a free path, and one through an intermediate posture.
 #[test]
 fn programs_stop_before_a_blocked_move_and_drive_through_the_postures_of_others() {
     let mut robot = ur10();
@@ -449,7 +450,7 @@ fn blocked_moves_are_marked_everywhere_and_end_with_an_error() {
             assert!(program.contains(&format!("jog by hand to pose {pose}")), "{name}");
         }
     }
-    // The table can be read although it has marks of blocked moves.
+    // Marks of blocked moves in the table do not prevent reading it.
     let mapping: JointTableMapping = config::load(&out.join("poses.toml")).unwrap();
     assert_eq!(mapping.load(&out.join("poses.csv")).unwrap().len(), 12);
 }

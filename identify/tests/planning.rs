@@ -171,8 +171,8 @@ fn an_arm_of_seven_axes_has_a_path_whose_postures_depend_on_the_pose_alone() {
         assert!(((cell.arm.forward(q).translation.vector - base_m).norm() - 0.4).abs() < 1e-9);
         assert!(q.len() == 7 && q.iter().zip(&limits).all(|(q, [low, high])| (low..=high).contains(&q)));
     }
-    // The way back passes the same postures as the way out. Each posture is nearer to the middle of the limits than adjacent
-    // postures that reach the same pose.
+    // The way back passes the same postures as the way out. At each pose, the elbow is where the joints are nearest to the
+    // middle of their limits: adjacent postures of the same pose are farther away.
     let from_middle = |q: &Joints| -> f64 {
         let part = |(q, [low, high]): (&f64, &[f64; 2])| ((q - 0.5 * (low + high)) / (high - low)).powi(2);
         q.iter().zip(&limits).map(part).sum()
@@ -194,8 +194,8 @@ fn an_arm_of_seven_axes_has_a_path_whose_postures_depend_on_the_pose_alone() {
     assert!(refused.to_string().contains("has 7 axes"), "{refused}");
 }
 
-/// A path that moves the gimbal out and back along a spiral about a point, while the end turns slowly to and fro. A person
-/// would design such a path to cover the sphere. `None` if robot or bar cannot follow it.
+/// A path that moves the gimbal out and back along a spiral about a point, while the end turns slowly to and fro. It is a
+/// path that a person could design to cover the sphere. `None` if robot or bar cannot follow it.
 fn spiral(cell: &Cell, middle_rad: &[f64; 5], [size_rad, turn_rad, turns]: [f64; 3]) -> Option<RobotLog> {
     const PERIOD_S: f64 = 0.05;
     let constraints = cell.constraints();
@@ -204,7 +204,7 @@ fn spiral(cell: &Cell, middle_rad: &[f64; 5], [size_rad, turn_rad, turns]: [f64;
     let (mut stamps_s, mut q_rad) = (Vec::new(), Vec::new());
     for row in 0..=(duration_s / PERIOD_S).round() as usize {
         let t_s = row as f64 * PERIOD_S;
-        // The path coordinate starts and ends at rest.
+        // The path coordinate starts and ends with zero speed.
         let part = t_s / duration_s;
         let u = part - (TAU * part).sin() / TAU;
         let (radius, angle) = (size_rad * (0.5 * TAU * u).sin(), TAU * turns * u);
@@ -275,8 +275,8 @@ fn a_search_makes_paths_better_and_is_the_same_for_the_same_seed() {
     assert_ne!(few.route, many.route);
 }
 
-/// Base of the bar, length of the rod and reach of the robot \[m\], repeated to three numbers. The next constant is the
-/// posture \[deg\]. `plan place` chose this placement.
+/// Placement that `plan place` chose: base of the bar, length of the rod and reach of the robot \[m\]. The two lengths are
+/// repeated three times, because all rows must have three numbers. The next constant is the posture \[deg\].
 const UR10_PLACE: [[f64; 3]; 3] = [[-0.9, 0.3, 0.45], [0.4; 3], [1.0; 3]];
 const UR10_POSTURE: [f64; 6] = [-43.0, -85.0, 62.0, 6.0, -22.0, -63.0];
 const IRB120_PLACE: [[f64; 3]; 3] = [[0.2, -0.45, 0.25], [0.3; 3], [0.6; 3]];
@@ -310,7 +310,7 @@ fn poses_alone_are_at_least_as_good_as_the_path_through_them_and_worth_more_the_
         assert!(0.9 * best.variance < best.variance_min && best.variance_min <= best.variance);
         best
     };
-    // Durations at the poses of the path are optimised.
+    // The durations at the poses of this path are optimised.
     let alone = best(40.0);
     assert!(alone.variance.sqrt() < as_driven_m, "{alone:?} {as_driven_m}");
     // The stated variance must agree with the information of the poses with these durations.
@@ -374,7 +374,7 @@ fn what_a_path_must_not_do_is_named_with_the_first_time() {
     fast.q_rad.t_s.iter_mut().for_each(|t_s| *t_s *= 0.25);
     first(&fast, &cell.constraints(), Obstacle::Speed);
     first(&fast, &cell.constraints(), Obstacle::Acceleration);
-    // Each of these constraints is stricter than before in one respect.
+    // For each of these constraints, one limit is stricter than before.
     let checked = cell.check(&sound);
     let mut boxed = cell.constraints();
     let end_m = cell.arm.forward(&sound.q_rad[5000]).translation.vector;
@@ -439,8 +439,8 @@ fn what_a_calibration_knows_already_counts() {
     let [first_alone, second_alone] = [&first, &second].map(|one| information.score(one));
     let together = known.score(&second);
     assert!(together < first_alone && together < second_alone, "{together} {first_alone} {second_alone}");
-    // Both runs are combined in one solve, the second one at another station. Its base, offsets and clock are additional
-    // parameters, so the result is at most as good as without them.
+    // Both runs are combined in one solve, and the bar stands at another station in the second run. Base, offsets and clock
+    // of this run are additional parameters, so the result is at most as good as without them.
     let mut both = first;
     both += &second;
     assert!(together >= information.score(&both));
@@ -511,11 +511,12 @@ fn a_second_station_adds_what_more_of_the_first_does_not() {
         |expected: &ExpectedPosition| [expected.axes_exact_m, expected.with_terms_m, expected.with_plate_m];
     let [alone, twice, both] = [&first.expected, &second.twice_as_long, &second.expected].map(errors);
     for ((alone, twice), both) in alone.into_iter().zip(twice).zip(both) {
-        // Repeating a run divides the effect of noise by the root of two. Directions that a station does
-        // not determine do not improve.
+        // Repeating a run divides the effect of noise by the square root of two. It does not improve
+        // what the station does not determine.
         assert!(both < alone && twice < alone && twice > 0.7 * alone, "{alone} {twice} {both}");
     }
-    // Where the first station does not move the joints, gear errors have their largest effect. A second station reduces it.
+    // Gear errors have their largest effect where the first station does not move the joints. A
+    // second station reduces this effect.
     assert!(both[1] < 0.5 * twice[1], "{both:?} {twice:?}");
 }
 
@@ -531,7 +532,7 @@ fn thicker_links_come_nearer_to_the_rod_by_as_much() {
     assert_eq!(clearance_m(2.0), 0.0);
 }
 
-/// The numbers between the first pair of these brackets, for each line that begins with `word`.
+/// For each line that begins with `word`: the numbers between the first pair of these brackets.
 fn numbers(program: &str, word: &str, [open, close]: [&str; 2]) -> Vec<Vec<f64>> {
     let lines = program.lines().filter_map(|line| line.trim_start().strip_prefix(word));
     lines
@@ -546,15 +547,15 @@ fn numbers(program: &str, word: &str, [open, close]: [&str; 2]) -> Vec<Vec<f64>>
         .collect()
 }
 
-/// Joints at each period of a program from the start of the path, in the unit of the program. A standstill is repeated
-/// for its number of periods.
+/// Joints of a program from the start of the path, one row for each period, in the unit of the program. The row of a
+/// standstill is repeated for the number of its periods.
 fn followed(program: &str, [moves, waits]: [&str; 2], brackets: [&str; 2], period_s: f64) -> Vec<Vec<f64>> {
     let mut points: Vec<Vec<f64>> = Vec::new();
     let mut waits_before = 0;
     for line in program.lines().map(str::trim_start) {
         if let Some(rest) = line.strip_prefix(waits) {
             waits_before += 1;
-            // The first wait precedes the path.
+            // The first wait is before the path.
             if waits_before > 1 {
                 let seconds: f64 = rest.trim_end_matches(';').parse().unwrap();
                 let last = points.last().unwrap().clone();
@@ -597,8 +598,8 @@ fn period_s(program: &str) -> f64 {
     about.split("points ").nth(1).unwrap().split(' ').next().unwrap().parse().unwrap()
 }
 
-/// Checks that the points of a program agree with the rows of the log at their times within `within` \[deg\]. The first
-/// point is `skipped` points after the start of the path.
+/// Checks that the points of a program agree with the rows of the log at the same times. The limit is `within` \[deg\]. The
+/// first point is `skipped` points after the start of the path.
 fn assert_same(points: &[Vec<f64>], logged: &[Vec<f64>], period_s: f64, skipped: usize, within: f64) {
     let end_s = logged.last().unwrap()[0];
     assert_eq!(points.len() + skipped, (end_s / period_s).round() as usize + 1);
@@ -734,7 +735,7 @@ fn a_fanuc_program_has_each_point_once_and_moves_to_them_in_order() {
         let through = format!("{}] {period_ms}msec ", index + 1);
         assert!(matches!(step.strip_prefix(&through), Some("CNT100 ;" | "FINE ;")), "{step}");
     }
-    // A standstill is a wait at an exact stop. The first wait precedes the path.
+    // A standstill is a wait at an exact stop. The first wait is before the path.
     let mut periods = Vec::new();
     let mut standstills = 0;
     for line in lines.iter().skip_while(|line| !line.contains("PAUSE")).skip(2) {
@@ -788,7 +789,8 @@ fn read_by_python(script: &str, program: &str) -> Vec<Vec<f64>> {
     lines.lines().map(|line| line.split(' ').map(|angle| angle.parse().unwrap()).collect()).collect()
 }
 
-/// Python code that parses a module by RAPID's grammar. Prints the targets of its moves, and their times except the first.
+/// Python code that parses a module by RAPID's grammar. It prints the target of each move, and the
+/// times of all moves except the first.
 const RAPID: &str = r#"
 import sys
 from rapidchecker.parser.grammar import module
@@ -841,8 +843,8 @@ fn an_independent_parser_of_rapid_finds_the_joints_and_times_of_the_path() {
 }
 
 /// Python code that runs a URScript program as Python. Both languages have the same expressions, lists, loops and calls.
-/// Only `end` and the keywords of scope differ. The block that an `end` closes must begin in the same column. Prints the
-/// command to the servo loop at each step of a controller with step `dt`.
+/// Only `end` and the keywords of scope differ. The block that an `end` closes must begin in the same column as the `end`.
+/// At each step of a controller with step `dt`, the code prints the command to the servo loop.
 const URSCRIPT: &str = r#"
 import sys
 lines, open_blocks = [], []
@@ -890,7 +892,7 @@ fn a_urscript_program_that_is_run_drives_the_path_in_its_time() {
         let steps = steps.iter().filter(|step| step[0] == step_s).map(|step| &step[1..]);
         let steps: Vec<Vec<f64>> =
             steps.map(|step| step.iter().map(|angle| angle.to_degrees()).collect()).collect();
-        // Between points, the cubic of the program differs from the spline through the log. The difference is less than the
+        // Between points, the program uses a cubic, and the log is interpolated by a spline. They differ by less than the
         // motion of the robot in a millisecond at 1.2 rad/s.
         let within = 1.2e-3_f64.to_degrees();
         assert_eq!(steps.len(), (30.0 / step_s).round() as usize + 1);
@@ -1012,8 +1014,8 @@ fn a_browser_draws_the_arm_along_the_path_and_asks_nobody_else() {
 #[test]
 #[ignore = "plans paths of two robots and calibrates runs on each: a minute"]
 fn the_error_of_a_calibration_is_the_one_that_was_expected_of_its_path_and_terms() {
-    // Only these groups of terms exist in the joints of the laboratory. Of terms that do not exist, some are selected by
-    // chance. The error is then not the one that their group has on average.
+    // Only these groups of terms exist in the joints of the laboratory. Some terms that do not exist are selected by chance.
+    // In such a run, the error is not the average error of the group.
     const PRESENT: [TermGroup; 4] =
         [TermGroup::GearTwice, TermGroup::Cycloid, TermGroup::LineSpectrum, TermGroup::EncoderHarmonics];
     // Standard deviation of the squared error of one run, divided by its expected value. In 80 runs it was 0.6 and
@@ -1048,8 +1050,8 @@ fn the_error_of_a_calibration_is_the_one_that_was_expected_of_its_path_and_terms
             information.position(&found.normal),
             information.with_each(&found.normal)
         );
-        // The tolerance is three standard deviations of a root mean square. Once in a thousand cases, four of ten runs
-        // select a term that does not exist.
+        // The tolerance is three standard deviations of a root mean square. Four of ten runs select a term that does not
+        // exist only once in a thousand cases.
         assert!((ratio - 1.0).abs() < 1.5 * SIGMA / runs.sqrt() && 10 * squared.len() > 6 * seeds as usize);
     }
 }
@@ -1088,7 +1090,7 @@ fn places_in_millimetres_and_unknown_units_of_time_are_answered_with_what_to_typ
     assert!(base.contains("in metres") && base.contains("write --base 1,0.05,0.35"), "{base}");
     let floor = told(&["--floor", "350"]);
     assert!(floor.contains("write --floor 0.35"), "{floor}");
-    // `2` means two seconds. The unit is the same as for `ballbard start --duration 90`, which records ninety seconds.
+    // `2` means two seconds. The unit is the same as in `ballbard start --duration 90`, which records ninety seconds.
     let short = told(&["--duration", "2"]);
     assert!(short.contains("--duration of at least 15 s"), "{short}");
     let unknown = told(&["--duration", "5x"]);
@@ -1127,7 +1129,7 @@ fn a_path_of_seven_axes_says_where_the_bar_stands_and_no_program_has_its_reason(
     assert!(said.contains("gimbal in the robot's base frame: 0.200, -0.300, 0.500 m (--base)"), "{said}");
     assert!(said.contains("not end where it begins") || said.contains("ends where it begins"), "{said}");
     assert!(said.contains("no program") && said.contains("--program"), "{said}");
-    // For arms with more configurations than those of elbow and wrist, no bound is known.
+    // A bound is only known for arms whose configurations are those of elbow and wrist.
     assert!(!said.contains("efficiency"), "{said}");
     let page = std::fs::read_to_string(room.join("out/path.html")).unwrap();
     assert!(page.contains("0.200, -0.300, 0.500 m") && page.contains("where it begins"));

@@ -43,7 +43,8 @@ fn refusal(run: &Simulated, robot: &RobotConfig, bar: &BallBarConfig) -> String 
 /// Error of the estimated clock difference at the reference time \[ms\].
 fn clock_error_ms(found: &Prepared, run: &Simulated) -> f64 {
     let truth = &run.truth.clock;
-    // Computes in integers, except for the small drift, because the clocks may be nanoseconds since 1970.
+    // Compute in integers, except for the small drift, because the clocks may count nanoseconds since
+    // 1970, which an f64 cannot represent.
     let passed_ns = found.t_ref.ns_since(truth.bar_start);
     let difference_ns = truth.robot_at_bar_start_ns - truth.bar_start.0;
     let drift_ns = passed_ns as f64 * truth.skew;
@@ -132,7 +133,7 @@ fn a_recording_of_a_part_of_the_log_is_placed_in_it() {
     let (robot, bar) = (irb2400(), bar());
     let mut run = run(&robot, &bar, |e| e.design.duration_s = 120.0);
     run.cycles = run.cycles[7000..9500].to_vec();
-    // In such a short motion, errors of the nominal robot have a larger effect on the result.
+    // In so short a motion, errors of the nominal robot have a larger effect on the result.
     check_within(&prepared(&run, &robot, &bar).unwrap(), &run, "a part", [5.0, 8.0]);
 }
 
@@ -178,7 +179,7 @@ fn observations_carry_the_true_joints_and_the_motion_the_true_robot() {
             let error = observation.bar_rad[joint] + encoder.offset_rad - bar_joints[joint];
             assert!((error - (error / TAU).round() * TAU).abs() < 0.3e-6);
         }
-        // Apart from the error of the alignment, the interpolated motion is that of the true robot.
+        // The interpolated motion is that of the true robot, except for the error of the alignment.
         let tau_s = observation.t_s * (1.0 + run.truth.clock.skew) - late_s;
         let state = found.motion.at(tau_s).unwrap();
         let pose = run.motion.robot.forward(&state.q);

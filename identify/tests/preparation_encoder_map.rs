@@ -1,5 +1,5 @@
-//! Encoders are connected in any order and direction. The program determines both from the data, reports them, or
-//! requests them from the user.
+//! Encoders are connected in any order and direction. The program determines order and direction from the data and reports
+//! them. If the data do not determine them, the user must state them.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use crate::support::laboratory::exchange;
@@ -46,7 +46,7 @@ fn shuffled_and_reversed_encoders_calibrate_without_a_hand() {
         let mut run = run(&robot, &bar);
         let order: &[usize] = if four { &[3, 0, 2, 1] } else { &[4, 2, 0, 3, 1] };
         let true_joints: Vec<u8> = run.encoders.iter().map(|encoder| encoder.joint).collect();
-        // Joints 1, 3 and 5 cannot be reversed together, because this would be the mirror image.
+        // Joints 1, 3 and 5 cannot all be reversed, because this would be the mirror image of the motion.
         let places: &[usize] = if four { &[0, 1, 2] } else { &[0, 1, 4] };
         reversed(&mut run, places);
         exchange(&mut run, order);
@@ -143,7 +143,7 @@ fn a_stated_order_that_does_not_fit_is_refused_with_the_one_that_does() {
     }
 }
 
-/// Generated pairs of recorded and predicted angles, in which the two joints of each pair in `alike` move together.
+/// Generated pairs of recorded and predicted angles. Each entry of `alike` is a pair of joints that move together.
 fn pairs(alike: &[[usize; 2]]) -> Vec<AnglePair> {
     let motion = |k: f64, joint: usize| (0.05 * k * (1.0 + 0.37 * joint as f64)).sin() + 0.3 * joint as f64;
     (0..400)
@@ -173,7 +173,7 @@ fn joints_that_move_together_leave_the_order_open_and_it_is_asked_for() {
     for choice in ["--encoders 3,2,1,4,5 for", "--encoders 3,2,1,5,4 for"] {
         assert!(message.contains(choice), "{message}");
     }
-    // The recorded order is one of several that agree with the data. It is used, and the other one is reported.
+    // The data agree with several orders. The recorded order is one of them and is used. The other one is reported.
     let found = find_encoder_map(&pairs(&[[0, 2]]), &[1, 2, 3, 4, 5], &options).unwrap();
     assert!(found.used.is_as_recorded() && found.others.len() == 1, "{found:?}");
 }
@@ -210,7 +210,7 @@ fn an_ambiguous_encoder_map_of_a_whole_run_is_asked_for_and_what_is_typed_resolv
     let wanted: Vec<(u8, bool)> = (1..=5).map(|joint| (joint, false)).collect();
     assert_eq!(joints_and_directions(&found.encoder_map.used), wanted);
     assert!(found.encoder_map.others.is_empty());
-    // The geometry is fitted, so the base tilt no longer affects the angles.
+    // The preparation has fitted the geometry, so the base tilt no longer affects the angles.
     let spreads = found.offsets.iter().map(|offset| offset.spread_rad * 1e3);
     assert!(spreads.clone().all(|spread| spread < 1.0), "{:?} mrad", spreads.collect::<Vec<_>>());
 }

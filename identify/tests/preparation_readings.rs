@@ -1,5 +1,5 @@
 //! Processing of the readings before the alignment: unwrapping of counters and joints, and the moving average. The tests
-//! also check how reports show them.
+//! also check how reports show this processing.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::f64::consts::TAU;
@@ -15,8 +15,8 @@ fn middle(values: impl Iterator<Item = f64>) -> f64 {
     0.5 * (low + high)
 }
 
-/// Checks that the used readings have no jump. They may differ from the recorded ones by whole periods and a constant.
-/// `sign` is the direction in which counts increase with the angle.
+/// Checks that the readings in use have no jump. They may differ from the recorded readings by whole periods and a constant.
+/// `sign` is 1 if counts increase with the angle, and -1 if they decrease.
 fn assert_continuous(one: &Unwrapped, sign: f64) {
     let points = &one.points;
     assert!(points.len() > 20 && points.windows(2).all(|pair| pair[0].t_s < pair[1].t_s));
@@ -103,8 +103,8 @@ fn the_average_takes_noise_and_in_motion_hardly_more_than_at_standstill() {
     for side in [&averaged.bar, &averaged.robot] {
         for (still, moving) in side.still_rad.iter().zip(&side.moving_rad) {
             let (still, moving) = (still.unwrap() * 1e6, moving.unwrap() * 1e6);
-            // The average contains a small fraction of the noise of each reading, so the difference of
-            // the two is slightly smaller.
+            // The average contains a small fraction of the noise of each reading. Therefore the difference between reading
+            // and average is slightly smaller than the noise of a reading.
             assert!((25.0..30.5).contains(&still) && (moving - still).abs() < 3.0, "{still} {moving}");
         }
         let fastest = &side.fastest;

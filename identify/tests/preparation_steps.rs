@@ -164,7 +164,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(20))]
     #[test]
     fn points_are_spread_over_the_sphere_and_not_over_time(points_max in 100usize..1200, often in 2000i64..20_000) {
-        // The path crosses a small cap repeatedly and the rest of the sphere only once.
+        // The path crosses a small cap of the sphere repeatedly, and the rest of the sphere only once.
         let pole = Vector3::new(0.3, -0.5, 0.8).normalize();
         let mut directions: Vec<Vector3<f64>> = (0..2000).map(anywhere).collect();
         directions.extend((0..often).map(|k| (pole + 0.05 * anywhere(k + 9000)).normalize()));
@@ -174,7 +174,7 @@ proptest! {
         prop_assert!(kept.windows(2).all(|pair| pair[0] < pair[1]));
         let of = |sample: &usize| directions[(sample - 7) / 3];
         prop_assert!(kept.iter().all(|sample| sample % 3 == 1));
-        // The cap has a thousandth of the area, but most of the samples.
+        // In the path, the cap has a thousandth of the area, but most of the samples.
         let in_cap = kept.iter().filter(|sample| of(sample).angle(&pole) < 0.06).count();
         prop_assert!((in_cap as f64) < 0.1 * points_max as f64, "{} of {}", in_cap, points_max);
         // Every octant has samples.
@@ -198,7 +198,7 @@ fn a_moving_average_of_100_ms_from_the_configuration_takes_noise_from_both_logs(
     let [as_logged, averaged] = ["", AVERAGED].map(|options| prepared(&noisy, options));
     let spreads = [&as_logged, &averaged].map(spread_urad);
     println!("{spreads:?} urad");
-    // Ten samples of the bar and 25 of the robot are averaged to one. The average has 1.2 times the noise of their mean.
+    // The average combines ten samples of the bar and 25 of the robot. Its noise is 1.2 times the noise of their mean.
     assert!(spreads[1] < 0.45 * spreads[0], "{spreads:?}");
     let shift_ms = |found: &Prepared| {
         let passed_s = found.t_ref.seconds_since(noisy.truth.clock.bar_start);
@@ -206,14 +206,14 @@ fn a_moving_average_of_100_ms_from_the_configuration_takes_noise_from_both_logs(
         let drift_ns = passed_s * 1e9 * noisy.truth.clock.skew;
         ((found.alignment.clock_difference_ns - difference_ns) as f64 - drift_ns) * 1e-6
     };
-    // The average is centred, so it shifts neither log.
+    // The average is centred on its sample, so it shifts neither log in time.
     assert!(shift_ms(&averaged).abs() < 0.2, "{} ms", shift_ms(&averaged));
 }
 
 #[test]
 fn no_good_sample_looks_bad_for_being_averaged() {
-    // Without noise, all residuals come from the average. A plain mean would attenuate the fast parts of a path. Hundreds of
-    // samples would then be classified as outliers.
+    // Without noise, only the average can cause residuals. A plain mean would attenuate the fast parts of a path, and
+    // hundreds of samples would be classified as outliers.
     let clean = run(Effects::NONE);
     let [as_logged, averaged] = ["", "moving_average_ms = 100.0"].map(|options| prepared(&clean, options));
     let spreads = [&as_logged, &averaged].map(spread_urad);

@@ -35,8 +35,8 @@ fn refused(run: &Simulated) -> String {
     refusal(run, &bar(), &IdentifyConfig::default())
 }
 
-/// Calibrates the same run from files on the command line. It must be refused with the text `why`, and only a page with
-/// this text may be written.
+/// Calibrates the same run from files on the command line. The command must refuse the run with the text `why`, and
+/// must write only a page with this text.
 fn leaves_a_page(run: &Simulated, bar: &BallBarConfig, why: &str, extra: &[&str]) {
     Typed::new(run, &irb2400(), bar).refused(&[why], extra);
 }
@@ -55,17 +55,17 @@ fn a_slipped_encoder_is_named_with_time_and_size() {
 #[test]
 #[ignore = "eleven runs: a quarter of a minute"]
 fn slips_of_all_sizes_are_named_with_time_and_size() {
-    // These slips are smaller than the effect of errors of nominal links. Only calibrated links reveal them.
+    // These slips are smaller than the effect of errors of nominal links. Only a fit of the links reveals them.
     let smallest = [(1, 3000, 0.5), (2, 6000, -0.6), (3, 1500, 0.5), (4, 4000, -0.6)];
     let small = [(0, 3000, 5.0), (3, 4000, -0.6), (4, 5000, 15.0), (2, 2000, 40.0)];
-    // These slips are so large that the encoder agrees with no joint, or so large and late that most
-    // of the run still agrees.
+    // These slips are so large that the encoder agrees with no joint. Some are so late that
+    // most of the run nevertheless agrees.
     let large = [(0, 4000, 90.0), (4, 5500, 1000.0), (3, 4100, -2500.0)];
     slips_are_named(&[&smallest[..], &small, &large].concat());
 }
 
-/// Checks that a slip of an encoder is reported. Each entry has the joint of the bar from 0, the first cycle after the
-/// slip, and its size \[mrad\].
+/// Checks that the slip of an encoder is reported, for each entry of `slips`: the joint of the bar from 0, the first cycle
+/// after the slip, and the size of the slip \[mrad\].
 fn slips_are_named(slips: &[(usize, usize, f64)]) {
     let clean = laboratory(|_| {});
     for &(place, at, mrad) in slips {
@@ -98,7 +98,8 @@ fn jumps_of_all_sizes_are_told_with_time_and_size() {
     jumps_are_told(&in_the_middle.into_iter().chain(elsewhere).collect::<Vec<_>>());
 }
 
-/// Checks that a jump of the robot's clock is reported. Each entry has its size \[s\] and the fraction of the log before it.
+/// Checks that a jump of the robot's clock is reported, for each entry of `jumps`: its size \[s\], and the
+/// fraction of the log that is before it.
 fn jumps_are_told(jumps: &[(f64, f64)]) {
     let clean = laboratory(|_| {});
     for &(jump_s, part) in jumps {
@@ -112,13 +113,14 @@ fn jumps_are_told(jumps: &[(f64, f64)]) {
             run.robot_log.q_rad.rows.drain(at..at + surplus);
         }
         let told = refused(&run);
-        // A jump of the stamps alone, during an even motion, has no effect. A jump is harmful if rows are missing although
-        // the stamps have no gap.
+        // If only the stamps jump, during an even motion, the jump has no effect. A jump is harmful if rows are
+        // missing although the stamps have no gap.
         if jump_s == -0.04 {
             leaves_a_page(&run, &bar(), "a clock jumps during the run", &[]);
         }
         assert!(told.contains("a clock jumps during the run"), "{told}");
-        // If only whole segments of the run reveal a jump, its time is reported less precisely.
+        // If the program finds a jump only by comparing whole segments of the run, the time of
+        // the jump is reported less precisely.
         let within_s = if jump_s < 0.1 { 3.0 } else { 15.0 };
         assert!((number_before(&told, " s after") - 80.0 * part).abs() < within_s, "{part}: {told}");
         assert!(

@@ -40,8 +40,7 @@ fn slip() -> Refused {
     typed(&slipped(simulated(1), 0, 1000, 15.0)).refused(&["encoder of joint 1 slips"], &[])
 }
 
-/// Position of the red line on the time axis of each figure, from 0 to 1, with the title of the figure. Figures without a
-/// red line are left out.
+/// For each figure with a red line: the title of the figure, and the position of the line on the time axis, from 0 to 1.
 fn marks(page: &str) -> Vec<(String, f64)> {
     // Layout of the figures: three units per pixel. The axis extends from 62 to 326 px of 340 px.
     const AXIS: [f64; 2] = [186.0, 978.0];
@@ -87,13 +86,13 @@ fn an_encoder_that_is_dead_while_the_others_move_is_named() {
 #[test]
 fn a_clock_that_jumps_is_marked_in_all_joints() {
     let mut run = simulated(1);
-    // The step is only in the stamps of the bar. A step of the robot's stamps would already be found
-    // in the robot's log itself.
+    // Only the stamps of the bar have the step. A step of the robot's stamps would already
+    // be found in the robot's log itself.
     let at = run.cycles.len() / 2;
     run.cycles[at..].iter_mut().for_each(|cycle| cycle.sample_time = cycle.sample_time.plus_ns(20_000_000));
     let Refused { page, .. } = typed(&run).refused(&["a clock jumps during the run"], &[]);
     let marks = marks(&page);
-    // Marks are in six figures of the encoders and the alignment, in five of the recording, and in six of the robot's log.
+    // Six figures of the encoders and the alignment, five of the recording, and six of the robot's log have a mark.
     assert_eq!(marks.len(), 6 + 5 + 6, "{marks:?}");
     assert!(page.contains("Find out what sets the clock and record again"));
 }
@@ -194,8 +193,8 @@ fn an_older_calibration_is_set_aside_and_a_newer_one_takes_the_page_away() {
     for name in older {
         assert_eq!(std::fs::read_to_string(earlier.join(name)).unwrap(), format!("older {name}"));
     }
-    // After a second refusal there is no calibration that would have to be moved. A calibration that was written in between
-    // must not replace the one that was moved first.
+    // After a second refusal there is no calibration to move. If a calibration was written between two refusals, it must not
+    // replace the one that was moved first.
     let (told, _) = refused();
     assert!(!told.contains("is now in") && !out.path().join("earlier-2").exists(), "{told}");
     std::fs::write(out.path().join("calibration.toml"), "newer").unwrap();

@@ -1,4 +1,5 @@
-//! The page of a calibration. Its statements must be true, and a browser must show it without requests to other hosts.
+//! The page of a calibration. The page must state only what is true, and a browser must show
+//! it without requests to other hosts.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::sync::OnceLock;
@@ -111,7 +112,8 @@ fn the_error_that_the_page_expects_is_the_error_that_the_robot_has() {
         let [low, high] = expected.interval_m;
         inside += usize::from((low..=high).contains(&truth_m));
     }
-    // Of eight 95 % intervals, two do not contain the true value once in twenty cases, and three once in two hundred.
+    // By chance, two of eight 95 % intervals do not contain the true value once in twenty cases,
+    // and three do not once in two hundred.
     assert!(inside >= 6, "{inside} of {SEEDS} inside");
 }
 
@@ -136,7 +138,8 @@ fn segments_that_no_fit_has_seen_are_predicted_to_the_noise() {
 fn an_error_that_one_segment_alone_has_shows_where_it_is_held_out() {
     let robot = irb2400();
     let mut run = simulated(&robot, 2);
-    // From here on, the third joint drifts: its reported angle is too large by an increasing amount, without a step.
+    // Add a drift of the third joint from this row on: its reported angle is too large by an
+    // increasing amount, without a step.
     let rows = run.robot_log.q_rad.len();
     for (row, q) in run.robot_log.q_rad.iter_mut().enumerate().skip(rows * 7 / 8) {
         q[2] += 1e-3 * (8.0 * row as f64 / rows as f64 - 7.0);
@@ -193,8 +196,8 @@ fn with_fewer_encoders_no_rotation_is_shown() {
     let found = calibrate_run(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, &quick());
     let found = found.unwrap();
     let text = page_text(&found, &evidence_of(&found, &robot), &robot);
-    // If encoders are missing, the rotation of the bar is taken from the robot. Comparing the two would
-    // make the errors too small.
+    // If encoders are missing, the rotation of the bar is taken from the robot. A comparison of the two
+    // rotations would give too small errors.
     assert!(text.contains("Position, calibrated without") && !text.contains("Rotation"));
 }
 

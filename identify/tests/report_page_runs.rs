@@ -126,7 +126,8 @@ fn a_calibration_of_the_bar_alone_expects_of_the_robot_what_it_was_before() {
     let limits = &robot.joint_limits();
     let evidence = evidence(&found, limits).with_validation(&found, None).unwrap();
     let WorkspaceError { before, after, .. } = evidence.workspace;
-    // Both are millimetres, because every link may be wrong by its tolerance. They differ only by rounding.
+    // Each mean error is of the order of millimetres, because every link may be wrong by its
+    // tolerance. The two differ only by rounding.
     let apart_m = (before.mean_m - after.mean_m).abs().max((before.p95_m - after.p95_m).abs());
     assert!(apart_m < 1e-12 && after.mean_m > 1e-3, "{before:?} {after:?}");
     assert!(page_text(&found, &evidence, &robot).contains("Calibrated. "));
@@ -180,7 +181,7 @@ fn what_a_recording_of_another_program_leaves_unsaid_stands_in_the_page() {
         assert!(inputs.contains(unsaid), "{unsaid}");
     }
     assert_eq!(inputs.matches("not in the file").count(), 5);
-    // The figure shows the 24 bits of the file, not the 32 bits of the records.
+    // The figure shows the 24 bits that counters have in the file, not the 32 bits of the records.
     let turns = 16_777_216.0 / 14_745_600.0;
     assert!(turns < 1.5 && text.contains("b1 in the file") && !text.contains("counter [turns]"));
     assert!(text.len() < 3_000_000, "{} bytes", text.len());

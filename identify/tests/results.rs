@@ -31,7 +31,7 @@ fn file(model: &Model, solution: &Solution) -> CalibrationFile {
         .with_knowledge(solution, &columns)
 }
 
-/// The chain `name` (robot or bar) from a table of links. The root of the bar has its base.
+/// The chain `name` (robot or bar) from a table of links. The root of the bar's chain contains the pose of the bar's base.
 fn chain(rows: &[DhRow], name: &str, links: usize) -> Chain {
     let mut chain = Chain::new(Pose::identity(), vec![DhLink::default(); links]);
     for row in rows.iter().filter(|row| row.chain == name) {
@@ -92,7 +92,7 @@ fn offset_deg(table: &str, joint: usize) -> f64 {
 fn a_joint_has_one_offset_in_the_table_and_in_what_a_controller_takes() {
     let (model, solution) = solved();
     let mut written = file(&model, &solution);
-    // If links alone are fitted, the result differs from the links of the full model.
+    // If only links are fitted, the result differs from the links of the full model.
     let mut alone = model.clone();
     for joint in 2..6 {
         let id = format!("rtheta{joint}").parse().unwrap();

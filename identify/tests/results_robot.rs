@@ -126,7 +126,7 @@ fn read_back(text: &str) -> Vec<Correction> {
     csv::Reader::from_reader(text.as_bytes()).deserialize().map(|row| row.unwrap()).collect()
 }
 
-/// The nominal links with the numbers of the rows added, as a person would enter them.
+/// The nominal links, after the numbers of the rows are added to them, as a person would do.
 fn corrected_links(nominal: &Chain, rows: &[Correction]) -> Chain {
     let mut chain = nominal.clone();
     for row in rows.iter().filter(|row| row.what.starts_with("link")) {
@@ -178,7 +178,7 @@ fn corrections_read_back_and_applied_to_joints_or_to_the_log_give_the_identified
             let by_mapped_log = mapped.to_joint(&Joints::from_fn(6, of));
             for corrected in [by_joints, by_log, by_mapped_log] {
                 let found = links.forward(&corrected).to_homogeneous();
-                // Poses are equal up to the number of digits that controllers accept.
+                // Poses are equal to as many digits as controllers accept.
                 assert!((found - chain.forward(joints).to_homogeneous()).amax() < 5e-6);
             }
         }
@@ -255,8 +255,8 @@ fn a_calibration_of_schema_1_is_read_with_all_of_its_clocks() {
     assert_eq!(CalibrationFile { clocks: Vec::new(), ..read }, written);
 }
 
-/// Gear errors of the first joint and, with a high harmonic order, of a wrist joint; and the deflection under
-/// the weight of the tool.
+/// Terms of the robot: a gear error of the first joint, a gear error of a wrist joint with a high harmonic order, and the
+/// deflection under the weight of the tool.
 const TERMS: [(&str, f64); 3] = [("rsin1_1", 2e-4), ("rcos17_5", 3e-5), ("rtool_2", 1e-4)];
 
 fn file_with_terms(robot: &RobotConfig) -> CalibrationFile {
@@ -335,7 +335,8 @@ fn the_uncertainty_of_a_pose_is_that_of_moving_each_parameter() {
         for (column, name) in names.iter().enumerate() {
             let [less, more] = [-H, H].map(|by| moved(name, by).forward(q).unwrap());
             let linear = (more.translation.vector - less.translation.vector) / (2.0 * H);
-            // The rotations are small. An angle from the trace would have only half of the digits.
+            // The rotations are small. If their angle were computed from the trace, only
+            // half of the digits would be correct.
             let turn = (more.rotation * less.rotation.inverse()).into_inner();
             let angular = Vector3::new(
                 turn[(2, 1)] - turn[(1, 2)],

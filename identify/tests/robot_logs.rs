@@ -85,12 +85,12 @@ fn a_written_log_reads_back_the_same_for_both_robots() {
 #[test]
 fn motors_of_the_irb_2400_turn_its_joints_as_the_transmission_says() {
     let conversion = JointConversion::new(&irb().log).unwrap();
-    // Expected values follow from the gear ratios. Because of the parallel rod, motor 2 at 12999/100 rad turns joint 2 by 1
-    // and joint 3 by -1.
+    // Expected values follow from the gear ratios. Because of the parallel rod, a motor 2 at 12999/100 rad turns
+    // joint 2 by 1 rad and joint 3 by -1 rad.
     let q = conversion.to_joint(&[0.0, 129.99, 0.0, 0.0, 0.0, 0.0]);
     let expected = [0.0, 1.0, -1.0, 0.0, 0.0, 0.0];
     assert!(q.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{q:?}");
-    // Motor 4 at 55 rad turns joint 4 by -1, joint 5 by -55/759 and joint 6 by -62 * 55/41745.
+    // Motor 4 at 55 rad turns joint 4 by -1 rad, joint 5 by -55/759 rad and joint 6 by -62 * 55/41745 rad.
     let q = conversion.to_joint(&[0.0, 0.0, 0.0, 55.0, 0.0, 0.0]);
     let expected = [0.0, 0.0, 0.0, -1.0, -0.072_463_768_115_942, -0.081_686_429_512_516];
     assert!(q.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{q:?}");
@@ -104,7 +104,7 @@ fn motors_of_the_irb_2400_turn_its_joints_as_the_transmission_says() {
 fn the_log_of_the_nj_220_has_other_signs_and_a_parallel_rod() {
     let conversion = JointConversion::new(&nj().log).unwrap();
     let q = conversion.to_joint(&[10.0, 20.0, -30.0, 40.0, 50.0, 60.0]);
-    // Joint 3 is q3 = -l3 - q2 = 30 - 20.
+    // For joint 3, the relation is q3 = -l3 - q2 = 30 - 20, with the logged angle l3.
     let expected = [-10.0_f64, 20.0, 10.0, -40.0, 50.0, -60.0];
     assert!(q.iter().zip(expected).all(|(a, b)| (a - b.to_radians()).abs() < 1e-12), "{q:?}");
 }
@@ -205,7 +205,7 @@ fn no_healthy_log_loses_a_row() {
         };
         let (fine, rough) = (noisy(20e-6), noisy(1e-3));
         let coarse = |deg: f64| smooth.iter().map(|q| stepped(q, deg.to_radians())).collect::<Vec<_>>();
-        // The play closes immediately when a joint reverses.
+        // When a joint reverses, the play is taken up immediately.
         let play: Vec<Joints> = smooth
             .windows(2)
             .map(|pair| Joints::from_fn(6, |j| pair[1][j] + 0.6e-3 * (pair[1][j] - pair[0][j]).signum()))

@@ -1,8 +1,8 @@
-//! Calibrates from files of trackers, wires and balls in sockets with the command `identify`. The robots have known
-//! truth, and gear and load errors that are not modelled. The stated error is compared with that of the full model with
-//! its joint terms. Files without faults must not be refused, and their stated errors must be correct. Corrupted files
-//! must be refused or flagged, or the corruption must be harmless. `IDENTIFY_SPOILS=joint` selects the corruptions with
-//! this text in their name.
+//! Calibrates from files of trackers, wires and balls in sockets with the command `identify`. The truth of the robots is
+//! known, and they have gear and load errors that are not modelled. The error that a result states is the one of the full
+//! model with its joint terms. It is compared with the true error of this model. Files without faults must not be refused,
+//! and the errors that are stated for them must be correct. Corrupted files must be refused or flagged, or the corruption
+//! must be harmless. `IDENTIFY_SPOILS=joint` evaluates only corruptions with this text in their name.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -50,7 +50,7 @@ enum Readings {
     Contacts(Box<SimulatedContacts>),
 }
 
-/// A function that returns the true joints of a robot at these reported joints.
+/// A function that returns the true joints of a robot for reported joints.
 type Stands = Rc<dyn Fn(&Joints) -> Joints>;
 
 /// A file of rows and its truth.
@@ -59,7 +59,7 @@ pub struct Rows {
     /// The robot as it is configured.
     robot: RobotConfig,
     pub truth: Chain,
-    /// `None` for contacts. Their comparison uses only links.
+    /// `None` for contacts, for which only links are compared.
     stands: Option<Stands>,
     joints: Vec<Joints>,
     measured: Readings,
@@ -161,7 +161,8 @@ pub fn rows(kind: Kind, robot: &RobotConfig, seed: u64, level: &Level) -> Rows {
 /// Result of the command for a file.
 pub enum Told {
     Refused(String),
-    /// Grade of the verdict, stated error (k = 2), true error as a mean over the workspace \[m\], and reason of the verdict.
+    /// Grade of the verdict, stated error (k = 2) \[m\], true error as a mean over the
+    /// workspace \[m\], and reason of the verdict.
     Calibrated(Grade, f64, f64, String),
 }
 
@@ -278,7 +279,7 @@ impl Rows {
         self.from(0.0, change);
     }
 
-    /// Moves the measured positions by `by_m`, a function of the fraction of the file that has passed \[m\].
+    /// Displaces the measured positions. `by_m` returns the displacement for the fraction of the file that has passed \[m\].
     fn moved(&mut self, by_m: impl Fn(f64) -> f64) {
         let part = |row: usize, count: usize| row as f64 / count as f64;
         match &mut self.measured {
@@ -329,7 +330,8 @@ impl Rows {
 type Spoil = fn(&mut Rows);
 
 const EACH: &[Kind] = &KINDS;
-/// Corruptions for all instruments except a wire, because its lengths are also those of the mirror image.
+/// Corruptions for all instruments except a wire. Lengths of a wire are equal in a mirror image, so
+/// they cannot reveal these corruptions.
 const NO_WIRE: &[Kind] = &[Kind::Tracker, Kind::Positions, Kind::Contact];
 const TRACKER: &[Kind] = &[Kind::Tracker, Kind::Positions];
 const TURNS: &[Kind] = &[Kind::Tracker];
@@ -422,8 +424,8 @@ fn spoils() -> Vec<(&'static str, &'static [Kind], Spoil)> {
     ]
 }
 
-/// On this arm, joint 3 moves with the drive of joint 2, so the error is not the ratio of a drive. Harmonics of the joint
-/// describe it within the measured range, but not beyond.
+/// On this arm, joint 3 also moves with the drive of joint 2, so an error of the joint's angle is not the ratio error of a
+/// drive. Harmonics of the joint describe the error within the measured range, but not beyond.
 #[test]
 fn a_joint_that_is_logged_wrong_by_one_per_cent_is_not_green() {
     let mut spoiled = rows(Kind::Tracker, &irb2400(), 1, &USUAL);
@@ -439,7 +441,7 @@ fn a_joint_that_is_logged_wrong_by_one_per_cent_is_not_green() {
 #[ignore = "a hundred calibrations of two robots each, most of which end early: minutes"]
 fn spoiled_rows_are_refused_or_flagged_or_do_no_harm() {
     let wanted = std::env::var("IDENTIFY_SPOILS").unwrap_or_default();
-    // By default only a fraction of the corruptions is evaluated. If some are selected by name, all of these are evaluated.
+    // By default only a fraction of the corruptions is evaluated. Corruptions that are selected by name are all evaluated.
     let step = if wanted.is_empty() { step() } else { 1 };
     let (mut wrong, mut number) = (Vec::new(), 0);
     for robot in [irb2400(), ur10()] {

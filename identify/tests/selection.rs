@@ -63,7 +63,8 @@ fn terms_are_taken_where_the_robot_has_the_error_and_left_out_where_not() {
     let offered: Vec<TermGroup> = none.solved.candidates.iter().map(|one| one.group).collect();
     let groups = TermGroup::OF_ROBOT.into_iter().chain([TermGroup::BarLength]);
     for group in groups {
-        // Lines are only offered if the spectrum of the residuals shows them. The spectrum of noise shows none.
+        // A line spectrum is only offered if the spectrum of the residuals contains lines.
+        // The spectrum of noise contains none.
         assert_eq!(offered.contains(&group), group != TermGroup::LineSpectrum, "{group:?}");
     }
     for (effects, group) in [
@@ -120,13 +121,14 @@ fn lobes_of_gears_that_nobody_has_counted_are_found() {
     let waves: Vec<(usize, f64, f64)> = waves.collect();
     println!("{waves:?}");
     for (axis, lobes) in LOBES.into_iter().enumerate() {
-        // A drive that turns only by a sixth of a turn does not resolve the order. It may be found as 45 instead of 44.
+        // A drive that turns only by a sixth of a turn does not determine the order exactly. The
+        // order may be found as 45 instead of 44.
         let mut near = waves.iter().filter(|wave| wave.0 == axis && (wave.1 - lobes).abs() <= 1.0);
         let found = near.next().map(|(_, _, urad)| *urad);
         assert!(found.is_some_and(|urad| (urad - 20.0).abs() < 5.0), "axis {}: {found:?} urad", axis + 1);
     }
-    // The simulated error of the gears also has a harmonic of twice its order with a quarter of its amplitude.
-    // There are no other harmonics.
+    // The simulated gear error has two harmonics: one of its order, and one of twice this
+    // order with a quarter of the amplitude.
     let is_true = |(axis, order, _): &(usize, f64, f64)| {
         let lobes = LOBES[*axis];
         (order - lobes).abs() <= 1.0 || (order - 2.0 * lobes).abs() <= 2.0

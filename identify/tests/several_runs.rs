@@ -1,4 +1,5 @@
-//! Several runs in one solve. They share the robot, but each run has its own clock, base position and encoder offsets.
+//! Several runs in one solve. All runs have the same robot, but each run has its own clock,
+//! base position and encoder offsets.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 
 use crate::support::{Cell, bar, irb2400};

@@ -77,8 +77,8 @@ fn close(found: &[f64], expected: &[f64], relative: f64) {
     }
 }
 
-/// Two columns appear only as their sum, and one of them has a wide prior. Both must be determined, even if
-/// the samples are very accurate.
+/// Two columns only have an effect as their sum, and one of them has a wide prior. The solver must determine both,
+/// even if the samples are very accurate.
 #[test]
 fn a_prior_determines_its_parameter_whatever_the_samples_are_worth() {
     for noise in [1.0, 1e-4, 1e-9] {
@@ -272,7 +272,7 @@ fn without_a_degree_of_freedom_there_is_no_sigma_unless_the_noise_is_known() {
     assert!(known.covariance.sigma(0).is_some() && known.require_sigmas().is_ok());
 }
 
-/// A row in which x0 + x1 and x2 are determined. x0 and x1 are not determined separately, and x3 has no effect.
+/// Row `k` of a problem that determines x0 + x1 and x2. It does not determine x0 and x1 separately, and x3 has no effect.
 fn sums(x: &[f64], k: usize) -> (f64, Vec<f64>) {
     let t = k as f64;
     (x[0] + x[1] + t * x[2] - 3.0 - 0.5 * t, vec![1.0, 1.0, t, 0.0])
@@ -376,7 +376,7 @@ fn steps_that_were_all_refused_are_not_called_convergence() {
     assert_eq!((solution.x[0], solution.summary.iterations), (9.0, 0));
 }
 
-/// The minimum is at a point where one sample has no value, as beyond the end of a log.
+/// At the minimum, one sample has no value, as beyond the end of a log.
 #[test]
 fn a_minimum_that_costs_a_sample_is_not_called_convergence() {
     let row = |x: &[f64], k: usize| {
@@ -388,7 +388,7 @@ fn a_minimum_that_costs_a_sample_is_not_called_convergence() {
     assert!(solution.x[0] <= 2.0);
 }
 
-/// A straight line whose samples have one, two and three rows in turn.
+/// A straight line. The samples have one, two, three, one, two, three .. rows.
 struct Ragged<'a>(&'a [f64]);
 
 impl LeastSquares for Ragged<'_> {
@@ -423,8 +423,8 @@ impl LeastSquares for Ragged<'_> {
     }
 }
 
-/// Measured samples with one row `x_j - k` each, for one of two columns in turn. After them, one
-/// known sample has three rows.
+/// Measured samples with one row `x_j - k` each, where `j` is each of two columns in turn. A
+/// known sample with three rows follows.
 struct BesideKnown {
     measured: usize,
 }
@@ -463,8 +463,8 @@ impl LeastSquares for BesideKnown {
     }
 }
 
-/// The solution of each column must be the mean of its numbers. This must hold wherever the rows of the known sample are in
-/// the block of rows that are reduced together.
+/// The solution of each column must be the mean of the numbers `k` of its rows. Rows are reduced in blocks. The result must
+/// not depend on the position of the known sample's rows in a block.
 #[test]
 fn a_known_sample_with_more_rows_than_the_measured_ones_counts_whole() {
     for measured in 230..=250 {

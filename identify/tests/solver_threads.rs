@@ -85,7 +85,7 @@ fn a_solve_ends_when_it_is_told_to_and_says_so() {
     for calls in [1, 4, 8] {
         let (result, count) = watched(calls);
         assert!(matches!(result, Err(SolveError::Cancelled { .. })), "{result:?}");
-        // After the cancellation, at most the blocks in progress are completed.
+        // After the cancellation, only blocks that are already in progress are completed, which are at most two.
         assert!(count.calls.into_inner() <= calls + 2);
     }
 }
@@ -94,7 +94,7 @@ fn a_solve_ends_when_it_is_told_to_and_says_so() {
 fn a_solve_that_is_cancelled_at_its_solution_states_the_iterations_made() {
     let (solution, count) = watched(usize::MAX);
     let (iterations, calls) = (solution.unwrap().summary.iterations, count.calls.into_inner());
-    // The last call is for the last block of the pass for identifiability.
+    // The last call belongs to the last block of the pass that determines identifiability.
     let (result, _) = watched(calls);
     assert_eq!(result.unwrap_err(), SolveError::Cancelled { iterations });
 }

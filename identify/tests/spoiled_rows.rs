@@ -25,7 +25,7 @@ fn calibrated(rows: &[PoseRow], robot: &RobotConfig) -> Result<Found, String> {
     Alone::quick().without_joint_errors().poses(rows, robot).map_err(|error| error.to_string())
 }
 
-/// The message for each file after `change` was applied to its rows, or `accepted`.
+/// Applies `change` to the rows of each file and calibrates. Returns the message for each file, or `accepted`.
 fn said(change: impl Fn(Vec<PoseRow>) -> Vec<PoseRow>) -> Vec<String> {
     let of = |name: &&str| {
         calibrated(&change(measured(name)), &ur10()).map_or_else(|said| said, |_| "accepted".into())
@@ -158,7 +158,8 @@ fn angles_of_orientation_in_another_order_or_unit_are_named() {
 
 #[test]
 fn a_table_in_the_other_convention_is_named() {
-    // The table is in the modified convention, so lengths and twists are one row later than in the standard convention.
+    // The table of this robot is in the modified convention: lengths and twists are one row
+    // later than in the standard convention.
     let mut typed = ur10();
     let links = typed.links.clone();
     for (link, before) in typed.links.iter_mut().skip(1).zip(&links) {

@@ -1,4 +1,5 @@
-//! Logs with stamps that real controllers write. Rows must get the times of the regular clock from which the stamps derive.
+//! Logs with stamps as real controllers write them. Stamps derive from a regular clock. The
+//! rows must get the times of this clock.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::collections::BTreeSet;
@@ -30,8 +31,8 @@ fn read_back(log: &RobotLog, stamps_s: Vec<f64>) -> RobotLog {
     stamped(log, &irb2400(), stamps_s.into_iter().map(|stamp_s| Some(stamp_s + 100.0)), 6)
 }
 
-/// Largest difference between two series of times, after their mean difference and rate are subtracted
-/// \[s\]. A calibration estimates these two.
+/// Largest difference between two series of times, after their mean difference and rate are subtracted \[s\]. A calibration
+/// estimates the mean difference and the rate.
 fn apart_s(a: &[f64], b: &[f64]) -> f64 {
     assert_eq!(a.len(), b.len());
     let middle = 0.5 * (a.len() - 1) as f64;
@@ -132,7 +133,7 @@ fn rows_that_are_missing_leave_the_others_where_they_were() {
     let exact = read_back(&log, log.q_rad.t_s.clone());
     assert!(apart_s(&exact.q_rad.t_s, &log.q_rad.t_s) < 2e-6);
     let jittered = read_back(&log, jittered(&log.q_rad.t_s, 1e-3, &mut random));
-    // During a rest it is not possible to locate missing rows, but their location has no effect there.
+    // During a rest, missing rows cannot be located. This has no effect, because the joints do not move.
     let moves = |t_s: f64| (std::f64::consts::TAU * t_s / 20.0).cos() < 0.7;
     let off =
         jittered.q_rad.t_s.iter().zip(&log.q_rad.t_s).filter(|(_, t_s)| moves(**t_s)).map(|(a, b)| a - b);
@@ -142,8 +143,8 @@ fn rows_that_are_missing_leave_the_others_where_they_were() {
     assert!(rms_s < 1e-3, "{rms_s}");
 }
 
-/// Three types of stamps: rounded to 4 ms by a clock that drifts to the next multiple about once a minute, missing rows
-/// of 4 ms, and both.
+/// Three types of stamps: rounded to 4 ms by a clock that drifts to the next multiple about once a minute;
+/// with missing rows of 4 ms; and both.
 #[test]
 fn rounded_stamps_are_no_missing_rows_and_missing_rows_no_rounding() {
     let noise = Normal::new(0.0, 15e-6).unwrap();
@@ -168,7 +169,7 @@ fn rounded_stamps_are_no_missing_rows_and_missing_rows_no_rounding() {
     }
 }
 
-/// Near a rest, the motion hardly separates a missing row from a clock that drifts to the next multiple of 4 ms.
+/// Near a rest, the motion hardly shows whether a row is missing or the clock has drifted to the next multiple of 4 ms.
 #[test]
 fn rows_that_are_lost_near_a_rest_are_missing_rows() {
     let noise = Normal::new(0.0, 15e-6).unwrap();
@@ -231,7 +232,7 @@ fn no_step_is_said_of_stamps_that_only_scatter() {
     }
 }
 
-/// If a program samples at irregular times and its stamps are correct, there is no regular clock to recover.
+/// If a program samples at irregular times and stamps its samples correctly, there is no regular clock to recover.
 #[test]
 fn stamps_that_are_right_stay_as_they_are_even_if_rows_come_as_they_like() {
     let even = log(100.0);

@@ -1,7 +1,7 @@
 //! Calibrations from logs with the stamps of real controllers must be as accurate as with perfect stamps.
 //!
-//! `cargo test -p identify --test all stamps_calibrated -- --include-ignored --nocapture` prints the table.
-//! `IDENTIFY_SEEDS=6` evaluates this number of runs for each row.
+//! `cargo test -p identify --test all stamps_calibrated -- --include-ignored --nocapture` prints the table. With
+//! `IDENTIFY_SEEDS=6`, six runs are evaluated for each row of the table.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -18,7 +18,7 @@ use rand_distr::{Distribution, Normal};
 use crate::support::stamped::{resampled, stamped};
 use crate::support::{bar, irb2400};
 
-/// How a stamp follows from the time of its sample.
+/// Relation of a stamp to the time of its sample.
 #[derive(Debug, Clone, Copy)]
 enum Stamp {
     Exact,
@@ -37,7 +37,7 @@ struct Case {
     rate_hz: f64,
     /// Rate of the robot's clock minus one \[%\].
     skew_percent: f64,
-    /// Rate of the clock that stamps relative to the clock that samples, minus one \[ppm\].
+    /// Rate of the stamping clock relative to the sampling clock, minus one \[ppm\].
     stamp_ppm: f64,
     /// Percentage of rows that are missing.
     missing_percent: f64,
@@ -53,7 +53,7 @@ const PERFECT: Case = Case {
     decimals: 9,
 };
 
-/// A log that is stamped by another clock than the one that samples.
+/// A log whose stamps come from another clock than its sampling times.
 const STAMPED: Case = Case { stamp_ppm: 50.0, ..PERFECT };
 
 const fn rounded(stamp: Stamp) -> Case {
@@ -88,7 +88,7 @@ const CASES: [Case; 26] = [
     incomplete(Stamp::Floor(4.0), 0.01),
     incomplete(Stamp::Floor(4.0), 1.0),
     incomplete(Stamp::Exact, 5.0),
-    // The clock that samples also stamps, so all stamps are whole cycles.
+    // One clock determines sampling times and stamps, so all stamps are whole cycles.
     Case { stamp_ppm: 0.0, ..incomplete(Stamp::Nearest(4.0), 1.0) },
     Case { stamp_ppm: 0.0, ..incomplete(Stamp::Nearest(4.0), 5.0) },
     clock_off(0.01),
@@ -178,6 +178,6 @@ fn what_controllers_write_calibrates_as_perfect_stamps_do() {
     assert!(wrong.is_empty(), "{wrong:#?}");
 }
 
-/// Largest permitted error \[mm|mrad\]. With perfect stamps, errors are 0.007 to 0.034, depending on the rate of the clock,
-/// because each rate leads to a different run.
+/// Largest permitted error \[mm|mrad\]. With perfect stamps, errors are 0.007 to 0.034. They depend on the rate of the
+/// clock, because each rate leads to a different run.
 const LIMIT_MM_MRAD: f64 = 0.04;

@@ -1,5 +1,5 @@
-//! Several targets on the flange that a tracker measures from several stations, or several anchors of a wire. All rows are
-//! in one file and in one solve.
+//! A tracker measures several targets on the flange from several stations, or a wire has several anchors. All rows are
+//! in one file and are solved together.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 
 use std::fmt::Write;
@@ -51,8 +51,9 @@ fn cell() -> Cell {
 }
 
 impl Cell {
-    /// Rows of the tracker with all `targets` for each pose. After the first `first` poses, the tracker moves to its second
-    /// station. All targets at a pose have the same error of the robot, with standard deviation `off_rad`.
+    /// Rows of the tracker: all `targets` at each pose. After the first `first` poses, the tracker moves to its
+    /// second station. At each pose, the joints of the robot have an error with standard deviation `off_rad`,
+    /// which is the same for all targets.
     fn rows(&self, poses: usize, first: usize, targets: &[usize], off_rad: f64) -> Vec<PoseRow> {
         let [mut random, mut noise] = [23, 24].map(StdRng::seed_from_u64);
         let mut rows = Vec::new();
@@ -112,7 +113,8 @@ fn three_targets_from_two_stations_place_all_of_them_and_tell_the_robot_better_t
         assert!(output.status.success(), "{said}{}", String::from_utf8(output.stderr).unwrap());
         (CalibrationFile::open(&out).unwrap(), said)
     };
-    // Only five poses determine the second station. They suffice, because the targets are known from the first station.
+    // Five poses alone determine the second station. They are sufficient, because the
+    // targets are known from the first station.
     let (file, said) = calibrated(&cell.rows(80, 75, &[0, 1, 2], 0.0));
     for names in ["tracker_* north, tracker2_* south", "probe_* A, probe2_* B, probe3_* C"] {
         assert!(said.contains(names), "{said}");
@@ -123,7 +125,7 @@ fn three_targets_from_two_stations_place_all_of_them_and_tell_the_robot_better_t
         let turn = Rotation3::new(vector(&format!("{tracker}_r")));
         Pose::from_parts(vector(&format!("{tracker}_")).into(), turn)
     };
-    // Compares quantities that do not depend on the frames of the robot's base and flange.
+    // Compare quantities that do not depend on the frames of the robot's base and flange.
     let second_from_first = place("tracker2").inverse() * place("tracker");
     let truly = cell.places[1].inverse() * cell.places[0];
     let off_m = (second_from_first.translation.vector - truly.translation.vector).norm();

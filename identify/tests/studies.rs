@@ -142,7 +142,7 @@ fn threads_shards_and_a_torn_line_make_no_difference() {
     assert!(study(&[&file, "--out", &at("resumed")]).status.success());
     assert_same(Path::new(&at("whole")), Path::new(&at("resumed")));
 
-    // Results of one study are not extended by those of another study.
+    // If the output directory contains results of another study, they are not extended.
     let other = study(&[&file, "--out", &at("one"), "--seeds", "4"]);
     assert!(!other.status.success());
     assert!(said(&other).contains("results of another study"), "{}", said(&other));
@@ -239,8 +239,8 @@ fn the_help_lists_every_condition_and_the_log_of_a_batch_job_has_lines_of_progre
     assert!(log.contains("1 of 3 experiments") && log.contains("3 of 3 experiments"), "{log}");
 }
 
-/// The log of a real robot can be the path of a study. The bar's joints follow from the path, and all costs must
-/// find the errors on it.
+/// The log of a real robot can be the path of a study. The joints of the bar follow from the path. On this path, all costs
+/// must find the errors of the robot.
 #[test]
 fn the_log_of_a_run_is_a_path_for_a_study() {
     let room = tempfile::tempdir().unwrap();
@@ -303,8 +303,8 @@ for a, b in zip(table, rows):
     assert!(checked.status.success(), "{}", said(&checked));
 }
 
-/// Python code that computes the residuals of the cost `transform` from Denavit-Hartenberg matrices,
-/// and minimises them with SciPy.
+/// Python code that computes the residuals of the cost `transform` from Denavit-Hartenberg matrices, and
+/// minimises these residuals with SciPy.
 const SCIPY: &str = r#"
 import json, sys, time
 import numpy as np

@@ -50,11 +50,11 @@ impl Outcome {
     }
 }
 
-/// A function that calibrates a robot from the data of a seed. If a drive is given, it has an error
-/// with one period per turn.
+/// A function that calibrates a robot from simulated data with this seed. If a drive is given, this drive has
+/// an error with one period per turn.
 type Run = fn(&RobotConfig, u64, Option<usize>) -> Outcome;
 
-/// Phase of this error \[rad\], different for each seed.
+/// Phase of the error of the drive \[rad\]. It is different for each seed.
 fn phase(seed: u64) -> f64 {
     TAU * (0.618 * seed as f64).fract()
 }
@@ -91,7 +91,8 @@ fn with_tracker(robot: &RobotConfig, seed: u64, drive: Option<usize>) -> Outcome
     Outcome::new(&found.0, apart_m(robot, &links, &rows.truth))
 }
 
-/// Largest number of events with at most this probability that occurs, except in one campaign of a thousand.
+/// Maximum number of events, if each of `of` events has at most this probability. In one campaign
+/// of a thousand, more occur by chance.
 fn most(probability: f64, of: usize) -> u64 {
     Binomial::new(probability, of as u64).unwrap().inverse_cdf(0.999)
 }

@@ -1,5 +1,5 @@
-//! By default every link parameter is free and has a prior: its nominal value with its tolerance. This holds for any
-//! instrument, and whether or not the data separate the parameters.
+//! By default every link parameter is free and has a prior, with its nominal value as expected value and its tolerance as
+//! standard deviation. This is true for any instrument, even if the data do not separate the parameters.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -51,7 +51,7 @@ fn with_tolerance(model: &Model) -> BTreeSet<ParameterId> {
     of_links.filter(|one| matches!(one.role, Role::Prior { .. })).map(|one| one.id).collect()
 }
 
-/// Rows of a tracker for a robot with known link errors. Joints are within this range about zero \[rad\].
+/// Rows of a tracker for a robot with known link errors. Each joint angle is within `reach_rad` of zero.
 fn tracked(robot: &RobotConfig, reach_rad: [f64; 6]) -> Vec<PoseRow> {
     let mut random = StdRng::seed_from_u64(5);
     let mut truth = flange_chain(robot);
@@ -71,7 +71,7 @@ fn tracked(robot: &RobotConfig, reach_rad: [f64; 6]) -> Vec<PoseRow> {
     (0..200).map(row).collect()
 }
 
-/// Three axes are parallel, so `rd2`, `rd3` and `rd4` have the same effect on the height.
+/// Three axes are parallel, so `rd2`, `rd3` and `rd4` have the same effect on the pose.
 #[test]
 fn a_ur10_is_calibrated_with_the_ball_bar_and_what_its_parallel_axes_do_not_separate_is_named() {
     let robot = ur10();
@@ -117,8 +117,8 @@ fn only_what_is_fixed_by_name_is_fixed() {
     assert_eq!(fixed.into_iter().collect::<BTreeSet<_>>(), expected);
 }
 
-/// Joint 3 does not move. Parameters that its motion would separate are named and remain near nominal,
-/// and the others are estimated.
+/// Joint 3 does not move. Parameters that only its motion would separate are named and remain near nominal.
+/// The other parameters are estimated.
 #[test]
 fn what_the_data_do_not_determine_is_named_and_stays_near_nominal() {
     let robot = irb2400();
@@ -155,8 +155,8 @@ fn a_parameter_that_has_a_role_by_name_has_to_be_one_of_the_model() {
     }
 }
 
-/// Cobots have such offsets of their joints. The nominal robot is that of the file, and the true robot differs from
-/// it also by these offsets.
+/// Joint offsets of half a degree are usual for cobots. The nominal robot is that of the file. The
+/// true robot also has these offsets.
 #[test]
 fn zeros_of_joints_half_a_degree_off_contradict_no_expectation() {
     let robot = ur10();

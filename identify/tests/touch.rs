@@ -83,10 +83,11 @@ fn faces_of_which_nothing_is_known_leave_the_scale_to_the_robots_file_and_say_so
         &workspace.budget,
     );
     assert!(scale.contains("no distance between the faces is known"), "{scale}");
-    // No value that is correct may be reported as a contradiction.
+    // The data are correct, so no value may be reported as a contradiction.
     let limits = limits(&found, &workspace);
     assert!(limits.iter().all(|limit| !limit.sentence.contains("contradict")), "{limits:?}");
-    // The uncertainty of known positions includes that of their common scale.
+    // The uncertainty of positions that the result states includes the uncertainty of the
+    // common scale of the known distances.
     let after_m = apart_m(&robot, &found.model().geometry(&[]).robot, &made.robot);
     assert!(workspace.budget.expanded_m > 0.9e-3, "{}", workspace.budget.expanded_m);
     assert!(after_m < 1.5 * workspace.budget.expanded_m, "{after_m}");

@@ -21,7 +21,7 @@ fn calibrated(tracker: Tracker) -> Calibration {
     calibrate(&DataSets { rows, ..DataSets::default() }, &ur10(), &config, None).unwrap()
 }
 
-/// Error of a calibration \[m\], and that of a calibration of the same rows with the true times of measurement.
+/// Error of a calibration, and error of a calibration of the same rows with the true times of measurement \[m\].
 fn errors_m(followed: &Followed, aligned: &AlignedPoses, found: &Calibration) -> [f64; 2] {
     let perfect = calibrated(Tracker::new(&followed.with_perfect_times(aligned)));
     [found, &perfect].map(|found| followed.error_m(&found.runs[0].model))
@@ -126,8 +126,8 @@ fn a_tracker_that_is_moved_and_sees_two_targets_is_aligned_as_one() {
     }
 }
 
-/// The logs cover an hour with stops of 1.2 s each. The robot's clock is fast by twice the usual rate error, which is a
-/// third of a second at the ends.
+/// The logs cover an hour, in which the robot stops for 1.2 s at each row. The rate error of the robot's clock is twice the
+/// usual one, so the clocks differ by a third of a second at the ends.
 #[test]
 fn clocks_that_run_apart_over_an_hour_of_stops_lose_no_row() {
     let sizes = Sizes { rate_hz: 0.1, duration_s: 3600.0, skew: 190e-6, stay: 0.06, ..Sizes::default() };
@@ -215,7 +215,7 @@ fn the_command_takes_both_logs_and_what_it_writes_repeats_it() {
     let off_ns = clock.robot_minus_instrument_ns as f64 - 1e9 * followed.clock_difference_s(reference_s);
     let (sigma_ns, sigma_ppm) = (clock.sigma_ns.unwrap(), clock.skew_sigma_ppm.unwrap());
     println!("off by {off_ns:.0} ns (sigma {sigma_ns:.0}), {} ppm (sigma {sigma_ppm:.3})", clock.skew_ppm);
-    // The reference time is written in whole milliseconds, which causes an error of 35 ns at this rate.
+    // The reference time is written in whole milliseconds. At this rate, the rounding causes an error of 35 ns.
     assert!(off_ns.abs() < 4.0 * sigma_ns + 35.0 && sigma_ns < 2e4, "{off_ns} {sigma_ns}");
     assert!(
         (clock.skew_ppm - 35.0).abs() < 4.0 * sigma_ppm && sigma_ppm < 2.0,
@@ -225,7 +225,7 @@ fn the_command_takes_both_logs_and_what_it_writes_repeats_it() {
     assert!(clock.correlation > 0.99 && !clock.ambiguous);
     let json = std::fs::read_to_string(folder.path().join("result/calibration.json")).unwrap();
     assert!(json.contains("\"robot_minus_instrument_ns\":4321"));
-    // The rows that validate the robot have joints, whereas rows with times have none.
+    // The rows that validate the robot contain its joints. Rows with times contain no joints.
     let rows = followed.with_perfect_times(&followed.aligned().unwrap());
     let mut other = String::from("q1;q2;q3;q4;q5;q6;x;y;z\n");
     for row in rows.iter().step_by(20) {
@@ -249,7 +249,7 @@ fn the_command_takes_both_logs_and_what_it_writes_repeats_it() {
     assert!(done && out.contains("other.csv"), "{out}{err}");
     let (done, _, err) = with(&[&robot_log[..], &["other.csv"]].concat(), "out");
     assert!(!done && err.contains("tracker.toml") && err.contains("--validate-mapping"), "{err}");
-    // Refused are times without a robot log, and a robot log without times.
+    // Two inputs are refused: times without a robot log, and a robot log without times.
     let (done, _, err) = with(&[], "out");
     assert!(!done && err.contains("tracker.toml") && err.contains("--robot-log"), "{err}");
     let shipped = crate::support::repository("config/measured_pose.toml");
@@ -299,8 +299,8 @@ fn stamps_that_go_back_are_refused_by_their_line() {
     assert!(error.to_string().contains("line 22"), "{error}");
 }
 
-/// For each stamp, the first target occurs once and the second twice, as if a logger had read faster
-/// than its buffer was filled.
+/// Every row of the first target occurs once, and every row of the second target twice with the same stamp, as if a logger
+/// had read faster than its buffer was filled.
 #[test]
 fn targets_that_are_seen_at_once_are_all_read_at_their_time() {
     let stamp_ms = |row: usize| 1e3 * row as f64 + 37.0 * (row * row % 7) as f64;

@@ -1,4 +1,4 @@
-//! For tables without a mapping, `inspect` proposes one. Reading the table with the proposed mapping must be correct.
+//! If a table has no mapping, `inspect` proposes one. With the proposed mapping, the table must be read correctly.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::path::Path;
@@ -58,7 +58,7 @@ struct Style {
     /// Number of the first joint.
     first: usize,
     degrees: bool,
-    /// A column with other data, which is between the time and the joints.
+    /// A column with other data, which is between the columns of the time and of the joints.
     between: &'static str,
     time: &'static str,
     /// Number of time units in one second.
@@ -356,7 +356,8 @@ fn columns_that_are_exchanged_or_reversed_or_in_another_unit_are_named_by_trying
     );
 }
 
-/// Rows at 1 Hz with stamps in seconds have the same stamps as rows at 1 kHz with stamps in milliseconds.
+/// A table at 1 Hz with stamps in seconds has the same stamps as a table at 1 kHz with stamps in
+/// milliseconds, so the unit can only be guessed.
 #[test]
 fn a_unit_of_the_time_that_is_not_in_the_header_is_named_as_a_guess() {
     let doubts = |time: &'static str, ticks: f64| {

@@ -18,8 +18,8 @@ use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 
-/// The verdict for root mean square errors of position \[mm\] and rotation \[mrad\], each of the nominal
-/// and of the calibrated robot.
+/// The verdict for root mean square errors of position \[mm\] and rotation \[mrad\]. Each pair contains the error of the
+/// nominal and of the calibrated robot.
 fn judged(
     position: [f64; 2],
     rotation: [f64; 2],
@@ -69,7 +69,7 @@ fn figures(rows: usize, mm: f64) -> PoseFigures {
     PoseFigures { rows, position_m: Sizes { rms: mm * 1e-3, ..Sizes::default() }, rotation_rad: None }
 }
 
-/// An entry of a file for rows whose errors are those of the nominal and of the calibrated robot \[mm\].
+/// The entry of a file of rows whose errors with the nominal and with the calibrated robot are given \[mm\].
 fn rows_entry(rows: usize, [nominal_mm, calibrated_mm]: [f64; 2]) -> RowsEntry {
     let nominal = figures(rows, nominal_mm);
     let stages = Stages { nominal, joints: figures(rows, calibrated_mm), ..Stages::default() };
@@ -86,7 +86,8 @@ fn rows_entry(rows: usize, [nominal_mm, calibrated_mm]: [f64; 2]) -> RowsEntry {
 
 #[test]
 fn green_needs_unseen_data_within_the_claim_beyond_chance() {
-    // The verdict for rows of another file with this error, if the fitted file has residuals of this size \[mm\].
+    // The verdict for rows of another file with the error `calibrated_mm`, if the residuals of the
+    // fitted file have the size `fitted_mm`.
     let verdict = |rows: usize, calibrated_mm: f64, fitted_mm: f64| {
         let (mut file, workspace) = file(0.1e-3, [1.0, 0.05], [1.0, 0.1]);
         file.rows.push(rows_entry(rows, [1.0, fitted_mm]));
@@ -109,7 +110,8 @@ fn green_needs_unseen_data_within_the_claim_beyond_chance() {
         "{reason}"
     );
     assert_eq!(verdict(100, 0.1, 0.05).grade, Grade::Green);
-    // Noise that the fit also has does not count as an error of the robot. Three rows scatter too much for a conclusion.
+    // Noise that the residuals of the fit also have does not count as an error of the robot. The errors of three
+    // rows vary too much for a conclusion.
     assert_eq!(verdict(100, 0.42, 0.41).grade, Grade::Green);
     assert_eq!(verdict(3, 0.2, 0.15).grade, Grade::Green);
     assert_eq!(verdict(100, 1.5, 0.05).grade, Grade::Red);
@@ -179,7 +181,7 @@ fn green_needs_both_answers_and_amber_names_what_is_missed() {
     let limit = |serious| Limit { sentence: "Joint 3 turned by 2 degrees only.".into(), serious };
     assert_eq!(good(&[limit(false)], None).grade, Grade::Green);
     assert_eq!(good(&[limit(true)], None).reason.unwrap(), limit(true).sentence);
-    // All rows are in one corner of the workspace, so they predict each other well.
+    // All rows are in one corner of the workspace, so the held-out rows are predicted well by the other rows.
     let of_a_corner = judged_within(1.5e-3, [1.0, 0.05], [1.0, 0.1], &[], None);
     assert_eq!(of_a_corner.grade, Grade::Amber);
     assert!(of_a_corner.reason.unwrap().contains("valid near the measured poses only"));

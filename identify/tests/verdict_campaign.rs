@@ -1,5 +1,5 @@
-//! Verdicts of many experiments with known truth. The stated error of the robot must be correct, and no green result may be
-//! less accurate than stated. `CAMPAIGNS=full` evaluates all experiments.
+//! Verdicts of many experiments with known truth. The stated error of the robot must be correct, and no robot with a green
+//! verdict may be less accurate than stated. `CAMPAIGNS=full` evaluates all experiments.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -26,8 +26,8 @@ use crate::support::{bar, irb2400, nj220};
 /// Standard uncertainty of a plate length that was measured with a calliper \[um\].
 const PLATE_U_UM: f64 = 50.0;
 
-/// A run and its configured bar. The errors of the run vary between noise alone and more than those of level `hard`. The
-/// configured plate length is wrong by the error of a calliper.
+/// A run and the configured bar. The errors of the run are between noise alone and more than those of level `hard`. The
+/// configured plate length has the error of a calliper.
 fn experiment(robot: &RobotConfig, seed: u64) -> (Simulated, BallBarConfig) {
     let mut random = ChaCha8Rng::seed_from_u64(31_000 + seed);
     let mut up_to = |most: f64| random.random_range(0.0..most);
@@ -52,8 +52,8 @@ fn experiment(robot: &RobotConfig, seed: u64) -> (Simulated, BallBarConfig) {
     (run, BallBarConfig { plate_m: bar.plate_m + 1e-6 * PLATE_U_UM * off, ..bar })
 }
 
-/// Stated error over the workspace, verdict, and true errors with the errors of joints \[m\]. The true errors are the mean
-/// and the 95 % quantile over the postures.
+/// Stated error over the workspace \[m\], verdict, and true errors including the errors of joints \[m\]. The true errors are
+/// the mean and the 95 % quantile over the postures.
 pub fn judged(
     run: &Simulated,
     found: &Calibration,
@@ -118,12 +118,12 @@ fn nothing_is_green_that_is_wrong_and_no_good_run_is_refused() {
     println!("{verdicts:#?}\nin the 95 % interval {within}, below the 97.5 % limit {below}, of {cases}");
     assert!(!verdicts.contains_key("refused"), "good runs are refused");
     assert!(!verdicts.contains_key("Green, true error beyond twice the claim"), "green and wrong");
-    // A smaller number occurs by chance once in a hundred cases.
+    // By chance, a smaller number occurs once in a hundred cases.
     let least = |part| Binomial::new(part, cases).unwrap().inverse_cdf(0.01);
     assert!(within >= least(0.95) && below >= least(0.975), "{within}, {below} of {cases}");
 }
 
-/// A function that corrupts a run, or makes the configuration of bar or robot wrong.
+/// A function that corrupts a run, or changes the configuration of bar or robot so that it is wrong.
 type Spoil = fn(&mut Simulated, &mut BallBarConfig, &RobotConfig);
 
 fn spoils() -> Vec<(&'static str, Spoil)> {
@@ -179,7 +179,7 @@ fn spoils() -> Vec<(&'static str, Spoil)> {
     ]
 }
 
-/// Changes the joints of each row. `change` also gets the fraction of the run that has passed.
+/// Changes the joints of each row. `change` also receives the fraction of the run that is before the row.
 fn rows(run: &mut Simulated, change: impl Fn(&mut Joints, f64)) {
     let count = run.robot_log.q_rad.len() as f64;
     for (row, q) in run.robot_log.q_rad.iter_mut().enumerate() {

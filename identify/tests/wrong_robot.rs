@@ -1,5 +1,5 @@
-//! Runs that are calibrated with the configuration of another robot or bar. Either the correct cause is
-//! reported, or the calibration is correct.
+//! Runs that are calibrated with the configuration of another robot or bar. The program must report the correct cause,
+//! or the calibration must be correct.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use crate::support::laboratory::of_drive;
@@ -69,7 +69,7 @@ fn links_that_are_decimetres_too_long_are_never_told_as_a_clock_or_an_encoder() 
     }
 }
 
-/// The robot configured for a plate that is mounted with this rotation about the axis of the flange \[deg\].
+/// The robot for which a plate is configured that is rotated by this angle about the axis of the flange \[deg\].
 fn with_plate_turned(robot: &RobotConfig, by_deg: f64) -> RobotConfig {
     let mut robot = robot.clone();
     robot.links.last_mut().unwrap().theta_deg += by_deg;
@@ -167,7 +167,7 @@ fn centimetres_are_found_and_told() {
     for (robot, bar, expected) in cases {
         let found = calibrated(&run, &robot, &bar);
         println!("{expected:?} {:.4} mm|mrad, {:.4} otherwise", error(&found), error(&right));
-        // Other start values lead to the same robot, except for the bias by priors about a wrong nominal length.
+        // The wrong start values lead to the same robot, except that priors at a wrong nominal length bias it.
         assert!(error(&found) < 1.3 * error(&right), "{expected:?}");
         let told = told_of_lengths(&found);
         let same = |(told, expected): (&(String, f64), &(&str, f64))| {
@@ -175,7 +175,7 @@ fn centimetres_are_found_and_told() {
         };
         assert!(told.len() == expected.len() && told.iter().zip(&expected).all(same), "{told:?}");
     }
-    // The plate defines the scale, so a wrong plate only changes all lengths by the same factor.
+    // The plate defines the scale, so a wrong plate only multiplies all lengths by the same factor.
     let scaled = told_of_lengths(&calibrated(&run, &robot, &BallBarConfig { plate_m: 0.255, ..bar }));
     let part = |name: &str, length_mm: f64| {
         scaled.iter().find(|one| one.0 == name).map_or(0.0, |one| one.1 / length_mm)
@@ -203,7 +203,8 @@ fn a_wrong_ratio_contradicts_what_is_expected_and_is_reported_and_expectations_t
     assert!(strained.serious, "{}", strained.sentence);
 }
 
-/// In the log, drive 5 is delayed by 8 ms relative to the other drives, and drive 2 moves 1 % less than configured.
+/// In the log, drive 5 is delayed by 8 ms relative to the other drives, and drive 2 moves 1 %
+/// less than the robot's file states.
 #[test]
 #[ignore = "takes more than four seconds"]
 fn a_late_drive_and_a_wrong_ratio_are_named_and_taken_out() {
@@ -227,7 +228,7 @@ fn a_late_drive_and_a_wrong_ratio_are_named_and_taken_out() {
     assert!(error < 2.0 * sound, "{error} {sound}");
     let (error, told) = calibrated(&|run| of_drive(run, &robot, 1, |g, row| 1.01 * g[row]));
     assert!(told.contains("Joint 2 turns by 0.99 % less than its log says"), "{told}");
-    // Free ratios make the angles less certain. Without them, the error was millimetres.
+    // Free ratios make the angles less certain. If the ratios were not free, the error would be millimetres.
     assert!(error < 4.0 * sound, "{error} {sound}");
 }
 

@@ -21,9 +21,9 @@ use shared::output::{captured, explained};
 use shared::recording::Recording;
 use shared::recording::schema::CycleRecord;
 
-/// Interval at which the calling thread checks whether the command has ended and whether Ctrl-C was pressed.
+/// Interval between checks in the calling thread: whether the command has ended, and whether Ctrl-C was pressed.
 const POLL_PERIOD: Duration = Duration::from_millis(10);
-/// Largest permitted entry of `R^T R - I` for a rotation matrix `R`.
+/// If an entry of `R^T R - I` exceeds this value, the matrix `R` is not accepted as a rotation.
 const ROTATION_TOLERANCE: f64 = 1e-6;
 
 create_exception!(ballbar, Error, PyValueError, "What is wrong, where, and what to do.");
@@ -32,13 +32,13 @@ fn py_error(error: impl Into<Box<dyn std::error::Error>>) -> PyErr {
     Error::new_err(explained(error.into().as_ref()))
 }
 
-/// Runs a command line, whose first word is the name of the program. Returns standard output and
+/// Runs a command line. Its first word is the name of the program. Returns standard output and
 /// warnings. Ctrl-C ends the command.
 #[pyfunction]
 fn run(py: Python<'_>, words: Vec<OsString>) -> PyResult<(String, String)> {
     let arguments =
         IdentifyArguments::from_words(words).map_err(|error| Error::new_err(error.render().to_string()))?;
-    // Clears a Ctrl-C that ended an earlier command.
+    // A Ctrl-C that ended an earlier command must not end this one, so clear it.
     allow_commands();
     let warnings = LogLines::default();
     let writer = warnings.clone();
@@ -156,8 +156,8 @@ impl Robot {
         })
     }
 
-    /// Converts homogeneous matrices \[m\] to rows of joints \[rad, m\]. Of several solutions, each row is the one nearest
-    /// to the row of `near`.
+    /// Converts homogeneous matrices \[m\] to rows of joints \[rad, m\]. If a pose has several solutions, the one
+    /// nearest to the row of `near` is returned.
     fn inverse<'py>(&self, py: Python<'py>, poses: &[u8], near: &[u8]) -> PyResult<Bound<'py, PyBytes>> {
         let mut reached = Vec::new();
         for (pose, near) in rows(poses, 16).iter().zip(rows(near, self.0.axes())) {
@@ -183,8 +183,8 @@ fn pose_of(matrix: &[f64]) -> PyResult<Pose> {
     Ok(Pose::from_parts(position.into(), Rotation3::from_matrix_unchecked(rotation)))
 }
 
-/// A recording whose tables are encoded as bytes. A table has one row per cycle. If it is a table of encoders, a row
-/// has one column per encoder.
+/// A recording whose tables are encoded as bytes. Each table has one row for each cycle. Tables of
+/// encoders have one column for each encoder.
 #[pyclass(frozen, get_all)]
 struct RecordingTables {
     joints: Vec<u8>,

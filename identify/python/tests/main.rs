@@ -1,4 +1,5 @@
-//! Tests the Python package `ballbar` with the native module that was just compiled. A wheel only packs the same files.
+//! Tests the Python package `ballbar` with the native module that was just compiled. The test needs no wheel, because
+//! a wheel only packs the same files.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 
 use std::path::Path;
@@ -20,7 +21,8 @@ fn the_package_does_what_the_command_does() {
     let tests = Command::new(python)
         .arg(here.join("tests/test_ballbar.py"))
         .env("PYTHONPATH", installed.path())
-        // In the directory of the sources, Python would find the package without its native module.
+        // Run in another directory: in the directory of the sources, Python would find the
+        // package without its native module.
         .current_dir(installed.path())
         .env("BALLBAR_IDENTIFY", built.join("identify"))
         .status();

@@ -118,7 +118,7 @@ class Package(unittest.TestCase):
     def test_ctrl_c_ends_a_study_and_python_goes_on(self):
         program = (
             "import ballbar, signal\n"
-            # If these tests run in the background, the shell makes them ignore SIGINT. The default handler is restored here.
+            # If these tests run in the background, the shell makes them ignore SIGINT. Restore the default handler.
             "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
             "try:\n"
             "    print('begun', flush=True)\n"

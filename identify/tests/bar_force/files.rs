@@ -82,7 +82,7 @@ fn columns_say_what_they_hold_on_which_clock_and_in_which_axes() {
     assert_eq!(base.kind, ForceKind::InBase);
 }
 
-/// Motors and joints do equal work. This must hold for any gears, rods and signs between them.
+/// Motors and joints do equal work, whatever gears, rods and signs are between them.
 #[test]
 fn torques_of_motors_do_the_work_of_those_of_the_joints() {
     for robot in [irb2400(), nj220()] {

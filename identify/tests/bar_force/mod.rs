@@ -18,7 +18,7 @@ use nalgebra::Vector3;
 
 const NOISE: Effects =
     Effects { robot_noise_urad: 15.0, encoder_noise_urad: 5.0, base_tilt_urad: 3000.0, ..Effects::NONE };
-/// Force of the runs in the thesis, and the measured deflection of its bar of +-25 um (TFRT-6017 section 5.3).
+/// Force in the runs of the thesis. The bar deflected by +-25 um in these runs (TFRT-6017 section 5.3).
 const THESIS: BarLoad = BarLoad { force_n: 150.0, compliance_um_per_n: 0.17, play_um: 0.0, noise_n: 1.0 };
 
 fn simulated(load: BarLoad, seed: u64) -> Simulated {
@@ -110,8 +110,9 @@ fn where_only_the_sign_of_the_force_is_known_the_play_of_the_bar_follows() {
     assert!(in_sigmas(&elongation, 20e-6).abs() < 1.96, "{elongation:?}");
 }
 
-/// Replaces the force of each row of the log by the values of another sensor on the robot's clock. `sensor` computes them
-/// from robot, joints \[rad\], joint speeds \[rad/s\], and the force vector in the robot's base \[N\].
+/// Replaces the force in each row of the log by the values of another sensor. The log stays on the robot's
+/// clock. `sensor` computes the values from the robot, the joints \[rad\], the joint speeds \[rad/s\], and the
+/// force vector in the robot's base \[N\].
 fn seen_by(
     run: &mut Simulated,
     kind: ForceKind,
@@ -139,7 +140,7 @@ fn of_three(force: Vector3<f64>) -> Joints {
     [force.x, force.y, force.z].into()
 }
 
-/// The samples of a run. Each has its force along the bar.
+/// The samples of a run after the preparation. Each sample has the force along the bar.
 fn prepared(run: &Simulated) -> Result<Prepared, PrepareError> {
     prepare(&run.cycles, &run.encoders, &run.robot_log, &irb2400(), &bar(), &PrepareOptions::default())
 }
@@ -176,7 +177,7 @@ fn torques_of_the_joints_give_the_force_behind_gravity_and_friction() {
         for (torque, twist) in torques.iter_mut().zip(trace.joint_twists()) {
             *torque = twist.linear.dot(&force);
         }
-        // Adds gravity for upper arm, forearm and tool, whose centres of mass are arbitrary.
+        // Add the torques of gravity on upper arm, forearm and tool. Their centres of mass are arbitrary.
         let axes: Vec<_> = trace.joint_axes().collect();
         for (link, mass_kg, at) in
             [(2, 80.0, [-0.3, 0.02, 0.1]), (4, 60.0, [0.03, 0.05, -0.2]), (6, 25.0, [0.0, 0.04, 0.1])]
@@ -219,7 +220,7 @@ fn a_force_log_on_the_bars_clock_or_with_a_hole_is_taken_and_one_of_another_time
     };
     let robots = run.robot_log.force.clone().unwrap();
     let clock = run.truth.clock;
-    // The forces have the same instants, stamped by the bar's clock.
+    // The same instants of the forces, stamped by the bar's clock.
     let before_s =
         (robots.values.first_stamp_ns - clock.robot_at_bar_start_ns) as f64 * 1e-9 / (1.0 + clock.skew);
     let values = Stream::new(

@@ -1,12 +1,12 @@
-//! Calibrates every robot on every family of paths with the command `identify`. Input are the files of a run, output is
-//! a calibration or a refusal.
+//! Calibrates every robot on every family of paths with the command `identify`. Input: the files of a run.
+//! Output: a calibration or a refusal.
 //!
 //! Command: `CAMPAIGNS=full cargo test -p identify --test all independent_campaign -- --ignored --nocapture`.
 //! These environment variables change it:
 //!
 //! - `IDENTIFY_SEEDS=10`: number of runs of each kind; `IDENTIFY_FIRST_SEED=100`: first seed.
-//! - `IDENTIFY_ROBOTS=irb2400,nj220`, `IDENTIFY_PATHS=bursts`: select robots and paths.
-//! - `IDENTIFY_STAMPS=jittered`: corrupts the stamps of the robot log in this way; `all`: in all ways in turn. Each run is
+//! - `IDENTIFY_ROBOTS=irb2400,nj220`, `IDENTIFY_PATHS=bursts`: evaluate only these robots and paths.
+//! - `IDENTIFY_STAMPS=jittered`: corrupts the stamps of the robot log in this way. `all` uses each way in turn. Each run is
 //!   compared with the same run with perfect stamps.
 //! - `IDENTIFY_KEEP=directory`: keeps the files.
 #![allow(clippy::print_stdout, reason = "figures of a run")]
@@ -26,7 +26,7 @@ pub(super) enum Outcome {
         error_mm_mrad: f64,
         /// Root mean square of the parameter errors, each divided by its standard uncertainty.
         error_sigmas: f64,
-        /// True mean position error of the end over the range of the robot \[mm\]. `claimed_mm` is the stated one (k = 2).
+        /// True mean position error of the end over the range of the robot \[mm\]. `claimed_mm` is the stated error (k = 2).
         true_mm: f64,
         claimed_mm: f64,
         largest: String,
@@ -59,7 +59,7 @@ const STAMPS: [Stamps; 11] = [
     Stamps::Jittered(1.0),
 ];
 
-/// The stamps that `IDENTIFY_STAMPS` selects. If it selects several, the choice depends on seed and family.
+/// The stamps that `IDENTIFY_STAMPS` selects. If it selects several, seed and family determine which of them is used.
 fn stamps(family: Family, seed: u64) -> Stamps {
     let kind = std::env::var("IDENTIFY_STAMPS").unwrap_or_default();
     let chosen = |stamps: &&Stamps| kind == "all" || format!("{stamps:?}").to_lowercase().starts_with(&kind);
@@ -69,7 +69,7 @@ fn stamps(family: Family, seed: u64) -> Stamps {
     if kind.is_empty() { Stamps::Perfect } else { *chosen[(begin + seed as usize) % chosen.len()] }
 }
 
-/// Settings of a run: a rate of the log that controllers have, the speed that the path needs, and the selected stamps.
+/// Settings of a run: a rate that logs of controllers have, the speed that the path needs, and the selected stamps.
 pub(super) fn sizes(family: Family, seed: u64) -> Sizes {
     let rates_hz = match family {
         Family::Fast => &[250.0, 500.0, 1000.0][..],
@@ -118,8 +118,8 @@ impl Outcome {
         let correction =
             |entry: &toml::Value| Some((entry["name"].as_str()?.to_owned(), entry["correction"].as_float()?));
         let found: BTreeMap<String, f64> = entries.iter().filter_map(correction).collect();
-        // Offsets along parallel axes cannot be separated, so the last of these axes has their sum. The error of the
-        // first one alone is meaningless.
+        // Offsets along parallel axes cannot be separated, so the last of these axes has the sum of their offsets. The error
+        // of the offset of the first axis alone is meaningless.
         let mut truth = run.truth.robot.clone();
         let last = run.robot.undetermined.iter().rfind(|name| name.starts_with("rd"));
         if let Some(last) = last.filter(|last| **last != "rd1") {

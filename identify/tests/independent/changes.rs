@@ -13,31 +13,31 @@ const REFUSED: &str = "REFUSED";
 #[derive(Debug, Clone, Copy)]
 enum Injected {
     Nothing,
-    /// Step of the encoder of a bar joint. Joints count from 0 \[mrad\].
+    /// Step of the encoder of a bar joint: joint from 0, size \[mrad\].
     Encoder(usize, f64),
-    /// Drift of the encoder of a bar joint by this amount, from the first cycle to the last \[mrad\].
+    /// Linear drift of the encoder of a bar joint: joint from 0, total drift from the first cycle to the last \[mrad\].
     Drift(usize, f64),
-    /// Step of true angle minus logged angle of a robot joint. Joints count from 0 \[mrad\].
+    /// Step of the true minus the logged angle of a robot joint: joint from 0, size \[mrad\].
     Joint(usize, f64),
     /// Displacement of the bar's base along x \[mm\].
     Base(f64),
     /// Step of the bar's stamps \[ms\]. Stamps of the bar are too irregular to reveal the step on their own.
     Clock(f64),
-    /// Delay of a drive in the whole log. Drives count from 0 \[ms\].
+    /// Delay of a drive in the whole log: drive from 0, delay \[ms\].
     LateJoint(usize, f64),
-    /// True minus logged motion of a drive in the whole log. Drives count from 0 \[%\].
+    /// Ratio error of a drive in the whole log: drive from 0, true minus logged motion \[%\].
     Ratio(usize, f64),
     /// Rotation of the plate about the axis of the flange in the whole run \[deg\].
     Plate(f64),
 }
 
 impl Injected {
-    /// True if the error is the same from the first row to the last.
+    /// Whether the error is the same from the first row to the last.
     fn lasts(self) -> bool {
         matches!(self, Self::LateJoint(..) | Self::Ratio(..) | Self::Plate(_))
     }
 
-    /// Texts that the program must output: one if it refuses the run, the other if it warns.
+    /// Texts that the program must output: the first if it refuses the run, the second if it warns.
     fn named(self) -> [String; 2] {
         let both = |refused: &str, warned: &str| [refused.to_owned(), warned.to_owned()];
         match self {
@@ -112,7 +112,7 @@ impl Run {
                 _ => {}
             }
             let mut raw = more * raw_from_joints;
-            // These errors are those of columns of the log, not of joints.
+            // The errors are errors of the log's columns, not of joints.
             let reported = |time_s: f64| self.true_angles(time_s) * raw_from_joints;
             match injected {
                 Injected::LateJoint(column, ms) => {
@@ -128,7 +128,7 @@ impl Run {
 }
 
 /// Calibrates a run with a change. Returns the messages of the program and the outcome. The messages are the reason of a
-/// refusal, or the report of a calibration.
+/// refusal or the report of a calibration.
 fn said_of(run: &Run, injected: Injected, part: f64) -> (String, Outcome) {
     let directory = tempfile::tempdir().unwrap();
     let (files, out) = (run.write_changed(injected, part, directory.path()), directory.path().join("out"));
@@ -161,9 +161,9 @@ fn what_changes_is_named_and_nothing_is_named_that_does_not() {
     }
 }
 
-/// `cargo test -p identify --test all changes_by_size -- --ignored --nocapture`. Environment variables select runs as for
-/// `independent_campaign`. `IDENTIFY_SIZES=none` evaluates only runs without a change. `lasting` evaluates these and errors
-/// that last from the first row to the last.
+/// `cargo test -p identify --test all changes_by_size -- --ignored --nocapture`. The environment variables of
+/// `independent_campaign` select runs. `IDENTIFY_SIZES=none` evaluates only runs without a change. `IDENTIFY_SIZES=lasting`
+/// also evaluates runs with an error that lasts from the first row to the last.
 #[test]
 #[ignore = "five runs with 73 changes each: minutes"]
 fn changes_by_size() {

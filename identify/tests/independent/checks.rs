@@ -1,4 +1,4 @@
-//! Checks the generator of runs. Without these checks, results that use it would not be valid evidence.
+//! Checks the generator of runs. Results that use the generator are only evidence if the generator is correct.
 
 use std::f64::consts::TAU;
 
@@ -53,7 +53,7 @@ fn the_written_files_lead_back_to_the_true_angles() {
             assert!((row[0] - run.robot_s(*time_s)).abs() < 1e-6);
             let raw = RowVector6::from_fn(|_, joint| row[joint + 1] * run.robot.log.unit_rad);
             let joints = raw * run.robot.joints_from_raw;
-            // The log has four decimals, so its resolution is 1e-4 deg.
+            // The log has four decimals of a degree, so its resolution is 1e-4 deg.
             (0..6).for_each(|joint| assert!((joints[joint] - angles[joint]).abs() < 2e-6));
         }
         let recording = rows(&files.recording);
@@ -158,8 +158,8 @@ fn what_no_motion_determines_has_no_bound() {
     let poses: Vec<_> = rows.map(|(time_s, angles)| (run.motion.bar_rad(*time_s), *angles)).collect();
     let usual = bound(run.robot.undetermined, &poses);
     assert!((0.02..0.2).contains(&usual), "{usual}");
-    // The first joint of the robot rotates the position of the bar, so these parameters are not separated. A tenth of the
-    // path leaves a large uncertainty.
+    // The first joint of the robot rotates the position of the bar, so rd1 and rd3 are not separated from this position.
+    // With only a tenth of the path, their uncertainty is large.
     assert!(bound(&["rd1", "rd3"], &poses) > 100.0);
     assert!(bound(run.robot.undetermined, &poses[..poses.len() / 10]) > 3.0 * usual);
 }

@@ -8,7 +8,7 @@ use rand_chacha::ChaCha8Rng;
 use super::Sizes;
 use super::robots::{Gear, Robot};
 
-/// A sum of sines of one angle.
+/// A sum of sines, as a function of one angle.
 #[derive(Debug, Clone, Default)]
 pub struct Waves(Vec<Wave>);
 
@@ -76,7 +76,7 @@ impl Play {
         Self { half_rad: width_urad * 0.5e-6, place: 0.0, last_rad: None }
     }
 
-    /// Angle by which the motor is ahead of the joint, after the joint has moved to `joint_rad` \[rad\].
+    /// Moves the joint to `joint_rad` \[rad\]. Returns the angle by which the motor is then ahead of the joint \[rad\].
     pub fn ahead_rad(&mut self, joint_rad: f64) -> f64 {
         if self.half_rad > 0.0 {
             let moved = joint_rad - self.last_rad.unwrap_or(joint_rad);

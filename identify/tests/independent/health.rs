@@ -8,8 +8,7 @@ use super::robots::Robot;
 /// Assumed error of each angle, caused by gears, resolvers and encoders \[rad\].
 const ANGLE_RAD: f64 = 30e-6;
 
-/// Number of poses that count as independent. Gear errors are correlated over seconds, so more
-/// poses would add little information.
+/// Number of poses that count as independent. Gear errors are correlated over seconds, so more poses add little information.
 const POSES: usize = 150;
 
 /// One parameter that a calibration must identify.
@@ -65,7 +64,7 @@ impl Number {
 }
 
 /// Lower bound of the error of the robot's parameters \[mm|mrad\]. It is the Euclidean norm of their standard deviations
-/// (Cramer-Rao bound) if each angle has an error of 30 urad.
+/// (Cramer-Rao bound), if each angle has an error of [`ANGLE_RAD`].
 pub fn bound_mm_mrad(robot: &Robot, arm: &Arm, bar: &Bar, poses: &[([f64; 5], [f64; 6])]) -> f64 {
     const STEP: f64 = 1e-6;
     let numbers = Number::all(robot);

@@ -57,8 +57,8 @@ pub fn position(pose: &Matrix4<f64>) -> Vector3<f64> {
     pose.fixed_view::<3, 1>(0, 3).into_owned()
 }
 
-/// Difference of two poses: `to` minus `from`. Positions are subtracted; the rotation is a rotation vector. Both are in the
-/// axes of the base \[m, rad\].
+/// Difference of two poses, `to` minus `from`, in the axes of the base \[m, rad\]. The first three numbers are the
+/// difference of the positions, the last three are a rotation vector.
 ///
 /// The angle is computed from sine and cosine, because the arc cosine alone loses half of the digits of small angles.
 pub fn difference(to: &Matrix4<f64>, from: &Matrix4<f64>) -> Vector6<f64> {

@@ -21,15 +21,15 @@ pub enum Stamps {
     Perfect,
     /// Stamps are read from a clock with this period \[ms\].
     Rounded(f64),
-    /// Rows are stamped on arrival, whose delay has this standard deviation \[ms\]. Stamps never decrease.
+    /// Rows are stamped on arrival. The delay of the arrival has this standard deviation \[ms\]. Stamps never decrease.
     Jittered(f64),
     /// This fraction of the rows occurs twice.
     Duplicated(f64),
-    /// This number of rows arrives at once. They are stamped when they are read, at intervals of 20 us.
+    /// This number of rows arrives at once. They are stamped when they are read, 20 us after each other.
     Batched(usize),
     /// This fraction of the rows is stamped 10 ms late.
     Late(f64),
-    /// This fraction of the rows is missing. The stamps of the others have this standard deviation \[ms\].
+    /// This fraction of the rows is missing. The stamps of the other rows have this standard deviation \[ms\].
     Missing(f64, f64),
 }
 
@@ -107,7 +107,7 @@ pub enum BarTime {
     Utc(i64),
 }
 
-/// Writes the counters, one row per cycle. A cycle has its seconds since the first one, and its counts.
+/// Writes the counters, one row for each cycle. A cycle consists of its time after the first cycle \[s\] and its counts.
 pub fn write_bar(begin: BarTime, cycles: &[(f64, [u32; 5])], directory: &Path) -> PathBuf {
     let name = if matches!(begin, BarTime::Utc(_)) { "time_utc" } else { "t_s" };
     let mut text = format!("{name},count1,count2,count3,count4,count5\n");

@@ -1,7 +1,7 @@
-//! Generates ball-bar experiments with known truth, as files like those of a user. The code shares nothing with the
-//! product: kinematics, inverse kinematics, paths, gears, encoders, clocks and file formats are implemented again from
-//! their descriptions (TFRT-6017 chapters 2 to 5, data sheets, README). All of these runs are healthy, so a refusal is
-//! an error of the program.
+//! Generates ball-bar experiments with known truth, as files like those of a user. None of the code is shared with
+//! the product: kinematics, inverse kinematics, paths, gears, encoders, clocks and file formats are implemented again
+//! from their descriptions (TFRT-6017 chapters 2 to 5, data sheets, README). All of these runs are healthy, so a
+//! refusal is an error of the program.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test stops at the first surprise")]
 
@@ -61,20 +61,21 @@ pub struct Sizes {
     pub encoder_noise_urad: (f64, f64),
     /// Amplitude of the bar length as a function of each of its first two joints, order two per turn \[um\].
     pub bar_runout_um: f64,
-    /// Difference of the robot's clock to the bar's at the bar's first cycle, from..to \[s\]. The sign is random.
+    /// Robot clock minus bar clock at the bar's first cycle, from..to \[s\]. The sign is random.
     pub clock_shift_s: (f64, f64),
     /// Rate error of the robot's clock, from..to \[ppm\]. The sign is random.
     pub clock_skew_ppm: (f64, f64),
     pub robot_log_hz: f64,
     pub bar_hz: f64,
     pub stamps: Stamps,
-    /// True if the stamps of the bar are UTC; else they are seconds since some instant.
+    /// Whether the stamps of the bar are UTC. Otherwise they are seconds since an arbitrary instant.
     pub bar_utc: bool,
-    /// Duration \[s\]; `speed_rad_s` is the highest speed \[rad/s\]. `None` selects the default of the family of paths.
+    /// Duration \[s\]. `speed_rad_s` is the highest speed \[rad/s\]. If one of them is `None`, the
+    /// default of the family of paths is used.
     pub duration_s: Option<f64>,
     pub speed_rad_s: Option<f64>,
-    /// Largest permitted lower bound of the robot's error \[mm|mrad\], see [`health`]. A motion with a larger
-    /// one is replaced by another.
+    /// Largest permitted lower bound of the robot's error \[mm|mrad\], see [`health`]. If a motion has a larger
+    /// bound, another motion is generated.
     pub bound_mm_mrad: f64,
 }
 
@@ -109,7 +110,7 @@ impl Default for Sizes {
 }
 
 impl Sizes {
-    /// Deviations of geometry only. Both chains close exactly; counts and stamps are only rounded.
+    /// Deviations of geometry only. Both chains close exactly. The only other errors are that counts and stamps are rounded.
     pub fn without_varying_errors() -> Self {
         Self {
             gear_urad: (0.0, 0.0),
@@ -125,20 +126,21 @@ impl Sizes {
     }
 }
 
-/// Largest number of postures and paths that are tried until the robot can follow one. Some hundreds are usually needed.
+/// Maximum number of pairs of posture and path that are tried until the robot can follow
+/// one. Usually some hundreds are needed.
 const ATTEMPTS: u32 = 30_000;
 
 /// True values of a run.
 #[derive(Debug, Clone)]
 pub struct Truth {
-    /// Corrections of the nominal link parameters by name, `ra1` to `rtheta6` \[m, rad\]. The plate is part of `ra6`, as in
-    /// the files of the program.
+    /// Corrections of the nominal link parameters by name, `ra1` to `rtheta6` \[m, rad\]. As in the files of the
+    /// program, `ra6` includes the plate.
     pub robot: BTreeMap<String, f64>,
     /// Correction of the bar's nominal length \[m\].
     pub bar_length_m: f64,
     /// Centre of the gimbal in the robot's base \[m\].
     pub base_m: [f64; 3],
-    /// Time of the robot's clock at the first cycle of the bar \[s\]. The time of the bar counts from that cycle.
+    /// Time of the robot's clock at the first cycle of the bar \[s\]. The bar's time is zero at this cycle.
     pub clock_shift_s: f64,
     /// Rate of the robot's clock relative to the bar's clock, minus one.
     pub clock_skew: f64,
@@ -211,7 +213,7 @@ impl Run {
         let bar_links = true_bar_links(&robot, sizes, &mut random);
         let found = (0..ATTEMPTS)
             .find_map(|attempt| {
-                // The first attempts have wide sweeps. If the robot cannot follow them, later ones are narrower.
+                // The first attempts have wide sweeps. Later attempts have narrower ones, which more robots can follow.
                 let scale = 1.2 - 0.8 * f64::from(attempt) / f64::from(ATTEMPTS);
                 feasible(&robot, &true_arm, &bar_links, family, sizes, scale, &mut random)
             })
@@ -255,7 +257,7 @@ impl Run {
     }
 
     fn log_robot(&mut self, start_rad: &[f64; 6], sizes: &Sizes, random: &mut ChaCha8Rng) {
-        // The two logs are started at different times. Both contain the whole motion.
+        // The two logs begin at different times, but both contain the whole motion.
         let begin_s = random.random_range(-3.0..0.8);
         let end_s = self.motion.duration_s + random.random_range(-0.8..3.0);
         let count = ((end_s - begin_s) * sizes.robot_log_hz) as usize;
@@ -289,12 +291,12 @@ impl Run {
                 (self.robot_s(*time_s), std::array::from_fn(|motor| resolve(raw[motor], ratios[motor])))
             })
             .collect();
-        // Uses a separate seed, so that other stamps do not change the rest of the run.
+        // Use a separate seed for the stamps, so that other stamps do not change the rest of the run.
         self.rows = sizes.stamps.applied(&rows, &mut ChaCha8Rng::seed_from_u64(random.random()));
     }
 
-    /// Joint angles of the controller, before the errors of the gears. These errors have zero mean over the motion, because
-    /// a mean would be a static error (TFRT-6017 section 3.1).
+    /// Joint angles of the controller, without the errors of the gears. The mean of the gear errors over the motion is
+    /// subtracted, because a mean would be a static error (TFRT-6017 section 3.1).
     fn controller_angles(&self, sizes: &Sizes, random: &mut ChaCha8Rng) -> Vec<[f64; 6]> {
         let mut read: Vec<[f64; 6]> = self.true_rows.iter().map(|row| row.1).collect();
         for joint in 0..6 {
@@ -335,13 +337,13 @@ impl Run {
         }
     }
 
-    /// Time of the robot's clock \[s\] at a time of the bar \[s\] that counts from its first cycle.
+    /// Time of the robot's clock at a time of the bar \[s\]. The bar's time counts from its first cycle.
     pub fn robot_s(&self, bar_s: f64) -> f64 {
         self.truth.clock_shift_s + (1.0 + self.truth.clock_skew) * bar_s
     }
 
-    /// Mean distance \[mm\] between the plate ends of the true robot and of a robot with these corrections of its links,
-    /// over the range of its joints.
+    /// Mean distance between the plate ends of the true robot and of a robot with these link corrections \[mm\]. The
+    /// mean is over the range of the joints.
     pub fn position_error_mm(&self, corrections: &BTreeMap<String, f64>) -> f64 {
         const POSES: usize = 300;
         let mut found = self.robot.nominal.clone();
@@ -444,7 +446,7 @@ fn feasible(
     let duration_s = sizes.duration_s.unwrap_or(family.duration_s());
     let speed = sizes.speed_rad_s.unwrap_or(family.speed_rad_s());
     let limits = robot.limits_rad().map(|[low, high]| [low + 0.05, high - 0.05]);
-    // As an operator would, moves the robot to a posture in the middle of its reach, and sets up the bar there.
+    // As an operator would, move the robot to a posture in the middle of its reach, and set up the bar there.
     let posture = limits.map(|[low, high]| {
         let (middle, half) = ((low + high) / 2.0, (high - low) / 2.0);
         middle + random.random_range(-0.6..0.6) * half.min(2.0)
@@ -455,8 +457,8 @@ fn feasible(
     let bar = placed(&flange, &sweep.middle, bar_links, sizes, random)?;
     let path = BarPath::new(family, speed * duration_s, sweep, random);
     let start_rad = approached(arm, &bar, &sweep.middle, &path.joints_rad(0.0), &posture)?;
-    // Follows the path once to find by how much robot joints are faster than the path. The
-    // schedule is slowed down accordingly.
+    // Follow the path once to find out by which factor robot joints are faster than the path. Then
+    // slow down the schedule by this factor.
     let whole = followed(arm, &bar, &path, speed * duration_s, &start_rad, &limits)?;
     let schedule = Schedule::new(family, duration_s, speed / whole.fastest.max(1.0), random);
     let run = followed(arm, &bar, &path, schedule.length(), &start_rad, &limits)?;
@@ -496,7 +498,7 @@ fn approached(arm: &Arm, bar: &Bar, from: &[f64; 5], to: &[f64; 5], posture: &[f
     })
 }
 
-/// Motion of the robot that follows a path of the bar.
+/// Motion of the robot while it follows a path of the bar.
 struct Followed {
     /// Largest ratio of the speed of a robot joint to the speed along the path.
     fastest: f64,

@@ -1,5 +1,5 @@
-//! Paths of the bar. A path is a smooth curve of its five joints; its schedule consists of moves
-//! with smooth starts and rests.
+//! Paths of the bar. A path is a smooth curve of the bar's five joints. Its schedule consists of moves with smooth
+//! starts, and of rests between them.
 
 use std::f64::consts::{PI, TAU};
 
@@ -110,8 +110,9 @@ pub struct Sweep {
 }
 
 impl Sweep {
-    /// Sweeps that are `scale` times as wide as by default. The flange has the rotation `flange` in the bar's base, from
-    /// which the third joint and the cardan follow. `None` if the rod would be nearly parallel to the axis of the flange.
+    /// Sweeps that are wider than the default by the factor `scale`. `flange` is the rotation of the flange in the
+    /// bar's base, from which the angles of the third joint and the cardan follow. `None` if the rod would be nearly
+    /// parallel to the axis of the flange.
     pub fn about(
         flange: &Rotation3<f64>,
         family: Family,
@@ -154,7 +155,8 @@ fn curve(family: Family, length: f64, sweep: Sweep, random: &mut ChaCha8Rng) -> 
     }
 }
 
-/// Random frequencies without a common multiple, so that the curve does not close. Joints with wide sweeps have lower ones.
+/// Random frequencies without a common multiple, so that the curve does not close. Joints
+/// with wide sweeps have low frequencies.
 fn open_frequencies(random: &mut ChaCha8Rng) -> [f64; 5] {
     [0.9, 2.1, 1.0, 1.7, 0.6].map(|frequency: f64| frequency * random.random_range(0.8..1.25))
 }
@@ -179,7 +181,7 @@ fn spiral(sweep: Sweep, random: &mut ChaCha8Rng) -> Curve {
     let phases = phases(random);
     let turns = random.random_range(6.0..10.0);
     Box::new(move |at| {
-        // The width of the cone grows and shrinks once in this number of turns, and never becomes zero.
+        // The width of the cone increases and decreases once in this number of turns. It never becomes zero.
         let radius = 0.55 - 0.45 * (at / turns).cos();
         let wave = |joint: usize| (0.37 * frequencies[joint] * at + phases[joint]).sin();
         sweep.at([
@@ -222,8 +224,8 @@ struct Circle {
     world_from_flange: Rotation3<f64>,
 }
 
-/// Rotation from the rod to the flange. The angles are about z, y and z, because the middle links of the bar rotate
-/// about y of the previous link.
+/// Rotation from the rod to the flange, as rotations about z, y and z. The middle rotation is about y, because the middle
+/// links of the bar rotate about y of the previous link.
 fn zyz(first: f64, second: f64, third: f64) -> Rotation3<f64> {
     let about = |axis: &Vector3<f64>, angle: f64| Rotation3::new(axis * angle);
     about(&Vector3::z(), first) * about(&Vector3::y(), second) * about(&Vector3::z(), third)
@@ -261,8 +263,8 @@ fn circles(sweep: Sweep, length: f64, random: &mut ChaCha8Rng) -> Curve {
     })
 }
 
-/// Angles of joints 3 to 5 that rotate the frame of the rod into that of the flange. Of several solutions, those
-/// nearest to `middle` are returned.
+/// Angles of joints 3 to 5 that rotate the frame of the rod into the frame of the flange. If there are several solutions,
+/// the one nearest to `middle` is returned.
 fn cardan(rod_from_flange: &Matrix3<f64>, middle: &[f64; 5]) -> [f64; 3] {
     let m = rod_from_flange;
     let side = middle[3].signum();
@@ -293,7 +295,7 @@ impl Move {
         (self.duration_s / 2.0).min(1.5)
     }
 
-    /// Distance after this time for a full speed of 1. During a ramp, the speed rises as 3x^2 - 2x^3.
+    /// Distance after this time, relative to a full speed of 1. During a ramp, the speed rises as 3x^2 - 2x^3.
     fn way(&self, time_s: f64) -> f64 {
         let ramp_s = self.ramp_s();
         let of_ramp = |time_s: f64| {
@@ -319,7 +321,8 @@ pub struct Schedule {
 }
 
 impl Schedule {
-    /// A schedule of `duration_s` that consists of one move, or of many short moves for bursts. It has a rest at both ends.
+    /// A schedule of `duration_s`. It consists of one move, or of many short moves for
+    /// [`Family::Bursts`], and has a rest at both ends.
     pub fn new(family: Family, duration_s: f64, speed: f64, random: &mut ChaCha8Rng) -> Self {
         let mut moves = Vec::new();
         let end_s = duration_s - random.random_range(1.0..2.5);

@@ -1,5 +1,5 @@
-//! The simulated robots. Nominal links, limits and gears are from data sheets; the format of the
-//! logs is that of their controllers.
+//! The simulated robots. Nominal links, limits and gears are those of data sheets. The format of a robot's log
+//! is that of the robot's controller.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -40,9 +40,9 @@ pub struct Robot {
     /// Number of motor turns per turn of the joint.
     pub gear_ratio: [f64; 6],
     pub log: LogForm,
-    /// Matrix in `q = raw * joints_from_raw`, with row vectors. Both are in radians.
+    /// The matrix in `q = raw * joints_from_raw`, in which `q` and `raw` are row vectors \[rad\].
     pub joints_from_raw: Matrix6<f64>,
-    /// Rod length of a bar that suits the robot \[m\]; `plate_m` is that of its offset plate.
+    /// Length of the rod of a bar that suits the robot \[m\]. `plate_m` is the length of the bar's offset plate.
     pub bar_length_m: f64,
     pub plate_m: f64,
     /// Parameters that the loop of robot and bar cannot determine for this arm (table 3.2 of TFRT-6017 and parallel axes).

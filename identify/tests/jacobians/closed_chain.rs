@@ -41,7 +41,8 @@ impl RobotMotion for Sines {
     }
 }
 
-/// Values of all parameters of the closed chain in any scalar type. Their order is that of the given [`ParameterId`]s.
+/// Values of all parameters of the closed chain, in any scalar type. The order is that of the
+/// [`ParameterId`]s from which they were created.
 #[derive(Clone)]
 pub struct Numbers<D> {
     pub robot: Vec<Link<D>>,
@@ -58,7 +59,7 @@ pub struct Numbers<D> {
     pub joint_errors: [[D; 18]; 6],
     /// Joint harmonics. Indices: joint, order three or four per turn, sine or cosine.
     pub joint_waves: [[[D; 2]; 2]; 6],
-    /// Links of the nominal robot, from which the lever arms of weights are computed.
+    /// Links of the nominal robot. The lever arms of weights are computed from these links.
     pub arm: Vec<DhLink>,
     pub clock: [D; 2],
     pub attachment: [D; 3],
@@ -124,8 +125,8 @@ pub fn coupled(cell: &Cell) -> Model {
         .with(ParameterId::all().filter(|id| matches!(id, ParameterId::EncoderOffset { origin: 1, .. })))
 }
 
-/// Joint angles with all errors of [`coupled_drives`], computed from their definition: basis functions of the reported
-/// angles of the drives. `fine` has the harmonics of orders three and four per turn.
+/// Joint angles with all errors of [`coupled_drives`], computed from the definition of the errors: basis functions of the
+/// reported angles of the drives. `fine` contains the harmonics of orders three and four per turn.
 pub fn true_joints<D: DualNum<f64> + Copy>(
     arm: &[DhLink],
     errors: &[[D; 18]; 6],
@@ -158,7 +159,7 @@ pub fn true_joints<D: DualNum<f64> + Copy>(
             g[i],
             D::from(0.0),
         ]);
-        // The delay has no basis function. It uses the angle at another instant.
+        // The delay has no basis function, because it uses the angle at another instant.
         let delay = |i: usize| errors[i][place(JointTerm::Delay)];
         let mean = (0..6).map(delay).fold(D::from(0.0), |a, b| a + b) / 6.0;
         let later = drives(sines(tau + delay(i) - mean))[i] - g[i];
@@ -175,7 +176,7 @@ pub fn true_joints<D: DualNum<f64> + Copy>(
     let [e1, e2, e3, e4, e5, e6] = error;
     let moved = [e1, e2, e3 - e2, e4, e5 + e4 * 0.1, e6 + e4 * 0.05 + e5 * 0.4];
     std::array::from_fn(|i| {
-        // Harmonics of the joint itself, in addition to those of its drive.
+        // Harmonics of the joint itself, which are added to those of its drive.
         let own = [(1.0, Period::JointOnce), (2.0, Period::JointTwice)].map(|(n, period)| {
             let [sine, cosine] = Phase::ALL.map(|phase| errors[i][place(JointTerm::Wave(period, phase))]);
             sine * (q[i] * n).sin() + cosine * (q[i] * n).cos()
@@ -268,8 +269,8 @@ impl<D: DualNum<f64> + Copy> Numbers<D> {
         })
     }
 
-    /// The same parameters with the length of the bar at this observation. The length contains the deflection under its
-    /// force and the harmonics of its direction.
+    /// The same parameters, but with the length of the bar at this observation. This length includes the deflection under
+    /// the force of the observation and the harmonics of the bar's direction.
     pub fn with_length_at(&self, o: &Observation) -> Self {
         let mut elongated = self.clone();
         let Some(rod) = elongated.bar.get_mut(2) else { return elongated };

@@ -35,8 +35,8 @@ fn independent_position(n: &Numbers<Dual64>, o: &Observation) -> Vec<Dual64> {
     independent_transform(n, o).split_off(9)
 }
 
-/// Five equations that are zero at the implied joints of the bar: three of the rotation, and two of
-/// the position across the rod.
+/// Five equations whose left sides are zero at the implied joints of the bar: three for the rotation, and
+/// two for the position across the rod.
 fn conditions(n: &Numbers<Dual64>, target: &Matrix<Dual64>, bar: &[Dual64; 5]) -> [Dual64; 5] {
     let end = n.bar_end(bar);
     let gimbal = forward(&n.bar_base(), &n.bar[..2], &bar[..2]);
@@ -52,7 +52,7 @@ fn conditions(n: &Numbers<Dual64>, target: &Matrix<Dual64>, bar: &[Dual64; 5]) -
     ]
 }
 
-/// Solves the equations for the joints of the bar by Newton's method. Dual numbers also yield the derivatives of the joints.
+/// Solves the equations for the joints of the bar by Newton's method. Dual numbers also give the derivatives of the joints.
 fn independent_implied(n: &Numbers<Dual64>, target: &Matrix<Dual64>, start: [f64; 5]) -> [Dual64; 5] {
     let mut bar = start.map(Dual64::from);
     for _ in 0..12 {
@@ -88,7 +88,7 @@ fn independent_position_angles(n: &Numbers<Dual64>, o: &Observation) -> Vec<Dual
     residual
 }
 
-/// Noise of each length relative to that of the median length.
+/// Noise of each length, divided by the noise of the median length.
 const LENGTH_NOISE: f64 = 0.4;
 
 /// Length that a wire measures at the time of an observation.
@@ -140,8 +140,8 @@ fn observations() -> Vec<Observation> {
         .collect()
 }
 
-/// Checks that every column agrees to 1e-9 of the largest entry of its kind. Columns without effect on
-/// the cost must be zero.
+/// Checks that every column of the Jacobian agrees to 1e-9 of the largest entry of its kind. Columns of parameters
+/// without effect on the cost must be zero.
 fn agrees<R: Residual>(arm: &Chain, model: &Model, residual: R, independent: Independent) {
     let observations = observations();
     let problem = LoopProblem::new(model, &Sines, &observations, residual, 1.0).unwrap();
@@ -195,7 +195,7 @@ fn independent_pose(n: &Numbers<Dual64>, o: &Observation) -> Vec<Dual64> {
 }
 
 /// The whitening is constant except for the scale. For each sample, one matrix therefore maps all derivatives of the plain
-/// pose to those of the cost. The position of the plain pose is in lengths of the rod.
+/// pose to the derivatives of the cost. The position of the plain pose is in units of the rod's length.
 #[test]
 fn pose_has_the_derivatives_of_the_plain_pose_times_one_matrix_for_each_sample() {
     for cell in [Cell::irb2400(), Cell::nj220()] {
@@ -221,8 +221,8 @@ fn pose_has_the_derivatives_of_the_plain_pose_times_one_matrix_for_each_sample()
                     plain[(i, model.columns().len())] = value.re;
                 }
             }
-            // Computes the covariance by propagation of uncertainty. Its columns are the derivatives
-            // by `theta` of each joint.
+            // Compute the covariance by propagation of uncertainty. The columns are the
+            // derivatives by `theta` of each joint.
             let angle =
                 |name: String| plain.column(model.column_of(name.parse().unwrap()).unwrap()).into_owned();
             let mut covariance = DMatrix::identity(6, 6) * 1e-14;

@@ -1,4 +1,5 @@
-//! A log with arbitrary bytes is refused with a message. Otherwise its values are finite, in order, or marked.
+//! A log with arbitrary bytes is either refused with a message, or the values that are read
+//! are finite and in order, or marked.
 
 use std::path::Path;
 use std::sync::LazyLock;
@@ -88,7 +89,8 @@ fn config<T: serde::de::DeserializeOwned + config::Validate>(name: &str) -> T {
     config::load(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../config").join(name)).unwrap()
 }
 
-/// Reads the bytes as a robot log with and without a mapping. Returns true if one of the two was accepted.
+/// Reads the bytes as a robot log, with and without a mapping. Returns whether at least
+/// one of the two attempts was accepted.
 fn read_as_robot(bytes: &[u8], format: LogFormat) -> bool {
     let mut robot = irb120();
     // No value reaches these limits, so most logs are accepted.

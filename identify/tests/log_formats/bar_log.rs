@@ -204,8 +204,8 @@ fn counters_that_start_anew_are_marked_and_one_that_slips_is_not_excused() {
     let origins: Vec<usize> = log.cycles.chunk_by(|a, b| a.origin == b.origin).map(<[_]>::len).collect();
     assert_eq!(origins, [100, ROWS - 100]);
     assert!(log.quality.remarks[0].contains("line 102"), "{:?}", log.quality.remarks);
-    // The counter restarts with a jump of three quarters of the largest possible step. The reader must neither assume a step
-    // nor a wrapped counter there.
+    // The counter restarts with a jump of three quarters of the largest possible step. The reader must neither assume that
+    // the joint moved by this step nor that the counter wrapped.
     let far = |row: usize, joint: usize| {
         let since = if row < 100 { 0 } else { 1_610_000_000 };
         ((counts(row, joint) + since) as u32).to_string()
@@ -227,7 +227,7 @@ fn counters_that_start_anew_are_marked_and_one_that_slips_is_not_excused() {
             one.step_part
         );
     }
-    // If the scale is grossly wrong, every row has such a jump. The remark must appear only once.
+    // If the scale is grossly wrong, every row contains such a jump. The remark must nevertheless appear only once.
     let coarse = |row: usize, joint: usize| ((50 * counts(row, joint)) as u32).to_string();
     let log = read(table(coarse).as_bytes(), None).unwrap();
     let message: Vec<&String> =
@@ -259,7 +259,7 @@ fn rows_that_jump_out_and_back_are_no_new_origins_but_marked_and_named() {
     assert_follows(&log, 1e-6);
     let message = inspect::bar_log(&log).suspicious.join("\n");
     assert!(message.contains("4 of 200 lines") && message.contains("line 42, 43, 92, 122"), "{message}");
-    // If this number of rows is faulty, the cause cannot be faults of single rows.
+    // So many faulty rows cannot be faults of single rows.
     let many = table(|row, joint| if row % 7 == 3 { "0".into() } else { shown(row, joint) });
     let message = self::message(many.as_bytes(), None);
     assert!(
@@ -307,7 +307,7 @@ fn what_cannot_be_meant_is_refused_with_place_and_remedy() {
         let message = message(text.as_bytes(), None);
         assert!(parts.iter().all(|part| message.contains(part)), "{message}");
     }
-    // Counts of an encoder that the bar does not have cannot be converted to angles.
+    // The bar does not have this encoder, so its counts cannot be converted to angles.
     let more = good.lines().enumerate();
     let more = more.map(|(row, line)| format!("{line},{}\n", if row == 0 { "count3" } else { "0" }));
     let message = message(more.collect::<String>().as_bytes(), None);

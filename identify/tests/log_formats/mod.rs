@@ -88,7 +88,7 @@ fn degrees_that_a_mapping_states_as_radians_are_recognised() {
     assert!(refusal.contains("look like degrees: write unit = \"deg\" for the joints"), "{refusal}");
 }
 
-/// Such a robot whose third axis is a slide.
+/// The robot of [`irb120`], except that its third axis is a slide.
 fn with_slide() -> RobotConfig {
     let mut robot = irb120();
     robot.links[2].joint = JointKind::Prismatic;
@@ -116,7 +116,7 @@ fn a_slide_in_telegrams_is_in_millimetres() {
 #[test]
 fn a_row_that_repeats_the_one_before_while_only_a_slide_moves_is_dropped() {
     let row = |row: usize| {
-        // Row 30 repeats row 29. The slide moves by 0.4 mm in 4 ms.
+        // Row 30 repeats row 29, and the slide moves by 0.4 mm in the 4 ms between rows.
         let moved = if row == 30 { 29 } else { row };
         format!("{:.3},0,0,{:.4},0,0,0\n", 0.004 * row as f64, 4e-4 * moved as f64)
     };
@@ -131,14 +131,14 @@ fn a_row_that_repeats_the_one_before_while_only_a_slide_moves_is_dropped() {
 fn an_error_in_a_mapped_table_names_the_line_of_the_file_and_the_column() {
     let text = german_table(80).replace("\r\n80;", "\r\n80;x");
     let message = read_as(&text, Some(shipped_mapping())).unwrap_err().to_string();
-    // The line number is that of row 10 after three lines of title, header and units.
+    // Row 10 is line 14 of the file: the lines of title, header and units precede row 0, and lines count from 1.
     assert!(message.contains("log.txt line 14 column `J1`"), "{message}");
     let message =
         read_as(&german_table(80).replace("J4", "axis4"), Some(shipped_mapping())).unwrap_err().to_string();
     assert!(message.contains("`J4` is missing") && message.contains("axis4"), "{message}");
 }
 
-/// Missing columns are searched in the order in which the types of the mappings have their keys.
+/// If several columns are missing, the message names the one whose key is first in the type of the mapping.
 #[test]
 fn of_several_columns_that_are_missing_the_first_of_the_mapping_is_named() {
     let (text, path) = ("a,b\n1,2\n", Path::new("table.csv"));
@@ -276,8 +276,8 @@ fn a_counter_of_telegrams_is_not_taken_for_milliseconds() {
 fn a_log_of_telegrams_that_breaks_off_is_refused_with_the_telegram() {
     let text = telegrams(60, 4);
     let read = read_as(&text[..text.len() - 200], None).map(|log| log.q_rad.len());
-    // A file that ends within an attribute is refused. If it ends between two elements, its
-    // incomplete last element is dropped.
+    // A file that ends within an attribute is refused. If the file ends between two elements, the last
+    // element is incomplete and is dropped.
     match read {
         Ok(count) => assert_eq!(count, 59),
         Err(error) => assert!(error.to_string().contains("telegram 60"), "{error}"),

@@ -22,7 +22,7 @@ pub fn shown(text: &str) -> Shown {
     std::fs::write(&page, text).unwrap();
     let requests = directory.path().join("requests.json");
     let log = format!("--log-net-log={}", requests.display());
-    // Runs for one second of virtual time, so that the scripts of the page have drawn. Software rendering is for
+    // Run for one second of virtual time, so that the scripts of the page have drawn. Software rendering is needed on
     // machines without a graphics processor.
     let drawn = ["--enable-unsafe-swiftshader", "--virtual-time-budget=1000"];
     let output =
@@ -57,8 +57,7 @@ pub fn printed(text: &str) -> Vec<String> {
     serde_json::from_slice(&read.stdout).unwrap()
 }
 
-/// Addresses of other hosts in the browser's log of requests. Addresses that the browser itself requests at
-/// every start are left out.
+/// Addresses of other hosts in the browser's log of requests, except those that the browser itself requests at every start.
 fn foreign(log: &Path) -> Vec<String> {
     let log: Value = serde_json::from_slice(&std::fs::read(log).unwrap()).unwrap();
     let address = |event: &Value| event["params"]["url"].as_str().map(str::to_owned);
@@ -67,7 +66,8 @@ fn foreign(log: &Path) -> Vec<String> {
     events.filter(|url| url.starts_with("http") && !of_browser(url)).collect()
 }
 
-/// A command for Chromium without a window, whose data is in a directory. The path of a file may be given as an address.
+/// A command for Chromium without a window. Chromium keeps its data in this directory. The path of
+/// a file may be given as an address.
 fn browser(directory: &Path) -> Command {
     let mut command = Command::new(chromium());
     command

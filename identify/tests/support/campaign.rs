@@ -1,7 +1,7 @@
-//! Sizes of campaigns. `.ci/run` evaluates a fraction of each campaign,
-//! `.ci/campaigns` evaluates all cases (`CAMPAIGNS=full`).
+//! Sizes of campaigns. `.ci/run` evaluates a fraction of each campaign. `.ci/campaigns`
+//! evaluates all cases (`CAMPAIGNS=full`).
 
-/// Number of cases to evaluate: `part`, which must be at least a fifth of `full`, or all `full` cases.
+/// Number of cases to evaluate. At full size it is `full`, otherwise `part`, which must be at least a fifth of `full`.
 pub fn size(part: u64, full: u64) -> u64 {
     assert!(5 * part >= full, "{part} of {full} cases is less than a fifth");
     if is_full() { full } else { part }
@@ -17,7 +17,8 @@ pub fn is_full() -> bool {
     std::env::var_os("CAMPAIGNS").is_some_and(|size| size == "full")
 }
 
-/// Of `all` independent events with this probability, at least this number occurs, except in one campaign of 280.
+/// Number of events that occur at least, if each of `all` independent events has this probability. In one
+/// campaign of 280, fewer occur by chance.
 pub fn fewest(all: u64, probability: f64) -> u64 {
     let mut of_count = (1.0 - probability).powi(i32::try_from(all).unwrap());
     let (mut count, mut below) = (0, 0.0);

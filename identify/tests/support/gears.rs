@@ -5,8 +5,8 @@ use identify::model::DriveTrain;
 use rand::Rng;
 use rand::rngs::StdRng;
 
-/// Gear errors of one robot, which are added to its reported joints. They are functions of the output angles of the gears,
-/// with orders that models do not contain.
+/// Gear errors of one robot, which are added to its reported joints. They are functions of the output angles of the gears.
+/// Their orders are not contained in any model.
 pub struct Gears {
     drives: DriveTrain,
     teeth: [f64; 6],

@@ -62,15 +62,15 @@ const LOBES: [f64; 6] = [59.0, 59.0, 39.0, 41.0, 47.0, 43.0];
 /// Range of speeds in which the backlash changes from one side to the other \[rad/s\].
 const BACKLASH_RAD_S: f64 = 2e-3;
 
-/// Simulates a run with clocks that differ by up to an hour and 80 ppm, and with arbitrary encoder offsets. It has two
-/// minutes unless `design` states otherwise.
+/// Simulates a run of two minutes, unless `design` states another duration. The clocks differ by up to an hour and 80 ppm,
+/// and the encoder offsets are arbitrary.
 pub fn run(robot: &RobotConfig, bar: &BallBarConfig, seed: u64, level: &Level, design: Design) -> Simulated {
     let mut clean = without_noise(robot, bar, seed, level, design);
     add_noise(&mut clean, seed, level);
     clean
 }
 
-/// Simulates such a run without noise.
+/// Simulates the same run without noise.
 pub fn without_noise(
     robot: &RobotConfig,
     bar: &BallBarConfig,
@@ -117,7 +117,7 @@ fn add(count: &mut u32, by_rad: f64, encoder: &shared::recording::schema::Encode
 }
 
 /// Adds errors of cycloid gears and backlash of the drives to the robot's log. Also changes the joints so that the robot
-/// follows a bar of varying length.
+/// follows a bar whose length varies.
 fn add_to_robot(run: &mut Simulated, robot: &RobotConfig, level: &Level, random: &mut ChaCha8Rng) {
     let phases: [f64; 6] = std::array::from_fn(|_| random.random_range(0.0..TAU));
     let azimuth = random.random_range(0.0..TAU);
@@ -194,8 +194,8 @@ pub fn exchange(run: &mut Simulated, order: &[usize]) {
     }
 }
 
-/// Replaces the values of one drive in every row by `shown`, a function of the values of all rows and of the row number.
-/// Faults of controllers affect single drives.
+/// Replaces the values of one drive in every row by those of `shown`, which receives the values of all rows and the row
+/// number. A drive is used instead of a joint, because faults of controllers affect single drives.
 pub fn of_drive(
     run: &mut Simulated,
     robot: &RobotConfig,
@@ -212,7 +212,7 @@ pub fn of_drive(
     }
 }
 
-/// Repeats the motion of a run. The second motion starts `pause_s` after the start of the first one \[s\].
+/// Repeats the motion of a run. The repetition starts `pause_s` after the start of the original motion \[s\].
 pub fn repeat(run: &mut Simulated, pause_s: f64) {
     let again: Vec<_> = run
         .cycles

@@ -8,7 +8,7 @@ use shared::config::RobotConfig;
 pub const ANCHOR_M: [f64; 3] = [0.3, -0.6, 0.1];
 
 /// Lengths between the anchor and the flange of a nominal robot, as a table in the format of `config/measured_length.toml`.
-/// The instrument shows lengths that are longer by `offset_mm`.
+/// The instrument shows lengths that are too long by `offset_mm`.
 pub fn table(robot: &RobotConfig, rows: u32, offset_mm: f64) -> String {
     let chain = flange_chain(robot);
     let mut csv = String::from("x_mm,y_mm,z_mm,q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg,cable_mm\n");

@@ -90,8 +90,8 @@ impl Cell {
     }
 }
 
-/// Angles of the bar at regular poses of robot and bar, and the joints of the robot there. Both are
-/// computed for the given chains.
+/// Angles of the bar at regular poses of robot and bar, and the joints of the robot at the same poses.
+/// Both follow from the given chains.
 pub fn spread_poses(
     robot: &Chain,
     bar: &Chain,

@@ -16,8 +16,8 @@ pub struct Refused {
     pub page: String,
 }
 
-/// One run as files, with the arguments that name them. `--robot` and `--bar` are the given configurations, even if the
-/// run was simulated with others.
+/// The files of one run, with the arguments that name them. The arguments `--robot` and `--bar` are the given
+/// configurations, even if the run was simulated with others.
 pub struct Typed {
     pub inputs: TempDir,
     pub arguments: Vec<PathBuf>,

@@ -6,8 +6,8 @@ use identify::kinematics::Joints;
 use identify::logs::{RobotLog, Stream, read, write};
 use shared::config::RobotConfig;
 
-/// `log` as it is read from a file whose rows have the stamps `stamps_s` with this number of decimals \[s\]. Rows without a
-/// stamp are missing in the file.
+/// `log` after it was written with the stamps `stamps_s` \[s\] and read again. `decimals` is the number of decimals of the
+/// stamps in the file. Rows without a stamp are not written.
 pub fn stamped(
     log: &RobotLog,
     robot: &RobotConfig,

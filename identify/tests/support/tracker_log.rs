@@ -32,7 +32,7 @@ pub struct Sizes {
     pub skew: f64,
     /// Robot clock minus tracker clock at the tracker's first row \[s\].
     pub shift_s: f64,
-    /// The robot's log begins earlier than the tracker's by the first value, and ends later by the second \[s\].
+    /// The robot's log begins earlier than the tracker's log by the first value, and ends later by the second value \[s\].
     pub lead_s: [f64; 2],
     /// Time after which the motion repeats \[s\]; `None` if it does not repeat.
     pub lap_s: Option<f64>,
@@ -70,7 +70,8 @@ pub struct Followed {
     pub log: RobotLog,
     /// Content of the tracker's file: `t_ms;x;y;z` in mm, and a rotation vector in rad if rotations are measured.
     pub text: String,
-    /// True time of each row of the tracker \[s\]. It is on the tracker's clock and counts from the first regular time.
+    /// True time of each row of the tracker \[s\]. It is a time of the tracker's clock and
+    /// counts from the first regular time.
     taken_s: Vec<f64>,
     path: PathOfJoints,
     /// Poses of the two stations.
@@ -110,8 +111,8 @@ impl PathOfJoints {
         const MIDDLE: [f64; 6] = [0.3, -1.2, 1.4, -0.6, -1.2, 0.2];
         let along_s = self.stops_s.map_or(t_s, |stop_s| {
             let (number, part) = ((t_s / stop_s).floor(), (t_s / stop_s).rem_euclid(1.0));
-            // The robot moves smoothly in the middle of the interval. It moves further than the time
-            // between two stops would require.
+            // The robot moves smoothly in the middle of the interval between two stops. To stand still at both ends, it
+            // moves faster than the interval would require.
             let u = ((part - self.stay) / (1.0 - 2.0 * self.stay)).clamp(0.0, 1.0);
             7.3 * (number + u * u * u * (10.0 + u * (6.0 * u - 15.0)))
         });
@@ -238,7 +239,7 @@ impl Followed {
         }
     }
 
-    /// The same rows with the true joints of the robot, apart from its noise.
+    /// The same rows with the joints at the true times of the rows. The noise of the rows remains.
     pub fn with_perfect_times(&self, aligned: &AlignedPoses) -> Vec<PoseRow> {
         let (poses, mut random) = (self.poses(), StdRng::seed_from_u64(1000 + self.seed));
         let rows = aligned.rows.iter().map(|row| {
@@ -256,7 +257,7 @@ impl Followed {
         let value = |id| model.parameter(id).unwrap().value;
         let moving = aligned.moving.as_ref().unwrap();
         let t_ref_s = self.poses().rows.t_s[aligned.rows[0]] - moving.t_s[0];
-        // Times count from the first regular time. The first stamp may differ from it.
+        // The times count from the first regular time, from which the first stamp may differ.
         let t_ref_s = t_ref_s + self.poses().rows.first_stamp_ns as f64 * 1e-9 - FIRST_S;
         let found_s = aligned.alignment.clock_difference_ns as f64 * 1e-9 + value(ParameterId::ClockShift);
         let truly_s = self.sizes.shift_s + self.sizes.skew * t_ref_s;

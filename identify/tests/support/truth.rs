@@ -15,7 +15,7 @@ use shared::config::RobotConfig;
 use super::campaign::is_full;
 
 /// Mean distance between the ends of the true and of the identified robot \[m\], over postures within the limits. Only links
-/// are compared; errors of joints are left out.
+/// are compared. Errors of joints are not included.
 pub fn position_error_m(run: &Simulated, found: &Calibration, robot: &RobotConfig) -> f64 {
     let (mut links, mut truth) = (found.model().clone(), run.truth.clone());
     truth.parameters.retain(|name, _| name.parse().is_ok_and(|id: ParameterId| id.term().is_none()));
@@ -37,8 +37,8 @@ pub fn apart_m(robot: &RobotConfig, one: &Chain, other: &Chain) -> f64 {
     wrists_apart_m(robot, |q| wrist_m(one, q), |q| wrist_m(other, q))
 }
 
-/// Mean distance between the wrists of two robots over postures within the limits \[m\]. One robot is first moved by the
-/// rigid motion that fits best, because base and flange belong to the instrument.
+/// Mean distance between the wrists of two robots over postures within the limits \[m\]. Base and flange belong to the
+/// instrument. Therefore the rigid motion that fits best is first applied to one robot.
 pub fn wrists_apart_m(
     robot: &RobotConfig,
     one: impl Fn(&Joints) -> Vector3<f64>,
@@ -69,9 +69,9 @@ pub fn rigid_motion(pairs: &[[Vector3<f64>; 2]]) -> Pose {
     Pose::from_parts((a - turn * b).into(), turn)
 }
 
-/// Normalised errors of link parameters: estimate minus truth, divided by half the width of the 95 % interval. Of the
-/// lengths `d` along two nearly parallel axes, only the sum is identified. The second one is estimated, so its correction is
-/// compared with the sum of both errors.
+/// Normalised errors of link parameters: estimate minus truth, divided by half the width of the 95 % interval. If two axes
+/// are nearly parallel, only the sum of the two lengths `d` along them is identified. The second `d` is estimated, so its
+/// correction is compared with the sum of both errors.
 pub fn pulls(
     robot: &RobotConfig,
     found: &Calibration,
@@ -97,9 +97,10 @@ pub fn pulls(
 /// Compares calibrations with the true parameters. All robots have the same nominal links but different errors. Checks the
 /// 95 % intervals of link parameters and the mean position error.
 ///
-/// The intervals include errors of joints that the samples neither show nor exclude, with the sizes of their priors.
-/// Simulated robots have smaller errors, so the coverage has no upper limit. The mean error shows whether the stated errors
-/// are too large. If the errors have the sizes of their priors, the median ratio of stated to true error is near 1.
+/// The intervals include errors of joints that the samples neither show nor exclude. The assumed sizes of these errors
+/// are those of their priors. The simulated robots have smaller errors, so the coverage has no upper limit. The mean
+/// error shows whether the stated errors are too large. If joint errors have the sizes of their priors, the median ratio
+/// of stated to true error is near 1.
 pub fn assert_claims_hold(
     robot: &RobotConfig,
     calibrations: impl Iterator<Item = (Calibration, BTreeMap<String, f64>)>,
@@ -122,8 +123,8 @@ pub fn assert_claims_hold(
         robot.name,
         all.len()
     );
-    // Errors of the links of one robot are correlated, so both figures vary more if there are few robots. At full size the
-    // median is 1.4 to 2.8. Priors of errors that do not exist then make up to 60 % of the stated variance.
+    // Errors of the links of one robot are correlated, so coverage and median vary more if there are few robots. At full
+    // size the median is 1.4 to 2.8, because priors of errors that do not exist cause up to 60 % of the stated variance.
     let (within_min, allowed) = if is_full() { (0.92, 1.0..=3.0) } else { (0.86, 0.8..=4.0) };
     assert!(within >= within_min, "{}: {within}", robot.name);
     assert!(allowed.contains(&ratio), "{}: {ratio}", robot.name);
