@@ -80,6 +80,8 @@ impl DataSets<'_> {
         if !self.bars.is_empty() {
             return Ok(());
         }
+        // There are no ball-bar runs, so options that only affect such runs must have their defaults. The preparation also
+        // affects rows that are aligned with a robot log.
         let default = IdentifyConfig::default();
         let (terms, default_terms) = (&config.joint_terms, &default.joint_terms);
         let has_robot_log = self.rows.iter().any(|rows| rows.instrument.first_s().is_some());

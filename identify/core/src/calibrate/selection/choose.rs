@@ -219,6 +219,7 @@ impl Solver<'_> {
         for group in &*groups {
             self.set_roles(&group.ids, Role::Prior { value: 0.0, sigma: group.sigma })?;
         }
+        // Normal equations with all terms, and the columns of each group in them.
         let (columns, ids, normals) = self.normals_here(loss, count)?;
         let mut offered = Offered { ids, always: Vec::new(), offers: Vec::new(), normals: None };
         groups.retain(|group| offered.columns_of(&group.ids).next().is_some());
@@ -232,6 +233,7 @@ impl Solver<'_> {
             }
         };
         let offers: Vec<Offer> = groups.iter().map(offer_of).collect();
+        // Separate the offered columns from those that each solution contains. Then move the linearisation to zero terms.
         let is_offered = |column: &usize| offers.iter().any(|offer| offer.has(*column));
         let (optional, always): (Vec<usize>, Vec<usize>) = (0..offered.ids.len()).partition(is_offered);
         let mut x_without_terms = self.start(&columns);
@@ -250,6 +252,7 @@ impl Solver<'_> {
         results: &[OfferResult],
         report: &mut Vec<Candidate>,
     ) -> Result<Vec<ParameterId>, CalibrateError> {
+        // Set the roles of the terms of each group.
         let mut accepted = Vec::new();
         for (number, group) in groups.iter().enumerate() {
             let result = results.iter().find(|result| result.offer == number && result.accepted);
@@ -260,6 +263,7 @@ impl Solver<'_> {
             self.set_roles(&group.ids, Role::Prior { value: 0.0, sigma: group.sigma * scale })?;
             accepted.extend(&group.ids);
         }
+        // Report the results.
         report.extend(results.iter().map(|result| {
             let group = &groups[result.offer];
             Candidate {

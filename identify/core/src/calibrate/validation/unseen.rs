@@ -58,6 +58,7 @@ pub fn unseen_parts(calibration: &Calibration) -> Vec<UnseenPart> {
         return Vec::new();
     }
     let Ok(problem) = problem(runs, columns, sigmas) else { return Vec::new() };
+    // The samples of each part are a fold.
     let parts: Vec<LeftOutRows> =
         runs.iter().enumerate().zip(problem.starts()).flat_map(|(run, first)| parts(run, *first)).collect();
     let mut folds: Vec<Vec<usize>> = parts.iter().map(|part| part.samples.clone()).collect();
@@ -67,6 +68,7 @@ pub fn unseen_parts(calibration: &Calibration) -> Vec<UnseenPart> {
     folds.push((0..is_rest.len()).filter(|sample| is_rest[*sample]).collect());
     let options = Options { loss: solution.loss, ..Options::default() };
     let Ok(normals) = Normals::new(&problem, &solution.x, &options, &folds) else { return Vec::new() };
+    // Compare the errors of the rows at a part between the model without these rows and the calibration.
     let predicted = |(part, x): (LeftOutRows, Option<Vec<f64>>)| {
         let Run { instrument, model } = &runs[part.data_set];
         let mut without_part = model.clone();

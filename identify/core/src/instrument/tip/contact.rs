@@ -25,6 +25,7 @@ impl Contact {
     pub fn new(rows: &[TipRow], table: &SocketTable) -> Result<Self, RowError> {
         let mut all = Standing::new(rows, |row| row.joints_rad);
         let names = table.names();
+        // Count the rows of each socket.
         let mut visits = vec![0; names.len()];
         for (number, row) in (1..).zip(&all.rows) {
             if !row.joints_rad.iter().all(|joint| joint.is_finite()) {
@@ -41,6 +42,7 @@ impl Contact {
         let sockets = Sockets::new(table, &names);
         let axes = all.states.first().map_or(0, |state| state.q.len());
         let (rows, needed) = (all.rows.len(), numbers_min(names.len(), axes).div_ceil(SeatedBall::ROWS));
+        // Check that rows and table determine the robot and all visited sockets.
         if let [socket] = names[..] {
             return Err(RowError::OneSocket { socket: socket.to_owned() });
         }
@@ -95,6 +97,9 @@ impl Artefact for Sockets {
     fn start(&self, touches: &TouchedPoses) -> Option<Vec<(ParameterId, f64, Role)>> {
         let sockets = self.names.len();
         let size = 3 * (1 + sockets);
+        // Normal equations of `p + R ball - socket = 0`. `matrix` consists of 3 x 3 blocks, `right` of 3 x 1 blocks. A row
+        // with the pose `(R, p)` adds `I` to both diagonal blocks, `-R^T` and `-R` to the two off-diagonal blocks of ball
+        // and socket, and `-R^T p` and `p` to `right`.
         let (mut matrix, mut right) = (DMatrix::zeros(size, size), DVector::zeros(size));
         matrix.view_mut((0, 0), (3, 3)).fill_diagonal(tip_weight(touches.len()));
         for (flange, row) in touches {

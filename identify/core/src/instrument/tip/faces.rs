@@ -268,6 +268,7 @@ impl Knowns for Faces {
 
     fn known(&self, known: usize, geometry: &Geometry) -> Option<(DVector<f64>, DMatrix<f64>)> {
         let faces = &geometry.touch.faces;
+        // Layout of the columns: for each face the three coordinates of its normal, then its distance.
         let first_column = |face: usize| FaceNumber::ALL.len() * face;
         let columns = first_column(faces.len());
         let set = |row: &mut RowDVector<f64>, face: usize, by_normal: RowVector3<f64>, by_distance: f64| {

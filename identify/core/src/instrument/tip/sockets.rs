@@ -204,6 +204,8 @@ impl Sockets {
             weighted.map(|((s, c), weight)| (s - s_centre) * (c - c_centre).transpose() * *weight).sum();
         let rotation: Rotation3<f64> = nearest_rotation(&products);
         // The residuals, and their derivatives `M` by translation and rotation of the plate.
+        // Layout: rows `3 k` to `3 k + 2` are the coordinates of the known position `k`. Columns 0 to 2 of `M` are the
+        // translation, columns 3 to 5 the rotation vector.
         let (mut residual, mut by_pose) = (DVector::zeros(size), DMatrix::zeros(size, 6));
         let mut per_sigma = DVector::zeros(size);
         for (place, ((s, c), weight)) in s.iter().zip(&c).zip(&weights).enumerate() {

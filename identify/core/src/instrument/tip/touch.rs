@@ -151,11 +151,13 @@ impl Artefact for Faces {
         let faces = self.names.len();
         let fits = starts_m.into_iter().filter_map(|start_m| fit_tip_and_planes(touches, faces, start_m));
         let TipFit { tip_m, planes, .. } = fits.min_by(|a, b| a.rms_m.total_cmp(&b.rms_m))?;
+        // The tip, with a weak prior.
         let expected_m = self.tip_m.unwrap_or_default();
         let coordinate = |axis: Axis| {
             let role = Role::Prior { value: expected_m[axis.index()], sigma: TIP_SIGMA_M };
             (ParameterId::Tip { axis }, tip_m[axis.index()], role)
         };
+        // The faces. Each plane is divided by the largest coordinate of its normal, which is then fixed.
         let mut start = Axis::ALL.map(coordinate).to_vec();
         for (face, Face { normal, distance_m }) in planes.iter().enumerate() {
             let largest = normal.iamax();
