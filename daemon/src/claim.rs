@@ -1,12 +1,13 @@
-//! Exclusive claims of network interfaces and of directories with recordings. If another process holds a claim, this process
-//! is refused with the identity and the activity of the holder.
+//! Exclusive claims of network interfaces and of directories with recordings. While one process holds a claim, other
+//! processes cannot get it. The refusal names the holder and what the holder is doing.
 //!
-//! A claim is a listening socket in the abstract namespace of the kernel. The kernel closes it when its process ends, even by
-//! a crash. Another process can connect to the socket and query the holder. A claim is valid within one network namespace,
-//! like the names of interfaces. Claims are advisory: MainDevices of other programs do not check them.
+//! A claim is a listening socket in the abstract namespace of the kernel. The kernel closes the socket
+//! when the process of the holder ends, even by a crash. Another process can connect to the socket and
+//! query the holder. A claim is valid within one network namespace, like the names of interfaces. Claims
+//! are advisory: other programs that operate an EtherCAT bus do not check them.
 //!
-//! A lock file was not chosen, because it would need a directory that every user may write, and could not report
-//! the activity of the holder.
+//! A lock file was not chosen, because it would need a directory that every user may write, and could
+//! not report the activity of the holder.
 
 use std::fmt;
 use std::io::{self, ErrorKind, Read, Write};
@@ -49,8 +50,8 @@ fn own_activity() -> String {
 pub struct Holder {
     /// Process id; `None` if the process is in another container.
     pub pid: Option<i32>,
-    /// User of the process, if it is not the user of this process. The user matters because every user of the
-    /// machine can claim a name.
+    /// User of the process, if it is not the user of this process. The user matters because every user
+    /// of the machine can claim a name.
     pub user: Option<String>,
     /// Command and activity of the process.
     pub doing: String,
@@ -121,8 +122,8 @@ impl Claim {
 
 impl Drop for Claim {
     fn drop(&mut self) {
-        // The shutdown wakes the answering thread. The name is free when that thread has closed the socket,
-        // so wait for the thread.
+        // The shutdown wakes the answering thread. The name is free when that thread has closed the
+        // socket, so wait for the thread.
         let _ = shutdown(self.listener.as_raw_fd(), Shutdown::Both);
         if let Some(answering) = self.answering.take() {
             let _ = answering.join();

@@ -1,9 +1,10 @@
-//! The log: writes events of `tracing`, panics and the final error as lines to standard error. No
-//! thread that logs ever waits.
+//! The log: writes events of `tracing`, panics and the final error as lines to standard error. A thread
+//! that logs never waits.
 //!
-//! The lines enter a bounded queue, and one thread writes them. If standard error is closed, full or not read, lines are lost
-//! and counted, but no run is affected. The thread has its own file descriptor. With the lock of `std::io::stderr`, a blocked
-//! write would block every thread that prints.
+//! The lines enter a bounded queue, and one thread writes them. If standard error is closed, full or not
+//! read, lines are lost and counted, but no run is affected. This thread writes to a file descriptor of
+//! its own. It does not use `std::io::stderr`, because all threads share the lock of that stream: a
+//! blocked write would block every thread that prints.
 //!
 //! Two crates were not used. `tracing-appender` prints to standard error at the end of the program, which may block. It also
 //! does not count lines that are lost in a write, and does not limit the lines of a call site. `tracing-journald` writes to a
@@ -30,9 +31,10 @@ use tracing_subscriber::prelude::*;
 
 /// Capacity of the queue in lines. It holds the lines of a busy minute.
 const LINES_MAX: usize = 4096;
-/// How long the end of the program waits for unwritten lines. A reader that is active reads them at once.
+/// How long the program waits for unwritten lines before it ends. If another program reads standard
+/// error, the lines are written at once.
 const FLUSH_TIMEOUT: Duration = Duration::from_millis(500);
-/// Period in which a flush tries again when the queue is full.
+/// Pause of a flush before it tries again to use the queue, if the queue is full.
 const RETRY: Duration = Duration::from_millis(10);
 
 /// Largest number of lines of one call site in a minute.
@@ -49,7 +51,7 @@ pub fn lines_lost() -> u64 {
 #[derive(Debug)]
 enum Entry {
     Line(Vec<u8>),
-    /// Request for a message when all earlier lines have been written or lost.
+    /// Requests a message on this channel once all earlier lines have been written or lost.
     Flush(SyncSender<()>),
 }
 
@@ -87,7 +89,7 @@ impl Log {
         Ok(log)
     }
 
-    /// Writes a line whatever the filter is. It is used for the final error of a command.
+    /// Writes a line that no filter suppresses. It is used for the final error of a command.
     pub fn line(&self, text: &str) {
         self.lines.line(&with_priority(text, self.is_journal.then_some(Level::ERROR)));
     }
@@ -99,7 +101,8 @@ impl Drop for Log {
     }
 }
 
-/// Whether the stream leads to the journal. systemd sets an environment variable that identifies the stream of the journal.
+/// Whether the stream leads to the journal. systemd sets `JOURNAL_STREAM` to the device and the inode of
+/// the stream to the journal.
 fn leads_to_journal(stream: &OwnedFd) -> bool {
     let journal = std::env::var("JOURNAL_STREAM").unwrap_or_default();
     nix::sys::stat::fstat(stream).is_ok_and(|found| journal == format!("{}:{}", found.st_dev, found.st_ino))
@@ -122,7 +125,7 @@ fn with_priority(text: &str, level: Option<Level>) -> String {
 struct Sink {
     lines: Lines,
     is_journal: bool,
-    /// Number of lines of each call site.
+    /// Counter of each call site.
     alike: Mutex<HashMap<Identifier, Alike>>,
 }
 
@@ -143,7 +146,7 @@ impl Alike {
     }
 }
 
-/// Writer for one event, which a [`Sink`] creates.
+/// Writer that a [`Sink`] creates for one event.
 struct LogEvent {
     lines: Lines,
     /// Severity of the event; `None` if the stream does not lead to the journal.

@@ -1,8 +1,9 @@
 //! Problems of bus, disk, encoders, cables and host, as values.
 //!
-//! A [`Fact`] is created only where the problem is detected. A [`Problem`] adds code, severity, text and remedy,
-//! which are defined here only. File, log, status, check, page, metrics and API all show the same texts. Codes are
-//! stable; `docs/src/reference/warnings.md` explains each code.
+//! A [`Fact`] identifies a detected problem by a code and contains the measured values. The code that
+//! detects the problem creates the fact. A [`Problem`] adds severity, text and remedy. Only this module
+//! defines them, so file, log, status, check, page, metrics and API show the same texts. Codes do not
+//! change between versions; `docs/src/reference/warnings.md` explains each code.
 
 use std::fmt;
 use std::path::PathBuf;
@@ -45,8 +46,8 @@ pub struct Problem {
 }
 
 /// Declares [`Fact`] and [`CODES`] from one table. Each entry of the table contains name, code, severity, fields, text and
-/// remedy. Text and remedy may use the fields. From them the macro also generates [`code`](Fact::code) and the private
-/// functions for severity and texts.
+/// remedy. Text and remedy may use the fields. The macro also generates the function [`code`](Fact::code) and the private
+/// functions `severity` and `texts`.
 macro_rules! facts {
     ($($(#[doc = $doc:literal])+ $name:ident = $code:literal, $severity:ident
         $({ $($field:ident: $type:ty),+ $(,)? })? => $text:expr, $remedy:expr;)+) => {
@@ -189,7 +190,7 @@ facts! {
     InterfaceUnusable = "interface_unusable", Bad { error: String } =>
         error,
         "correct --bus or the interface";
-    /// The thread of the cycle is blocked or starved.
+    /// The cycle thread is blocked or starved.
     CycleStalled = "cycle_stalled", Bad { age_s: i64 } =>
         format!("no bus cycle for {age_s} s: the cycle thread is blocked or starved"),
         REDUCE_LOAD;
@@ -219,12 +220,12 @@ facts! {
     NoSamples = "no_samples", Bad =>
         "no sample in the last second",
         "bring the bus into operation first";
-    /// Encoders have too few valid samples. `status` and `valid_share` are those of the first of these encoders; the fraction
-    /// refers to the last second.
+    /// Encoders have too few valid samples. `joints` lists them. `status` and `valid_share` belong to the first of these
+    /// encoders. `valid_share` is its fraction of valid samples in the last second.
     EncoderInvalid = "encoder_invalid", Bad { joints: Vec<u8>, status: Option<u16>, valid_share: f64 } =>
         invalid_encoders(joints, *status, *valid_share),
         encoder_remedy(*status, *valid_share);
-    /// The counts may have a new origin.
+    /// The counters may have restarted, so that counts before and after the restart have different origins.
     CountsRestarted = "counts_restarted", Check { joint: Option<u8>, because: String } =>
         format!("counts may have a new origin: {because}"),
         "home again if runs use reference marks; a calibration estimates the new offsets";
@@ -382,8 +383,9 @@ facts! {
 }
 
 impl Fact {
-    /// The most severe cause of cycles with these flags. `silent` are the joints without valid samples. `position` is the bus
-    /// position of the first terminal of these joints. It is `None` if it is unknown, or if no terminal has valid samples.
+    /// Returns the most severe problem that explains these flags of cycles. `silent` lists the joints without valid samples.
+    /// `position` is the bus position of the terminal of the first of these joints. `position` is `None` if it is unknown,
+    /// or if no joint at all has valid samples.
     pub fn of_flags(bits: u32, bus: &str, silent: Vec<u8>, position: Option<usize>) -> Self {
         let has = |bit| bits & bit != 0;
         if has(flags::NO_REPLY) {
@@ -403,8 +405,9 @@ impl Fact {
         }
     }
 
-    /// Code and location, which identify a problem among simultaneous problems. The location is a number that is derived from
-    /// the joint or the port. Figures do not affect the key.
+    /// Returns code and location, which together distinguish problems that exist at the same time. The location is a number
+    /// that is derived from the joint or the port. Measured values are not part of the key, so the key of a problem stays
+    /// the same while its values change.
     pub fn key(&self) -> (&'static str, usize) {
         let place = match self {
             // A device has at most four ports.
@@ -429,8 +432,8 @@ impl From<PortCounts> for Fact {
 }
 
 impl Problem {
-    /// Marks the problem as the reason why these joints have no valid samples. `all` is true if no joint of
-    /// the bar has valid samples.
+    /// Marks the problem as the reason why these joints have no valid samples. `all` is true if no joint
+    /// of the bar has valid samples.
     pub fn with_joints(self, joints: Vec<u8>, all: bool) -> Self {
         let subject = if all { "any encoder".into() } else { format!("joint {}", numbers(&joints)) };
         Self {
@@ -513,7 +516,7 @@ fn invalid_encoders(joints: &[u8], status: Option<u16>, valid_share: f64) -> Str
     format!("no valid sample from {who}")
 }
 
-/// Whether the terminal reports late cycles, but no error of the encoder.
+/// Whether the status word reports a synchronisation error, which late cycles cause, but no error of the encoder signal.
 fn is_only_unsynchronised(status: Option<u16>) -> bool {
     let is_only =
         |status: StatusWord| status.sync_error() && !status.amplitude_error() && !status.frequency_error();
@@ -521,8 +524,8 @@ fn is_only_unsynchronised(status: Option<u16>) -> bool {
 }
 
 fn encoder_remedy(status: Option<u16>, valid_share: f64) -> &'static str {
-    // A terminal that is not in operation reports no error. After the bus was restored, encoders are valid only
-    // once all of them are.
+    // If the terminal reports no error but has no valid sample, the encoder is not the cause. Either the terminal is not in
+    // operation, or the bus was just restored. After that, no encoder counts as valid until all encoders deliver samples.
     let is_without_error = status.map(StatusWord).is_some_and(|status| !status.has_error());
     if is_only_unsynchronised(status) {
         REDUCE_LOAD
@@ -533,8 +536,7 @@ fn encoder_remedy(status: Option<u16>, valid_share: f64) -> &'static str {
     }
 }
 
-/// Text that says where to look for the cause first: at the device at `position`, or at the coupler
-/// if the position is unknown.
+/// Remedy that names what to check first: the device at `position`, or the coupler if the position is unknown.
 fn first_check(position: Option<usize>) -> String {
     let place = match position {
         Some(position) => format!("{} and the contact before it", device(position)),
@@ -548,8 +550,9 @@ fn expected_and_found(expected: &[String], found: &[String]) -> String {
     format!("expected [{}], found [{}]", list(expected), list(found))
 }
 
-/// Name of the link at a port, and its remedy. Port 0 leads to the preceding device and port 1 to the next terminal. Port 2
-/// of the coupler leads to its OUT socket. The coupler is connected by cables, terminals by contacts that touch each other.
+/// Describes a bad link at a port. Returns the text and the remedy. Port 0 leads to the preceding device and port 1 to the
+/// next terminal. Port 2 of the coupler leads to its OUT socket. The links of the coupler
+/// to this PC and at its OUT socket are cables. All other links are contacts between adjacent devices.
 fn link(position: usize, port: usize) -> (String, String) {
     let cable = "push the plug in, or replace the cable";
     match (position, port) {

@@ -1,8 +1,9 @@
-//! Finds settings of this machine that delay the cycle, and the commands that correct them.
+//! Finds settings of this machine that delay the bus cycle, and the commands that correct these settings.
 //!
-//! Input is text: most settings are files of the kernel, and those of a network interface are printed by `ethtool`. The
-//! function [`findings`] evaluates the text of each setting and grades it. `ballbard tune` and the smoke test show the
-//! result. The thread of the cycle uses this module to check its permissions.
+//! [`Machine`] reads most settings from files of the kernel, and the settings of a network interface
+//! from the output of `ethtool`. [`findings`] grades each setting and returns a [`Finding`] with its
+//! value, its effect and the command that corrects it. `ballbard tune` and the smoke test show the
+//! findings. The cycle thread uses [`Machine`] to check its permissions.
 
 use std::fmt;
 use std::fs::OpenOptions;
@@ -18,11 +19,11 @@ use serde::Serialize;
 pub enum SettingGrade {
     /// The setting does not delay the cycle.
     Fine,
-    /// The setting delays the cycle, but by less than a frame may be late.
+    /// The setting delays the cycle, but by less than the allowed lateness of a frame.
     Slight,
-    /// The setting makes the cycle late.
+    /// The setting can delay a frame by more than the allowed lateness.
     Problem,
-    /// The machine does not provide the setting.
+    /// The setting could not be determined.
     Unknown,
 }
 
@@ -39,12 +40,12 @@ pub struct Finding {
     pub remedy: String,
 }
 
-/// A machine, and the cycle that will run on it.
+/// The files of a machine, and properties of the cycle that will run on this machine.
 #[derive(Debug, Clone, Default)]
 pub struct Machine {
     /// Directory that contains the files of the machine, `/` except in tests.
     pub root: PathBuf,
-    /// Core that is configured for the thread of the cycle.
+    /// Core that is configured for the cycle thread.
     pub core: Option<usize>,
     /// Time between two cycles.
     pub cycle_period: Duration,
@@ -57,7 +58,8 @@ pub struct Machine {
 }
 
 impl Machine {
-    /// Describes the machine with these files, for a cycle on this core with this period.
+    /// Describes the machine whose files are below `root`. The cycle will run on `core` with this
+    /// period, on the bus at `interface`.
     pub fn at(root: &Path, core: Option<usize>, cycle_period: Duration, interface: Option<&str>) -> Self {
         Self {
             root: root.to_owned(),
@@ -87,13 +89,13 @@ impl Machine {
         self.of_cores(&format!("cpu{}/{file}", self.core.unwrap_or(0)))
     }
 
-    /// How late a frame may be: a delay of less than half a cycle period has no effect.
+    /// Allowed lateness of a frame: half a cycle period. A smaller delay has no effect on the samples.
     fn slack(&self) -> Duration {
         self.cycle_period / 2
     }
 
-    /// The core to isolate: the core in daemon.toml, or else the last core. Core 0 is never isolated, because the kernel
-    /// needs it. `None` on a machine with one core.
+    /// The core to isolate: the configured core, or the last core if no core or core 0 is configured. Core 0 is never
+    /// isolated, because the kernel needs it. `None` on a machine with one core.
     fn core_to_isolate(&self) -> Option<usize> {
         let last = cores(&self.of_cores("online").unwrap_or_default()).last().copied();
         self.core.filter(|core| *core > 0).or(last).filter(|core| *core > 0)
@@ -117,7 +119,7 @@ impl Machine {
         self.status_bits("CapEff") >> bit & 1 == 1
     }
 
-    /// Bit mask of this process with this name in `/proc/self/status`; 0 if it cannot be read.
+    /// Reads the bit mask `name` of this process from `/proc/self/status`; 0 if it cannot be read.
     pub fn status_bits(&self, name: &str) -> u64 {
         let status = self.text("proc/self/status").unwrap_or_default();
         let mask = status.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(':'));
@@ -160,8 +162,8 @@ fn coalescing_of(interface: &str) -> Option<String> {
 
 /// Grades all settings, the most important first.
 pub fn findings(machine: &Machine) -> Vec<Finding> {
-    // The flag of a setting is true if its delay is bounded by less than `KERNEL_DELAY`. A cycle with enough margin is then
-    // not late, so the grade is at most `Slight`.
+    // Entries: name, flag, finding. The flag is true if the delay that the setting causes is always shorter than
+    // `KERNEL_DELAY`. If frames may be later than `KERNEL_DELAY`, such a setting is graded `Slight` instead of `Problem`.
     let settings = [
         ("kernel", false, kernel(machine)),
         ("isolated core", true, isolated_core(machine)),
@@ -207,8 +209,8 @@ fn unknown(says: impl Into<String>, remedy: impl Into<String>) -> Finding {
     Finding::new(SettingGrade::Unknown, says, remedy)
 }
 
-/// Longest delay that a kernel without PREEMPT_RT causes for a real-time thread, in sections without preemption. Cores,
-/// clocks and interrupts cause smaller delays.
+/// Longest delay of a real-time thread on a kernel without PREEMPT_RT. It occurs while the kernel executes code that cannot
+/// be preempted. The settings of cores, clocks and interrupts cause smaller delays.
 const KERNEL_DELAY: Duration = Duration::from_millis(2);
 
 /// File with the text that `uname -v` prints.
@@ -234,7 +236,7 @@ fn kernel(machine: &Machine) -> Finding {
     problem(format!("{version}: not PREEMPT_RT, so drivers may delay the cycle by milliseconds"), remedy)
 }
 
-/// Instruction to add options to the command line of the kernel. Debian and Ubuntu store the command line in this file.
+/// Instruction to add options to the command line of the kernel, which Debian and Ubuntu store in /etc/default/grub.
 fn boot_option(options: &str) -> String {
     format!(
         "add `{options}` to GRUB_CMDLINE_LINUX in /etc/default/grub, then: sudo update-grub && sudo reboot"
@@ -320,8 +322,8 @@ fn governor(machine: &Machine) -> Finding {
 fn idle_states(machine: &Machine) -> Finding {
     match machine.of_cores("cpuidle/current_driver").as_deref() {
         Some("none") => fine("no idle driver, so no deep idle states"),
-        // The cycle writes a latency limit to this file (`stay_awake`). Here the file is only opened, to test the permission.
-        // Without writing a limit, this changes nothing.
+        // The cycle thread will write a latency limit to this file (`stay_awake`). Here the file is only opened to test the
+        // permission, which changes nothing as long as no limit is written.
         Some(driver) => match OpenOptions::new().write(true).open(machine.root.join("dev/cpu_dma_latency")) {
             Ok(_) => {
                 fine(format!("{driver}; ballbard keeps /dev/cpu_dma_latency at 0, which prevents deep ones"))
@@ -352,9 +354,9 @@ fn clock_source(machine: &Machine) -> Finding {
 const CAP_IPC_LOCK: u32 = 14;
 const CAP_SYS_NICE: u32 = 23;
 
-/// Command that gives the program the permissions of the cycle. The systemd unit of the Debian package limits the
-/// capabilities to one. The kernel refuses to start a program with more capabilities there, so `setcap` must not
-/// be used for the package.
+/// Command that gives the program the permissions of the cycle. The systemd unit of the Debian package limits the service to
+/// one capability. If `setcap` gave the program file more capabilities, the kernel would refuse to start it in that unit. So
+/// `setcap` must not be used for the package.
 pub fn grant(is_package: bool) -> &'static str {
     if is_package {
         "sudo systemctl stop ballbard && sudo ballbard .. (without sudo, only the package's service has the rights)"
@@ -390,8 +392,8 @@ fn locked_memory(machine: &Machine) -> Finding {
 fn throttling(machine: &Machine) -> Finding {
     match machine.text("proc/sys/kernel/sched_rt_runtime_us").map(|text| text.parse::<i64>()) {
         Some(Ok(-1)) => fine("real-time threads are never throttled"),
-        // The cycle sleeps most of the time, so the fraction of time that is reserved for other threads by
-        // default does not affect it.
+        // By default, 5 % of the time of a core is reserved for other threads. The cycle thread sleeps most of the time, so
+        // this limit does not affect it.
         Some(Ok(runtime_us)) if runtime_us >= 900_000 => {
             fine(format!("real-time threads may take {} % of a core", runtime_us / 10_000))
         }

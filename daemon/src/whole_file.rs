@@ -1,5 +1,5 @@
-//! Reads and writes small state files. A file is replaced as a whole, so a reader finds either the
-//! new or the previous content.
+//! Reads and writes small state files. A file is replaced as a whole, so a reader finds either the new
+//! or the previous content.
 
 use std::io::{self, Read, Write};
 use std::path::Path;
@@ -7,11 +7,12 @@ use std::sync::atomic::{AtomicU32, Ordering};
 
 use shared::recording::{Disk, OpenFile, is_absent};
 
-/// Largest length of a file \[bytes\]. It exceeds that of any state file, so a longer file was not written by this program.
+/// Length of the longest file that is read \[bytes\]. Every state file is shorter, so a longer file was
+/// not written by this program.
 const BYTES_MAX: u64 = 65_536;
 
-/// Text of a file; `None` if it does not exist. A file that is longer than [`BYTES_MAX`] is an error. Its beginning is not
-/// returned, because it may be valid but have another meaning than the whole file.
+/// Text of a file; `None` if it does not exist. A file that is longer than [`BYTES_MAX`] is an error. The beginning of such
+/// a file is not returned, because it may be valid text with another meaning than the whole file.
 pub fn read(disk: &dyn Disk, file: &Path) -> io::Result<Option<String>> {
     let opened = match disk.open(file) {
         Err(error) if is_absent(&error) => return Ok(None),
@@ -60,7 +61,7 @@ mod tests {
 
     use super::*;
 
-    /// A disk on which another process writes the same file first.
+    /// A disk on which another process writes the same file just before the first write.
     #[derive(Debug)]
     struct Two {
         file: PathBuf,
