@@ -1,6 +1,7 @@
 //! The real-time thread of a [`Session`](super::Session). It brings the bus into operation, keeps it in operation, and
-//! executes one job after the other. A job is a run or a homing. Each cycle is written to the ring of the job and to
-//! [`LatestSamples`]. Without a job, the cycle continues on real time, so that the samples stay current.
+//! executes one job after the other. A job is a run or a homing. The record of each cycle is published in [`LatestSamples`].
+//! During a run, the record is also written to the ring of the run. On real time, cycles continue while there is no job, so
+//! that the latest samples stay current.
 
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError};
@@ -22,7 +23,7 @@ use crate::record::{CycleSink, Stop};
 use crate::scheduler::Stepper;
 use crate::segment::simulated::{Hand, ReplayHandle};
 
-/// What the thread of the cycle reports once the bus is in operation.
+/// What the cycle thread reports once the bus is in operation.
 #[derive(Default)]
 pub(super) struct Ready {
     pub devices: Vec<DeviceInfo>,
@@ -31,22 +32,22 @@ pub(super) struct Ready {
     pub realtime: Option<RealtimeReport>,
 }
 
-/// A job for the thread of the cycle.
+/// A job for the cycle thread.
 pub(super) enum Job {
     Run(RunJob),
     Home(HomingJob),
 }
 
-/// One run, as a job for the thread of the cycle.
+/// One run, as a job for the cycle thread.
 pub(super) struct RunJob {
     pub sink: CycleSink,
     pub stop: Stop,
     /// Number of cycles after which the run ends, with the cause of that end.
     pub cycle_limit: Option<(u64, &'static str)>,
-    /// The run ends after this number of consecutive cycles in which no encoder has a valid sample.
-    /// It is derived from `full_fault_s`.
+    /// The run ends after this number of consecutive cycles in which no encoder has a valid sample. The
+    /// number is derived from `full_fault_s`.
     pub full_fault_cycles: u64,
-    /// `UTC - monotonic` for the sample times of the run \[ns\].
+    /// The difference `UTC - monotonic` that converts the sample times of the run to UTC \[ns\].
     pub utc_minus_monotonic_ns: i64,
 }
 
@@ -55,11 +56,12 @@ pub(super) struct RunJob {
 pub(super) enum Pace {
     /// Cycles have deadlines on the clock.
     Clock,
-    /// Cycles have no deadlines. They wait for the disk, and each advances the virtual clock.
+    /// Cycles have no deadlines. Each cycle advances the virtual clock. If the ring is full, the cycle
+    /// thread waits for the disk.
     Fast,
 }
 
-/// Channels and stop requests of the thread of the cycle.
+/// Channels and stop requests of the cycle thread.
 pub(super) struct CycleChannels {
     pub ready: SyncSender<Result<Ready, RunError>>,
     pub jobs: Receiver<Job>,
@@ -72,8 +74,8 @@ pub(super) struct CycleChannels {
     pub over: SyncSender<()>,
 }
 
-/// Executes bus cycles until the queue of jobs is closed. Operations that may block run in other threads behind the ring,
-/// or before the first cycle.
+/// Executes bus cycles until the queue of jobs is closed. Operations that may block are executed by other threads, which
+/// read the ring, or before the first cycle.
 pub(super) struct CycleLoop {
     on_bus: OnBus,
     jobs: Receiver<Job>,
@@ -89,7 +91,7 @@ enum CycleTask {
     Home(Box<HomingTask>),
 }
 
-/// The bus, and the place where its samples are published.
+/// The bus with its plan, the handles of its simulation, and the target to which its samples are published.
 struct OnBus {
     acquisition: Acquisition,
     clock: Clock,
@@ -100,8 +102,8 @@ struct OnBus {
 }
 
 impl CycleLoop {
-    /// Brings the bus into operation and reports the result to `channels.ready`. Returns `None` if the bus
-    /// cannot be brought into operation.
+    /// Brings the bus into operation and reports the result to `channels.ready`. Returns `None` if the
+    /// bus cannot be brought into operation.
     pub fn start(
         prepared: PreparedBus,
         realtime: RealtimeConfig,
@@ -154,7 +156,7 @@ impl CycleLoop {
 
     /// Starts the next job. If there is none, executes a cycle without a job.
     fn serve_next(&mut self) -> bool {
-        // On virtual time no cycles are executed between two jobs, so wait for the next job.
+        // With `Pace::Fast`, no cycles are executed between two jobs, so wait for the next job.
         let job = match self.pace {
             Pace::Clock => self.jobs.try_recv(),
             Pace::Fast => self.jobs.recv().map_err(TryRecvError::from),
@@ -177,7 +179,7 @@ impl CycleLoop {
     }
 }
 
-/// `None` if the bus could not be brought into operation, and after the end of the cycle.
+/// The stepper is `None` if the bus could not be brought into operation, and after the last cycle.
 impl Stepper for Option<CycleLoop> {
     fn poll(&mut self, _: MonoNs) -> Option<Duration> {
         let cycle_loop = self.as_mut()?;
@@ -188,7 +190,8 @@ impl Stepper for Option<CycleLoop> {
             let _ = over.try_send(());
             return None;
         }
-        // On real time the cycle waits for its deadline itself, because it wakes up more precisely than a scheduler.
+        // On real time, the cycle itself waits for its deadline, because it wakes up more precisely than a scheduler. With
+        // `Pace::Fast` there are no deadlines. In both cases the scheduler must not pause.
         let OnBus { acquisition, clock, .. } = &cycle_loop.on_bus;
         let sleeps_itself = clock.is_real() || cycle_loop.pace == Pace::Fast;
         let due_ns = if sleeps_itself { 0 } else { acquisition.due().ns_since(clock.now()) };
@@ -228,9 +231,9 @@ struct RunTask {
     job: RunJob,
     /// Number of cycles of this run so far.
     cycles: u64,
-    /// Number of latest consecutive cycles in which no encoder has a valid sample.
+    /// Number of consecutive cycles, up to the latest cycle, in which no encoder has a valid sample.
     invalid_cycles: u64,
-    /// All flags of these consecutive cycles, combined.
+    /// All flags that occur in these consecutive cycles.
     invalid_flags: u32,
 }
 
@@ -284,7 +287,8 @@ impl RunTask {
         true
     }
 
-    /// Sets the cause of the end unless it is set. The cause is the limit that was reached, or the end of the recorder.
+    /// Sets the cause of the end of the run, unless a cause was set before. The cause is the limit that
+    /// was reached, or the end of the recorder.
     fn end(&self, limit_cause: Option<&str>) {
         let RunJob { sink, stop, .. } = &self.job;
         stop.stop(limit_cause.filter(|_| !sink.is_abandoned()).unwrap_or("the recorder has ended"));

@@ -1,6 +1,6 @@
-//! A homing on a bus in operation, between two runs. The thread of the cycle executes the steps. An observer in
-//! another thread receives each step through one queue and the outcome (the marks that were found) through another.
-//! The method is described in [`crate::homing`].
+//! A homing on a bus in operation, between two runs. The cycle thread executes the steps. An observer in another thread
+//! receives each step through one queue and the outcome (the marks that were found, or an error) through another. The method
+//! is described in [`crate::homing`].
 
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
@@ -16,20 +16,20 @@ use crate::record::Stop;
 use crate::scheduler::{Died, received};
 use crate::segment::simulated::Hand;
 
-/// Cause of the end of a homing if the thread of the cycle has ended.
+/// Cause of the end of a homing if the cycle thread has ended.
 const CYCLE_ENDED: &str = "the cycle thread has ended; the log shows why";
 
 /// Capacity of the queue of steps. If the observer does not read the queue, further steps are dropped.
 const STEPS_MAX: usize = 64;
 
-/// A homing, as a job for the thread of the cycle.
+/// A homing, as a job for the cycle thread.
 pub(super) struct HomingJob {
     pub stop: Stop,
     steps: SyncSender<HomingStep>,
     outcomes: SyncSender<HomingResult>,
 }
 
-/// A homing in progress, as its observer sees it.
+/// Handle of a homing in progress, for its observer.
 pub struct ActiveHoming {
     /// Requests the end of the homing.
     pub stop: Stop,
@@ -40,7 +40,7 @@ pub struct ActiveHoming {
     is_over: bool,
 }
 
-/// Creates a homing: the job for the thread of the cycle, and the handle for the observer.
+/// Creates a homing: the job for the cycle thread, and the handle for the observer.
 pub(super) fn begin() -> (HomingJob, ActiveHoming) {
     let stop = Stop::default();
     let (steps_in, steps) = sync_channel(STEPS_MAX);

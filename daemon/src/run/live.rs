@@ -1,5 +1,5 @@
-//! The latest samples and state of the bus, for other threads. The thread of the cycle stores each record in atomics, so that
-//! it never waits for a reader. The status, the pre-flight check and the start of a run read them.
+//! The latest samples and state of the bus, for other threads. The cycle thread stores each record in atomics, so that it
+//! never waits for a reader. The status, the pre-flight check and the start of a run read these values.
 
 use std::sync::atomic::{AtomicI64, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
@@ -19,7 +19,7 @@ pub const BUS_FLAGS: u32 =
 /// Samples of different encoders may belong to different cycles.
 #[derive(Debug, Default)]
 pub struct LatestSamples {
-    /// Time of the latest cycle \[ns\]. This time and the next two are the times at which the frame was sent.
+    /// Time of the latest cycle \[ns\]. Like the times in the next two fields, it is the time at which the frame was sent.
     at_ns: AtomicI64,
     /// Time of the latest cycle without any of [`BUS_FLAGS`] \[ns\].
     whole_at_ns: AtomicI64,
@@ -35,12 +35,12 @@ pub struct LatestSamples {
     cycles_late: AtomicU64,
     flags: AtomicU64,
     origin: AtomicU32,
-    /// Latest sample of each encoder. Bits 0 to 31 are the count, 32 to 47 the status word, 48 is set if the sample is valid.
-    /// They are packed into one word, so that they belong to the same cycle.
+    /// Latest sample of each encoder. Bits 0 to 31 are the count, 32 to 47 the status word, 48 is set if the sample is
+    /// valid. One word contains all three, so that they always belong to the same cycle.
     encoders: [AtomicU64; MAX_ENCODERS],
     latches: [AtomicU32; MAX_ENCODERS],
-    /// Position of the first missing device; 0 if no device is missing. The value 0 is free, because the bus is down without
-    /// the coupler at position 0.
+    /// Position of the first missing device; 0 if no device is missing. No device at position 0 can be missing here: without
+    /// the coupler at position 0, the whole bus is down.
     missing_from: AtomicU32,
     /// Number and cause of the latest outage of the bus.
     outage: Mutex<(u32, Option<Fact>)>,
@@ -54,7 +54,7 @@ pub struct LatestSamples {
 pub struct LiveEncoder {
     /// Value of the counter.
     pub count: u32,
-    /// Status word of its terminal.
+    /// Status word of the encoder's terminal.
     pub status: u16,
     /// Whether the sample is new and without error.
     pub valid: bool,
@@ -96,7 +96,8 @@ impl LatestSamples {
         self.at_ns.store(record.send_time.0, Ordering::Release);
     }
 
-    /// Publishes which devices of the bus are in operation. Wait-free unless the bus is down, when no deadline can be missed.
+    /// Publishes which devices of the bus are in operation. Wait-free while the bus is in operation. While the bus is down,
+    /// this function may wait for a lock, because no deadline can be missed then.
     pub fn publish_bus(&self, state: &BusState<'_>, bus: &str) {
         let missing_from = match state {
             BusState::Before(from) => (*from).into(),
@@ -135,7 +136,8 @@ impl LatestSamples {
         ports.filter(|counts| counts.all() > 0).collect()
     }
 
-    /// Position of the first device that does not reply, while the devices before it stay in use.
+    /// Position of the first device that does not reply, if the devices before it are still in
+    /// operation; `None` if no device is missing.
     pub fn missing_from(&self) -> Option<usize> {
         let from = self.missing_from.load(Ordering::Relaxed);
         (from != 0).then_some(from as usize)
@@ -169,7 +171,7 @@ impl LatestSamples {
         (self.cycles.load(Ordering::Relaxed), valid)
     }
 
-    /// Number of cycles so far, of cycles in which every encoder was valid, and of cycles that missed their deadline.
+    /// Three counts so far: all cycles, cycles in which every encoder was valid, and cycles that missed their deadline.
     pub fn totals(&self) -> [u64; 3] {
         [&self.cycles, &self.cycles_valid, &self.cycles_late].map(|count| count.load(Ordering::Relaxed))
     }

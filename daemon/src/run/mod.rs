@@ -1,8 +1,8 @@
 //! One recording run, from the request to the finished file.
 //!
-//! Four threads share the work. The first executes the bus cycles in real time and never uses the disk. A ring passes its
-//! cycles to the second, the recorder, which writes them to the file and never uses the bus. The third synchronises the file
-//! with the disk. The fourth checks the disk ([`Storage`]).
+//! Four threads share the work. The cycle thread executes the bus cycles in real time and never uses the disk. It passes the
+//! cycles through a ring to the recorder. The recorder writes the cycles to the file and never uses the bus. A third thread
+//! synchronises the file with the disk. A fourth thread checks whether the disk works ([`Storage`]).
 //!
 //! A [`Session`] keeps the bus cycles running between runs. The file of a run is created only when the bus is in operation,
 //! so a bus that cannot be brought into operation leaves no file.
@@ -36,7 +36,7 @@ pub use crate::record::{RunSummary, Stop, Storage};
 use crate::scheduler::{Pending, Scheduler, Threads, until};
 use crate::segment::faults::FaultWindow;
 
-/// Period of attempts to bring the bus into operation, for a run that waits for the bus.
+/// Pause between two attempts to bring the bus into operation, for a run that waits for the bus.
 const RETRY_PERIOD: Duration = Duration::from_secs(1);
 /// If the bus takes longer to come into operation, a warning is logged. One to two seconds are usual.
 const SLOW_AFTER: Duration = Duration::from_secs(5);
@@ -44,8 +44,9 @@ const SLOW_BUS: &str = "the bus is not in operation after 5 s: replies are late 
                         `reply_timeout_us` in daemon.toml";
 /// Period in which waiting tasks check whether they should end.
 const STOP_PERIOD: Duration = Duration::from_millis(10);
-/// Longest wait for the disk after the end was requested, so that the program ends within 2 s. The limit applies to the
-/// creation of a run's file, to reference marks, and to the recovery of earlier runs, which the next start repeats.
+/// Longest wait for the disk after the end was requested, so that the program ends within 2 s. The limit
+/// applies to the creation of a run's file, to the saving of reference marks, and to the recovery of
+/// earlier runs. The next start of the program repeats the recovery.
 pub(crate) const DISK_WAIT_AT_END: Duration = Duration::from_millis(1500);
 
 /// Starts to bring a bus into operation, for several runs. `faults` are injected into a simulated bus.
@@ -64,14 +65,15 @@ pub(crate) fn open_on_wire(
     Session::open(prepared, setup.clone(), Pace::Clock, &Stop::default())
 }
 
-/// Records one run. Completes when the file is finished and the bus is closed. The caller waits on the scheduler of `setup`.
+/// Records one run. Completes when the file is finished and the bus is closed. The future sleeps on the
+/// scheduler of `setup`.
 pub async fn record(setup: &Setup, request: &RunRequest, stop: &Stop) -> Result<RunSummary, RunError> {
     source::check(request)?;
     let session = open_with_retry(setup, request, stop).await?;
     session.log();
     let outcome = record_in_session(setup, &session, &request.run, stop).await;
-    // After an error on virtual time the bus is not closed, because the cycle may wait for a disk that hangs. No real bus
-    // remains open, because the bus is simulated.
+    // After an error on virtual time, the session is not closed, because the cycle thread may be waiting for a disk that
+    // hangs. This is harmless: a request with virtual time always has a simulated bus.
     if outcome.is_ok() || !request.fast {
         session.close().await?;
     }
@@ -107,8 +109,8 @@ async fn record_in_session(
         None => disk_wait_is_over().then(|| Err(no_file_error())),
     })
     .await?;
-    // The stop of the run, `run.stop`, is also set when the run is complete. Only the caller's request `stop` limits
-    // the wait for the disk.
+    // The stop of the run, `run.stop`, is also set when the run is complete. Only the caller's request
+    // `stop` limits the wait for the disk.
     let run = session.begin(details, None)?;
     until(scheduler, STOP_PERIOD, || {
         if stop.is_stopped() {

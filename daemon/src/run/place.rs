@@ -8,8 +8,9 @@ use super::error::RunError;
 use crate::claim::Claim;
 use crate::record::Storage;
 
-/// Claims the directory, so that no other process records into it. The directory is created if it is missing. If it cannot be
-/// created, it is not claimed, and creating the file of the run reports the problem later.
+/// Claims the directory, so that no other process records into it. The directory is created if it is
+/// missing. If the directory cannot be created, it is not claimed, and the result is `None`. The problem
+/// is then reported when the file of the run is created.
 pub(crate) fn claim_directory(storage: &Storage) -> Result<Option<Claim>, RunError> {
     let directory = storage.directory();
     let disk = storage.disk();

@@ -44,7 +44,7 @@ pub struct About {
     pub note: String,
 }
 
-/// What all runs of a bus have in common.
+/// Scheduler, storage and configuration that all runs on a bus share.
 #[derive(Clone)]
 pub struct Setup {
     /// Provides the clock, and runs steppers and futures.
@@ -81,8 +81,8 @@ pub struct RunDetails {
     pub about: About,
     /// Duration; `None` if the run lasts until it is stopped, or to the end of a replay.
     pub duration: Option<Duration>,
-    /// Reference marks of the encoders. A mark is used only if the latch of its terminal still agrees with it. `None` for a
-    /// replay, because the recording contains its own marks.
+    /// Reference marks of the encoders. A mark is used only if the latch of the encoder's terminal still agrees with the
+    /// mark. `None` for a replay, because the recording contains its own marks.
     pub homing: Option<HomingConfig>,
 }
 

@@ -1,7 +1,6 @@
-//! A bus in operation, on which one run after the other is recorded. [`Session::open`] starts the thread of the cycle,
-//! which brings the bus into operation. A run adds three things: a ring, a job for that thread, and a recorder that
-//! creates the file and writes the cycles from the ring. `run::record` opens a session for one run. The service keeps
-//! one session for all runs.
+//! A bus in operation, on which one run after the other is recorded. [`Session::open`] starts the cycle thread, which brings
+//! the bus into operation. A run adds three things: a ring, a job for that thread, and a recorder that creates the file and
+//! writes the cycles from the ring. `run::record` opens a session for one run. The service keeps one session for all runs.
 
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
@@ -32,20 +31,20 @@ use crate::record::{
 use crate::scheduler::{Died, Scheduler, Stepper, received, until};
 use crate::segment::faults::FaultHandle;
 
-/// Capacity of the queue of jobs. Only the last queued job can belong to a current run. Earlier jobs belong
-/// to runs that have ended.
+/// Capacity of the queue of jobs. If several jobs are queued, only the last job belongs to a current run. The earlier jobs
+/// belong to runs that have ended.
 const JOBS_MAX: usize = 8;
 /// Capacity of the queue of markers for the recorder.
 const MARKS_MAX: usize = 1000;
-/// Period of the checks whether the cycle has ended.
+/// Period in which [`Session::close`] checks whether the cycle thread has ended.
 const CLOSE_PERIOD: Duration = Duration::from_millis(1);
 
 /// A bus in operation.
 pub struct Session {
     jobs: SyncSender<Job>,
-    /// Receives a message when the cycle has ended. Disconnected after a panic.
+    /// Receives a message when the cycle thread has ended. Disconnected if that thread has panicked.
     cycle_over: Receiver<()>,
-    /// What the thread of the cycle reported. Empty until the bus is in operation.
+    /// What the cycle thread reported. Empty until the bus is in operation.
     ready: Ready,
     /// The latest sample of each encoder.
     pub live: Arc<LatestSamples>,
@@ -61,9 +60,9 @@ pub struct Session {
     replay_cycles: Option<u64>,
     /// Scheduler, disk and configuration.
     pub setup: Setup,
-    /// Ends attempts of the cycle to restore the bus. It is set when the session is closed.
+    /// Ends attempts of the cycle thread to restore the bus. This stop request is set when the session is closed.
     ending: Stop,
-    /// Controls faults of a simulated bus; `None` for a real one.
+    /// Controls faults of the simulated bus; `None` for a real bus and for a replay.
     pub faults: Option<FaultHandle>,
 }
 
@@ -122,7 +121,7 @@ impl Session {
 
     /// Begins a run without waiting for the disk. The recorder first recovers crashed runs and then creates the file of the
     /// run. The cycles wait in the ring until the file exists, which [`RunProgress::is_open`] reports. Only one run may be
-    /// active at a time, so the previous run must have been joined. `tap` receives the recorded messages.
+    /// active at a time, so the previous run must be over. `tap` receives the recorded messages.
     pub fn begin(&self, details: &RunDetails, tap: Option<Tap>) -> Result<ActiveRun, RunError> {
         // Refuse the run if the disk has a problem or a text is invalid.
         if let Some(problem) = self.setup.storage.problem() {
@@ -134,7 +133,7 @@ impl Session {
         if !provenance.is_measured() {
             tracing::warn!(run = metadata.name, "{provenance}");
         }
-        // Create the ring between cycle and recorder, and the channels for markers and progress.
+        // Create the ring between cycle thread and recorder, and the channels for markers and progress.
         let ring_cycles = self.setup.daemon.ring_cycles(self.period);
         let (sink, ring) = self.ring(ring_cycles);
         let (marks, marks_rx) = sync_channel(MARKS_MAX);
@@ -155,7 +154,7 @@ impl Session {
         };
         let job = self.run_job(sink, &stop, details.duration, metadata.utc_minus_monotonic_ns);
         let (result, outcome) = sync_channel(1);
-        // Start the recorder before the cycle, so that the ring has a reader.
+        // Start the recorder before the job is sent to the cycle thread, so that the ring has a reader.
         let recording = RunRecording {
             pending: Some(PendingRun { ring, link, metadata, tap }),
             recorder: None,
@@ -166,7 +165,7 @@ impl Session {
         };
         start(&*self.setup.scheduler, "recorder", || recording)?;
         claim::set_activity(format!("recording run `{}`", details.name));
-        // If the cycle does not accept the job, the recorder finds the ring abandoned and finishes an empty file.
+        // If the cycle thread does not accept the job, the recorder finds the ring abandoned and finishes an empty file.
         let _ = self.jobs.try_send(Job::Run(job));
         Ok(ActiveRun { stop, progress, started, marks, outcome })
     }
@@ -175,17 +174,17 @@ impl Session {
     pub fn begin_watch(&self, duration: Option<Duration>, stop: &Stop) -> CycleSource {
         let (sink, source) = self.ring(self.setup.daemon.ring_cycles(self.period));
         let job = self.run_job(sink, stop, duration, self.clock().utc_minus_monotonic_ns());
-        // If the cycle does not accept the job, the source ends at once.
+        // If the cycle thread does not accept the job, the source ends at once.
         let _ = self.jobs.try_send(Job::Run(job));
         source
     }
 
-    /// Creates a ring of this number of cycles between the cycle and the recorder.
+    /// Creates a ring with space for this number of cycles, between the cycle thread and the recorder.
     fn ring(&self, cycles: usize) -> (CycleSink, CycleSource) {
         record::ring(cycles, if self.pace == Pace::Fast { FullRing::Waits } else { FullRing::Drops })
     }
 
-    /// Creates the job for the thread of the cycle, for a run or a watch.
+    /// Creates the job for the cycle thread, for a run or a watch.
     fn run_job(
         &self,
         sink: CycleSink,
@@ -207,7 +206,7 @@ impl Session {
     pub fn begin_homing(&self) -> ActiveHoming {
         claim::set_activity("homing the encoders");
         let (job, active) = homing::begin();
-        // If the cycle does not accept the job, the homing ends at once.
+        // If the cycle thread does not accept the job, the homing ends at once.
         let _ = self.jobs.try_send(Job::Home(job));
         active
     }
@@ -224,7 +223,7 @@ impl Session {
         encoders
     }
 
-    /// Whether the cycle is running.
+    /// Whether the cycle thread is running.
     pub fn is_alive(&self) -> bool {
         received(&self.cycle_over).is_none()
     }
@@ -254,18 +253,18 @@ impl Session {
         Provenance::new(&self.bus, self.replay_of.clone()).simulated
     }
 
-    /// Real-time permissions of the cycle's thread; `None` on virtual time.
+    /// Real-time permissions of the cycle thread; `None` on virtual time.
     pub fn realtime(&self) -> Option<&RealtimeReport> {
         self.ready.realtime.as_ref()
     }
 
-    /// Problem that lists the real-time permissions that the cycle's thread lacks; `None` if it has all of them.
+    /// Problem that lists the real-time permissions that the cycle thread lacks; `None` if it has all of them.
     pub fn realtime_problem(&self) -> Option<Problem> {
         let report = self.realtime().filter(|report| !report.is_complete())?;
         Some(Fact::RealtimeDenied { report: report.to_string() }.into())
     }
 
-    /// Logs the devices of the bus and the permissions of the cycle.
+    /// Logs the devices of the bus and the real-time permissions of the cycle thread.
     pub fn log(&self) {
         let name = |device: &DeviceInfo| format!("{} r{}", device.name, device.type_revision());
         let devices: Vec<_> = self.ready.devices.iter().map(name).collect();
@@ -277,7 +276,7 @@ impl Session {
         }
     }
 
-    /// Ends the cycle. Completes when the cycle has ended.
+    /// Ends the cycle thread. Completes when the thread has ended.
     pub async fn close(self) -> Result<(), RunError> {
         let scheduler = Arc::clone(&self.setup.scheduler);
         let cycle_over = self.begin_close();
@@ -285,10 +284,10 @@ impl Session {
         over.map_err(|Died| RunError::Thread("the cycle panicked; its cause is in the log".into()))
     }
 
-    /// Requests the end of the cycle. The receiver stays connected until the cycle has ended.
+    /// Requests the end of the cycle thread. The receiver stays connected until the thread has ended.
     pub fn begin_close(self) -> Receiver<()> {
         self.ending.stop("the session is closed");
-        // Dropping the rest of the session closes the queue of jobs, which ends the cycle.
+        // Dropping the rest of the session closes the queue of jobs, which ends the cycle thread.
         self.cycle_over
     }
 
@@ -307,7 +306,8 @@ impl Session {
 
     /// Metadata of a run that begins now.
     fn metadata(&self, details: &RunDetails) -> RunMetadata {
-        // Read the offset again for each run, because the bus may be in operation for days.
+        // Read the difference between UTC and the monotonic clock again for each run, because the bus
+        // may have been in operation for days.
         let utc_minus_monotonic_ns = match self.pace {
             Pace::Clock => self.clock().utc_minus_monotonic_ns(),
             Pace::Fast => self.ready.utc_minus_monotonic_ns,
@@ -341,7 +341,7 @@ impl ActiveRun {
         self.marks.try_send(Marker { at, text }).is_ok()
     }
 
-    /// Result of the run: the finished file, or an error. It is returned only once.
+    /// Result of the run: the finished file, or an error; `None` until the run is over. It is returned only once.
     pub fn outcome(&self) -> Option<Result<RunSummary, RunError>> {
         let outcome = received(&self.outcome)?.unwrap_or_else(|Died| Err(recorder_panicked()));
         claim::set_activity("between runs");
@@ -359,7 +359,8 @@ fn recorder_panicked() -> RunError {
 }
 
 impl Opening {
-    /// The bus in operation, or an error. It is returned only once.
+    /// The session with the bus in operation, or an error; `None` while the bus is being brought into
+    /// operation. It is returned only once.
     pub fn poll(&mut self) -> Option<Result<Session, RunError>> {
         let ended_early = "the cycle ended while the bus came up; its cause is in the log";
         let ready = received(&self.ready)?;

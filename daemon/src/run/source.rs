@@ -46,8 +46,8 @@ pub(super) fn prepare(request: &RunRequest, setup: &Setup) -> Result<PreparedBus
             PreparedBus::from_config(wire, name, setup)
         }
         BusChoice::Simulated => {
-            // The motion uses the number of lines of the first encoder, because all discs of the bar have
-            // the same number of lines.
+            // The motion uses the number of lines of the first encoder, because all discs of the bar
+            // have the same number of lines.
             let encoders = &setup.bar.encoders;
             let lines = encoders.first().map_or(0, |encoder| encoder.lines);
             let config = SegmentConfig { terminals: encoders.len(), ..SegmentConfig::default() };
@@ -107,7 +107,8 @@ pub(super) fn plan(bus: &str, daemon: &DaemonConfig, bar: &BallBarConfig) -> Bus
     }
 }
 
-/// Creates the simulated segment as a wire within this process. `faults` are scheduled on it.
+/// Creates the simulated segment as a wire within this process. `faults` are scheduled on the segment.
+/// The returned handle controls its faults.
 fn in_process(
     config: &SegmentConfig,
     source: Box<dyn EncoderSource>,
@@ -120,7 +121,8 @@ fn in_process(
     Ok((Box::new(InProcessWire::with_faults(segment, setup.scheduler.clock().clone())), handle))
 }
 
-/// Reads a recording. Returns it with a source of encoder counts that repeat the recording, and the handle that starts it.
+/// Reads a recording. Returns the recording, a source that repeats the encoder counts of the recording,
+/// and the handle that starts this source.
 pub fn open_replay(path: &Path) -> Result<(Recording, Replay, ReplayHandle), RunError> {
     let recording = Recording::open(path)?;
     let counts =
@@ -131,8 +133,8 @@ pub fn open_replay(path: &Path) -> Result<(Recording, Replay, ReplayHandle), Run
     Ok((recording, source, handle))
 }
 
-/// Configuration of the segment for a replay. The clock of the segment does not drift, because a drift would change
-/// the speed of the replay.
+/// Configuration of the segment for a replay. The clock of the segment does not drift, because a drift
+/// would change the speed of the replay.
 pub fn replaying_segment(segment: SegmentConfig, recording: &Recording) -> SegmentConfig {
     SegmentConfig { terminals: recording.run.encoders.len(), drift_ppm: 0.0, ..segment }
 }
