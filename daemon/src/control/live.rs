@@ -1,8 +1,9 @@
 //! Computes the content of the web page ten times a second: angles, speeds, state and warnings.
 //!
-//! Input is the latest [`Status`] of the control, with one counter value for each encoder. The [`Observer`] unwraps the
-//! counters. An angle is the number of counts since the reference mark, or since the first sample if the mark is unknown. A
-//! speed is the mean over half a second. Output is a [`Moment`], which all pages share.
+//! Input is the latest [`Status`] of the control, with one counter value for each encoder. The
+//! [`Observer`] unwraps the counters, which means that counts continue beyond the range of the counter.
+//! Angles are measured from the reference mark, or from the first sample if the mark is unknown. A speed
+//! is the mean over half a second. Output is a [`Moment`], which all pages share.
 //!
 //! One stepper computes the content for all pages, so the cost does not depend on the number of pages. It only reads the
 //! published status, so it disturbs neither the control nor the bus cycle. Pages receive the latest moment. A slow page
@@ -32,23 +33,25 @@ use crate::scheduler::{Pending, Scheduler};
 
 /// Update period of pages.
 const PERIOD: Duration = Duration::from_millis(100);
-/// If the last valid sample of an encoder is older, the encoder is stale and the page does not show its value \[ns\].
+/// Largest age of a sample that the page shows \[ns\]. If the last valid sample of an encoder is older,
+/// the encoder is stale.
 const STALE_NS: i64 = NS_PER_S;
-/// Time over which speeds are averaged. One bus cycle more or less changes this time by 2 % at 100 Hz \[ns\].
+/// Time over which speeds are averaged \[ns\]. At 100 Hz it contains 50 cycles, so one cycle more or
+/// less changes the time by 2 %.
 const SPEED_NS: i64 = NS_PER_S / 2;
 /// Beyond this angle from the reference mark or the first sample, the cable of a joint winds up \[deg\].
 const WOUND_DEG: f64 = 360.0;
 /// Distance to a singular pose below which a warning appears \[deg\]. At a smaller distance, errors of two joints appear as
 /// errors of the pose, magnified by more than 1 / sin(10 degrees) = 5.8.
 const SINGULAR_DEG: f64 = 10.0;
-/// A joint that has not moved by this time of a run causes a warning \[s\].
+/// Time since the beginning of a run after which a joint that has not moved causes a warning \[s\].
 const MOVE_WITHIN_S: f64 = 15.0;
-/// If the disk has space for less recording time, a warning appears \[h\].
+/// Recording time below which a warning about the disk space appears \[h\].
 const DISK_HOURS_MIN: f64 = 4.0;
 /// Highest signal frequency that an EL5021 counts at 8 to 10 bits; with more bits the limit is lower \[1/s\]. If the counter
 /// has changed faster, it has restarted at another origin.
 const LINES_PER_S_MAX: f64 = 250_000.0;
-/// Number of cells of the sphere in each direction.
+/// Number of columns, and of rows, of the grid of rod directions.
 const CELLS: usize = 36;
 /// Width of a cell, in joint 1 and in joint 2 \[deg\].
 const CELL_DEG: f64 = 360.0 / CELLS as f64;
@@ -221,8 +224,8 @@ pub(super) fn watch(
         }
         let live = observer.next(&status, now);
         minute.lock().unwrap_or_else(PoisonError::into_inner).add(&live);
-        // Serialisation fails only for a number that JSON cannot express, which would be a programming error. Pages
-        // then keep the previous moment.
+        // Serialisation fails only for a number that JSON cannot express, which would be a programming
+        // error. Pages then keep the previous moment.
         if let Ok(json) = serde_json::to_string(&live) {
             moments.send_replace(Arc::new(Moment { live, json }));
         }
@@ -423,7 +426,7 @@ struct Track {
     scale: EncoderScale,
     /// Reference mark from which the angle counts \[counts\]; `None` if the angle counts from the first sample.
     mark: Option<u32>,
-    /// Extends the counts beyond the range of the counter, together with the extended count at angle zero.
+    /// Unwraps the counts. The second value is the unwrapped count at angle zero. `None` until a sample has arrived.
     counter: Option<(Unwrapper, i64)>,
     /// Time of the latest sample.
     sampled: MonoNs,
@@ -456,7 +459,7 @@ impl Track {
         (self.range_deg, self.widest_deg) = (None, 0.0);
     }
 
-    /// Adds a valid sample that is new. Returns true if the angle was known before and now counts from zero again.
+    /// Adds a sample if it is valid and new. Returns true if the angle was known before and now counts from zero again.
     fn add_sample(&mut self, sample: Option<&EncoderStatus>, at: MonoNs, mark: Option<u32>) -> bool {
         let Some(sample) = sample.filter(|_| at.0 != 0 && at != self.sampled) else { return false };
         let is_continuous = self.is_continuous(sample.count, at);
@@ -535,8 +538,8 @@ impl Track {
         let (joint, from_mark) = (self.config.joint, self.mark.is_some());
         let wound_deg = self.angle_deg.filter(|angle_deg| angle_deg.abs() > WOUND_DEG);
         let wound = wound_deg.map(|turned_deg| Fact::JointWound { joint, turned_deg, from_mark });
-        // The pose is singular if the rod is parallel to the first axis of the bar (sin b2 = 0) or to the last
-        // one (sin b4 = 0).
+        // The pose is singular if the rod is parallel to the first axis of the bar (joint 2 at a multiple of 180 degrees) or
+        // to the last axis (joint 4 at a multiple of 180 degrees).
         let distance_deg =
             self.bar_angle_deg().filter(|_| [2, 4].contains(&joint)).map(singular_distance_deg);
         let near_deg = distance_deg.filter(|distance_deg| *distance_deg < SINGULAR_DEG);
@@ -569,7 +572,8 @@ fn singular_distance_deg(angle_deg: f64) -> f64 {
     within.min(180.0 - within)
 }
 
-/// Joint speed above which an EL5021 omits the finest steps \[deg/s\]. The signal frequencies are those of Beckhoff, +-15 %.
+/// Joint speed above which an EL5021 omits the finest steps \[deg/s\]. The signal frequencies are values
+/// of Beckhoff with a tolerance of 15 %.
 fn full_resolution_deg_per_s(encoder: &EncoderConfig) -> f64 {
     let lines_per_s = match encoder.interpolation_bits {
         ..=8 => 9000.0,
@@ -636,7 +640,7 @@ mod tests {
     const COUNTS_PER_DEG: f64 = 14_745_600.0 / 360.0;
     const START: i64 = 5_000_000;
 
-    /// An observer of the default bar, with the time and the counters' state of the simulated statuses.
+    /// An observer of the default bar, with the time and the counter state from which the next simulated status is made.
     struct ObservedBar {
         observer: Observer,
         now: MonoNs,
@@ -660,8 +664,8 @@ mod tests {
             Self { observer: Observer::new(&settings), now: MonoNs(NS_PER_S), origin: 0, latch: START as u32 }
         }
 
-        /// Returns the moment a tenth of a second later, with the joints at these angles. A joint without an
-        /// angle has an invalid sample.
+        /// Returns the moment a tenth of a second later, with the joints at these angles. A joint
+        /// without an angle has an invalid sample.
         fn at(&mut self, angles_deg: [Option<f64>; 5], run: Option<&str>) -> Live {
             self.now = self.now.plus_ns(NS_PER_S / 10);
             let latch = self.latch;

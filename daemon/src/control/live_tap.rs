@@ -28,8 +28,8 @@ pub struct LiveTap {
 }
 
 impl LiveTap {
-    /// Creates a tap without listeners. Programs and pages of this machine may always listen. Pages of the web origins
-    /// in `origins` may listen, too.
+    /// Creates a tap without listeners. Programs and pages of this machine may always listen. Pages of
+    /// the web origins in `origins` may listen, too.
     pub fn new(origins: Vec<String>) -> Self {
         Self { messages: broadcast::Sender::new(WAITING_MAX), origins }
     }
@@ -45,8 +45,8 @@ impl LiveTap {
         })
     }
 
-    /// Subscribes to all messages from now on. If the listener is too slow, the receiver returns
-    /// the number of missed messages.
+    /// Subscribes to all messages from now on. If the listener is too slow, the receiver returns the
+    /// number of missed messages.
     pub fn listen(&self) -> broadcast::Receiver<Arc<Message>> {
         self.messages.subscribe()
     }

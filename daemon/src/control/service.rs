@@ -1,7 +1,7 @@
 //! The interface of the service for other threads; the API uses it.
 //!
-//! [`Service`] starts two steppers: the control, which owns the [`controller`](super::controller), and the stepper of the
-//! page's content. A request enters a queue and is executed by the control, which returns the reply through a channel.
+//! [`Service`] starts two steppers. The control owns the [`controller`](super::controller). The other stepper computes the
+//! content of the page. A request waits in a queue until the control executes it and returns the reply through a channel.
 //! Requests that need the disk first run in a task with a time limit, because a disk may hang.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -52,7 +52,7 @@ const COMMANDS_MAX: usize = 64;
 const DISK_TASKS_MAX: usize = 4;
 /// How long a request may wait for the disk. After this time the service replies without a result from the disk.
 const DISK_TIMEOUT: Duration = Duration::from_secs(1);
-/// How long the list of hundreds of recordings may take.
+/// How long the service may take to list the recordings, of which there may be hundreds.
 pub(super) const LIST_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// Reason why the service cannot start, or has ended without a request.
@@ -208,7 +208,7 @@ impl Service {
         Arc::clone(&self.disk)
     }
 
-    /// Runs `find` on a thread that may wait for the disk. Returns `None` if the result is not there after the time `within`.
+    /// Runs `find` on a thread that may wait for the disk. Returns `None` if `find` has not returned after the time `within`.
     pub(super) async fn ask_disk<T: Send + 'static>(
         &self,
         within: Duration,
@@ -255,8 +255,8 @@ impl Service {
         self.ending.stop(cause);
     }
 
-    /// Waits for the end of the service, even if the thread of the control has died. Afterwards the file
-    /// of the run is finished.
+    /// Waits for the end of the service. Also returns if the control thread has died. When this function
+    /// returns, the file of the run is finished.
     pub fn join(&self) -> Result<(), ServiceError> {
         let outcome = self.outcome.lock().unwrap_or_else(PoisonError::into_inner).take();
         outcome.map_or(Ok(()), |outcome| outcome.recv().unwrap_or(Err(ServiceError::Died)))
@@ -268,13 +268,13 @@ impl Service {
         let _ = self.watch().wait_for(|_| false).await;
     }
 
-    /// Makes the thread of the control panic.
+    /// Makes the control thread panic.
     #[cfg(test)]
     pub(crate) fn kill_control(&self) {
         let _ = self.commands.try_send(Box::new(|_| panic!("the test ends this thread")));
     }
 
-    /// Executes a request in the thread of the control, publishes the status, and returns the reply.
+    /// Executes a request in the control thread, publishes the status, and returns the reply.
     async fn ask<T: Send + 'static>(
         &self,
         request: impl FnOnce(&mut Controller) -> T + Send + 'static,
@@ -329,7 +329,7 @@ impl Stepper for Control {
     fn poll(&mut self, now: MonoNs) -> Option<Duration> {
         let outcome = match catch_unwind(AssertUnwindSafe(|| self.step(now))) {
             Ok(Some(pause)) => return Some(pause),
-            // Drop the resources of the controller before its end becomes visible to others.
+            // Drop the resources of the controller before the end of the service is reported.
             Ok(None) => self.controller.take()?.into_outcome().map_err(ServiceError::Run),
             Err(_) => {
                 self.controller.take()?.abandon();
@@ -514,7 +514,7 @@ pub(crate) mod tests {
         }
     }
 
-    /// Starts a service on the simulated bus in `directory`. Setting the returned flag ends the thread of the cycle.
+    /// Starts a service on the simulated bus in `directory`. Setting the returned flag ends the cycle thread.
     pub(crate) fn simulated(directory: &Path) -> (Service, Arc<AtomicBool>) {
         simulated_with(directory, Arc::new(SystemDisk), || {})
     }

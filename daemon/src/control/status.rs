@@ -227,7 +227,8 @@ impl LastRun {
     }
 }
 
-/// Prefix of the marker that a run gets if it was begun although the pre-flight check reports a reason not to.
+/// Prefix of a marker that contains the reason of the user. A run gets this marker if it was begun
+/// although the pre-flight check found a severe problem.
 pub const IN_SPITE_OF: &str = "begun in spite of";
 
 /// Command that calibrates with the file of a run. Names with special characters are quoted for the shell.

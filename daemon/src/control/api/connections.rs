@@ -1,9 +1,9 @@
 //! Connections of clients. A task serves each connection: it passes the request to the routes of the API and sends the reply.
 //! No client can block the service or delay its end.
 //!
-//! Each connection has one request and limited time. A client has five seconds to send its request. A client that stops
-//! reading its reply is disconnected. The number of open connections is limited, because recordings need file descriptors,
-//! too. If the limit is reached, a new client replaces the oldest client that has not completed its request.
+//! Each connection serves one request and has limited time. A client has five seconds to send its request. A client that
+//! stops reading its reply is disconnected. The number of open connections is limited, because recordings need file
+//! descriptors, too. If the limit is reached, a new client replaces the oldest client that has not completed its request.
 //!
 //! `tower-http` is not used, because it limits the time and size of a request only after the headers are complete. It can
 //! neither replace an idle connection by a new one nor drop a client that stops reading.
@@ -33,8 +33,8 @@ use tower::ServiceExt;
 use super::peer::Peer;
 use super::refusal;
 
-/// Largest number of open connections. It suffices for some people and programs, and is far below the limit of
-/// open files of a process.
+/// Largest number of open connections. It suffices for several people and programs, and is far below the
+/// number of files that a process may open.
 const CONNECTIONS_MAX: usize = 64;
 /// Longest request \[bytes\].
 const BODY_BYTES_MAX: usize = 64 * 1024;
@@ -83,8 +83,8 @@ impl Connections {
             self.open.remove(idle).task.abort();
         }
         if let Client::Local(stream) | Client::Tls(stream, _) = &client {
-            // Data that have been sent wait in the kernel, and only the kernel knows whether the client reads. If the option
-            // cannot be set, the connection works, too.
+            // Sent data wait in the kernel, so only the kernel can detect that the client does not read. If the option
+            // cannot be set, the connection works without this limit.
             let _ = setsockopt(stream, TcpUserTimeout, &UNREAD_TIMEOUT_MS);
         }
         let has_asked = Arc::new(AtomicBool::new(false));

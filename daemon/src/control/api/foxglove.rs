@@ -96,8 +96,8 @@ pub(super) async fn connect(
     })
 }
 
-/// Sends messages until the client or the service ends. A client that reads too slowly misses messages and receives
-/// a warning with their number.
+/// Sends messages until the client or the service ends. A client that reads too slowly misses messages
+/// and receives a warning with their number.
 async fn publish(mut socket: WebSocket, tap: &LiveTap, service: &Service) -> Result<(), axum::Error> {
     let mut messages = tap.listen();
     let mut client = FoxgloveClient::default();

@@ -63,18 +63,19 @@ use crate::run::check_text;
 
 /// How long `start` waits until the file of the run has been created, and `stop` until the file is finished.
 const FILE_TIMEOUT: Duration = Duration::from_secs(20);
-/// Largest number of pages that receive every moment; further pages can poll. The number is below that of connections, so
-/// that a run can always be stopped.
+/// Largest number of pages that receive every moment; further pages can poll. The number is below the largest number of
+/// connections, so that a request to stop a run always finds a free connection.
 const VIEWERS_MAX: usize = 32;
-/// Markers that lie further in the past are refused, because their time would be inaccurate \[ms\].
+/// Largest time between a marked event and the request \[ms\]. Earlier markers are refused, because
+/// their time would be inaccurate.
 const AGO_MS_MAX: u32 = 600_000;
 /// Length limit of a refusal in the log \[characters\].
 const REFUSAL_CHARS_MAX: usize = 300;
 /// Pause after an error of the listener, for example if too many files are open.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
 
-/// Serves clients until `end` completes, then finishes the replies that are being sent. If `remote` is given,
-/// other machines have access, too.
+/// Serves clients until `end` completes, then finishes the replies that are being sent. If `remote` is
+/// given, other machines have access, too.
 pub async fn serve(
     listener: TcpListener,
     remote: Option<Remote>,
@@ -614,8 +615,8 @@ async fn admitted(State(admission): State<Arc<Admission>>, request: Request, nex
     }
 }
 
-/// Refuses a request to the loopback port unless it comes from a program or a page of this machine. Returns `None`
-/// if the request is admitted.
+/// Refuses a request to the loopback port unless it comes from a program or a page of this machine.
+/// Returns `None` if the request is admitted.
 fn refused_on_loopback(request: &Request, origins: &[String]) -> Option<Response> {
     let is_foxglove = request.uri().path() == foxglove::PATH;
     let error: String = if let Some(sign) = sign_of_a_proxy(request) {

@@ -27,7 +27,7 @@ use crate::control::status::{PairReply, PairRequest, PairingLink};
 const VALID: Duration = Duration::from_secs(300);
 /// Largest number of valid codes. A further code replaces the oldest.
 const CODES_MAX: usize = 8;
-/// Length of a code. It is long enough that the code cannot be guessed while it is valid.
+/// Length of a code \[bytes\]. A code of this length cannot be guessed while it is valid.
 const CODE_BYTES: usize = 16;
 
 /// Issues and redeems codes.

@@ -38,8 +38,8 @@ impl Peer {
     }
 }
 
-/// Owner of a socket of this machine, found by the socket's address and the address of
-/// its other end (`/proc/net/tcp`, proc(5)).
+/// Owner of a socket of this machine, found by the socket's address and the address of its other end
+/// (`/proc/net/tcp`, proc(5)).
 fn owner(own: SocketAddr, other: SocketAddr) -> Option<Uid> {
     let (own, other) = (in_table(own)?, in_table(other)?);
     let owner_in = |line: &str| -> Option<Uid> {

@@ -1,7 +1,7 @@
 //! Access from other machines: over TLS or through a reverse proxy, in both cases with a token.
 //!
-//! A proxy connects to a Unix socket of its own. On the loopback port, requests of a proxy could not be distinguished from
-//! those of local programs, because a proxy may send any `Host`. Its default is often 127.0.0.1.
+//! A proxy connects to a separate Unix socket. On the loopback port, requests of a proxy could not be distinguished from
+//! those of local programs: a proxy may send any value in the header `Host`, and many proxies send 127.0.0.1 by default.
 //!
 //! The token consists of 256 random bits and cannot be guessed. Wrong tokens are counted only to limit replies and log
 //! lines. No route is accessible without the token. A browser stores the token as a cookie that scripts cannot read and
@@ -38,8 +38,8 @@ const TOKEN_FILE: &str = "token";
 /// Names of the files with the self-signed certificate and its key.
 const OWN_FILES: [&str; 2] = ["certificate.pem", "key.pem"];
 const TOKEN_BYTES: usize = 32;
-/// Number of wrong tokens within [`WRONG_WITHIN`] that are refused as wrong. Further requests with a wrong token are refused
-/// with a request to wait.
+/// Up to this number of wrong tokens within [`WRONG_WITHIN`], the reply is that the token is wrong. For further wrong
+/// tokens, the reply asks the client to wait.
 const WRONG_MAX: usize = 10;
 const WRONG_WITHIN: Duration = Duration::from_secs(60);
 /// Name of the cookie. The prefix binds the cookie to this host, this path and TLS.
@@ -326,8 +326,8 @@ fn tls(
     Ok((TlsAcceptor::from(Arc::new(config)), fingerprint))
 }
 
-/// Returns the files of the self-signed certificate and its key. They are created only once, so
-/// that people recognise the fingerprint.
+/// Returns the files of the self-signed certificate and its key. They are created only once, so that
+/// people recognise the fingerprint.
 fn own_certificate(state: &Path) -> Result<(PathBuf, PathBuf), RemoteError> {
     let [certificate, key] = OWN_FILES.map(|name| state.join(name));
     let failed = |file: &Path| {

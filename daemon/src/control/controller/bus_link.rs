@@ -20,13 +20,13 @@ use crate::scheduler::{Died, Pending, Scheduler, received};
 const RETRY_FIRST: Duration = Duration::from_secs(1);
 /// Longest pause between two attempts.
 const RETRY_LONGEST: Duration = Duration::from_secs(30);
-/// If the last cycle is older, the thread of the cycle or this PC has a problem.
+/// Largest age of the last cycle. If the last cycle is older, the cycle thread or this PC has a problem.
 const CYCLE_AGE_MAX: Duration = Duration::from_secs(2);
 /// A bus or an encoder is reported as silent after this number of cycles without samples. If one frame in a hundred is lost,
 /// three losses in a row occur once in a million cycles.
 const SILENT_CYCLES: u32 = 3;
-/// Minimum time without samples before a bus or an encoder is reported as silent. With fast cycles, shorter outages of a
-/// device are not reported to people.
+/// Minimum time without samples before a bus or an encoder is reported as silent. At high cycle rates, three cycles are
+/// shorter than this time. Outages that are shorter are not reported to people.
 const SILENT_MIN: Duration = Duration::from_millis(50);
 
 /// Keeps a bus in operation, and reports changes of its state.
@@ -36,7 +36,7 @@ pub(super) struct BusLink {
     state: LinkState,
     /// Pause after the next failed attempt.
     pause: Duration,
-    /// Receives the end of the cycle of a bus that is being closed.
+    /// Receives a message when the cycle thread of a bus that is being closed has ended.
     closing: Option<Receiver<()>>,
 }
 
@@ -142,7 +142,7 @@ impl BusLink {
         }
     }
 
-    /// Requests the end of the cycle. [`is_closed`](Self::is_closed) returns true once it has ended.
+    /// Requests the end of the cycle thread. [`is_closed`](Self::is_closed) returns true once the thread has ended.
     pub fn close(&mut self) {
         let down = LinkState::Down { retry_at: MonoNs(i64::MAX) };
         if let LinkState::Up { session, .. } = std::mem::replace(&mut self.state, down) {
@@ -150,7 +150,7 @@ impl BusLink {
         }
     }
 
-    /// Whether the cycle of a closed bus has ended.
+    /// Whether the cycle thread of a closed bus has ended.
     pub fn is_closed(&self) -> bool {
         self.closing.as_ref().is_none_or(|closing| received(closing).is_some())
     }
@@ -257,8 +257,8 @@ mod tests {
         for tenth in 1..20 {
             assert_eq!(at(tenth, 5 + 10 * u64::from(tenth), 5 + 10 * u64::from(tenth)), Some(1.0));
         }
-        // The encoder is silent for half a second and then valid for half a second. The fraction
-        // changes gradually in both directions.
+        // The encoder is silent for half a second and then valid for half a second. The fraction changes
+        // gradually in both directions.
         let shares: Vec<f64> = (20..41)
             .map(|tenth| {
                 let silent = u64::from(tenth.min(25) - 20);

@@ -1,4 +1,4 @@
-//! A homing as the service runs it: shows the steps as text and writes the file of reference marks at the end.
+//! Runs a homing in the service: shows the steps as text, and writes the file of reference marks at the end.
 
 use shared::time::MonoNs;
 
@@ -42,8 +42,8 @@ impl Homing {
         self.saving.as_ref().map(Pending::since)
     }
 
-    /// Handles the steps since the last poll. Returns true if the homing has just ended. Its status then contains the
-    /// outcome. After a success the file `marks` has been written.
+    /// Handles the steps since the last poll. Returns true if the homing has just ended. The status then contains the
+    /// outcome. If the homing succeeded, the file `marks` has been written.
     pub fn poll(&mut self, marks: &MarksFile) -> bool {
         while let Some(step) = self.active.take_step() {
             show_step(&mut self.status, step);

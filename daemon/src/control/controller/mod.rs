@@ -226,8 +226,8 @@ impl Controller {
         self.bus.close();
     }
 
-    /// Begins a run. `named` is true if a person chose the name. The reply follows once the file has been created,
-    /// or the run is refused.
+    /// Begins a run. `named` is true if a person chose the name. The reply follows once the file has
+    /// been created, or the run is refused.
     pub fn start(&mut self, details: Box<RunDetails>, named: bool) -> oneshot::Receiver<Answer> {
         // Poll the bus first, because the cable may have been pulled since the last poll.
         self.poll_bus();
@@ -257,8 +257,8 @@ impl Controller {
         self.handle(MachineEvent::Home).unwrap_or(Answer::Idle)
     }
 
-    /// Passes an event to the machine and executes its actions. If an action causes another event,
-    /// that event is handled, too.
+    /// Passes an event to the machine and executes its actions. If an action causes another event, that
+    /// event is handled, too.
     fn handle(&mut self, event: MachineEvent) -> Option<Answer> {
         let mut answer = None;
         for action in self.machine.handle(event) {
@@ -343,8 +343,8 @@ impl Controller {
         }
     }
 
-    /// Starts a task that claims the directory of the recordings, unless it is claimed, and recovers
-    /// the files of earlier runs.
+    /// Starts a task that claims the directory of the recordings, unless it is claimed, and recovers the
+    /// files of earlier runs.
     pub fn prepare_storage(&mut self) {
         let (storage, is_claimed) = (self.storage.clone(), self.claim.is_some());
         self.preparing = Some(Pending::start(&*self.scheduler, "leftovers", move || {
@@ -453,7 +453,8 @@ impl Controller {
         }
     }
 
-    /// Passes the outcome of the recorder to the machine. The machine then has [`Self::run_finished`] publish the run.
+    /// Passes the outcome of the recorder to the machine. The machine then returns the action that calls
+    /// [`Self::run_finished`].
     fn run_is_over(&mut self, outcome: Result<RunSummary, RunError>) {
         if let Some(run) = self.run.take() {
             self.count_lost(run.progress.get().lost);

@@ -1,6 +1,6 @@
 //! The pre-flight check: the conditions for a run, each with a remedy if it is not met. Inputs are the status, the
-//! controller, and what a task found on the disk. `ballbard check` and the page show the result. A line with a
-//! severe problem prevents `ballbard start`.
+//! controller, and what a task found on the disk. `ballbard check` and the page show the result. A line with a severe
+//! problem prevents `ballbard start`.
 
 use std::io;
 use std::path::PathBuf;
@@ -17,7 +17,7 @@ use crate::log;
 use crate::problem::{Fact, Level, Problem};
 use crate::run::Session;
 
-/// If the latest sample is older, it does not show the present state of the encoders \[ms\].
+/// Largest age of the latest sample \[ms\]. An older sample does not show the present state of the encoders.
 const SAMPLE_AGE_MS_MAX: i64 = 1000;
 
 /// What was found on the disk, collected by a thread that may wait for the disk.
@@ -39,8 +39,8 @@ impl DiskFindings {
     }
 }
 
-/// Computes all lines of the check. Each line is independent of the others. `found` is `None` if the disk
-/// did not respond in time.
+/// Computes all lines of the check. Each line is independent of the others. `found` is `None` if the
+/// disk did not respond in time.
 pub(in crate::control) fn check(controller: &Controller, found: Option<&DiskFindings>) -> Vec<CheckLine> {
     let status = controller.status();
     let findings = [
@@ -58,7 +58,7 @@ pub(in crate::control) fn check(controller: &Controller, found: Option<&DiskFind
     findings.into_iter().map(|(subject, finding)| line(subject, finding)).collect()
 }
 
-/// Subject of the line about the disk, which prevents a run whatever the severity of its problems.
+/// Subject of the line about the disk. This line prevents a run if it has any problem, even a slight one.
 const DISK: &str = "disk";
 
 /// A text if the condition is met, otherwise the problems.
@@ -103,7 +103,7 @@ fn encoders(status: &Status) -> CheckResult {
     if status.sample_age_ms.is_none_or(|age| age > SAMPLE_AGE_MS_MAX) {
         return Err(vec![Fact::NoSamples {}.into()]);
     }
-    // Fractions and limits are those of the grade of a run. An encoder that is silent now counts as never valid.
+    // The limits are those of the grade of a run. If an encoder is silent now, its fraction of valid samples is set to zero.
     let share =
         |encoder: &EncoderStatus| if encoder.silent { 0.0 } else { encoder.valid_share.unwrap_or(1.0) };
     let problem = |encoder: &EncoderStatus| {

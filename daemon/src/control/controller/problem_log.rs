@@ -1,5 +1,5 @@
-//! Logs when a problem of the bus, an encoder or a link begins and ends, and counts how often each problem began. Problems of
-//! the disk are logged by the storage, because the storage also logs while this thread waits.
+//! Logs when a problem of the bus, an encoder or a link begins and ends, and counts how often each problem began. Problems
+//! of the disk are logged by the storage, because the storage can also log while this thread waits.
 
 use std::collections::BTreeMap;
 
@@ -60,8 +60,8 @@ fn logged_subject(problem: &Problem) -> Option<String> {
     }
 }
 
-/// Name of the bus or encoder whose samples are interrupted by the problem. The end of such a problem is logged, too. Errors
-/// counted by a link have no end, so they return `None`.
+/// Name of the bus or encoder whose samples are interrupted by the problem. The end of such a problem is logged, too. Error
+/// counts of a link have no end, so the result for them is `None`.
 fn silent_subject(problem: &Problem) -> Option<String> {
     match &*problem.fact {
         Fact::EncoderInvalid { joints, .. } => {

@@ -97,8 +97,8 @@ impl Controller {
     }
 }
 
-/// Adds devices, links and encoders to the status. The array sizes suffice, because
-/// `ball_bar.toml` has at most [`MAX_ENCODERS`].
+/// Adds devices, links and encoders to the status. The arrays are long enough, because `ball_bar.toml`
+/// has at most [`MAX_ENCODERS`].
 fn add_bus(status: &mut Status, session: &Session, valid_shares: Option<[f64; MAX_ENCODERS]>) {
     let live = &session.live;
     status.devices = session.devices().iter().map(|device| device.name.clone()).collect();

@@ -19,8 +19,8 @@
 //! | closing | file could not be finished | fault |
 //! | waiting | bus delivers no samples | fault |
 //!
-//! If the bus delivers no samples for a while, a run continues while the cycle restores the bus. The records of the run
-//! contain the fault. If the end of a run is requested in the state opening, the run ends once its file has been created.
+//! If the bus delivers no samples for a while, a run continues while the cycle thread restores the bus. The records of these
+//! cycles are flagged. If the end of a run is requested in the state opening, the run ends once its file has been created.
 
 mod transitions;
 
@@ -38,11 +38,11 @@ use crate::run::RunDetails;
 pub enum MachineEvent {
     /// The bus is in operation.
     BusUp,
-    /// The bus cannot be brought into operation, or the thread of its cycle has ended.
+    /// The bus cannot be brought into operation, or the cycle thread has ended.
     BusDown(Problem),
-    /// The bus delivers no samples. The cycle is restoring the bus.
+    /// The bus delivers no samples. The cycle thread is restoring the bus.
     BusTroubled(Problem),
-    /// A run is requested. If no person chose the name, a run that is active already satisfies the request.
+    /// A run is requested. If no person chose the name, any active run already satisfies the request.
     Start {
         /// Name and details of the run.
         run: Box<RunDetails>,
@@ -57,14 +57,14 @@ pub enum MachineEvent {
     Opened,
     /// The file of the run cannot be created.
     OpenFailed(Problem),
-    /// More of the run is on disk.
+    /// New cycles of the run are safe on disk.
     Synced,
-    /// No cycle has reached the disk for too long.
+    /// For three sync periods, no new cycle has become safe on disk.
     Stalled,
     /// The end of the run is requested, with the cause.
     Stop(String),
-    /// The run ends without a request, because its duration is over, the disk is too full, or
-    /// no sample arrived for `full_fault_s`.
+    /// The run ends without a request, because its duration is over, the disk is too full, or no sample
+    /// arrived for `full_fault_s`.
     Ended(String),
     /// The file of the run is finished.
     Closed,
@@ -120,7 +120,7 @@ pub enum Answer {
     Homing,
     /// The requested run, which has this name, is active already.
     Running(String),
-    /// Another run is active; its name.
+    /// A run with this name is active and prevents the requested run or homing.
     Busy(String),
     /// The run or homing cannot begin because of this problem.
     Refused(Problem),

@@ -1,5 +1,5 @@
-//! Transitions of the state machine. Each event has one method, which changes the state and returns
-//! the actions for the controller.
+//! Transitions of the state machine. Each event has one method, which changes the state and returns the
+//! actions for the controller.
 
 use super::{Action, Answer, MachineEvent, State};
 use crate::problem::{Fact, Problem};
@@ -64,8 +64,8 @@ impl StateMachine {
         self.run.as_ref().filter(|_| self.state == State::Closing)?.cause.as_deref()
     }
 
-    /// Handles one event. The returned actions must be executed in order. An event that has no meaning in
-    /// the current state changes nothing.
+    /// Handles one event. The returned actions must be executed in order. An event that has no meaning
+    /// in the current state changes nothing.
     pub fn handle(&mut self, event: MachineEvent) -> Vec<Action> {
         match event {
             MachineEvent::BusUp => self.set_bus_fault(None),
@@ -102,7 +102,7 @@ impl StateMachine {
         actions
     }
 
-    /// Nothing new can begin. A current run or homing continues.
+    /// Stores the fault, so that nothing new can begin. A current run or homing continues.
     fn bus_troubled(&mut self, problem: Problem) -> Vec<Action> {
         self.bus_fault = Some(problem);
         self.set_idle_state();
@@ -197,7 +197,7 @@ impl StateMachine {
         actions
     }
 
-    /// Records that the cycles of the run have ended. No action follows, because there are no cycles left to end.
+    /// Records that the cycles of the run have ended. Returns no action, because the cycles need not be ended again.
     fn ended(&mut self, cause: &str) -> Vec<Action> {
         self.end_run(cause);
         Vec::new()

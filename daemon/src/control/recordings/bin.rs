@@ -46,8 +46,8 @@ pub fn put(disk: &dyn Disk, recording: &Path) -> io::Result<String> {
     move_to_free_name(disk, recording, &bin)
 }
 
-/// Moves a recording and its note to a free name. The note is moved last, because a note is found only through
-/// the recording next to it.
+/// Moves a recording and its note to a free name. The note is moved last, because a note is found only
+/// through the recording next to it.
 fn move_to_free_name(disk: &dyn Disk, file: &Path, directory: &Path) -> io::Result<String> {
     let name = free_name(disk, directory, &stem(file, FINISHED_ENDING).unwrap_or_default());
     let new_file = directory.join(format!("{name}.{FINISHED_ENDING}"));

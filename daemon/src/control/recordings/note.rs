@@ -14,7 +14,8 @@ use crate::whole_file;
 
 #[derive(Debug, Serialize, Deserialize)]
 struct Note {
-    /// Start of the run that the note belongs to. It detects that another recording got the same name later.
+    /// Start of the run that the note belongs to. If another recording gets the same name later, its start differs, so the
+    /// note is not used for that recording.
     run_started: UtcNs,
     note: String,
 }

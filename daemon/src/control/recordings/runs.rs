@@ -136,8 +136,8 @@ pub(super) fn files(disk: &dyn Disk, directories: &[PathBuf]) -> io::Result<Vec<
 pub fn left_behind(disk: &dyn Disk, directories: &[PathBuf]) -> io::Result<Vec<PathBuf>> {
     let mut files = files(disk, directories)?;
     files.retain(|path| stem(path, ACTIVE_ENDING).is_some());
-    // A file that cannot be checked counts as left behind. A file that has been finished since the listing
-    // does not exist any more.
+    // A file that cannot be checked counts as left behind. A file that has been finished since the
+    // listing does not exist any more.
     files.retain(|path| match is_in_use(disk, path) {
         Ok(is_in_use) => !is_in_use,
         Err(error) => !is_absent(&error),
@@ -277,8 +277,8 @@ impl JointCurve {
     }
 
     /// Adds a point at the beginning of an interval, and removes it if a later sample of the interval is
-    /// invalid. If the origin of the counter has changed, the angle begins at zero again, because the motion
-    /// between the two origins is unknown.
+    /// invalid. If the origin of the counter has changed, the angle begins at zero again, because the
+    /// motion between the two origins is unknown.
     fn add(&mut self, sample: EncoderSample, origin: u32, begins_interval: bool) {
         if std::mem::replace(&mut self.origin, origin) != origin {
             (self.unwrapper, self.first) = (self.scale.unwrapper(), None);

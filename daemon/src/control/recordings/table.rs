@@ -184,7 +184,7 @@ impl Layout {
     }
 }
 
-/// Provenance of the data, zero of the angles, and the texts that describe the run.
+/// Texts about the provenance of the data, about the position from which angles are counted, and about the run.
 fn run_texts(run: &RunMetadata) -> Vec<String> {
     let RunMetadata { operator, robot, bar, payload, note, .. } = run;
     let texts =
@@ -195,7 +195,8 @@ fn run_texts(run: &RunMetadata) -> Vec<String> {
     provenance.into_iter().chain([angle_zeros(&run.encoders)]).chain(texts).collect()
 }
 
-/// Text that lists the zero of the angles: the reference mark for homed joints, count 0 for the other joints.
+/// Text that describes from where angles are counted: from the reference mark for homed joints, from
+/// count 0 for the other joints.
 fn angle_zeros(encoders: &[EncoderInfo]) -> String {
     let (homed, others): (Vec<&EncoderInfo>, Vec<_>) =
         encoders.iter().partition(|encoder| encoder.scale.reference_counts != 0);

@@ -11,15 +11,17 @@ use shared::recording::{Flagged, RunOverview};
 
 use crate::problem::{Level, clock_time};
 
-/// Fraction of valid cycles from which a run is good. The sigma of each parameter is proportional to one over the root of the
-/// number of valid cycles, so at this limit it is larger by 0.5 %.
+/// Minimum fraction of valid cycles of a good run. The sigma of each parameter is inversely proportional to the square root
+/// of the number of valid cycles. At this limit, sigmas are therefore 0.5 % larger than with all cycles.
 pub const VALID_SHARE_GOOD: f64 = 0.99;
-/// Fraction of valid cycles below which a run is bad. Sigmas are at least 41 % larger, and the valid cycles are fragmented.
+/// Fraction of valid cycles below which a run is bad. Below this limit, sigmas are at least 41 % larger than with all
+/// cycles, and many gaps interrupt the valid cycles.
 pub const VALID_SHARE_BAD: f64 = 0.5;
-/// Minimum duration of a run beyond the overlap that `identify` requires \[s\]. The margin is needed for three reasons:
-/// speeds need a sample on each side, the log ends between two of its rows, and the clock of the log differs.
+/// Minimum duration of a run beyond the overlap that `identify` requires \[s\]. The margin is needed for three reasons: the
+/// computation of a speed needs a sample before and after, the log ends between two of its rows, and the clock of the log
+/// differs from the clock of the run.
 pub const LENGTH_MARGIN_S: f64 = 1.0;
-/// Number of causes of invalid cycles that are listed.
+/// Largest number of causes of invalid cycles that are listed.
 const CAUSES_MAX: usize = 3;
 
 /// A grade and its reasons.
