@@ -169,7 +169,7 @@ pub struct UsageError(String);
 
 impl UsageError {
     /// Exit code of clap for usage errors. The systemd unit of the Debian package does not restart a
-    /// service that ends with it.
+    /// service that ends with this code.
     pub const EXIT_CODE: u8 = 2;
 }
 

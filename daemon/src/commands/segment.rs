@@ -75,7 +75,7 @@ pub fn run(arguments: &SegmentArguments) -> anyhow::Result<()> {
     if let Some(file) = &arguments.replay {
         say(format_args!("type `play` to start the motion of {}", file.display()))?;
     }
-    // The thread ends when its input or this program ends, whichever comes first.
+    // The thread ends when the standard input or this program ends, whichever comes first.
     thread::Builder::new()
         .name("switches".into())
         .spawn(move || handle_lines(&faults, terminals, replay.as_ref()))?;
@@ -83,8 +83,8 @@ pub fn run(arguments: &SegmentArguments) -> anyhow::Result<()> {
     on_signal(work, |_| stop.store(true, Ordering::Release))
 }
 
-/// Reads lines from the standard input. Lines such as `on gone:3` and `off gone:3` switch faults. `play` starts
-/// the replay from its beginning.
+/// Reads lines from the standard input. Lines such as `on gone:3` and `off gone:3` switch faults. `play`
+/// starts the replay from its beginning.
 fn handle_lines(faults: &FaultHandle, terminals: usize, replay: Option<&ReplayHandle>) {
     for line in io::stdin().lock().lines().map_while(Result::ok).filter(|line| !line.trim().is_empty()) {
         let line = line.trim();
@@ -112,7 +112,8 @@ fn handle_lines(faults: &FaultHandle, terminals: usize, replay: Option<&ReplayHa
     }
 }
 
-/// Replies to each frame until it is stopped. If the interface goes down, it waits, because the interface may come up again.
+/// Replies to each frame until `stop` is set. If the interface goes down, this function waits, because
+/// the interface may come up again.
 fn serve(mut segment: FaultySegment, mut wire: EthernetWire, stop: &AtomicBool) -> anyhow::Result<()> {
     let clock = Clock::Real;
     let (mut frame, mut reply) = ([0; FRAME_BYTES_MAX], [0; FRAME_BYTES_MAX]);

@@ -23,7 +23,7 @@ use crate::run::BusChoice;
 use crate::scheduler::STACK_BYTES;
 use crate::segment::faults::FaultWindow;
 
-/// If the end of the service takes longer, the log explains why, again after each such time.
+/// Period of log lines that explain why the service has not ended yet, once its end was requested.
 const PATIENCE: Duration = Duration::from_secs(2);
 /// Largest number of tokio's threads for blocking work. Two are needed for downloads and one for the line on standard output;
 /// the others are a reserve. The number is low, because the memory of these threads is locked permanently.
@@ -157,7 +157,7 @@ async fn serve(listener: TcpListener, remote: Option<Remote>, service: Service, 
             () = ending.ended() => return,
             name = signals.next() => ending.shutdown(&format!("stopped by {name}")),
         }
-        // Finishing the file has priority, so clients are served until the file is finished.
+        // The program ends only when the file is finished. Clients are served until then.
         while tokio::time::timeout(PATIENCE, ending.ended()).await.is_err() {
             let Status { run, reason, .. } = ending.status();
             let what = run.map_or("the bus is closed".into(), |run| {
@@ -169,8 +169,8 @@ async fn serve(listener: TcpListener, remote: Option<Remote>, service: Service, 
     api::serve(listener, remote, service, end).await;
 }
 
-/// Runs `serving`. If a thread dies, the file of the run is still finished, and the program ends with an error, so that
-/// a service manager restarts it.
+/// Runs `serving`. If a thread dies, the file of the run is still finished, and the program ends with an
+/// error, so that a service manager restarts it.
 fn supervise(
     runtime: &tokio::runtime::Runtime,
     service: &Service,

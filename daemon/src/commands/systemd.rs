@@ -8,13 +8,15 @@ use shared::time::MonoNs;
 use crate::control::service::Service;
 use crate::control::status::Status;
 
-/// If the bus is in operation and the last cycle, valid or not, is older, the thread of the cycle hangs.
+/// Largest age of the last cycle, valid or not. If the last cycle is older although the bus is in
+/// operation, the cycle thread hangs.
 const CYCLE_AGE_MAX: Duration = Duration::from_secs(10);
 /// Number of watchdog notifications within the time limit of the watchdog.
 const NOTIFICATIONS: u32 = 3;
 
-/// Notifies systemd until the service ends. A watchdog notification is sent only while three threads are alive: this thread,
-/// the control and the cycle. If one of them hangs, systemd restarts the service. A disk that hangs does not cause a restart.
+/// Notifies systemd until the service ends. A watchdog notification is sent only while three threads are
+/// alive: this thread, the control thread and the cycle thread. If one of them hangs, systemd restarts
+/// the service. A disk that hangs does not cause a restart.
 pub async fn notify(service: Service) {
     let period = sd_notify::watchdog_enabled().map(|within| within / NOTIFICATIONS);
     let (mut statuses, mut notified_at, mut sent_headline) = (service.watch(), None::<MonoNs>, String::new());
@@ -37,7 +39,8 @@ pub async fn notify(service: Service) {
     }
 }
 
-/// Whether the cycle is alive. Also true without a bus, because bringing the bus into operation is supervised elsewhere.
+/// Whether the cycle thread is alive. Also true without a bus, because another part of the service
+/// supervises the start of the bus.
 fn cycle_lives(status: &Status, now: MonoNs) -> bool {
     status.sampled.0 == 0 || now.ns_since(status.sampled) <= CYCLE_AGE_MAX.as_nanos() as i64
 }

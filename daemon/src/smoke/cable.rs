@@ -22,7 +22,7 @@ pub(super) struct Pull<'a> {
     state: Cable,
     /// Number of cycles since the state last changed.
     waited: u64,
-    /// Number of latest consecutive cycles whose flags agree with the next state.
+    /// Number of consecutive cycles, up to the latest cycle, whose flags agree with the next state.
     in_a_row: u64,
 }
 

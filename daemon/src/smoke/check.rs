@@ -77,11 +77,11 @@ pub enum Outcome {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Reason {
-    /// The check is disabled: this key of the configuration is false.
+    /// The check is disabled, because this key of the configuration is false.
     NotAsked(&'static str),
     /// The check needs a person at a terminal.
     NoPerson,
-    /// The check requires that this other check has passed.
+    /// The check depends on this other check, which did not pass.
     After(Subject),
     /// The test was stopped.
     Stopped(String),
@@ -100,8 +100,8 @@ impl Outcome {
         Self::Passed { found: found.into() }
     }
 
-    /// Outcome of a bus that is not as expected because of a known problem. `found` replaces the text of the problem
-    /// if it contains more figures.
+    /// Outcome of a bus that is not as expected because of a known problem. `found` replaces the text of
+    /// the problem if it contains more figures.
     pub fn failed(expected: impl Into<String>, problem: &Problem, found: Option<String>) -> Self {
         Self::Failed {
             expected: expected.into(),

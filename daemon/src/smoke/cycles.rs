@@ -37,7 +37,7 @@ pub struct Figures {
     pub cycles_valid: u64,
     /// Number of cycles with each flag.
     pub flags: BTreeMap<&'static str, u64>,
-    /// Working counter of a reply if all devices process the frame.
+    /// Working counter of a reply to a frame that all devices processed.
     pub working_counter_expected: u16,
     /// Number of replies with each working counter.
     pub working_counters: BTreeMap<u16, u64>,
@@ -51,7 +51,7 @@ pub struct Figures {
     pub ports: Vec<PortCounts>,
     /// Lateness of cycles and duration of replies; `None` on virtual time.
     pub timing: Option<TimingSummary>,
-    /// Real-time permissions of the cycle's thread; `None` on virtual time.
+    /// Real-time permissions of the cycle thread; `None` on virtual time.
     pub realtime: Option<String>,
     #[serde(skip)]
     names: BusNames,
@@ -61,7 +61,7 @@ pub struct Figures {
     /// Number of cycles that are bad because of [`DEVICE_FLAGS`].
     #[serde(skip)]
     device_bad_cycles: u64,
-    /// Number of cycles without a synchronised new sample and without another cause for it.
+    /// Number of cycles in which a new synchronised sample is missing and no other fault explains why.
     #[serde(skip)]
     unsynchronised_cycles: u64,
     /// Whether the previous cycle was bad. It matters because a terminal that misses a frame reports the
@@ -153,7 +153,7 @@ impl Figures {
             while let Some(event) = source.take_event() {
                 self.add_event(&event);
             }
-            // Computing the timing also empties the ring of the timing.
+            // This call also empties the ring of timing values.
             self.timing = source.timing();
             is_last.then_some(())
         })

@@ -35,8 +35,8 @@ use host::Host;
 
 /// Period of polling a homing.
 const POLL: Duration = Duration::from_millis(50);
-/// Capacity of the ring \[s\]. On virtual time, cycles can be ahead of their evaluation by this time. It is much shorter than
-/// the time limit for a person.
+/// Capacity of the ring \[s\]. On virtual time, cycles can be ahead of their evaluation by this time, so it must be much
+/// shorter than the time limits of checks with a person.
 const RING_S: u32 = 5;
 
 /// Input of a smoke test.
@@ -114,8 +114,8 @@ impl Test<'_> {
         self.report.checks.push(check);
     }
 
-    /// Brings the bus into operation. If that fails, adds a failed check. Returns the reason for all checks
-    /// that depend on the bus.
+    /// Brings the bus into operation. If that fails, adds a failed check and returns the reason why the
+    /// checks that depend on the bus are not done.
     async fn connect(&mut self, rate_hz: u32) -> Result<Session, Reason> {
         if let Some(reason) = self.blocked.as_ref().or_else(|| self.not_up.get(&rate_hz)) {
             return Err(reason.clone());
@@ -130,8 +130,8 @@ impl Test<'_> {
         }
     }
 
-    /// Adds the check that failed when the bus was brought into operation. Returns the reason for all
-    /// checks that depend on it.
+    /// Adds the check that failed when the bus was brought into operation. Returns the reason why the
+    /// checks that depend on the bus are not done.
     fn not_connected(&mut self, rate_hz: u32, error: &RunError) -> Reason {
         let stop = self.bench.stop;
         if stop.is_stopped() {
@@ -159,8 +159,8 @@ impl Test<'_> {
         match subject {
             Subject::Interface if !self.is_done(Subject::Devices, None) => self.add(subject, None, outcome),
             Subject::Devices if !self.is_done(Subject::Devices, None) => self.identify(identified, outcome),
-            // The interface and the devices passed at an earlier rate, so the failure is one of bringing up
-            // the bus at this rate.
+            // The interface and the devices passed at an earlier rate, so the failure is one of bringing
+            // up the bus at this rate.
             Subject::Interface | Subject::Devices => self.add(Subject::BringUp, Some(rate_hz), outcome),
             _ => {
                 if !identified.is_empty() {
@@ -260,7 +260,7 @@ impl Test<'_> {
         }
     }
 
-    /// Adds the checks that cannot be done at this rate as not done.
+    /// Adds all checks of the bus and of this rate that have no result yet, with the outcome `NotDone`.
     fn add_not_done(&mut self, rate_hz: u32, because: &Reason) {
         use Subject::{
             BringUp, Cables, Cycles, Devices, DistributedClocks, Revisions, Signals, WorkingCounter,

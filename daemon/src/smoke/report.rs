@@ -24,7 +24,7 @@ pub struct Report {
     pub host: Host,
     /// Configuration of the checks.
     pub smoke: SmokeConfig,
-    /// Configuration of the cycles. Its rate is not used.
+    /// Configuration of the cycles. The rate in it is not used.
     pub daemon: DaemonConfig,
     /// The terminals that were expected.
     pub encoders: Vec<EncoderConfig>,

@@ -1,8 +1,8 @@
 //! Requests to a service on another machine, over TLS and with the token.
 //!
 //! The certificate of a measurement PC is self-signed, so no certificate authority can confirm it. Instead, the user
-//! provides the fingerprint of the certificate. Nothing is sent before the server has proved that it owns the key of
-//! the certificate with this fingerprint.
+//! provides the fingerprint of the certificate. Nothing is sent before the server has proved that it owns the key of the
+//! certificate with this fingerprint.
 //!
 //! `ureq` accepts a custom verifier of certificates only through its module `unversioned`, which minor versions may change.
 //! Cargo.toml therefore pins the version.
@@ -192,8 +192,8 @@ impl ServerCertVerifier for Pin {
     }
 }
 
-/// Wraps a connection in TLS and accepts only the pinned certificate. The TLS of `ureq` cannot do this, because it
-/// checks certificates only by authorities.
+/// Wraps a connection in TLS and accepts only the pinned certificate. The TLS of `ureq` cannot do this, because it checks
+/// certificates only by authorities.
 #[derive(Debug)]
 struct Pinned(Arc<ClientConfig>);
 

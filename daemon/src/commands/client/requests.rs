@@ -1,5 +1,5 @@
-//! Requests to a running service: `start`, `stop`, `status`, `mark`, `note`, `check`,
-//! `runs`, `delete`, `restore`, `bin`, `pair`.
+//! Requests to a running service: `start`, `stop`, `status`, `mark`, `note`, `check`, `runs`, `delete`,
+//! `restore`, `bin`, `pair`.
 
 use std::io::IsTerminal;
 use std::path::PathBuf;
