@@ -1,4 +1,7 @@
-// The page: shows each moment (the `Live` of control/live.rs) and the lines of the check, and sends requests.
+// The main module of the page. It shows each moment, which is the content of the page at one time (`Live` in
+// control/live.rs), and the lines of the pre-flight check. It sends the requests of the user to the service.
+//
+// Sections: display of a moment, controls before a run, controls during a run.
 
 import { $, ask, duration, el, listen, marked, text, verdict_word } from "./live.js";
 import { Strip, cover } from "./charts.js";
@@ -7,7 +10,7 @@ import { refresh } from "./runs.js";
 
 const CHECK_EVERY_MS = 3000;
 const NAME_AFTER_MS = 300;
-// Older values are marked.
+// If the newest values are older than this, the page shows their age [s].
 const OLD_S = 1.5;
 const AGE_EVERY_MS = 500;
 const FIELDS = ["robot", "operator", "bar", "payload", "note"];
@@ -17,7 +20,7 @@ const form = $("run-form");
 // The latest moment; undefined while the service does not answer.
 let latest;
 let checks = [];
-// The state of the runs for which their list was loaded.
+// Identifies the state of the runs when the list of recordings was last loaded. The list is loaded again when it changes.
 let shown_list;
 
 // ---- display
@@ -44,7 +47,7 @@ function show_joints(joints) {
     const [, angle, speed, lights, from] = card.children;
     card.dataset.level = joint.level;
     const degrees = joint.angle_deg;
-    // A stale value is not shown: nobody must take it for the present.
+    // A stale value is not shown, because it could be mistaken for the present value.
     text(angle, degrees === null ? "stale" : `${degrees.toFixed(2).replace("-", "−")}°`);
     const per_s = joint.speed_deg_per_s;
     text(speed, per_s === null ? "– °/s" : `${per_s >= 0 ? "+" : "−"}${Math.abs(per_s).toFixed(1)} °/s`);
@@ -57,7 +60,7 @@ function show_joints(joints) {
   });
 }
 
-// Whether a run was active at the previous moment; undefined before the first.
+// Whether a run was active at the previous moment; undefined before the first moment.
 let was_running;
 
 function show_state({ headline, status, run_s }) {
@@ -79,7 +82,7 @@ function show_state({ headline, status, run_s }) {
     && (focused === document.body || ["start", "preflight", "progress", "state"].some((id) => $(id).contains(focused)));
   $("start").hidden = $("preflight").hidden = running;
   $("progress").hidden = !running;
-  // The focused element is hidden now: focus the run, or its result.
+  // The focused element has just been hidden. Move the focus to the run, or to its result.
   if (lost_focus) $(running ? "progress-title" : "runs-title").focus({ preventScroll: true });
   was_running = running;
   if (!running) return;
@@ -136,9 +139,9 @@ function show_warnings(warnings) {
   }));
 }
 
-// Time of the moment whose coverage was drawn last [ms].
+// Time of the moment whose coverage was drawn last, on the clock of the service [ms].
 let cover_ms = 0;
-// Arrival of the latest moment [ms], and the age of its values then [s].
+// Time at which the latest moment arrived [ms], and the age of its values at that time [s].
 let arrived_ms = performance.now();
 let age_on_arrival_s = 0;
 
@@ -165,7 +168,7 @@ function show(moment, age_s) {
     text($("cover-text"), cover(moment.coverage, moment.restarted));
   }
   show_begin();
-  // A run has its file, or is over.
+  // This text changes when the file of a run has been created and when a run is over.
   const listed = `${moment.status.runs_over} ${moment.status.run?.file}`;
   if (shown_list !== listed) {
     shown_list = listed;
@@ -219,7 +222,7 @@ async function check() {
   } catch {
     return;
   }
-  // Problems come first.
+  // Show problems first.
   const rank = (line) => (line.stops ? 0 : line.remedy ? 1 : 2);
   const sorted = [...checks].sort((one, other) => rank(one) - rank(other));
   const said = JSON.stringify(sorted);
@@ -245,7 +248,8 @@ function show_begin() {
   $("home").disabled = state !== "waiting";
 }
 
-// The service derives the name of a run, by the same rule as for commands.
+// Shows the name that the run would get. The service derives the name, so that page and commands use the same rule. Returns
+// the problem of the name, or null if the name can be used; undefined if that could not be determined.
 async function show_name() {
   const value = (field) => form.elements[field].value.trim();
   const typed = value("name");
@@ -255,7 +259,7 @@ async function show_name() {
   } catch {
     return undefined;
   }
-  // The text has changed in the meantime.
+  // The user has changed the text during the request, so this reply is outdated.
   if (value("name") !== typed) return undefined;
   const { name, problem } = reply;
   if (!typed) form.elements.name.placeholder = name;
@@ -272,7 +276,7 @@ for (const field of ["name", "robot", "bar"]) {
   });
 }
 
-// Enter in a field does not begin a run: only the button does.
+// Pressing Enter in a field does not begin a run. Only the button begins a run.
 form.addEventListener("submit", (event) => event.preventDefault());
 
 $("begin").addEventListener("click", async () => {
@@ -315,7 +319,7 @@ for (const field of FIELDS) form.elements[field].value = localStorage.getItem(`b
 
 // ---- during a run
 
-// Without a text the service numbers the marker.
+// Sends a marker for the time `since_ms`. If `said` is undefined, the service numbers the marker instead.
 async function put_mark(said, since_ms) {
   const ago_ms = Math.min(600000, Math.round(performance.now() - since_ms));
   try {
@@ -328,12 +332,12 @@ async function put_mark(said, since_ms) {
 
 const can_mark = () => Boolean(latest?.status.run) && !$("mark").hidden;
 
-// At once: the event is over before its text is typed.
+// Sets a marker without a text, because the event would be over before a text is typed.
 function mark() {
   if (can_mark()) put_mark(undefined, performance.now());
 }
 
-// With a text, for the instant of the request.
+// Sets a marker with a text. The time of the marker is the time before the text was typed.
 async function note() {
   if (!can_mark()) return;
   const since_ms = performance.now();
@@ -362,7 +366,7 @@ $("stop").addEventListener("click", stop);
 document.addEventListener("keydown", (event) => {
   const typing = event.target.closest("input, select, textarea, dialog");
   if (typing || event.repeat || event.ctrlKey || event.metaKey || event.altKey) return;
-  // Also with Shift or Caps Lock.
+  // The keys also work with Shift or Caps Lock.
   const key = event.key.toLowerCase();
   if (key === "m" || key === "n") {
     event.preventDefault();

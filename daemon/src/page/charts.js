@@ -1,17 +1,18 @@
-// The strip chart of the last minute, a plot of a whole run, and the covered part of the sphere.
+// Draws the strip chart of the last minute, the plot of a whole run, and the map of the directions of the rod that a run has
+// covered.
 /* global uPlot */
 
 import { $, duration } from "./live.js";
 
 const MINUTE_S = 60;
 const CELLS = 36;
-// A longer pause between moments is drawn as a gap [s].
+// Longest pause between two moments that the chart bridges with a line [s]. A longer pause is drawn as a gap.
 const GAP_S = 1;
 const RESTARTED = "angles from zero";
 
 const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
-// `light-dark()` is resolved only where it is used.
+// Returns the colour of a CSS variable. Browsers evaluate `light-dark()` only for an element, so a temporary element is used.
 function resolved(name) {
   const probe = document.createElement("i");
   probe.style.color = colour(name);
@@ -23,7 +24,7 @@ function resolved(name) {
 
 const MARK_CHARS = 24;
 
-// A line across the chart at each marker, with its text.
+// Draws a vertical line at each marker, with the text of the marker.
 function draw_marks({ ctx, bbox, scales, valToPos }, marks) {
   ctx.save();
   ctx.strokeStyle = ctx.fillStyle = resolved("--ink");
@@ -39,7 +40,7 @@ function draw_marks({ ctx, bbox, scales, valToPos }, marks) {
     ctx.lineTo(left, bbox.top + bbox.height);
     ctx.stroke();
     const short = text.length > MARK_CHARS ? `${text.slice(0, MARK_CHARS - 1)}…` : text;
-    // Alternating on three lines, so that adjacent texts do not overlap.
+    // Write the texts at three alternating heights, so that adjacent texts do not overlap.
     ctx.fillText(short, left + 4 * devicePixelRatio, bbox.top + (2 + 15 * (index % 3)) * devicePixelRatio);
   });
   ctx.restore();
@@ -65,8 +66,8 @@ function options(joints, width, height, time) {
   };
 }
 
-// A chart that fills its container, also after a change of size or colours.
-// `time` is its time axis: its range [s], the marks to be drawn, and whether the legend follows the cursor.
+// Creates a chart that fills its container `place`. The chart is built again when size or colour scheme change. `time`
+// contains the range of the time axis [s], the markers to be drawn, and whether the legend follows the cursor.
 function chart(place, joints, time) {
   let data = [[], ...joints.map(() => [])];
   let drawn;
@@ -91,7 +92,7 @@ export class Strip {
   points = [];
   marks = [];
 
-  // Angles before this page was opened, or before its connection returned.
+  // Restores the angles of the last minute from the service, when the page has been opened or has connected again.
   recall({ at_ms, angles_deg }) {
     this.points = at_ms.map((ms, at) => ({ at_s: ms / 1000, angles: angles_deg.map((angles) => angles[at]) }));
   }
@@ -109,7 +110,8 @@ export class Strip {
     }
     const last = this.points.at(-1);
     if (last && at_s - last.at_s > GAP_S) this.points.push({ at_s: last.at_s + 0.001, angles: joints.map(() => null) });
-    // On another clock everything restarts; the first moment repeats recalled values.
+    // If time has jumped back, the service has another clock, so the chart begins again. The first moments after `recall` may
+    // be contained in the restored angles already, so they are ignored.
     if (last && last.at_s - at_s > GAP_S) this.points = [];
     else if (last && at_s <= last.at_s) return;
     this.points.push({ at_s, angles: moment.joints.map((joint) => joint.angle_deg) });
@@ -122,7 +124,7 @@ export class Strip {
     ]);
   }
 
-  // Markers of the run, also after its end, and the time at which angles restarted from zero.
+  // Updates the markers: those of the run, even after its end, and one at the time when angles restarted from zero.
   mark({ status, run_s, restarted }, at_s) {
     if (status.run) {
       const begun_s = at_s - (run_s ?? 0);
@@ -138,7 +140,7 @@ export class Strip {
   }
 }
 
-// A finished run in a dialog.
+// Plots a finished run in a dialog.
 export function plot({ t_s, joints }, run_marks) {
   const marks = () => run_marks.map((mark) => ({ x: mark.at_s, text: mark.text }));
   const place = $("plot-chart");
@@ -148,7 +150,7 @@ export function plot({ t_s, joints }, run_marks) {
   $("plot").addEventListener("close", () => drawn.close(), { once: true });
 }
 
-// Draws the covered part of the sphere (`Coverage` of control/live.rs); returns its description.
+// Draws the map of the covered directions of the rod (`Coverage` in control/live.rs). Returns a description of the map.
 export function cover({ cells, here, visited, newest_s, absolute }, restarted) {
   const canvas = $("cover");
   const context = canvas.getContext("2d");

@@ -1,10 +1,10 @@
-// Dialogs, and lines below the state.
+// Dialogs of the page (text input, confirmation, homing, pairing), and messages, which are lines below the state.
 
 import { $, ask, el, text } from "./live.js";
 
 const SAID_MS = 6000;
 
-// Sends a request, and clears the lines of earlier ones.
+// Sends a request. Removes the messages of earlier requests first.
 export function act(path, body) {
   hush();
   return ask(path, body);
@@ -12,7 +12,8 @@ export function act(path, body) {
 
 export const hush = () => $("said").replaceChildren();
 
-// Shows a line below the state, with a button that closes it and optional others; an error stays until the next request.
+// Shows a message with a button that closes it, and with optional other buttons. An error is shown until the next request,
+// other messages disappear after a few seconds.
 export function say(level, said, ...buttons) {
   const line = el("p", { level }, el("span", { textContent: said }), ...buttons);
   line.append(el("button", { type: "button", textContent: "Close", onclick: () => line.remove() }));
@@ -21,8 +22,8 @@ export function say(level, said, ...buttons) {
   while ($("said").children.length > 4) $("said").firstChild.remove();
 }
 
-// Enter ends a text of one line; in longer texts it starts a new line, and Ctrl with Enter ends them. Dangerous actions need
-// their button.
+// Enter completes a text of one line. In a text of several lines, Enter starts a new line, and Ctrl with Enter completes the
+// text. A dangerous action can only be confirmed with its button.
 $("ask-input").addEventListener("keydown", (event) => {
   const ends = $("ask-input").rows === 1 || event.ctrlKey || event.metaKey;
   if (event.key !== "Enter" || event.isComposing || !ends) return;
@@ -30,11 +31,11 @@ $("ask-input").addEventListener("keydown", (event) => {
   if ($("ask-yes").className !== "danger") $("ask-yes").click();
 });
 
-// Completes the latest dialog. Its close event is late: the next dialog may be open by then.
+// Completes the latest dialog. The browser sends the close event of a dialog late, when the next dialog may already be open.
 let finish = () => {};
 $("ask").addEventListener("close", () => { if (!$("ask").open) finish(); });
 
-// Opens a dialog; returns the typed text (or `true` without a text field), or null.
+// Opens a dialog. Returns the typed text, or `true` if the dialog has no text field, or null if the user cancels.
 export function choose({ title, text: said = "", label, value = "", lines = 1, required = false, yes, danger = false }) {
   finish();
   text($("ask-title"), title);
@@ -52,7 +53,7 @@ export function choose({ title, text: said = "", label, value = "", lines = 1, r
   dialog.returnValue = "no";
   hush();
   dialog.showModal();
-  // An immediate Enter does no harm.
+  // Focus a harmless element, in case the user presses Enter immediately.
   (label ? input : $("ask-no")).focus();
   return new Promise((resolve) => {
     finish = () => {
@@ -62,7 +63,8 @@ export function choose({ title, text: said = "", label, value = "", lines = 1, r
   });
 }
 
-// Positive is counter-clockwise while the axis points at the observer: the right-hand rule of the bar's links.
+// Positive direction of each joint. It is counter-clockwise for an observer towards whom the joint axis points (right-hand
+// rule, as in the model of the bar).
 const WAYS = {
   1: "Counter-clockwise, seen from above the base.",
   2: "Counter-clockwise, seen against the axis of the fork, so that the rod tilts forward.",
@@ -76,9 +78,10 @@ const FORGOTTEN = "The service was restarted, which ended the homing. The line o
 
 export class Homing {
   was_over = true;
-  // A homing begun on this page opens its dialog. Others have a button.
+  // Whether the homing was begun on this page and its dialog has not been opened yet. For other homings, a button opens the
+  // dialog.
   is_mine = false;
-  // Why a request to stop it was refused.
+  // Why a request to stop the homing was refused.
   refused = "";
 
   constructor() {
@@ -111,14 +114,14 @@ export class Homing {
     $("homing-close").focus();
   }
 
-  // It affects every client, so it needs a confirmation.
+  // Asks the user for confirmation, because stopping a homing affects every client.
   async stop() {
     const yes = await choose({
       title: "Stop the homing?", text: "It ends for every client, and no reference mark is saved.", yes: "Stop homing",
       danger: true,
     });
     if (!yes || this.was_over) return;
-    // Lines elsewhere are covered by the dialog.
+    // Show an error inside the dialog, because the dialog covers the messages.
     await act("stop", { cause: "stopped on the page" }).catch((error) => { this.refused = error.message; });
   }
 
@@ -128,7 +131,7 @@ export class Homing {
     $("homing-stop").hidden = true;
   }
 
-  // Closes the instructions if the service does not know of the homing.
+  // Removes the instructions and shows `why`, if the state of the homing is unknown or the service has restarted.
   lose(why) {
     if (!$("homing").open) return;
     this.over();
@@ -145,7 +148,7 @@ export class Homing {
     const is_active = state === "homing";
     const dialog = $("homing");
     if (is_active && this.is_mine) {
-      // Only once: a closed dialog stays closed.
+      // Open the dialog only once, so that it stays closed if the user closes it.
       this.is_mine = false;
       if (!dialog.open) this.open();
     }
@@ -183,7 +186,7 @@ export class Homing {
   }
 }
 
-// A code for the camera of a phone, which then needs no token.
+// Shows a QR code for the camera of a phone. With this code, the phone opens the page without typing the token.
 $("pair").addEventListener("click", async () => {
   try {
     const { links, valid_s, fingerprint } = await act("pair", {});

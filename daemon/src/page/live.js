@@ -1,18 +1,21 @@
-// Connection to the service: moments (`/api/events`, or `/api/live` each second) as they arrive, requests, and functions that
-// all modules of the page use.
+// The connection to the service, and functions that all modules of the page use.
+//
+// A moment is the content of the page at one time. Moments arrive as events from `/api/events`. If the service refuses the
+// event stream, the page polls `/api/live` every second instead. Requests are sent with `ask`.
 
-// Without a moment for this time the page is stale.
+// If no moment arrives for this time, the page is stale.
 const SILENT_MS = 1500;
 const POLL_MS = 1000;
 const RETRY_EVENTS_MS = 15000;
 
-// Local time minus the service's. The quickest moment determines it; the additional delay of others is their age.
+// Smallest observed value of local arrival time minus time of the moment on the clock of the service. The moment with the
+// shortest delay determines it. The age of another moment is its additional delay.
 let offset_ms = Infinity;
-// When a request last bounded the offset.
+// Local time at which `bound_offset` was last called.
 let bounded_ms = -Infinity;
 const BOUND_EVERY_MS = 5000;
 const OLD_S = 2;
-// Largest age of a moment when it is sent.
+// Largest age of a moment when the service sends it.
 const PERIOD_MS = 200;
 
 function age_s(at_ms) {
@@ -23,19 +26,20 @@ function age_s(at_ms) {
   return age;
 }
 
-// A clock may have stopped, or have been replaced: a request bounds the service's time between two local times.
+// Corrects the offset after a clock has stopped or the service has restarted. The reply to a request was computed between
+// two known local times, which bound the offset from both sides.
 async function bound_offset() {
   const asked_ms = bounded_ms = performance.now();
   try {
     const { at_ms } = await (await fetch("/api/live")).json();
     offset_ms = Math.max(asked_ms - PERIOD_MS - at_ms, Math.min(offset_ms, performance.now() - at_ms));
   } catch {
-    // The silence is handled elsewhere.
+    // `on_silence` handles a service that does not reply.
   }
 }
 
-// Calls `on_minute` with the angles of the last minute, `on_moment` with each moment and its age [s], `on_silence` when none
-// has arrived for a while.
+// Receives moments. Calls `on_minute` with the angles of the last minute, `on_moment` with each moment and its age [s], and
+// `on_silence` when no moment has arrived for `SILENT_MS`.
 export function listen(on_minute, on_moment, on_silence) {
   let silence_timer;
   const receive = (text) => {
@@ -51,7 +55,7 @@ export function listen(on_minute, on_moment, on_silence) {
       const answer = await fetch("/api/live");
       if (answer.ok) receive(await answer.text());
     } catch {
-      // The silence is handled elsewhere.
+      // `on_silence` handles a service that does not reply.
     }
   };
   const open = () => {
@@ -62,7 +66,8 @@ export function listen(on_minute, on_moment, on_silence) {
     events.addEventListener("minute", (event) => on_minute(JSON.parse(event.data)));
     events.onmessage = (event) => receive(event.data);
     events.onerror = () => {
-      // It reconnects on its own after a lost connection; if it was refused for lack of places, the page polls.
+      // After a lost connection, the browser reconnects automatically. If the service refused the stream, because too many
+      // pages are open, poll until the next attempt.
       if (events.readyState !== EventSource.CLOSED || polling) return;
       polling = setInterval(poll, POLL_MS);
       setTimeout(open, RETRY_EVENTS_MS);
@@ -71,7 +76,7 @@ export function listen(on_minute, on_moment, on_silence) {
   open();
 }
 
-// The reply to a request; throws the problem and its remedy.
+// Sends a request and returns the reply. If the request is refused, throws an error with the problem and its remedy.
 export async function ask(path, body) {
   const request = body === undefined
     ? {}
@@ -89,7 +94,7 @@ export async function ask(path, body) {
 
 export const $ = (id) => document.getElementById(id);
 
-// An element with properties and children; text is never parsed as HTML.
+// Creates an element with properties and children. Text is never parsed as HTML.
 export function el(tag, properties = {}, ...children) {
   const element = document.createElement(tag);
   const { level, ...rest } = properties;
@@ -99,7 +104,7 @@ export function el(tag, properties = {}, ...children) {
   return element;
 }
 
-// Writes a text only if it changed, so that screen readers and selections are not disturbed.
+// Sets the text of an element only if the text has changed, so that screen readers and selections are not disturbed.
 export function text(node, content) {
   if (node.textContent !== content) node.textContent = content;
 }
@@ -111,7 +116,7 @@ export function duration(seconds) {
   return h ? `${h}:${two(m)}:${two(s)}` : `${m}:${two(s)}`;
 }
 
-// The reason for which a run began although the check stopped it is a marker, too.
+// Prefix of the marker that contains the reason why a run was begun although the check found a severe problem.
 const IN_SPITE_OF = "begun in spite of";
 export const is_reason = (mark) => mark.text.startsWith(IN_SPITE_OF);
 export const marked = (mark) => `${duration(mark.at_s)}  ${mark.text}`;

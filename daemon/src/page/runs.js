@@ -1,4 +1,4 @@
-// The list of recordings.
+// The list of recordings, the bin, and the result of the run that ended last.
 
 import { $, ask, duration, el, is_reason, marked, text, verdict_word } from "./live.js";
 import { act, choose, say } from "./dialogs.js";
@@ -10,10 +10,10 @@ let shows_all = false;
 
 // Recordings in the bin.
 let deleted = [];
-// The run that ended last, since the service began; null during the next.
+// The run that ended last since the service began; null while another run is active.
 let last = null;
 
-// Loads the lists; `last_run` is that of the service's status.
+// Loads the lists of recordings and of the bin, and shows them. `last_run` is `last` in the status of the service.
 export async function refresh(last_run = last) {
   last = last_run;
   try {
@@ -26,7 +26,7 @@ export async function refresh(last_run = last) {
   show_after();
 }
 
-// With the time zone, for a comparison with a robot's log.
+// Formats the start of a run with the time zone, so that it can be compared with the log of a robot.
 function begun(started_ms) {
   if (started_ms === null) return "time unknown";
   return new Date(started_ms).toLocaleString(undefined, {
@@ -52,7 +52,7 @@ const description = (run) => [facts(run), run.note, reasons(run), marks(run)].fi
 
 const grade_reasons = (run) => run.verdict?.reasons.join("; ") || (run.verdict ? "" : run.cause);
 
-// A request that changes the list.
+// Sends a request that changes the list, then loads the list again. Returns the reply, or null if the request was refused.
 async function change(path, body) {
   try {
     return await act(path, body);
@@ -154,7 +154,7 @@ function show_bin() {
     el("button", { type: "button", textContent: "Restore", ariaLabel: `Restore ${run.name}`, onclick: () => restore(run.name) }))));
 }
 
-// The result of the run that has just ended, and the next steps.
+// Shows the result of the run that has just ended, and the next steps.
 function show_after() {
   const run = last?.file ? runs.find((one) => one.file === last.file) : undefined;
   $("after").hidden = !run?.verdict;
