@@ -17,8 +17,8 @@ pub enum ComparedLog {
 }
 
 impl ComparedLog {
-    /// A possible cause of speeds that do not match, if only this log can have it. The text is a part of the list of
-    /// causes in the message.
+    /// A possible cause of speeds that do not match, if this cause is specific to this log. The text is a part
+    /// of the list of causes in the message.
     const fn own_cause(self) -> &'static str {
         match self {
             Self::Recording => "the bar came off during the run, ",
@@ -199,7 +199,7 @@ pub enum PrepareError {
         /// Diagonal of the box that contains the positions \[mm\].
         extent_mm: f64,
     },
-    /// The speeds match, but the angles fit with no order and direction of the encoders.
+    /// The speeds match, but the angles do not fit with any order and direction of the encoders.
     #[error(
         "the measured bar angles do not fit the robot's log with any order and direction of the encoders; as recorded \
          (encoder -> joint): {recorded}, at most {limit_mrad} mrad is allowed for each; {}",
@@ -235,13 +235,13 @@ pub enum PrepareError {
         of_joints(joints.as_deref())
     )]
     Mirrored {
-        /// Joints of the robot, counted from 0, whose reversed signs give the mirror image; `None` if signs alone
-        /// do not give it.
+        /// Joints of the robot, counted from 0, whose reversed signs give the mirror image; `None` if no
+        /// reversal of signs gives the mirror image.
         joints: Option<Vec<usize>>,
         /// Joints and directions of the encoders in the format of `--encoders`.
         stated: String,
     },
-    /// Another order or direction fits than the one in the recording, and the options allow only the recorded one.
+    /// The recorded order and directions of the encoders do not fit, but others do. The options allow only the recorded ones.
     #[error(
         "the encoders do not fit as recorded (encoder -> joint): {recorded}, but as {found}; correct order or \
          direction in the bar's configuration, or let it be found with --encoders find (`encoders = \"find\"` under \
@@ -253,7 +253,7 @@ pub enum PrepareError {
         /// The order that fits, with its spread, as text.
         found: String,
     },
-    /// Another order or direction fits than the one that the user gave.
+    /// The order and directions that the user gave do not fit, but others do.
     #[error(
         "the encoders do not fit as stated (encoder -> joint): {stated}, but as {found}; take --encoders {as_stated}, or let the \
          program find it with --encoders find (`encoders` under [prepare])"
@@ -277,8 +277,7 @@ pub enum PrepareError {
         /// Number of encoders of the recording.
         encoders: usize,
     },
-    /// The clock difference changes during the run. Either a clock was set, or samples are missing without a
-    /// gap in the stamps.
+    /// The clock difference changes during the run. Either a clock was set, or samples are missing without a gap in the stamps.
     #[error(
         "a clock jumps during the run: {at_s:.0} s after the first sample, the robot's clock minus the other one changes by \
          {by_ms:+.1} ms; find out what sets the clock and record again, or calibrate both sides with --split-at-changes"
@@ -349,7 +348,7 @@ pub enum PrepareError {
         /// Largest allowed spread \[mrad\].
         limit_mrad: f64,
     },
-    /// Another error of this type, with the residuals that show it.
+    /// An error, and the residuals that show this error.
     #[error("{error}")]
     WithDeviations {
         /// The error without the residuals.

@@ -1,5 +1,5 @@
-//! Describes why a run was refused, for reports: where in the run the error is ([`Place`]), and the residuals
-//! that show it ([`Deviations`]).
+//! Describes why a run was refused, for reports: where in the run the error is ([`Place`]), and the
+//! residuals that show it ([`Deviations`]).
 
 use super::align::refine::Residuals;
 use super::samples::angle_errors::{AngleErrors, LocalShift, local_shifts};
@@ -19,14 +19,15 @@ pub struct Place {
     pub robot_s: Option<f64>,
 }
 
-/// Residuals of each encoder at the geometry that fits best. Errors of the model vary smoothly along the run; faults of a
-/// run appear as steps.
+/// Residuals of each encoder at the geometry that fits best. Errors of the model vary smoothly along the run. Faults of the
+/// run, such as a clock step, appear as steps.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Deviations {
     /// Joints with an encoder.
     pub measured: [bool; BAR_JOINTS],
-    /// Samples in the order of time. Each is a bar time since the first valid sample \[s\], and measured minus implied
-    /// joints times the sine of the distance from singular poses \[rad\].
+    /// Samples in the order of time. Each entry contains the bar time since the first valid sample \[s\] and the residuals
+    /// of the joints \[rad\]. A residual is the measured joint minus the joint that follows from the robot's pose, times the
+    /// sine of the distance from singular poses.
     pub samples: Vec<(f64, [f64; BAR_JOINTS])>,
     /// How the alignment varies along the run. Times count from the first valid sample.
     pub local_shifts: Vec<LocalShift>,
@@ -35,8 +36,8 @@ pub struct Deviations {
 }
 
 impl Deviations {
-    /// Makes times count from the first valid sample. `t_ref_s` is the time from the first valid sample to the reference
-    /// time, from which `errors` and `local_shifts` count.
+    /// Makes times count from the first valid sample. The times of `errors` and `local_shifts` count from the reference
+    /// time, which is `t_ref_s` after the first valid sample.
     pub(super) fn new(
         errors: &[AngleErrors],
         local_shifts: &[LocalShift],
@@ -82,7 +83,7 @@ pub struct PoorFit {
 }
 
 impl PoorFit {
-    /// The error that refuses a run in which no change was found that explains the residuals.
+    /// The error for a run in which no change was found that explains the residuals.
     pub fn refusal(&self) -> PrepareError {
         let spreads = self.spread_rad.iter().enumerate().filter(|(_, spread_rad)| **spread_rad > 0.0);
         let spreads: Vec<String> = spreads
@@ -129,7 +130,7 @@ impl PrepareError {
         }
     }
 
-    /// The residuals that show this error, if the logs were aligned before it was found.
+    /// The residuals that show this error, if the error was found after the logs were aligned.
     pub fn deviations(&self) -> Option<&Deviations> {
         match self {
             Self::WithDeviations { deviations, .. } => Some(deviations),

@@ -20,7 +20,7 @@ use crate::statistics::extremes;
 
 /// Force at which the bar has moved about three quarters of the way from the middle to one side of its play \[N\].
 const SIDE_N: f64 = 5.0;
-/// Smallest range of the force in a run that carries information \[N\].
+/// If the force varies by less than this during a run, it contains no information \[N\].
 const RANGE_MIN_N: f64 = 2.0;
 /// Largest possible force on a ball-bar \[N\].
 const FORCE_MAX_N: f64 = 20_000.0;
@@ -41,8 +41,8 @@ pub struct BarForces {
     pub clock: ForceClock,
     /// Number of samples at times that the force log does not cover. These samples are left out.
     pub uncovered: usize,
-    /// Smallest and largest force along the bar, with the signs of the log \[N\]. If only signs are known,
-    /// smallest and largest sign.
+    /// Smallest and largest force along the bar, with the signs of the log \[N\]. If only signs
+    /// are known, smallest and largest sign.
     pub range: [f64; 2],
     /// Root mean square of the joint torques that gravity, friction, inertia and the force do not explain \[N m\]; `None` if
     /// the log does not contain torques.
@@ -67,7 +67,7 @@ impl BarForces {
 /// Why a force cannot be used.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ForceError {
-    /// The force log does not cover enough samples: its stamps are on another clock, or it is of another run.
+    /// The force log does not cover enough samples, because its stamps are on another clock or the log is of another run.
     #[error(
         "the force log covers {covered} of {samples} samples: on the {clock}'s clock it lasts from {from_s:+.1} to \
          {to_s:+.1} s, the samples from {first_s:+.1} to {last_s:+.1} s (about the middle of the run); check that it is \
@@ -120,7 +120,7 @@ pub enum ForceError {
     Torques,
 }
 
-/// Data of robot, clocks and bar that convert a measured force to the force along the bar.
+/// Properties of robot, clocks and bar that are needed to convert a measured force to the force along the bar.
 pub(super) struct ForceContext<'a> {
     /// Reference time on the bar's clock.
     pub t_ref: UtcNs,
@@ -140,7 +140,7 @@ pub(super) struct ForceContext<'a> {
 /// whether it had a force.
 ///
 /// # Errors
-/// [`ForceError`] if the force log is of another time or cannot be a force on a bar.
+/// [`ForceError`] if the force log does not cover the samples, or if its values cannot be forces on a bar.
 pub(super) fn put_on(
     observations: &mut Vec<Observation>,
     log: &ForceLog,
@@ -206,8 +206,8 @@ impl ForceContext<'_> {
     }
 
     /// State of the robot at a bar time since the reference time. Speeds and accelerations are differences over a few
-    /// hundredths of a second. From one row of the robot's log to the next, differences would be mostly noise, and the
-    /// computed friction would change its sign with the noise.
+    /// hundredths of a second. Differences from one row of the robot's log to the next would be mostly noise, and the sign
+    /// of the computed friction would change with the noise.
     fn state(&self, t_s: f64) -> JointState {
         let state_later = |by_s: f64| self.motion.at(t_s + self.alignment.skew * t_s + by_s);
         let here = state_later(0.0).unwrap_or_default();
@@ -219,7 +219,7 @@ impl ForceContext<'_> {
         JointState { q: here.q, qd: here.q.with_numbers(speed), qdd: here.q.with_numbers(acceleration) }
     }
 
-    /// The error for a force log that covers too few samples; times count from the reference time.
+    /// The error for a force log that covers too few samples. The times in the error count from the reference time.
     fn not_covered(&self, log: &ForceLog, observations: &[Observation], covered: usize) -> ForceError {
         let middle_s = self.log_time_s(log, 0.0);
         ForceError::NotCovered {

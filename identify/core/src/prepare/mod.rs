@@ -1,26 +1,27 @@
-//! Prepares a calibration: turns a recording and a robot log, each with its own clock, into samples and
-//! start values of a solve.
+//! Prepares a calibration: turns a recording and a robot log, each with its own clock, into
+//! samples and start values of a solve.
 //!
 //! The only prior knowledge is the nominal geometry. The clock difference, the offsets of the encoders, the position of the
 //! bar's base and the bar's configuration are unknown. Each step is a plain function on values:
 //!
-//! 1. [`bar_angles`] converts counts to angles and drops cycles without valid counts. Where the counters lost their origin,
-//!    it starts a new origin with its own offsets. [`unwrapped_log`] makes joints continuous that wrap after a turn.
-//!    Optionally, both logs are smoothed by a moving average ([`Stream::averages`](crate::logs::Stream::averages)).
+//! 1. [`bar_angles`] converts counts to angles and drops cycles without valid counts. If the counters lost their origin, the
+//!    following readings belong to a new *origin* with its own offsets. [`unwrapped_log`] makes the angles of robot joints
+//!    continuous if they wrap after a turn. Optionally, both logs are smoothed by a moving average
+//!    ([`Stream::averages`](crate::logs::Stream::averages)).
 //! 2. [`fit_sphere`] finds the position of the bar's base and the bar's length from the robot's positions.
 //! 3. [`Predictor`] places the nominal bar at this base. It computes the bar's joints from the
 //!    robot's log by inverse kinematics.
 //! 4. `align::rate` estimates the relative rate of the clocks from short sections of the run. [`correlate`] then compares
-//!    predicted with measured joint *speeds*. The magnitudes of speeds do not depend on offsets, signs or configurations.
-//!    The root of the sum of their squares does not depend on the order of the joints either. The peaks of the
-//!    cross-correlation are candidates for the clock difference, however large it is.
+//!    predicted with measured joint *speeds*. The magnitudes of the speeds do not depend on offsets, signs or
+//!    configurations. The root of the sum of the squared speeds does not depend on the order of the joints either. The peaks
+//!    of the cross-correlation are candidates for the clock difference, however large it is.
 //! 5. At each candidate the angles are compared. [`find_encoder_map`] finds the joint and the direction of each encoder.
 //!    `segments` then finds the offsets of each origin of the counters, and the configuration in each segment between
 //!    singular poses. The candidate whose angles fit best is used.
-//! 6. `refine` fits the clocks, the base and the offsets to the angles. All parameters of both chains may change within
-//!    their tolerances in this fit. Its residuals show the outliers (`samples::angle_errors`). Changes during the run are
-//!    normally found later, after the links have been calibrated (`calibrate::change`). Only changes so large that no fit
-//!    succeeds are found here (`slip`, `parts`).
+//! 6. `refine` fits the clocks, the base and the offsets to the angles. In this fit, all parameters of both chains may
+//!    change within their tolerances. The residuals of the fit show the outliers (`samples::angle_errors`). Changes during
+//!    the run are normally found later, after the links have been calibrated (`calibrate::change`). Only changes so large
+//!    that no fit succeeds are found here (`slip`, `parts`).
 //! 7. [`select`] and [`spread_over_sphere`] choose the samples of the solve. Samples at standstill, near singular poses or
 //!    beyond the wanted number are left out.
 //! 8. If a force was measured, `forces` adds its component along the bar to each sample.
@@ -152,11 +153,12 @@ pub struct SampleCounts {
     pub recorded: usize,
     /// Cycles with stale or invalid counts.
     pub invalid: usize,
-    /// Cycles with a time stamp that is not later than that of the cycle before.
+    /// Cycles whose time stamp is not later than the time stamp of the cycle before.
     pub time_not_increasing: usize,
-    /// Cycles of an origin of the counters that is too short to find its offsets.
+    /// Cycles of an origin of the counters with too few readings to find the offsets of this origin.
     pub other_origin: usize,
-    /// Cycles without a moving average: nearer to an end or a gap of the recording than the width of the average.
+    /// Cycles without a moving average, because they are nearer to an end or a gap of the
+    /// recording than the width of the average.
     pub not_averaged: usize,
     /// Cycles at times that the robot's log does not cover.
     pub outside_robot_log: usize,
@@ -166,7 +168,7 @@ pub struct SampleCounts {
     pub standstill: usize,
     /// Cycles that are valid but beyond the wanted number of samples.
     pub thinned: usize,
-    /// Cycles with a joint angle that deviates much more from the fit than those of the other cycles.
+    /// Cycles in which the residual of a joint angle is much larger than in the other cycles.
     pub outliers: usize,
     /// Cycles without a force, in a run with a force log.
     pub no_force: usize,
@@ -202,10 +204,11 @@ impl SampleCounts {
 pub struct Alignment {
     /// Correlation of the speeds at the best shift.
     pub correlation: f64,
-    /// Best correlation at a clearly different shift.
+    /// Highest correlation at any clearly different shift.
     pub runner_up: f64,
-    /// The angles fit equally well at another shift, because the motion repeats. The shift with the longest overlap was
-    /// chosen. The resulting geometry is the same for all these shifts, but the clock difference is not.
+    /// Whether the angles fit equally well at another shift, which occurs if the motion repeats. In this
+    /// case, the shift with the longest overlap was chosen. The resulting geometry is the same for all these
+    /// shifts, but the clock difference is not.
     pub ambiguous: bool,
     /// Duration of the overlap of the logs \[s\].
     pub overlap_s: f64,
@@ -231,7 +234,7 @@ pub struct Prepared {
     pub t_ref: UtcNs,
     /// The samples of the solve: times since `t_ref`, and encoder angles to which the offsets have not been added.
     pub observations: Vec<Observation>,
-    /// The robot's motion. Its time is zero at `t_ref` according to the alignment.
+    /// The robot's motion as a function of robot time. According to the alignment, this time is zero at `t_ref`.
     pub motion: AlignedLog,
     /// Bar joints with an encoder.
     pub measured: [bool; BAR_JOINTS],
@@ -253,8 +256,8 @@ pub struct Prepared {
     pub origins: Vec<OriginSpan>,
     /// How the alignment varies along the run: one value for about every 5 s.
     pub local_shifts: Vec<LocalShift>,
-    /// Residuals, present only if the angles fit no geometry near the nominal one. The solve then searches for
-    /// a change during the run.
+    /// Residuals, present only if the angles fit no geometry near the nominal one. The solve then
+    /// searches for a change during the run.
     pub poor_fit: Option<PoorFit>,
     /// The force on the bar, if it was measured.
     pub force: Option<BarForces>,
@@ -292,7 +295,8 @@ impl Prepared {
         }
     }
 
-    /// Time of the first point of the timeline since `t_ref` \[s\], which is close to the time of the first valid sample.
+    /// Time of the first point of the timeline, counted from `t_ref` \[s\]. This is close
+    /// to the time of the first valid sample.
     pub fn first_s(&self) -> f64 {
         self.timeline.points.first().map_or(0.0, |point| point.t_s)
     }

@@ -1,10 +1,10 @@
 //! Finds the sphere on which the robot's positions lie, from the robot's log alone. Its centre `o` is the base of the bar,
 //! and its radius is the bar's length `L`.
 //!
-//! Random sample consensus finds a first sphere. A least-squares fit then uses the positions near it, and the configured
-//! length is a prior of its radius. If the positions lie on no sphere of the bar, the run is refused. For the message,
-//! likely mistakes in the joints of the log are tried. A mistake whose correction puts the positions on such a sphere is
-//! named in the message.
+//! Random sample consensus finds a first sphere. A least-squares fit to the positions near this sphere follows. In this fit,
+//! the configured length of the bar is the prior of the radius. If the positions do not lie on a sphere of the bar's length,
+//! the run is refused. To find the cause, likely mistakes in the joints of the log are corrected one after the other. If the
+//! corrected positions lie on a sphere of the bar's length, the message names this mistake.
 
 use nalgebra::{Matrix3, Matrix4, Vector3, Vector4};
 use rand::Rng;
@@ -34,8 +34,8 @@ pub struct SphereFit {
 const ROWS_MAX: usize = 100_000;
 /// A robot position is used only if it is farther than this from the last used position \[m\].
 const POSITIONS_APART_M: f64 = 0.005;
-/// Number of draws of four positions for a first sphere. If half of the positions are outliers, one draw
-/// in sixteen has none.
+/// Number of draws of four positions for a first sphere. If half of the positions are outliers, one
+/// draw in sixteen contains no outlier.
 const DRAWS: usize = 200;
 /// Number of rounds; each selects the inliers and fits a sphere to them.
 const ROUNDS: usize = 5;
@@ -50,8 +50,7 @@ const POSITIONS_INDEPENDENT: f64 = 50.0;
 /// Finds the sphere of the bar on which the robot's positions lie.
 ///
 /// # Errors
-/// [`PrepareError`] if the positions lie on no sphere, or on the sphere of another bar. The error
-/// contains the probable cause.
+/// [`PrepareError`] if the positions lie on no sphere, or on the sphere of another bar. The error contains the probable cause.
 pub(super) fn sphere_of_log(
     log: &RobotLog,
     robot: &Chain,
@@ -83,9 +82,8 @@ pub(super) fn sphere_of_log(
 /// Positions of the robot's end in the log, each farther than [`POSITIONS_APART_M`] from the one before \[m\].
 fn distinct_positions(log: &RobotLog, robot: &Chain) -> Vec<Vector3<f64>> {
     let mut positions: Vec<Vector3<f64>> = Vec::new();
-    // A row is skipped without forward kinematics if its joints have moved so little that the end cannot have
-    // moved far enough. A joint moves the end by at most its own travel, times the reach if the joint is revolute.
-    // Most rows are skipped.
+    // A row is skipped without forward kinematics if its joints have moved so little that the end cannot have moved far enough.
+    // A joint moves the end by at most its own travel, times the reach if the joint is revolute. Most rows are skipped.
     let reach_m = (robot.reach_m() + robot.last_from_end.translation.vector.norm()).max(1.0);
     let (tracer, mut trace, mut last_q) = (Tracer::new(robot), Trace::default(), None::<&Joints>);
     let is_near = |last: &Joints, q: &Joints| {
@@ -106,10 +104,10 @@ fn distinct_positions(log: &RobotLog, robot: &Chain) -> Vec<Vector3<f64>> {
     positions
 }
 
-/// Describes the probable mistake in the joints of a log whose positions lie on no sphere of the bar's length. Each
-/// mistake is corrected both in the joints and in the columns of the robot's own log. The mistake whose correction
-/// puts most positions on a sphere of the bar's length is reported. If there is none, a turned plate is tried, then a
-/// joint that never moves.
+/// Describes the probable mistake in the joints of a log whose positions lie on no sphere of the bar's length. The
+/// correction of each mistake is tried once in the joints of the model, and once in the columns of the robot's own log. The
+/// mistake whose correction puts most positions on a sphere of the bar's length is reported. If no correction puts enough
+/// positions on such a sphere, two other causes are tried: first a turned plate, then a joint that never moves.
 fn likely_mistake(
     log: &RobotLog,
     robot: &Chain,
@@ -133,7 +131,7 @@ fn likely_mistake(
         let has_length = (sphere.radius_m - length_m).abs() * 1e3 < options.length_tolerance_mm;
         (has_length && sphere.inliers > ON_SPHERE_MIN && !is_flat(&positions)).then_some(sphere)
     };
-    // The spheres after correction of a mistake, in the joints and in the columns.
+    // The spheres after the correction of a mistake: in the joints of the model, and in the columns of the log.
     let spheres_without = |mistake: JointMistake| {
         let corrected_joints = joints.iter().map(|q| mistake.undone(q, robot.joint_kinds())).collect();
         let corrected_columns = conversion.as_ref().zip(columns.as_ref()).map(|(conversion, columns)| {
@@ -165,15 +163,15 @@ fn likely_mistake(
     ))
 }
 
-/// Joints in a limited number of rows, evenly spaced in the log. They suffice to decide whether the positions
-/// lie on one sphere.
+/// Joints in a limited number of rows, evenly spaced in the log. These rows suffice to decide
+/// whether the positions lie on one sphere.
 fn tried_joints(log: &RobotLog) -> Vec<Joints> {
     const ROWS: usize = 400;
     let stride = log.q_rad.len().div_ceil(ROWS).max(1);
     log.q_rad.iter().step_by(stride).copied().collect()
 }
 
-/// Describes a plate that is turned about the flange's axis against the configuration. `None` unless a turn brings the
+/// Describes a plate that is turned about the flange's axis against the configuration. `None` if no turn brings the
 /// positions much nearer to a sphere of the bar's length.
 pub(super) fn turned_plate(
     log: &RobotLog,
@@ -182,11 +180,11 @@ pub(super) fn turned_plate(
     options: &PrepareOptions,
 ) -> Option<String> {
     /// Steps between the turns that are tried: `FIRST_STEP_DEG` in a coarse search, then `STEP_DEG` near its best turn
-    /// \[deg\]. Half a fine step moves positions by no more than the errors of nominal robots, and half a coarse step by
-    /// less than the tolerance of a sphere.
+    /// \[deg\]. Half a fine step moves the positions by no more than the errors of nominal robots. Half a coarse step moves
+    /// them by less than the tolerance of a sphere.
     const STEP_DEG: f64 = 1.0;
     const FIRST_STEP_DEG: f64 = 3.0;
-    /// Largest ratio of the median distance from the sphere after the turn to the one before it.
+    /// Largest ratio of the median distance from the sphere after the turn to the median distance before the turn.
     const REDUCED_TO: f64 = 0.4;
     let joints = tried_joints(log);
     let last = log.axes().checked_sub(1)?;
@@ -198,7 +196,8 @@ pub(super) fn turned_plate(
         };
         joints.iter().map(position).collect::<Vec<_>>()
     };
-    // Returns the turn, the sphere after it, and the median distance of all positions from this sphere.
+    // Turns the plate by `by_deg`. Returns this angle, the sphere through the new positions, and the median distance
+    // of all new positions from this sphere.
     let turned = |by_deg: f64| {
         let positions = positions_after(by_deg);
         let sphere = fit_sphere(&positions, options.sphere_tolerance_mm * 1e-3)?;

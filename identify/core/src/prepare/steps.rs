@@ -1,8 +1,8 @@
 //! Runs the steps of the preparation in the order in which [`prepare`](super) numbers them.
 //!
-//! The input is a recording and a robot log. Both are first made continuous, and checked for motion and duration.
-//! Then come the sphere, the prediction of the bar's joints, the alignment, the selection of samples and the
-//! forces. The result is [`Prepared`].
+//! The input is a recording and a robot log. Both are first made continuous, and checked for motion and
+//! duration. Then come the sphere, the prediction of the bar's joints, the alignment, the selection of samples
+//! and the forces. The result is [`Prepared`].
 
 use shared::config::{BallBarConfig, RobotConfig};
 use shared::recording::schema::{CycleRecord, EncoderInfo};
@@ -28,11 +28,11 @@ use crate::threads;
 
 /// A joint that travels less than this counts as not moving \[deg\].
 pub(super) const TRAVEL_DEG_MIN: f64 = 3.0;
-/// Longest log \[h\]: the usual cause of a longer one is a clock that was set.
+/// Longest log \[h\]. If a log is longer, the usual cause is a clock that was set during the run.
 pub(super) const HOURS_MAX: f64 = 24.0;
 
-/// Largest number of changes of the counters' origin in one run. It allows for an hour on a bus that fails once a minute.
-/// Each new origin adds five parameters to the fit.
+/// Largest number of changes of the counters' origin in one run. This number is reached in an hour if the bus fails once a
+/// minute. Each new origin adds five parameters to the fit.
 pub(super) const ORIGIN_CHANGES_MAX: usize = 60;
 
 /// Aligns recording and robot log, and selects the samples of the solve.
@@ -87,7 +87,7 @@ pub fn prepare(
     let alignment = reference_time.alignment(&found.matched, found.ambiguous, log);
     let ReferenceTime { t_ref_s, t_ref, clock, .. } = reference_time;
     let motion = AlignedLog::new(interpolated.clone(), clock.shift_s);
-    // Make offsets equal that did not change between origins. Then classify and select the samples (step 7).
+    // Offsets that did not change between two origins are made equal. Then the samples are classified and selected (step 7).
     let (reference_origin, origins) = join(&angles.readings, &mut found, t_ref_s);
     let numbers: Vec<usize> = origins.iter().map(|span| span.number).collect();
     let mut sorted = sort(&angles.readings, &found, &motion, t_ref_s, reference_origin, &numbers, options)?;
@@ -170,8 +170,7 @@ fn statuses_of_cycles(angles: &BarAngles, of_samples: &[SampleStatus]) -> Vec<Sa
     statuses
 }
 
-/// Checks that both logs contain motion, that their durations are allowed, and that no encoder
-/// is constant while others move.
+/// Checks that both logs contain motion, that their durations are allowed, and that no encoder is constant while others move.
 fn check(angles: &BarAngles, log: &RobotLog, options: &PrepareOptions) -> Result<(), PrepareError> {
     let readings = &angles.readings;
     if readings.is_empty() {

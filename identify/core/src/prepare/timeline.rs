@@ -28,11 +28,11 @@ pub enum SampleStatus {
     Thinned,
     /// Neither robot nor bar moves.
     Standstill,
-    /// Too near to an end or a gap for the moving average.
+    /// Too near to an end or a gap of the recording for a moving average.
     NotAveraged,
     /// At a time that the robot's log does not cover.
     Outside,
-    /// In an origin of the counters that is too short to find its offsets.
+    /// In an origin of the counters with too few readings to find the offsets of this origin.
     OtherOrigin,
     /// Near a singular pose of the bar.
     Singular,
@@ -42,9 +42,9 @@ pub enum SampleStatus {
     Kept,
     /// At least one encoder has no valid sample in this cycle, for example because its data are stale or flagged.
     Invalid,
-    /// The time stamp is not later than that of the cycle before.
+    /// The time stamp is not later than the time stamp of the cycle before.
     TimeNotIncreasing,
-    /// A joint angle deviates much more from the refined fit than those of the other samples.
+    /// The residual of a joint angle in the refined fit is much larger than in the other samples.
     Outlier,
 }
 
@@ -53,17 +53,17 @@ pub enum SampleStatus {
 pub struct TimelinePoint {
     /// Bar time since [`super::Prepared::t_ref`] \[s\].
     pub t_s: f64,
-    /// The status with the highest rank, in the order of [`SampleStatus`], among the cycles of this point. A single outlier
-    /// is therefore visible even if the point covers a minute.
+    /// The highest status among the cycles of this point. Later entries of [`SampleStatus`] are higher. A single outlier is
+    /// therefore visible even if the point covers a minute.
     pub status: SampleStatus,
     /// Largest speed of any bar joint, over 0.1 s \[rad/s\]; `None` if the cycle is not valid
     /// or neighbouring samples are missing.
     pub bar_speed_rad_s: Option<f64>,
     /// Largest speed of any robot joint, over 0.1 s \[rad/s\]; `None` outside the robot's log.
     pub robot_speed_rad_s: Option<f64>,
-    /// Whether this speed is above [`super::MOVING_RAD_S`].
+    /// Whether `bar_speed_rad_s` is above [`super::MOVING_RAD_S`].
     pub bar_moves: Option<bool>,
-    /// Whether this speed is above [`super::MOVING_RAD_S`].
+    /// Whether `robot_speed_rad_s` is above [`super::MOVING_RAD_S`].
     pub robot_moves: Option<bool>,
     /// Measured bar joints with offsets added, in one configuration of the bar, each in (-pi, pi] \[rad\]. Joints without
     /// encoder have the predicted value. `None` for invalid cycles.
@@ -133,7 +133,7 @@ pub(super) struct PreparedRun<'a> {
 /// A valid sample of the bar.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Sample {
-    /// Index of its cycle in the recording.
+    /// Index of the sample's cycle in the recording.
     pub cycle: usize,
     /// Bar time since the reference time \[s\].
     pub t_s: f64,
@@ -143,8 +143,8 @@ pub(super) struct Sample {
 
 /// Half the time over which speeds are averaged \[s\].
 const SPEED_REACH_S: f64 = 0.05;
-/// Number of samples before and after a sample among which the ones at a distance of
-/// about [`SPEED_REACH_S`] are searched for.
+/// The speed at a sample is computed from two samples, about [`SPEED_REACH_S`] before and after it. Each of them is searched
+/// among this number of neighbouring samples.
 const NEIGHBOURS: usize = 12;
 
 impl PreparedRun<'_> {
@@ -217,14 +217,13 @@ impl PreparedRun<'_> {
         self.configuration.carry(self.predictor.bar_links(), bar_rad)
     }
 
-    /// Largest speed of any bar joint around sample `index` \[rad/s\]; `None` if no sample before or
-    /// after it is near enough.
+    /// Largest speed of any bar joint around sample `index` \[rad/s\]; `None` if no sample before or after it is near enough.
     fn bar_speed_rad_s(&self, index: usize) -> Option<f64> {
         let here = self.samples.get(index)?;
         let near = |sample: &&Sample| (sample.t_s - here.t_s).abs() <= SPEED_REACH_S * 1.01;
         let from = index.saturating_sub(NEIGHBOURS);
         let to = (index + 1 + NEIGHBOURS).min(self.samples.len());
-        // The samples farthest from this one that are still within the reach.
+        // On each side, the farthest sample that is still within the reach.
         let before = self.samples.get(from..index)?.iter().find(near)?;
         let after = self.samples.get(index + 1..to)?.iter().rev().find(near)?;
         let time_s = after.t_s - before.t_s;

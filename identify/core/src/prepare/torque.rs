@@ -1,16 +1,15 @@
-//! Computes the force along the bar from the torques of the robot's joints. `forces` uses it for force
-//! logs of joint torques.
+//! Computes the force along the bar from the torques of the robot's joints. `forces` uses it for force logs of joint torques.
 //!
-//! The bar exerts one unknown force `F` on the robot, along the bar's axis. The torques of a sample are `tau = n
-//! F + Y p`. Here `n = J^T u`, and `u` is the direction of the bar, from its base. With torques of motors, `F`
-//! is positive under tension.
+//! The bar exerts one unknown force `F` on the robot, along the bar's axis. The torques of a sample are `tau = n F + Y p`.
+//! Here `n = J^T u`, where `J` is the Jacobian of the robot's end and `u` is the direction of the bar, from the bar's base.
+//! With torques of motors, `F` is positive under tension.
 //!
 //! `Y p` is linear in a small number of *terms* `p`, which are constant in the whole run. The terms of each link are its
 //! mass and first moments (gravity). The terms of each axis are Coulomb friction, viscous friction and inertia.
 //!
-//! Each sample has one torque for each axis, but only one unknown force. The component of the torques across `n` does not
-//! depend on the force, and determines `p` by least squares over all samples. Then each sample determines its own force. The
-//! torques may be motor torques or external torques; with external torques `p` is near zero.
+//! Each sample has one torque for each axis, but only one unknown force. The component of the torques perpendicular to `n`
+//! does not depend on the force. From this component, `p` is estimated by least squares over all samples. With `p`, the force
+//! of each sample is computed. The torques may be motor torques or external torques; with external torques `p` is near zero.
 
 use nalgebra::{DMatrix, DVector, Vector3};
 
@@ -70,7 +69,7 @@ impl TorqueSample {
         let mut frame = robot.root_from_base;
         for (link, (link_parameters, joint)) in robot.joined(&state.q).enumerate() {
             frame *= link_parameters.transform(joint);
-            // The motors of the axes up to this link hold its weight; the axes beyond the link are not loaded by it.
+            // The weight of a link loads only the axes up to this link, not the axes beyond the link.
             for (joint, twist) in trace.point_twists(frame.translation.vector, link + 1).enumerate() {
                 by_term[(joint, TERMS_PER_LINK * link)] = -twist.linear.dot(&weight);
                 for axis in 0..3 {
@@ -130,20 +129,21 @@ fn spread_nm(samples: &[TorqueSample], terms: &DVector<f64>, weights: &DVector<f
         let residual_nm = &torque_nm - &sample.by_force * sample.force(&torque_nm, weights);
         sum + residual_nm.component_mul(&residual_nm)
     });
-    // Each sample estimates one force from the torques of all axes, so it has `axes - 1` degrees of freedom.
+    // From the `axes` torques of a sample, one force is estimated, so each sample has `axes - 1` degrees of freedom.
+    // These are shared equally among the axes.
     let count = samples.len() as f64 * (axes - 1) as f64 / axes as f64;
     squares.map(|sum| (sum / count).sqrt())
 }
 
-/// Computes the terms by least squares, from the component of the torques across `n` in each sample. If some combinations of
-/// terms have no effect on any torque of the run, they are not determined. The solution of smallest norm is then returned.
-/// `None` if the normal matrix is not finite or zero.
+/// Computes the terms by least squares, from the component of the torques perpendicular to `n` in each sample. Combinations
+/// of terms that have no effect on any torque of the run are not determined. The solution with the smallest norm is then
+/// returned. `None` if the normal matrix is not finite or zero.
 fn least_squares_terms(samples: &[TorqueSample], weights: &DVector<f64>) -> Option<DVector<f64>> {
     let terms = samples.first()?.by_term.ncols();
     let mut normal = DMatrix::zeros(terms, terms);
     let mut right = DVector::zeros(terms);
     for sample in samples {
-        // `Y` and `tau` without their components along `n`, in the metric of the weights.
+        // Removes the components of `Y` and `tau` along `n`, in the metric of the weights.
         let mut across = sample.by_term.clone();
         for mut column in across.column_iter_mut() {
             let column_force = sample.force(&column.clone_owned(), weights);
@@ -157,7 +157,8 @@ fn least_squares_terms(samples: &[TorqueSample], weights: &DVector<f64>) -> Opti
         normal += weighted.tr_mul(&across);
         right += weighted.tr_mul(&torque_across);
     }
-    // Terms have different units. Scaled by the root of the diagonal, they are comparable.
+    // The terms have different units. Each term is scaled by the root of its diagonal entry,
+    // so that the eigenvalues are comparable.
     let scale = normal.diagonal().map(|entry: f64| if entry > 0.0 { entry.sqrt().recip() } else { 0.0 });
     let scaled = DMatrix::from_fn(terms, terms, |i, j| normal[(i, j)] * scale[i] * scale[j]);
     let eigen = scaled.symmetric_eigen();

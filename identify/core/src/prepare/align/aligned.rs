@@ -14,7 +14,7 @@ pub struct AlignedLog {
 }
 
 impl AlignedLog {
-    /// Makes the time of `log` count from `origin_s` after its first stamp \[s\].
+    /// Creates the motion of `log`. The zero of its time is `origin_s` after the first stamp of the log \[s\].
     pub fn new(log: Arc<CubicSpline<Joints>>, origin_s: f64) -> Self {
         Self { log, origin_s }
     }
@@ -24,8 +24,8 @@ impl AlignedLog {
         self.origin_s
     }
 
-    /// Converts a clock that a solve has estimated with this motion: the robot times of the returned clock count
-    /// from the log's first stamp.
+    /// Converts a clock that a solve has estimated with this motion. The robot times of this clock count from the zero of
+    /// the motion. The robot times of the returned clock count from the log's first stamp.
     pub(in crate::prepare) fn solved(&self, clock: Clock) -> Clock {
         Clock { shift_s: self.origin_s + clock.shift_s, skew: clock.skew }
     }

@@ -3,8 +3,8 @@
 //! The method is a normalised cross-correlation in which samples may be unknown (Padfield, "Masked object registration in
 //! the Fourier domain", IEEE Trans. Image Processing 21, 2012). At each shift, only the `n` samples that both logs contain
 //! are compared. Their means and variances are computed from the same `n` samples. The result is therefore not biased if one
-//! log is ten times longer than the other, or if a log has gaps. The sums below run over these samples. The numerator and
-//! the two variances are each summed over the channels:
+//! log is ten times longer than the other, or if a log has gaps. In the following formula, `a` and `b` are the values of the
+//! two logs, and the sums run over these samples. The numerator and the two variances are each summed over the channels:
 //!
 //! `r = (sum ab - sum a sum b / n) / sqrt((sum aa - (sum a)^2 / n) (sum bb - (sum b)^2 / n))`
 //!
@@ -30,8 +30,7 @@ pub struct Channels {
 /// A shift at which two sets of signals match.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Match {
-    /// Shift in grid steps, with a fraction: sample `i` of the second set corresponds to sample `i + shift`
-    /// of the first set.
+    /// Shift in grid steps, with a fraction: sample `i` of the second set corresponds to sample `i + shift` of the first set.
     pub shift: f64,
     /// Correlation at this shift, -1 to 1.
     pub correlation: f64,
@@ -43,8 +42,8 @@ pub struct Match {
 
 /// Shifts that differ by more than this number of grid steps count as clearly different.
 const APART: i64 = 100;
-/// Correlations that differ by no more than this count as equally good. This occurs if the motion repeats. The
-/// longer overlap then decides.
+/// Correlations that differ by no more than this count as equally good, which occurs if the motion repeats. The match with
+/// the longer overlap is then selected.
 const TIE: f64 = 0.02;
 
 /// Finds the shift with the highest correlation, among the shifts at which at least `overlap_min` points overlap. `None` if
@@ -111,8 +110,7 @@ impl Correlations {
         self.index(shift).and_then(|index| self.0[index].correlation).unwrap_or_default()
     }
 
-    /// Returns the highest positive peak within `reach` grid steps of a shift: its shift, with
-    /// a fraction, and its correlation.
+    /// Returns the highest positive peak within `reach` grid steps of a shift: its shift, with a fraction, and its correlation.
     pub fn peak_near(&self, shift: i64, reach: i64) -> Option<(f64, f64)> {
         let near = (shift - reach..=shift + reach).filter_map(|shift| self.index(shift));
         let peaks = near.filter(|index| is_peak(&self.0, *index));
@@ -140,8 +138,7 @@ fn is_peak(scores: &[Score], index: usize) -> bool {
         && at_most_here(scores.get(index + 1))
 }
 
-/// Position of the maximum of the parabola through a peak and its two neighbours, relative to the peak:
-/// -0.5 to 0.5 grid steps.
+/// Position of the maximum of the parabola through a peak and its two neighbours, relative to the peak: -0.5 to 0.5 grid steps.
 fn vertex(scores: &[Score], peak: usize) -> f64 {
     let correlation = |index: usize| scores.get(index).and_then(|score| score.correlation);
     let left = peak.checked_sub(1).and_then(correlation);
@@ -162,14 +159,15 @@ fn scores(first: &Channels, second: &Channels, overlap_min: usize) -> Vec<Score>
     let mut covariance = vec![0.0; overlaps.len()];
     let mut variances = [vec![0.0; overlaps.len()], vec![0.0; overlaps.len()]];
     for (a, b) in first.values.iter().zip(&second.values) {
-        // Both signals of a channel are scaled by the same factor. With a factor for each signal, the channels would
-        // disagree wherever one log covers more motion than the other.
+        // Both signals of a channel are scaled by the same factor. With separate factors, the two signals would be scaled
+        // differently if one log covers more motion than the other.
         let scale = inverse_deviation(b, &second.known);
         let (a, b) = (normalised(a, &first.known, scale), normalised(b, &second.known, scale));
         let squared = [&a, &b].map(|signal| signal.iter().map(|value| value * value).collect());
         let signals: [&Vec<f64>; 4] = [&a, &b, &squared[0], &squared[1]];
         let spectra = each(signals.len(), |number| transform.forward(signals[number]));
-        // A product with a mask is a sum over the points at which the other signal is known.
+        // The product of the spectrum of one signal with the mask of the other log gives the sum of this signal over
+        // the points at which both logs are known.
         let factors = [
             (&spectra[0], &spectra[1]),
             (&spectra[0], &masks[1]),
@@ -220,8 +218,7 @@ fn inverse_deviation(values: &[f64], known_points: &[bool]) -> f64 {
     if deviation > 1e-9 { 1.0 / deviation } else { 0.0 }
 }
 
-/// Known points minus their mean, multiplied by `scale`; 0 at unknown points. Subtraction of the
-/// mean keeps the sums accurate.
+/// Known points minus their mean, multiplied by `scale`; 0 at unknown points. Subtraction of the mean keeps the sums accurate.
 fn normalised(values: &[f64], known_points: &[bool], scale: f64) -> Vec<f64> {
     let middle = mean(known(values, known_points));
     let about = |(value, &known): (&f64, &bool)| if known { (value - middle) * scale } else { 0.0 };

@@ -5,7 +5,7 @@
 //!    correlated with those of the robot's log. Each peak is a *candidate*: a rate and a shift of the clocks.
 //! 2. At each candidate the angles are compared. If an encoder map fits, the candidate becomes a *hypothesis*: a clock, an
 //!    encoder map, and offsets.
-//! 3. The most likely hypotheses are refined (`refine`). The result of each is a *fit*.
+//! 3. The most likely hypotheses are refined (`refine`). The result of each refinement is a *fit*.
 //! 4. The fit with the smallest residuals is extended from the window to the whole recording.
 
 use std::ops::Range;
@@ -53,16 +53,16 @@ pub(in crate::prepare) struct AlignedRecording {
     pub encoder_map: EncoderMapReport,
     /// Refined offsets of each origin, and configurations, from samples of the whole recording.
     pub offset_fit: OffsetFit,
-    /// The refined fit; its clock is for times since the first reading.
+    /// The refined fit. The bar times of its clock count from the first reading.
     pub fit: AlignmentFit,
 }
 
 /// Largest number of hypotheses that are refined.
 const FITTED_MAX: usize = 4;
-/// Hypotheses whose spread is within this factor of the smallest one are refined. With nominal geometry, the right one need
-/// not have the smallest spread.
+/// Hypotheses are refined if their spread is at most this factor times the smallest spread. The geometry is still nominal,
+/// so the correct hypothesis need not have the smallest spread.
 const NEAR_BEST: f64 = 2.0;
-/// Smallest travel between two samples whose angles are compared \[rad\].
+/// Between two successive samples whose angles are compared, a joint must travel by at least this angle \[rad\].
 const PAIRS_APART_RAD: f64 = 0.01;
 /// Largest number of samples whose angles are compared.
 const PAIRS_MAX: usize = 3000;
@@ -100,8 +100,8 @@ impl AlignmentSearch<'_> {
     /// Finds the best alignment.
     ///
     /// # Errors
-    /// [`PrepareError::NoMatch`], [`PrepareError::NoSpeeds`], [`PrepareError::ClockJump`],
-    /// [`PrepareError::EncoderSlip`] and those of [`find_encoder_map`].
+    /// [`PrepareError::NoMatch`], [`PrepareError::NoSpeeds`], [`PrepareError::ClockJump`], [`PrepareError::EncoderSlip`],
+    /// and the errors of [`find_encoder_map`].
     pub fn run(&self) -> Result<AlignedRecording, PrepareError> {
         let step_s = grid_step_s(self.log_duration_s);
         let window = self.liveliest();
@@ -116,8 +116,8 @@ impl AlignmentSearch<'_> {
     fn best_fit(&self, window: &Range<usize>, step_s: f64) -> Result<Best<MappedFit>, PrepareError> {
         let (hypotheses, refusal) = self.hypotheses(window, step_s)?;
         let fits = self.fits(window, self.most_likely(window, hypotheses));
-        // The fits are compared by the spread of nine tenths of the samples, not of half of them. With a shift by a wrong
-        // lap, many samples still fit well, because the laps are partly alike.
+        // The fits are compared by the 90 % quantile of the residuals, not by the median. If the shift is wrong by a
+        // repetition of the motion, many samples still fit well, because the repetitions are similar.
         let best = best(fits, |mapped| mapped.fit.sigma_of_most_rad, |_, _| true);
         let spread_max_rad = self.options.spread_max_mrad * 1e-3;
         let fits_poorly = best.as_ref().is_none_or(|best| best.fit.fit.sigma_of_most_rad > spread_max_rad);
@@ -159,8 +159,8 @@ impl AlignmentSearch<'_> {
             match self.hypothesis(window, candidate, step_s) {
                 Ok(hypothesis) => hypotheses.push(hypothesis),
                 Err(error) => {
-                    // The first error is kept, but a slip replaces any other error: it is the cause, at
-                    // whichever candidate it is found.
+                    // The first error is kept. A slip of an encoder replaces any other error, because a slip at one
+                    // candidate is also the cause of the errors at the other candidates.
                     let is_slip = matches!(error, PrepareError::EncoderSlip { .. });
                     refusal = refusal.filter(|_| !is_slip).or(Some(error));
                 }
@@ -173,8 +173,8 @@ impl AlignmentSearch<'_> {
     fn most_likely(&self, window: &Range<usize>, mut hypotheses: Vec<Hypothesis>) -> Vec<Hypothesis> {
         let least_rad = hypotheses.iter().map(Hypothesis::spread_rad).fold(f64::INFINITY, f64::min);
         let highest = hypotheses.iter().map(|other| other.matched.correlation).fold(0.0, f64::max);
-        // The hypothesis whose speeds match best is always selected. If the laps of a motion are nearly alike, many other
-        // hypotheses have nearly the same spread.
+        // If a motion repeats, many hypotheses have nearly the same spread. The hypothesis whose speeds
+        // match best is therefore always selected.
         let has_highest = |hypothesis: &Hypothesis| hypothesis.matched.correlation >= highest;
         hypotheses.retain(|other| has_highest(other) || other.spread_rad() <= NEAR_BEST * least_rad);
         hypotheses.sort_by(|a, b| {
@@ -191,7 +191,7 @@ impl AlignmentSearch<'_> {
         distinct
     }
 
-    /// Refines the hypotheses. Of several fits that end at the same clock only the best is returned.
+    /// Refines the hypotheses. Of several fits that end at the same clock, only the best is returned.
     fn fits(&self, window: &Range<usize>, hypotheses: Vec<Hypothesis>) -> Vec<(Match, MappedFit)> {
         let mut fits: Vec<(Match, MappedFit)> = Vec::new();
         for Hypothesis { matched, clock, encoder_map, offset_fit } in hypotheses {
@@ -227,8 +227,8 @@ impl AlignmentSearch<'_> {
         self.readings.t_s.get(sample).copied().unwrap_or_default()
     }
 
-    /// Whether two clocks differ throughout a window by less than the accuracy of
-    /// the correlation of speeds ([`SHIFT_SIGMA_S`]).
+    /// Whether the difference between two clocks is less than the accuracy of the correlation of speeds
+    /// ([`SHIFT_SIGMA_S`]) in the whole window.
     fn is_same(&self, window: &Range<usize>, clock: Clock, other: Clock) -> bool {
         let ends_s = [window.start, window.end.saturating_sub(1)].map(|sample| self.time_s(sample));
         ends_s
@@ -236,8 +236,8 @@ impl AlignmentSearch<'_> {
             .all(|t_s| (clock.robot_time_s(t_s) - other.robot_time_s(t_s)).abs() < SHIFT_SIGMA_S)
     }
 
-    /// Returns the candidates: each is a rate minus one, and a match of the speeds at this rate. The shift of the match is
-    /// in grid steps, and holds for times since the first sample of the window.
+    /// Returns the candidates. Each candidate is the rate of the clocks minus one, and a match of the speeds at this rate.
+    /// The shift of the match is in grid steps. It is valid for bar times that count from the first sample of the window.
     fn shifts(&self, window: &Range<usize>, step_s: f64) -> Result<Vec<(f64, Match)>, PrepareError> {
         let joints = self.joints();
         let speeds_of_log = |step_s| without_order(&self.predicted(step_s));
@@ -260,9 +260,9 @@ impl AlignmentSearch<'_> {
         }
     }
 
-    /// Returns the matches at a rate minus one. The speeds are correlated in two ways: joint by joint, and as
-    /// one channel that does not depend on the order of the joints. The second way finds shifts even if encoders
-    /// were recorded on wrong joints.
+    /// Returns the matches of the speeds at one rate of the clocks; `rate` is this rate minus one. The speeds are correlated
+    /// in two ways: joint by joint, and as one channel that does not depend on the order of the joints. The second way finds
+    /// shifts even if encoders were recorded on wrong joints.
     fn candidates(
         &self,
         window: &Range<usize>,
@@ -309,7 +309,8 @@ impl AlignmentSearch<'_> {
         predicted_speeds(self.predictor, self.log_duration_s, &self.joints(), self.margin_rad(), step_s)
     }
 
-    /// Finds encoder map, offsets and configurations at a candidate: the rate minus one, and the match with its shift.
+    /// Finds encoder map, offsets and configurations at a candidate. The candidate is the rate of the clocks minus one,
+    /// and a match of the speeds at this rate.
     pub(in crate::prepare) fn hypothesis(
         &self,
         window: &Range<usize>,
@@ -322,7 +323,8 @@ impl AlignmentSearch<'_> {
         let slip = large_slip(&pairs, &self.readings.t_s, self.recorded_joints, self.options);
         let encoder_map = match (find_encoder_map(&pairs, self.recorded_joints, self.options), slip) {
             (Ok(_) | Err(PrepareError::NoEncoderMap { .. }), Some(slip)) => return Err(slip),
-            // The message also names the robot's joints whose signs may be wrong instead of the encoders' directions.
+            // Wrong signs of robot joints have the same effect as wrong directions of
+            // encoders. The message also names these joints.
             (Err(PrepareError::Mirrored { stated, .. }), _) => {
                 return Err(PrepareError::Mirrored { joints: mirroring_joints(self.chains[0]), stated });
             }
@@ -333,7 +335,7 @@ impl AlignmentSearch<'_> {
     }
 
     /// Pairs of measured and predicted angles at samples of the window, spread over the motion. A segment ends at singular
-    /// poses of the bar, at changes of origin and at gaps.
+    /// poses of the bar, at changes of the counters' origin and at gaps.
     fn pairs(&self, window: &Range<usize>, clock: Clock) -> Vec<AnglePair> {
         let window_s = self.time_s(window.end.saturating_sub(1)) - self.time_s(window.start);
         let stride = if window_s > 1.1 * WINDOW_S { LONG_STRIDE } else { 1 };
@@ -367,13 +369,14 @@ impl AlignmentSearch<'_> {
 
     /// Finds offsets and configurations from pairs of measured and predicted angles.
     fn offset_fit(&self, pairs: &[AnglePair], encoder_map: &EncoderMap) -> OffsetFit {
-        // This limit is wider than the limit for a whole run. A short segment may lie where the errors of
-        // the nominal geometry are largest.
+        // This limit is wider than the limit for a whole run. A short segment may lie where the
+        // errors of the nominal geometry are largest.
         let limit_rad = 4.0 * self.options.spread_max_mrad * 1e-3;
         fit_offsets(self.predictor.bar_links(), pairs, encoder_map, self.origins, limit_rad)
     }
 
-    /// Runs [`refine`] on samples of an offset fit, spread over the motion. `start` is an earlier fit, if there is one.
+    /// Runs [`refine`] on a selection of the samples of an offset fit. The selected samples are spread over the motion.
+    /// `start` is an earlier fit, if there is one.
     fn refined(
         &self,
         offset_fit: &OffsetFit,

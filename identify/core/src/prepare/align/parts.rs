@@ -1,9 +1,8 @@
 //! Detects a clock step so large that no single shift matches the whole run.
 //!
-//! The run is cut into parts with equal numbers of samples. Each part is correlated with the robot's log,
-//! which gives one shift for each part. At a clock step the shifts have one level before some instant and
-//! another level after it. `find` uses this search if no candidate fits, or if the best one fits poorly. The
-//! result is the error [`PrepareError::ClockJump`].
+//! The run is cut into parts with equal numbers of samples. Each part is correlated with the robot's log, which gives one
+//! shift for each part. At a clock step the shifts have one level before some instant and another level after it. `find` uses
+//! this search if no candidate fits, or if the best one fits poorly. The result is the error [`PrepareError::ClockJump`].
 
 use std::ops::Range;
 
@@ -18,8 +17,8 @@ const PARTS: usize = 6;
 const DIFFERENT_S: f64 = 0.05;
 /// Fraction of a part that must overlap with the robot's log.
 const OVERLAP_MIN: f64 = 0.6;
-/// Smallest ratio of a step to the scatter of the shifts on its sides. The scatter is the largest difference between the
-/// shifts of neighbouring parts on one side.
+/// Smallest ratio of a step to the scatter of the shifts on both sides of the step. The scatter is the largest difference
+/// between the shifts of neighbouring parts on one side.
 const TIMES_SCATTER: f64 = 3.0;
 
 /// A part of the recording whose speeds match the robot's log.
@@ -28,8 +27,8 @@ struct MatchedPart {
     /// Time from the first reading of the recording to the first sample of this part \[s\].
     start_s: f64,
     matched: Match,
-    /// Time since the first stamp of the robot's log minus time since the first reading of the recording,
-    /// at the same instant \[s\].
+    /// Time since the first stamp of the robot's log minus time since the first reading of the
+    /// recording, at the same instant \[s\].
     shift_s: f64,
 }
 
@@ -37,8 +36,8 @@ impl AlignmentSearch<'_> {
     /// Returns a clock step if the shifts of the parts that match have one level before some instant and another level after
     /// it. At most one of these parts may belong to neither level. `step_s` is the step of the grid \[s\].
     ///
-    /// Parts may also match if the log is of another robot than the configured one. Their shifts then scatter, and the
-    /// angles fit on neither side.
+    /// Some parts also match if the log belongs to another robot than the configured one. In this case no step is returned,
+    /// because the shifts scatter and the angles do not fit on either side.
     pub(super) fn jump_between_parts(&self, window: &Range<usize>, step_s: f64) -> Option<PrepareError> {
         let parts = self.parts(window, step_s);
         let differ = |a: &MatchedPart, b: &MatchedPart| (a.shift_s - b.shift_s).abs() > DIFFERENT_S;
@@ -74,7 +73,8 @@ impl AlignmentSearch<'_> {
         window.clone().step_by(length).filter_map(part).collect()
     }
 
-    /// Whether the angles of one side fit at the shift of its first part, as the angles of a run without a clock step do.
+    /// Whether the angles of one side fit at the shift of the first part of this side. The criterion is the
+    /// same as for a run without a clock step.
     fn side_fits(&self, side: &[MatchedPart], step_s: f64) -> bool {
         let (Some(first), Some(last)) = (side.first(), side.last()) else { return false };
         let window = first.samples.start..last.samples.end;

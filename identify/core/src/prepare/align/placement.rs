@@ -15,23 +15,23 @@ use crate::kinematics::Pose;
 use crate::logs::PoseRow;
 use crate::model::{Placement, SetUp};
 
-/// Standard deviation of the probe's distance from the flange \[m\]. It has an effect only if the poses do not
-/// determine the probe's position.
+/// Standard deviation of the prior on the probe's position on the flange \[m\]. The prior has an effect only if the
+/// poses do not determine this position.
 pub const PROBE_SIGMA_M: f64 = 1.0;
 /// Number of rounds of the alternating solution. Each round at least halves the error.
 const ROUNDS: usize = 60;
-/// Positions count as lying on a line if the second singular value of their products is at most this fraction
-/// of the first one.
+/// Positions count as lying on a line if, in [`rotation_between`], the second singular value of the sum of products is at
+/// most this fraction of the first singular value.
 const FLATNESS: f64 = 1e-6;
 
 /// Finds the poses of tracker and probe without start values. For each robot pose in `flanges`, `observed_m` is the position
-/// of the probe in the tracker's frame. `turns` is the rotation of `tracker_from_probe`, if it was measured. `None` if the
-/// positions lie on a line.
+/// of the probe in the tracker's frame. `turns` contains the rotation of `tracker_from_probe` for each robot pose, or `None`
+/// if this rotation was not measured. Returns `None` if the positions lie on a line.
 ///
 /// The solution alternates between two steps. For a known `y`, the rotation of `T` is the rotation between two clouds of
-/// points (Umeyama 1991). For a known rotation, the equations are linear in the position of `T` and in `y`. The flange need
-/// not rotate between the poses; closed forms for `A X = Z B` need rotations about two axes. The rotation of the probe is
-/// the mean over all poses.
+/// points (Umeyama 1991). For a known rotation, the equations are linear in the position of `T` and in `y`. Closed-form
+/// solutions of `A X = Z B` need rotations of the flange about two axes. The alternating solution does not need any rotation
+/// of the flange. The rotation of the probe is the mean over all poses.
 pub fn placements(
     flanges: &[Pose],
     observed_m: &[Vector3<f64>],
@@ -78,9 +78,10 @@ pub struct Placements {
     pub probes: BTreeMap<usize, Placement>,
 }
 
-/// Finds the poses of all stations and targets. The first pair of station and target is the pair with the most rows, which
-/// [`placements`] solves. Then a known station determines the targets that it measured, and a known target determines the
-/// stations that measured it. `None` if the rows of a station lie on a line.
+/// Finds the poses of all stations and targets. First, [`placements`] solves the pair of station and target with the
+/// most rows. Each solved station then determines all targets that it measured, and each solved target determines
+/// all stations that measured it. Pairs without a connection to a solved pair are solved in the same way. `None` if
+/// the rows of a station lie on a line.
 pub fn all_placements(rows: &[Sighted]) -> Option<Placements> {
     let mut by_set_up: BTreeMap<SetUp, Vec<Sighted>> = BTreeMap::new();
     rows.iter().for_each(|row| by_set_up.entry(row.seen.set_up).or_default().push(*row));
@@ -110,8 +111,8 @@ pub fn all_placements(rows: &[Sighted]) -> Option<Placements> {
             places.insert(station, place(&of_station.collect::<Vec<_>>())?);
             continue;
         }
-        // No known station or target determines another one. The next pair is the first of all, or one that is not connected
-        // to the pairs before it.
+        // No solved station or target determines another one, so [`placements`] solves the next pair. This is the first pair
+        // of all, or a pair without a connection to the pairs before it.
         let is_new = |rows: &&Vec<Sighted>| !places.contains_key(&rows[0].seen.set_up.station);
         let Some(largest) = set_ups.iter().find(is_new) else { break };
         let flanges: Vec<Pose> = largest.iter().map(|row| row.flange).collect();
@@ -126,7 +127,8 @@ pub fn all_placements(rows: &[Sighted]) -> Option<Placements> {
     Some(Placements { places: as_placements(places), probes: as_placements(probes) })
 }
 
-/// `flange_from_probe` of a target, as mean over its rows. Each row has the known pose of the tracker.
+/// `flange_from_probe` of a target, as the mean over the rows of this target. Each row is
+/// given with the known pose of the tracker.
 fn probe(rows: &[(Sighted, Pose)]) -> Pose {
     let on_flange_m = |(row, tracker): &(Sighted, Pose)| {
         row.flange.inverse_transform_point(&tracker.transform_point(&row.seen.position_m.into())).coords
@@ -136,8 +138,8 @@ fn probe(rows: &[(Sighted, Pose)]) -> Pose {
     Pose::from_parts(mean(&on_flange_m).into(), mean_turn(turns))
 }
 
-/// `root_from_tracker` of a station. Each row has the pose of the probe in the robot's frame. `None` if rotations were not
-/// measured in all rows and the positions lie on a line.
+/// `root_from_tracker` of a station. Each row is given with the pose of the probe in the robot's frame. `None` if rotations
+/// were not measured in all rows and the positions lie on a line.
 fn place(rows: &[(Sighted, Pose)]) -> Option<Pose> {
     let observed_m: Vec<Vector3<f64>> = rows.iter().map(|(row, _)| row.seen.position_m).collect();
     let probe_m: Vec<Vector3<f64>> = rows.iter().map(|(_, probe)| probe.translation.vector).collect();
@@ -156,8 +158,7 @@ fn mean(points: &[Vector3<f64>]) -> Vector3<f64> {
     points.iter().sum::<Vector3<f64>>() / points.len().max(1) as f64
 }
 
-/// The rotation that best maps the points `from` onto the points `to`, each about its mean. `None` if the points
-/// lie on a line.
+/// The rotation that best maps the points `from` onto the points `to`, each about its mean. `None` if the points lie on a line.
 fn rotation_between(from: &[Vector3<f64>], to: &[Vector3<f64>]) -> Option<Rotation3<f64>> {
     let (from_mean, to_mean) = (mean(from), mean(to));
     let products = from.iter().zip(to).map(|(a, b)| (b - to_mean) * (a - from_mean).transpose());

@@ -1,5 +1,5 @@
-//! Estimates the rate of one clock relative to another, from parts of a run. `find` uses this rate for
-//! the correlation of speeds.
+//! Estimates the rate of one clock relative to another, from parts of a run. `find` uses
+//! this rate for the correlation of speeds.
 //!
 //! A *part* is a section of some seconds, in which two clocks do not drift apart measurably. Each part is correlated with
 //! the whole of the other log. The shifts `s` of the parts lie on a line `s = s0 + rate m`, where `m` is the middle of a
@@ -16,8 +16,8 @@ use super::speeds::grid_step_s;
 use crate::prepare::Channels;
 use crate::threads::each;
 
-/// Largest rate minus one. The clocks of controllers and instruments differ by less than this, quartz clocks by
-/// a hundredth of it.
+/// Largest rate minus one that is searched for. The rates of controller and instrument clocks differ by less than this, and
+/// the rates of quartz clocks by a hundredth of this.
 const RATE_MAX: f64 = 0.0105;
 /// Largest error of a shift that the fit of the angles corrects \[s\]. During this time a joint turns by 6 mrad.
 const BRIDGED_S: f64 = 0.02;
@@ -42,8 +42,8 @@ struct RunPart {
 }
 
 impl RunPart {
-    /// Index of the part's first sample in the other log, in grid steps. The middle of the run is at index `run_middle` of
-    /// the other log, and the rate minus one is `rate`.
+    /// Grid index in the other log that corresponds to the first sample of this part. The middle of the run is at index
+    /// `run_middle` of the other log, and the rate minus one is `rate`.
     fn shift(&self, run_middle: f64, rate: f64) -> f64 {
         run_middle + (1.0 + rate) * self.middle - self.half_length
     }
@@ -53,8 +53,8 @@ impl RunPart {
 /// is the rate at which the parts of the run agree, if it is clearly different from 0.
 ///
 /// `window` is the range of samples of the run that are compared, and `t_s` are the times of all samples \[s\]. The other
-/// log is `log_s` long. `speeds_of_log` returns its speeds on a grid with the given step \[s\]. `speeds_of_part` returns the
-/// speeds of a range of samples of the run on such a grid.
+/// log is `log_s` long. `speeds_of_log` returns the speeds of the other log on a grid with the given step \[s\].
+/// `speeds_of_part` returns the speeds of a range of samples of the run on such a grid.
 pub(in crate::prepare) fn rates(
     t_s: &[f64],
     window: &Range<usize>,
@@ -86,7 +86,7 @@ pub(in crate::prepare) fn rates(
     .flatten()
     .collect();
     let rate = common_rate(&parts, log_speeds.known.len()).unwrap_or_default();
-    // At the ends of the run, the shift differs from that in the middle by the rate times half the length of the run.
+    // At the ends of the run, the shift differs from the shift in the middle by the rate times half the length of the run.
     if 0.5 * rate.abs() * run_s > BRIDGED_S { vec![0.0, rate] } else { vec![0.0] }
 }
 
@@ -102,7 +102,7 @@ struct StackedCorrelations {
 /// `None` if the parts match nowhere, or if a clock step explains the shifts better.
 fn common_rate(parts: &[RunPart], log_points: usize) -> Option<f64> {
     let reach = parts.iter().map(|part| part.middle.abs()).fold(0.0, f64::max);
-    // From one rate to the next, the outermost part moves by one grid step.
+    // The difference between two successive rates moves the outermost part by one grid step.
     let rates_max = (RATE_MAX * reach).ceil() as i64;
     let stacks = each((2 * rates_max + 1) as usize, |number| {
         let rate = (number as i64 - rates_max) as f64 / reach.max(1.0);
@@ -116,7 +116,8 @@ fn common_rate(parts: &[RunPart], log_points: usize) -> Option<f64> {
     });
     let matching = stacks.into_iter().flatten().filter(|stack| stack.sum > 0.0);
     let best = matching.max_by(|a, b| a.sum.total_cmp(&b.sum))?;
-    // A line fitted through the peaks near the best line is more accurate than the steps between the lines that were tried.
+    // The lines that were tried differ by whole grid steps. A line fitted through the peaks
+    // near the best of them is more accurate.
     let peak = |part: &RunPart| {
         let on_line = part.shift(best.run_middle, best.rate).round() as i64;
         let (shift, weight) = part.correlations.peak_near(on_line, NEAR)?;
@@ -126,7 +127,8 @@ fn common_rate(parts: &[RunPart], log_points: usize) -> Option<f64> {
     let (slope, squares) = slope_and_squares(&peaks);
     let squares_of_step =
         |index: usize| squares_about_mean(&peaks[..index]) + squares_about_mean(&peaks[index..]);
-    // If the clock was set between two parts, its rate did not change: the shifts are constant on both sides.
+    // If the clock was set between two parts, the shifts are constant before and after this
+    // instant, because the rate did not change.
     let is_clock_step = (1..peaks.len()).any(|index| squares_of_step(index) < squares);
     (slope.is_finite() && !is_clock_step).then(|| slope.clamp(-RATE_MAX, RATE_MAX))
 }

@@ -21,8 +21,8 @@ pub(in crate::prepare) struct ReferenceTime {
 }
 
 impl ReferenceTime {
-    /// Finds the reference time. The samples of the other log begin at `first` and end `end_s`
-    /// later; `clock` counts from `first`.
+    /// Finds the reference time. The samples of the other log begin at `first` and end `end_s` later \[s\]. The times of the
+    /// other log in `clock` count from `first`.
     pub fn new(first: UtcNs, end_s: f64, clock: Clock, log_duration_s: f64) -> Self {
         let other_time_s = |tau_s: f64| (tau_s - clock.shift_s) / (1.0 + clock.skew);
         let from_s = other_time_s(0.0).clamp(0.0, end_s);

@@ -1,11 +1,12 @@
 //! Fits clocks, base and offsets to the angles. The result is more accurate than the correlation of speeds, and is valid
 //! for runs of hours.
 //!
-//! The residual of a joint is `sin(margin) (b^ - b - offset)`. `b^` is the angle that follows from the robot's pose (the
-//! *implied* angle), and `b` is the angle of the encoder. `margin` is the distance from singular poses, so samples near
-//! singular poses have small weights. The nominal geometry has errors of millimetres. These errors would hide the shift of
-//! the clocks, the offsets of a new origin, or a slipped encoder. All parameters of both chains are therefore fitted too,
-//! each with a prior for its tolerance. The fitted chains are used only to classify the samples ([`Residuals`]).
+//! The residual of a joint is `sin(margin) (b^ - b - offset)`. `b^` is the angle that follows from the robot's pose
+//! (the *implied* angle), and `b` is the angle of the encoder. `margin` is the distance from singular poses, so samples
+//! near singular poses have small weights. The nominal geometry has errors of millimetres. If the geometry were fixed,
+//! these errors would hide the shift of the clocks, the offsets of a new origin, or a slipped encoder. All parameters
+//! of both chains are therefore fitted too, each with a prior for its tolerance. The fitted chains are used only to
+//! classify the samples ([`Residuals`]).
 
 use std::sync::Arc;
 
@@ -29,8 +30,7 @@ use crate::threads::rows;
 
 /// Standard deviation of the parameters of the nominal chains \[m, rad\].
 const CHAIN_SIGMA: f64 = 2e-3;
-/// Standard deviation of the position of the base, which was found as centre of the sphere through
-/// the robot's positions \[m\].
+/// Standard deviation of the position of the base, which was found as centre of the sphere through the robot's positions \[m\].
 const BASE_SIGMA_M: f64 = 0.01;
 /// Standard deviation of the tilt of the bar's base \[rad\].
 const TILT_SIGMA_RAD: f64 = 0.01;
@@ -39,16 +39,16 @@ const HARMONIC_SIGMA_RAD: f64 = 50e-6;
 /// Standard deviation of the offsets that were found with nominal geometry \[rad\].
 const OFFSET_SIGMA_RAD: f64 = 0.05;
 /// How the robust loss is narrowed from round to round. The loss is wide at first, so that nearly all samples have weight.
-/// At a clock step, the fit may then converge to a compromise between the two sides. A narrower loss is therefore tried,
-/// which finds the larger side. The number of rounds suffices to reduce the spread from a radian to a microradian.
+/// If a clock steps during the run, the fit with the wide loss may converge to a compromise between the samples before and
+/// after the step. A narrower loss is therefore tried, with which the fit converges to the larger of these two groups. The
+/// number of rounds suffices to reduce the spread from a radian to a microradian.
 const SCHEDULE: Schedule = Schedule {
     good: [GoodShare::NINE_TENTHS, GoodShare::HALF],
     narrowing: 0.5,
     better_max: Some(0.8),
     rounds_max: 30,
 };
-/// A round ends if an iteration reduces the cost by less than this fraction. The next round continues
-/// from the same parameters.
+/// A round ends if an iteration reduces the cost by less than this fraction. The next round continues from the same parameters.
 const ROUND_TOLERANCE: f64 = 1e-3;
 /// The last round ends if an iteration reduces the cost by less than this fraction. The cost of a few thousand samples is a
 /// few thousand, so such a small decrease moves no parameter by more than about a tenth of its standard deviation.
@@ -74,8 +74,7 @@ pub(in crate::prepare) struct AlignmentFit {
     pub converged: bool,
 }
 
-/// Residuals: implied minus measured joints. Weights are small near singular poses, where errors of
-/// the geometry are amplified.
+/// Residuals: implied minus measured joints. Weights are small near singular poses, where errors of the geometry are amplified.
 #[derive(Debug, Clone, Copy)]
 struct ImpliedAngles {
     measured: [bool; BAR_JOINTS],
@@ -150,8 +149,8 @@ impl Residual for ImpliedAngles {
 /// Standard deviation of a parameter about its start value; `None` for fixed parameters.
 fn prior_sigma(id: ParameterId) -> Option<f64> {
     match id {
-        // The theta of a bar link has the same effect as the offset of its encoder, which has a column of its own. A
-        // robot's beta is fixed.
+        // `theta` of a bar link is fixed, because it has the same effect as the offset of the encoder, which is
+        // fitted. `beta` of a robot link is fixed too.
         ParameterId::Bar { parameter: LinkParameter::Theta, .. }
         | ParameterId::Robot { parameter: LinkParameter::Beta, .. } => None,
         ParameterId::Robot { .. } | ParameterId::Bar { .. } => Some(CHAIN_SIGMA),
@@ -165,12 +164,15 @@ fn prior_sigma(id: ParameterId) -> Option<f64> {
 }
 
 /// Least-squares problem with the residuals [`ImpliedAngles`]. The first columns are the parameters of the model: clocks,
-/// base and both chains. Then follows one column for the offset of each encoder in each origin.
+/// base and both chains. The other columns are the offsets of the encoders, five for each origin:
+///
+/// ```text
+/// | clocks, base, chains | origin 0: joints 1 to 5 | origin 1: joints 1 to 5 | ...
+/// ```
 struct WithOffsets<'a> {
     chains: LoopProblem<'a, ImpliedAngles, AlignedLog>,
     residual: ImpliedAngles,
-    /// Links of the nominal bar, from which the weights are computed. The weights depend only on `theta`,
-    /// which is not fitted.
+    /// Links of the nominal bar, from which the weights are computed. The weights depend only on `theta`, which is not fitted.
     bar_links: &'a [DhLink],
     observations: &'a [Observation],
     chain_columns: usize,
@@ -245,8 +247,7 @@ pub(in crate::prepare) fn refine(
     let mut x = model.start();
     let ids = model.columns().map(|parameter| parameter.id);
     if let Some(mut geometry) = start.map(|fit| fit.geometry.clone()) {
-        // The clock starts from `coarse`, not from the earlier fit, because times are counted from another
-        // instant in each fit.
+        // The clock starts from `coarse`, not from the earlier fit, because times are counted from another instant in each fit.
         for (x, id) in x.iter_mut().zip(ids).filter(|(_, id)| id.group() != Group::Clock) {
             *x = geometry.parameter_mut(id).map_or(*x, |value| *value);
         }

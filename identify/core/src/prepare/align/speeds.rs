@@ -14,7 +14,7 @@ use crate::threads::rows;
 const STEP_S: f64 = 0.01;
 /// Largest number of grid points for the robot's log.
 const GRID_MAX: f64 = 1e6;
-/// A speed is a difference from this number of grid steps before a point to the same number after it. A longer time reduces
+/// The speed at a grid point is computed from the points this number of steps before and after it. A larger number reduces
 /// the effect of noise in the readings.
 pub(in crate::prepare) const REACH: usize = 2;
 /// Largest speed of a bar joint \[rad/s\]. A higher speed means that the counters or the robot's log jump.
@@ -23,8 +23,8 @@ const SPEED_RAD_S_MAX: f64 = 4.0;
 /// Joint angles at each grid point; `None` if they are unknown there.
 type Angles = Vec<Option<[f64; BAR_JOINTS]>>;
 
-/// Measured speeds of `joints` (counted from 0), starting at the first reading. The grid step is `step_s` of a clock whose
-/// rate is `1 + rate` times that of the recording.
+/// Measured speeds of `joints` (counted from 0), starting at the first reading. The grid step is `step_s` on a clock that
+/// runs `1 + rate` times as fast as the clock of the recording.
 pub(in crate::prepare) fn measured_speeds(
     readings: &Stream<BarReading>,
     joints: &[usize],
@@ -96,8 +96,8 @@ pub(in crate::prepare) fn speeds<T>(
     found
 }
 
-/// Combines all channels into one, the root of the sum of their squares. The result does not depend on
-/// the order of the encoders.
+/// Combines all channels into one, the root of the sum of their squares. The result does not
+/// depend on the order of the encoders.
 pub(in crate::prepare) fn without_order(channels: &Channels) -> Channels {
     let root = |step: usize| channels.values.iter().map(|values| values[step].powi(2)).sum::<f64>().sqrt();
     Channels { known: channels.known.clone(), values: vec![(0..channels.known.len()).map(root).collect()] }

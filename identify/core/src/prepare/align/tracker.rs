@@ -1,14 +1,17 @@
-//! Aligns a tracker's log with the robot's log, each with its own clock.
+//! Aligns a tracker's log with the robot's log. Each log has its own clock.
 //!
 //! The positions of the target are *observed* in the tracker's frame. They are *predicted* from the robot's log with
 //! the nominal robot. The speeds of the target are compared first, because they do not depend on the poses of
 //! tracker and probe. Then the positions are compared. The poses of tracker and probe are estimated at each
 //! candidate for the clock (`placement`).
 //!
-//! A log is measured in one of two ways. If the robot moved while it was measured, shift and rate of the clocks are start
-//! values of a solve that estimates them again. In a *stop-and-go* log, the rows are more than half a second apart, and the
-//! robot stood still at each row. The alignment then finds the standstill of each row (`standstills`), and assigns the
-//! joints of the robot there to the row.
+//! There are two types of tracker logs:
+//!
+//! - In the first type, the robot moved while the tracker measured. The alignment estimates the shift and rate of the
+//!   clocks. They are the start values of a solve, which estimates them again.
+//! - In the second type, a *stop-and-go* log, the rows are more than half a second apart, and the robot stood still at
+//!   each row. The alignment finds the standstill of each row (`standstills`). The joints of the robot in this
+//!   standstill are assigned to the row.
 
 mod standstills;
 
@@ -44,7 +47,7 @@ use standstills::REST_S;
 /// Rows farther apart than this are assumed to be measured at standstills \[s\]. A tracker that follows a moving target
 /// measures more often than this. A tracker that waits until the target is at rest measures less often.
 const STANDING_S: f64 = 0.5;
-/// Smallest extent of the positions that determines a motion \[m\].
+/// If the positions extend over less than this distance, the target counts as not moving \[m\].
 const EXTENT_M_MIN: f64 = 0.02;
 /// Largest number of rows of a fit.
 const FIT_MAX: usize = 500;
@@ -58,19 +61,19 @@ pub struct AlignedPoses {
     pub rows: Vec<usize>,
     /// State of the robot at each of these rows, according to the alignment.
     pub states: Vec<JointState>,
-    /// Times of these rows and the robot's log, if the robot moved while it was measured; `None` for a stop-and-go log.
+    /// If the robot moved during the measurement: the times of these rows, and the robot's log. `None` for a stop-and-go log.
     pub moving: Option<Moving>,
-    /// How the clocks were aligned. In a stop-and-go log, the accuracy of the skew is limited by the
-    /// durations of the standstills.
+    /// How the clocks were aligned. In a stop-and-go log, the accuracy of the skew is limited
+    /// by the durations of the standstills.
     pub alignment: Alignment,
     /// Reference time of the alignment on the tracker's clock.
     pub t_ref: UtcNs,
-    /// Number of rows outside the robot's log or, in a stop-and-go log, measured while the robot moved. Rows that are only
-    /// thinned are not counted.
+    /// Number of rows that cannot be used: rows outside the robot's log and, in a stop-and-go log, rows that were measured
+    /// while the robot moved. Thinned rows are not counted.
     pub left_out: usize,
 }
 
-/// Data of a robot that moved while it was measured.
+/// Times of the rows and motion of the robot, for a log in which the robot moved during the measurement.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Moving {
     /// Time of each row on the tracker's clock, since the reference time \[s\].
@@ -173,7 +176,8 @@ fn longest_view_m(rows: &Stream<PoseRow>) -> Stream<Vector3<f64>> {
     let longest = counts.into_iter().max_by_key(|(_, count)| *count).map(|(view, _)| view);
     let position_in_longest = |_, row: &PoseRow| (Some(row.set_up) == longest).then_some(row.position_m);
     let observed_m = rows.filter_map(0..rows.len(), position_in_longest);
-    // A new stream computes its own limit for gaps. Rows of other targets between two rows then do not cause a gap.
+    // The new stream computes its limit for gaps from its own rows. Otherwise, rows of other targets between two
+    // rows of this target would cause a gap.
     Stream::new(observed_m.first_stamp_ns, observed_m.t_s, observed_m.rows)
 }
 
@@ -203,8 +207,9 @@ struct TrackerFit {
 }
 
 impl TrackerSearch<'_> {
-    /// Finds the best fit in the window and extends it to the whole log. If there is none, the search is repeated with a
-    /// shorter required overlap. A clear match then shows that the overlap of the logs is too short.
+    /// Finds the best fit in the window and extends it to the whole log. If no fit is found, the search is repeated
+    /// with a shorter required overlap. If this second search finds a clear match, the returned error reports that
+    /// the overlap of the logs is too short.
     fn run(&self) -> Result<Best<TrackerFit>, PrepareError> {
         let window = if self.stop_and_go() {
             0..self.observed_m.len()
@@ -251,7 +256,8 @@ impl TrackerSearch<'_> {
         } else {
             shifts.iter().filter_map(|coarse| self.fit(window, clock(coarse.shift))).collect()
         };
-        // The match at the clock of a fit, with the speeds of the target at the position that the fit found.
+        // The match of the speeds at the clock of a fit. The predicted speeds are those of the target
+        // at the position that the fit has found.
         let match_of_target = |fit: &TrackerFit| {
             if self.stop_and_go() {
                 return self.match_of_distances(window, fit);
@@ -303,8 +309,8 @@ impl TrackerSearch<'_> {
         (high - low).norm()
     }
 
-    /// Measured speed of the target, from the first row of the window on. In a stop-and-go log, it is the mean
-    /// speed between two rows.
+    /// Measured speed of the target, from the first row of the window on. In a stop-and-go log,
+    /// it is the mean speed between two rows.
     fn observed_speeds(&self, window: &Range<usize>) -> Channels {
         let observed_m = self.observed_m.slice(window.clone());
         let steps =
@@ -323,8 +329,7 @@ impl TrackerSearch<'_> {
         Channels { known: vec![true; steps], values: vec![(0..steps).map(mean_speed).collect()] }
     }
 
-    /// Predicted speed of a target at `probe_m` on the flange of the nominal robot, from the first stamp of
-    /// the robot's log on.
+    /// Predicted speed of a target at `probe_m` on the flange of the nominal robot, from the first stamp of the robot's log on.
     fn predicted_speeds(&self, probe_m: &Vector3<f64>) -> Channels {
         let steps = (self.log_s / self.step_s) as usize + 1;
         let points: Vec<Option<Vector3<f64>>> =

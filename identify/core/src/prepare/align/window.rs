@@ -1,5 +1,5 @@
-//! Functions that the search for the clock of a recording (`find`) and the search for the clock of a tracker's
-//! log (`tracker`) have in common.
+//! Common functions of two searches: the search for the clock of a recording (`find`), and the search for the
+//! clock of a tracker's log (`tracker`).
 //!
 //! Both searches first compare a section of the log of limited length, the *window* ([`liveliest`]). They choose the best of
 //! several fits in the window ([`best`]), and extend this fit step by step to the whole log ([`extended`]).
@@ -13,7 +13,8 @@ use crate::prepare::{ComparedLog, PrepareError, PrepareOptions};
 pub(in crate::prepare) const WINDOW_S: f64 = 900.0;
 /// Factor by which the window grows from one fit to the next.
 const GROWTH: f64 = 4.0;
-/// Largest number of shifts from each correlation of speeds at which the angles or positions are then compared.
+/// Largest number of shifts that are taken from each correlation of speeds. At each of these shifts, the
+/// angles or positions are then compared.
 pub(in crate::prepare) const CANDIDATES: usize = 6;
 /// Two fits whose residuals differ by less than this factor count as equally good. This occurs if the motion repeats.
 const TIE: f64 = 1.2;
@@ -53,9 +54,9 @@ pub(in crate::prepare) struct Best<F> {
     pub fit: F,
 }
 
-/// Chooses, among the fits with the smallest residuals, the one with the longest overlap of the logs. Several fits are
-/// equally good if the motion repeats, and the longest overlap is then the most likely. `are_apart` returns whether
-/// two fits have different shifts.
+/// Chooses, among the fits with the smallest residuals, the one with the longest overlap of the logs. If the motion
+/// repeats, several fits are equally good. The fit with the longest overlap is then the most likely. `are_apart` returns
+/// whether two fits have different shifts.
 pub(in crate::prepare) fn best<F>(
     mut fits: Vec<(Match, F)>,
     spread: impl Fn(&F) -> f64,
@@ -70,8 +71,8 @@ pub(in crate::prepare) fn best<F>(
     Some(Best { matched, ambiguous, fit })
 }
 
-/// Extends a fit from its window to the whole log, step by step. The relation of clocks that is known over a quarter of an
-/// hour is accurate enough as start value for an hour.
+/// Extends a fit from its window to the whole log, step by step. A clock that was fitted to a quarter of an hour is accurate
+/// enough as start value for a fit to a whole hour.
 ///
 /// # Errors
 /// [`PrepareError::NothingToFit`] if `refit` returns `None`.

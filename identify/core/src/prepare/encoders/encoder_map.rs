@@ -67,8 +67,8 @@ pub struct EncoderPlace {
     pub joint: u8,
     /// Whether the encoder counts in the direction opposite to the recorded one.
     pub reversed: bool,
-    /// Spread of the difference between measured and predicted angles, with nominal geometry (1.48 times
-    /// the median deviation) \[mrad\].
+    /// Spread of the difference between measured and predicted angles, with nominal geometry (1.48
+    /// times the median deviation) \[mrad\].
     pub spread_mrad: f64,
 }
 
@@ -85,9 +85,9 @@ impl EncoderMap {
         self.encoders.iter().all(|place| place.joint == place.recorded_joint && !place.reversed)
     }
 
-    /// Whether every encoder on joints 1, 3 and 5 is reversed. The bar then measures the mirror image of the motion, in a
-    /// plane through the gimbal's vertical axis. In the mirror image these joints turn in the opposite direction; joints 2
-    /// and 4 turn as before.
+    /// Whether every encoder on joints 1, 3 and 5 is reversed. The bar then measures the motion as reflected in
+    /// a plane through the gimbal's vertical axis. In the mirror image these joints turn in the opposite
+    /// direction; joints 2 and 4 turn as before.
     fn is_mirrored(&self) -> bool {
         let mut odd = self.encoders.iter().filter(|place| place.joint % 2 == 1).peekable();
         odd.peek().is_some() && odd.all(|place| place.reversed)
@@ -179,7 +179,7 @@ const REPORTED_MAX: usize = 8;
 /// - [`PrepareError::AmbiguousEncoderMap`] if several maps fit and the recorded one is not among them.
 /// - [`PrepareError::Mirrored`] if only the mirror image of the robot's motion fits.
 /// - [`PrepareError::OtherEncoderMap`] if another map fits, but only the recorded one is allowed.
-/// - [`PrepareError::OtherThanStated`] if another map fits than the one that the user stated.
+/// - [`PrepareError::OtherThanStated`] if the map that the user stated does not fit, but another map does.
 /// - [`PrepareError::StatedEncoderMap`] if the stated map is invalid.
 pub fn find_encoder_map(
     pairs: &[AnglePair],
@@ -266,8 +266,8 @@ impl<'a> SpreadTable<'a> {
                 let signs = [1.0, -1.0];
                 if joint == 1 || joint == 3 {
                     // On joints 2 and 4 the direction depends on the configuration, which may change between segments.
-                    // The better direction of each segment is used, so that the table has only one spread, in the place
-                    // of the recorded direction.
+                    // The better direction of each segment is used. The table then has only one spread for this joint,
+                    // in the place of the recorded direction.
                     let better = |segment: &[AnglePair]| {
                         let [forward, reversed] = signs.map(|sign| scatter(segment, recorded, joint, sign));
                         let forward_fits = spread_of(forward.clone()) <= spread_of(reversed.clone());

@@ -7,13 +7,12 @@ use crate::prepare::{BarReading, PrepareError};
 
 /// Shortest time of constant readings that is an error \[s\]. Shorter times are turning points of the motion.
 const FROZEN_S_MIN: f64 = 1.0;
-/// Smallest fraction of the other readings in which an encoder must change, if its constant readings are at the end
-/// of the log. No step follows these readings that would prove an error. The encoder of a joint that often rests
-/// changes in fewer readings.
+/// Constant readings at the end of the log are not followed by a step that would prove an error. They are only an
+/// error if the encoder changes in more than this fraction of its other readings. The encoder of a joint that
+/// often rests changes in fewer readings.
 const CHANGES_MIN: f64 = 0.9;
 
-/// Returns the error of the first encoder whose readings are constant while others change; `None` if there
-/// is no such encoder.
+/// Returns the error of the first encoder whose readings are constant while others change; `None` if there is no such encoder.
 pub(in crate::prepare) fn constant_encoder(
     readings: &Stream<BarReading>,
     measured: &[bool; BAR_JOINTS],

@@ -13,7 +13,8 @@ use crate::model::Observation;
 use crate::prepare::BarReading;
 use crate::prepare::align::find::AlignedRecording;
 
-/// The samples of one origin of the counters, and the differences of their offsets from the offsets of the reference.
+/// A section of the recording with one origin of the counters. The encoder offsets in this section are compared with
+/// the encoder offsets of the reference.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct OriginSpan {
     /// First sample, as bar time since the reference time \[s\].
@@ -29,7 +30,7 @@ pub struct OriginSpan {
     pub shift_rad: [f64; BAR_JOINTS],
     /// Standard deviation of each value in `shift_rad` \[rad\]; 0 for the reference.
     pub sigma_rad: f64,
-    /// Whether no offset changed significantly: `shift_rad` is exactly zero.
+    /// Whether no offset differs significantly from the reference. In this case `shift_rad` is zero.
     pub unchanged: bool,
     /// [`Observation::origin`] of the samples: 0 if they have the offsets of the reference or are not used,
     /// otherwise counted from 1.
@@ -40,12 +41,12 @@ pub struct OriginSpan {
 const SAMPLES_ALIKE: f64 = 15.0;
 /// Largest difference of offsets that is not significant, in standard deviations.
 const SIGMAS: f64 = 4.0;
-/// Largest difference of offsets that is always considered as unchanged \[rad\]. A terminal that restarts has a random
-/// offset, which is almost always larger.
+/// Offsets that differ by less than this always count as unchanged \[rad\]. After a restart, a terminal has a random offset,
+/// which almost always differs by more.
 const UNCHANGED_RAD: f64 = 200e-6;
 
-/// Describes all origins, and makes offsets equal that did not change significantly. Also returns the
-/// index of the reference.
+/// Describes all origins. An offset that does not differ significantly from the offset of the reference is set equal to it.
+/// Also returns the index of the reference.
 pub(in crate::prepare) fn join(
     readings: &Stream<BarReading>,
     found: &mut AlignedRecording,

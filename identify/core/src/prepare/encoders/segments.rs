@@ -2,9 +2,9 @@
 //!
 //! The pairs of measured and predicted angles are divided into *segments*. A segment lies between two singular poses and
 //! within one origin of the counters. In a segment, neither the configuration nor the offsets change. The longest segment of
-//! an origin determines the first offsets: in the right configuration, measured and predicted angles differ by constants.
-//! For each other segment of this origin, the best of the four configurations is found with these offsets. The final offsets
-//! are computed from all segments that fit.
+//! an origin determines a first estimate of the offsets: in the correct configuration, the differences between measured and
+//! predicted angles are constant. For each other segment of this origin, the best of the four configurations is found with
+//! these offsets. The final offsets are computed from all segments that fit.
 
 use super::circular::{circular_median, spread_of};
 use super::encoder_map::{AnglePair, EncoderMap};
@@ -26,13 +26,13 @@ pub(in crate::prepare) struct OffsetFit {
     /// Offsets of each origin; `None` if its longest segment has too few pairs.
     by_origin: Vec<Option<Offsets>>,
     /// Configuration in the longest segment of all origins. If joint 2 (or 4) has no encoder, the data fit two
-    /// configurations equally well. The positive side is then used.
+    /// configurations equally well. The first of them in [`Configuration::ALL`] is then used.
     pub configuration: Configuration,
-    /// Pairs of the segments that fit, in the order of time. Each is the index of the sample and its joints \[rad\]. Joints
-    /// without encoder have the predicted value.
+    /// Pairs of the segments that fit, in the order of time. Each entry is the index of a sample and the joints of this
+    /// sample \[rad\]. Joints without encoder have the predicted value.
     pub fitting: Vec<(usize, [f64; BAR_JOINTS])>,
-    /// Robust standard deviation of measured minus predicted angles of each joint, with offsets added
-    /// and nominal geometry \[rad\].
+    /// Robust standard deviation of measured minus predicted angles of each joint, with
+    /// offsets added and nominal geometry \[rad\].
     pub spread_rad: [f64; BAR_JOINTS],
 }
 
@@ -61,7 +61,7 @@ impl OffsetFit {
     }
 }
 
-/// Smallest number of pairs in the longest segment of an origin that determine its offsets.
+/// The offsets of an origin are estimated only if the longest segment of the origin has at least this number of pairs.
 const PAIRS_MIN: usize = 10;
 
 /// Finds offsets and configurations for a bar with the links `bar_links`. A segment is left out if the median of its errors

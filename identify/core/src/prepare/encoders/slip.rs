@@ -1,6 +1,5 @@
-//! Finds an encoder that slipped so far that it fits no joint. The search runs before any fit;
-//! otherwise the error would name the encoder map as cause. Smaller slips are found later, by
-//! comparison with the fitted geometry (`calibrate::change`).
+//! Finds an encoder that slipped so far that it fits no joint. The search runs before any fit. Otherwise the encoder map would
+//! be reported as the cause. Smaller slips are found later, by comparison with the fitted geometry (`calibrate::change`).
 
 use super::circular::{circular_median, deviations, spread_of};
 use crate::kinematics::{BAR_JOINTS, wrapped};
@@ -13,15 +12,17 @@ const CLEARLY_WITHIN: f64 = 0.5;
 
 /// How one encoder fits the joints in one segment of the run.
 enum EncoderFit {
-    /// It fits some joint without a step.
+    /// The encoder fits some joint without a step.
     Whole,
-    /// It fits joint `joint` (counted from 0) before and after a step at pair `at`, where its readings change by `by_rad`.
+    /// The encoder fits joint `joint` (counted from 0) before and after a step. The step is at pair `at`,
+    /// where the readings change by `by_rad`.
     Stepped { joint: usize, at: usize, by_rad: f64 },
-    /// It fits no joint.
+    /// The encoder fits no joint.
     Nowhere,
 }
 
-/// Returns a slip, if there is a segment in which all encoders fit except one, and this one fits before and after a step.
+/// Returns a slip, if there is a segment in which all encoders fit except one, and this
+/// encoder fits both before and after a step.
 ///
 /// `pairs` are in the order of time; `t_s` are the times of all samples \[s\].
 pub(in crate::prepare) fn large_slip(
@@ -62,8 +63,8 @@ fn encoder_fit(segment: &[AnglePair], recorded: usize, limit_rad: f64) -> Encode
             at,
             by_rad: -sign * by_rad,
         });
-        // If the step is near an end of the segment, the encoder fits as a whole, because most samples fit. The
-        // step is still reported.
+        // If the step is near an end of the segment, the encoder fits as a whole, because most
+        // samples fit. The step is still reported.
         if spread_of(deviations(differences)) <= limit_rad {
             return with_step.unwrap_or(EncoderFit::Whole);
         }
@@ -74,8 +75,9 @@ fn encoder_fit(segment: &[AnglePair], recorded: usize, limit_rad: f64) -> Encode
     stepped
 }
 
-/// Finds the pair at which the differences step, and the step \[rad\]. `None` if the differences are not
-/// constant before and after.
+/// Searches for a step in the differences between predicted and recorded angles. Returns the index of the first pair after
+/// the step, and the size of the step \[rad\]. `None` if the differences are not constant before and after the step, or if
+/// the step is too small or too near to an end.
 fn step(differences_rad: &[f64], limit_rad: f64) -> Option<(usize, f64)> {
     let change = |at: usize| wrapped(differences_rad[at] - differences_rad[at - 1]).abs();
     let at = (1..differences_rad.len()).max_by(|a, b| change(*a).total_cmp(&change(*b)))?;

@@ -21,8 +21,8 @@ pub struct BarReading {
     pub cycle: usize,
     /// Number of the counters' origin, from 0 without gaps; readings with the same number have the same encoder offsets.
     pub origin: usize,
-    /// Angles by recorded joint, with unknown offsets \[rad\]. Within an origin they are continuous, and within half a turn
-    /// of zero at its first reading. 0 for joints without encoder.
+    /// Angles by recorded joint, with unknown offsets \[rad\]. Within an origin they are continuous. At the first reading of
+    /// an origin, each angle is within half a turn of zero. 0 for joints without encoder.
     pub recorded_rad: [f64; BAR_JOINTS],
 }
 
@@ -47,8 +47,8 @@ pub struct BarAngles {
     pub measured: [bool; BAR_JOINTS],
     /// Readings of all valid cycles, with times on the recording's clock.
     pub readings: Stream<BarReading>,
-    /// Status of each cycle. Cycles without a valid reading are invalid, or their time does not increase. Cycles with a
-    /// reading are `Thinned` until a later step of the preparation sets their status.
+    /// Status of each cycle. A cycle without a reading is `Invalid` or `TimeNotIncreasing`. A cycle with a reading is
+    /// `Thinned` until a later step of the preparation sets its status.
     pub statuses: Vec<SampleStatus>,
 }
 
@@ -63,14 +63,14 @@ impl BarAngles {
         self.readings.last().map_or(0, |last| last.origin + 1)
     }
 
-    /// Replaces each reading by its average, and returns the readings from before. Readings without an average are left out.
+    /// Replaces each reading by its average, and returns the original readings. Readings without an average are left out.
     /// Origins are numbered again, because some origins may have no reading left.
     pub(in crate::prepare) fn average(&mut self, width_s: f64) -> Stream<BarReading> {
         let mut averaged = self.readings.averaged(width_s);
         let by_origin = averaged.chunk_by_mut(|a, b| a.origin == b.origin);
         by_origin.enumerate().for_each(|(origin, rows)| rows.iter_mut().for_each(|row| row.origin = origin));
-        // All valid cycles are marked as without an average. The selection of samples later sets the status
-        // of those with one.
+        // All valid cycles are marked as without an average. The selection of samples later sets the
+        // status of the cycles that have an average.
         let valid = self.statuses.iter_mut().filter(|status| **status == SampleStatus::Thinned);
         valid.for_each(|status| *status = SampleStatus::NotAveraged);
         std::mem::replace(&mut self.readings, averaged)
@@ -80,7 +80,7 @@ impl BarAngles {
 /// Unwraps the counts of all valid cycles, and converts them to angles.
 ///
 /// # Errors
-/// [`PrepareError::NoValidCycle`], and errors if cycles and declared encoders disagree.
+/// [`PrepareError::NoValidCycle`], and errors if the encoders in the cycles are not the declared encoders.
 pub fn bar_angles(cycles: &[CycleRecord], encoders: &[EncoderInfo]) -> Result<BarAngles, PrepareError> {
     let mut angles = BarAngles { measured: measured(encoders)?, ..BarAngles::default() };
     let mut recorded_origin = cycles.first().map_or(0, |cycle| cycle.origin);
@@ -128,8 +128,8 @@ struct Counters<'a> {
     encoders: &'a [EncoderInfo],
     /// One unwrapper for each encoder, in the order of the recording.
     unwrappers: Vec<Unwrapper>,
-    /// Whole turns that are subtracted from each joint, chosen at the first reading of the origin \[rad\];
-    /// `None` before this reading.
+    /// Whole turns that are subtracted from each joint, chosen at the first reading of the origin
+    /// \[rad\]; `None` before this reading.
     turns_rad: Option<[f64; BAR_JOINTS]>,
 }
 

@@ -1,5 +1,5 @@
 //! Makes both logs continuous and, optionally, averages them. The logs from before the average are retained,
-//! to report its effect.
+//! to report the effect of the average.
 
 use std::borrow::Cow;
 
@@ -15,11 +15,11 @@ use crate::model::Clock;
 use crate::prepare::{EncoderMap, PrepareError, PrepareOptions};
 use crate::threads::both;
 
-/// Both logs after these steps.
+/// Both logs after they were made continuous and, optionally, averaged.
 pub(in crate::prepare) struct BothLogs<'a> {
     pub angles: BarAngles,
     pub log: Cow<'a, RobotLog>,
-    /// Encoders of the bar and joints of the robot that wrapped, in this order.
+    /// First the encoders of the bar that wrapped, then the joints of the robot that wrapped.
     pub unwrapped: [Vec<Unwrapped>; 2],
     /// Both logs before they were averaged; `None` without an average.
     before: Option<BeforeAverage<'a>>,

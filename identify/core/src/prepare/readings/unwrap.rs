@@ -1,4 +1,4 @@
-//! Makes counters and robot joints that wrap continuous, and describes the wraps for reports.
+//! Makes the readings of counters and robot joints continuous if they wrap, and describes the wraps for reports.
 
 use std::borrow::Cow;
 use std::f64::consts::TAU;
@@ -40,8 +40,8 @@ pub fn unwrapped_counters(
     encoders.iter().enumerate().filter_map(of_encoder).collect()
 }
 
-/// Makes joints continuous that wrap after each turn. Returns the log and a description of these joints. Without this, a
-/// spline or an average across a wrap would pass through a whole turn.
+/// Makes the angles of joints continuous if they wrap after each turn. Returns the log and a description of the joints that
+/// wrapped. Without this step, a spline or an average across a wrap would pass through a whole turn.
 pub fn unwrapped_log(log: &RobotLog) -> (Cow<'_, RobotLog>, Vec<Unwrapped>) {
     let Cow::Owned(q_rad) = log.q_rad.unwrapped(TAU) else { return (Cow::Borrowed(log), Vec::new()) };
     let has_wrapped = |joint: &usize| q_rad.iter().zip(log.q_rad.iter()).any(|(a, b)| a[*joint] != b[*joint]);

@@ -34,7 +34,7 @@ pub struct LocalShift {
 
 /// Length of a part \[s\].
 const PART_S: f64 = 5.0;
-/// Smallest standard deviation of the speeds of a part that determines a shift, over all joints together \[rad/s\].
+/// A shift is computed only for parts whose speeds have at least this standard deviation, over all joints together \[rad/s\].
 const SPEED_SPREAD_MIN_RAD_S: f64 = 0.05;
 /// Smallest number of samples of a part.
 const PART_SAMPLES_MIN: usize = 20;
@@ -85,8 +85,7 @@ const OUTLIER_RAD_MIN: f64 = 100e-6;
 /// and the solve needs these samples.
 const OUTLIER_SHARE_MAX: f64 = 0.05;
 
-/// Indices of the samples in which the error of a joint is an outlier; none if their
-/// fraction is above [`OUTLIER_SHARE_MAX`].
+/// Indices of the samples in which the error of a joint is an outlier; none if their fraction is above [`OUTLIER_SHARE_MAX`].
 pub(in crate::prepare) fn outliers(errors: &[AngleErrors], spreads_rad: &[f64; BAR_JOINTS]) -> Vec<usize> {
     let is_outlier = |sample: &&AngleErrors| {
         let mut errors = sample.error_rad.iter().zip(spreads_rad);

@@ -26,8 +26,8 @@ use crate::threads::rows;
 const EDGE_S: f64 = 0.03;
 /// Smallest number of samples of a solve.
 const KEPT_MIN: usize = 50;
-/// Largest number of samples that are checked; in a longer recording, the others are thinned unchecked. In a recording of a
-/// day, four samples per second are still checked. Fewer would not show a clock step.
+/// Largest number of samples that are checked. In a longer recording, the other samples are thinned without a check. In a
+/// recording of a day, four samples per second are still checked. With fewer samples, a clock step would not be found.
 const CHECKED_MAX: usize = 400_000;
 
 /// Status of all samples, and the data of those that the solve uses.

@@ -18,13 +18,13 @@ use crate::prepare::{Channels, Match, correlate};
 use crate::solver::GoodShare;
 use crate::statistics::largest_difference;
 
-/// A robot counts as at rest if its mean speed is below [`MOVING_RAD_S`] from this time before an instant until this
-/// time after it \[s\].
+/// A robot counts as at rest at an instant if its mean speed is below [`MOVING_RAD_S`] in the interval from this time before
+/// the instant to this time after the instant \[s\].
 pub(super) const REST_S: f64 = 0.05;
 /// Fraction of the rows within the robot's log at which the robot must be at rest.
 const AT_REST_MIN: f64 = 0.9;
-/// Step between the rates of the clock that are tried. One step moves a row that is an hour from the middle by less time
-/// than the robot rests.
+/// Difference between successive rates of the clock that are tried. At a row one hour from the middle of the window, this
+/// difference changes the robot time by 36 ms, which is less than the duration of a standstill.
 const SKEW_STEP: f64 = 0.1 * SKEW_SIGMA;
 /// Number of steps of the rate in each direction: up to two standard deviations.
 const SKEW_STEPS: i64 = 20;
@@ -52,8 +52,8 @@ impl TrackerSearch<'_> {
         (0..steps).map(rests).collect()
     }
 
-    /// Whether the robot is at rest at the time `tau_s` of its log; `None` outside the log. `resting` is
-    /// the result of [`Self::resting`].
+    /// Whether the robot is at rest at the time `tau_s` of its log; `None` outside the log.
+    /// `resting` is the result of [`Self::resting`].
     pub(super) fn rests_at(&self, resting: &[bool], tau_s: f64) -> Option<bool> {
         let place = (tau_s / self.step_s).round() as usize;
         resting.get(place).copied().filter(|_| tau_s >= 0.0)
@@ -67,12 +67,13 @@ impl TrackerSearch<'_> {
         let times_s = self.observed_m.t_s.get(window.clone()).unwrap_or_default();
         let middle_s = 0.5 * (times_s.first().unwrap_or(&0.0) + times_s.last().unwrap_or(&0.0));
         let reach = (0.5 * self.period_s / self.step_s) as i64;
-        // The shift is defined at the middle of the window, so that a change of the rate does not move the rows there.
+        // The shift is defined at the middle of the window, so that a change of the rate does not change the robot times there.
         let clock = |steps: i64, skew: f64| Clock {
             shift_s: coarse.shift_s + steps as f64 * self.step_s - skew * middle_s,
             skew,
         };
-        // Number of rows at which the robot is at rest; `None` if these are not nearly all rows within the robot's log.
+        // Number of rows at which the robot is at rest. `None` if they are less than
+        // [`AT_REST_MIN`] of the rows within the robot's log.
         let rows_at_rest = |clock: &Clock| {
             let (mut covered, mut at_rest) = (0, 0);
             for rests in times_s.iter().filter_map(|t_s| self.rests_at(&resting, clock.robot_time_s(*t_s))) {
@@ -90,7 +91,7 @@ impl TrackerSearch<'_> {
             }
             found
         };
-        // Rates are tried from zero outwards, so that the one nearest to zero is selected among equally good ones.
+        // Rates are tried from zero outwards, so that among equally good rates the rate nearest to zero is selected.
         let rates = (0..=SKEW_STEPS).flat_map(|number| [number, -number]);
         let mut best = AtRest::default();
         for other in rates.map(at_rate) {
