@@ -87,7 +87,7 @@ fn count_of(value: f64, reading: &EncoderReader) -> Option<i64> {
 }
 
 /// The encoders in the order of the mapping, or without a mapping in the order of the bar's configuration. `None` if one of
-/// them is not among the joints `found`.
+/// the encoders is not among the joints `found`.
 fn encoders_among(
     found: &[&str],
     bar: &BallBarConfig,

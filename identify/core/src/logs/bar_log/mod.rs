@@ -2,7 +2,7 @@
 //!
 //! Tables and bags are converted to records of bus cycles, as in recordings, so that later steps have only one form of
 //! input. Such files lack some information that recordings contain: the validity of each count, the uncertainty of times,
-//! restarts of counters. It is not invented: [`OtherBarLog::unknown`] lists the missing information.
+//! restarts of counters. [`OtherBarLog::unknown`] lists the missing information.
 
 mod bag;
 mod mapping;
@@ -70,8 +70,8 @@ pub struct OtherBarLog {
     pub encoders: Vec<EncoderInfo>,
     /// A record for each row or message. The values of rows that cannot be used are marked as not valid.
     pub cycles: Vec<CycleRecord>,
-    /// Quality of the log. Incomplete rows, repeated rows and excursions are not removed from `cycles`,
-    /// but marked as not valid.
+    /// Quality of the log. Incomplete rows, repeated rows and excursions are not removed from `cycles`, but
+    /// marked as not valid.
     pub quality: LogQuality,
     /// Encoders whose counters or angles wrapped and were made continuous.
     pub unwrapped: Vec<Unwrapped>,
@@ -82,8 +82,8 @@ pub struct OtherBarLog {
 }
 
 impl BarLog {
-    /// Reads the file at `path`. The kind of file is recognised by the content. `bar` contains the counts
-    /// per revolution of each encoder.
+    /// Reads the file at `path`. The kind of file is recognised by the content. `bar` contains the counts per
+    /// revolution of each encoder.
     ///
     /// # Errors
     /// Every way in which the file cannot be used.
@@ -107,8 +107,9 @@ impl BarLog {
         }
     }
 
-    /// Encoders whose counters or angles wrapped, in a file of another program; `None` for a recording. The records do not
-    /// show these wraps, because their counts are unwrapped and then wrap at 32 bits, like those of a terminal.
+    /// Encoders whose counters or angles wrapped, in a file of another program; `None` for a recording. The records do
+    /// not show these wraps, because their counts were made continuous. The counts of the records wrap only at 32
+    /// bits, like the counts of a terminal.
     pub fn unwrapped(&self) -> Option<&[Unwrapped]> {
         match self {
             Self::Recording(_) => None,
@@ -128,7 +129,7 @@ impl BarLog {
 /// Whether a file is a recording of this project, possibly a damaged one. MCAP bags of other programs are not recordings.
 ///
 /// # Errors
-/// [`ReadErrorKind::Io`] if it cannot be read.
+/// [`ReadErrorKind::Io`] if the file cannot be read.
 pub fn is_recording(path: &Path) -> Result<bool, ReadError> {
     let mut beginning = Vec::new();
     let read = File::open(path).and_then(|file| file.take(BEGINNING).read_to_end(&mut beginning));

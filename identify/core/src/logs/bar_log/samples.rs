@@ -22,11 +22,11 @@ use crate::logs::{LogError, LogQuality, ROWS_MIN, Unwrapped, UnwrappedPoint, sin
 
 /// Largest speed at which a robot moves a joint of the bar \[rad/s\].
 const SPEED_RAD_S_MAX: f64 = 4.0 * std::f64::consts::PI;
-/// Upper bounds of the motion of a bar's joint. A bar is moved by a robot or by hand. Neither turns back
-/// faster than a robot's joints.
+/// Upper bounds of the motion of a bar's joint. A bar is moved by a robot or by hand. Neither turns back faster
+/// than a robot's joints.
 const FASTEST: Fastest = Fastest { speed: SPEED_RAD_S_MAX, acceleration: 200.0 };
-/// Smallest step at a new origin \[rad\]. Without it, ordinary motion could exceed the largest speed, because receive times
-/// jitter and rows may have almost the same time.
+/// Smallest step at a new origin \[rad\]. Without this limit, ordinary motion could look like a new origin: receive times
+/// jitter, so two rows may have almost the same time and a speed above [`SPEED_RAD_S_MAX`].
 const JUMP_RAD_MIN: f64 = 0.2;
 /// Largest number of restarts of the counters that are listed in a remark. A wrong scale causes thousands of them.
 const PLACES_MAX: usize = 5;
@@ -84,8 +84,8 @@ impl EncoderReader {
                 })?;
                 (scale, wraps_at)
             }
-            // An angle does not wrap at the width of a counter. It wraps after a turn, so each step
-            // is the shorter way around.
+            // An angle does not wrap at the width of a counter, but after a turn. Of the two directions, each step is
+            // assumed to be in the shorter one.
             EncoderUnit::Rad | EncoderUnit::Deg => {
                 (ANGLE_SCALE, ANGLE_SCALE.counts_per_revolution().unsigned_abs())
             }
@@ -133,7 +133,7 @@ pub(super) struct RawBarRow {
     pub stamp_ns: i64,
     /// Counts as in the file, in the order of the readers; `None` for missing values.
     pub counts: [Option<i64>; MAX_ENCODERS],
-    /// Whether each value is valid, by the file.
+    /// Whether the file marks each value as valid.
     pub valid: [bool; MAX_ENCODERS],
     /// Flags of the whole row, see [`flags`].
     pub flags: u32,
@@ -155,8 +155,8 @@ pub(super) struct BarLogKind {
     pub row: &'static str,
     /// Whether the file marks invalid values.
     pub has_validity: bool,
-    /// Whether the file marks restarts of the counters. If so, the values are not searched for
-    /// restarts, excursions and repeated rows.
+    /// Whether the file marks restarts of the counters. If so, the values are not searched for restarts,
+    /// excursions and repeated rows.
     pub has_origins: bool,
     /// Whether the stamps count from 1970.
     pub is_dated: bool,
@@ -274,8 +274,8 @@ impl RawBarLog {
         })
     }
 
-    /// Marks excursions, such as rows of zeros, as not valid. Each of them would otherwise look like
-    /// two restarts of the counters.
+    /// Marks excursions, such as rows of zeros, as not valid. Otherwise each excursion would look like two
+    /// restarts of the counters.
     fn mark_excursions(&mut self) -> Result<(), LogError> {
         let width = self.readings.len();
         // Indices of the rows that are searched. `shown` and `step` below count among these rows.
@@ -312,8 +312,9 @@ impl RawBarLog {
         }
     }
 
-    /// Begins a new origin where two or more encoders jump. If a terminal loses power, its counter restarts at an arbitrary
-    /// count, and so do the counters of its neighbours. A single encoder that jumps has slipped, which a later step reports.
+    /// Begins a new origin where two or more encoders jump. If a terminal loses power, its counter restarts at an
+    /// arbitrary count, and so do the counters of its neighbours. If only one encoder jumps, it has slipped, which a
+    /// later step of the preparation reports.
     fn mark_origins(&mut self, cycles: &mut [CycleRecord]) {
         let (mut places, mut begins_origin) = (Vec::new(), vec![false; cycles.len()]);
         for pair in valid_cycles(cycles).windows(2) {
@@ -346,8 +347,8 @@ impl RawBarLog {
         ));
     }
 
-    /// Rejects a counter with fewer bits than configured. Such a counter has counts that use at least three quarters of a
-    /// smaller width, and that jump by more than half of this width when it wraps.
+    /// Rejects a counter with fewer bits than configured. The counts of such a counter span at least three quarters of a
+    /// smaller width, and jump by more than half of that width when the counter wraps.
     fn check_wrap(&self, encoder: usize) -> Result<(), LogError> {
         let Some(reading) = self.readings.get(encoder).filter(|reading| reading.is_counts()) else {
             return Ok(());

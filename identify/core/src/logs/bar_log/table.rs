@@ -18,8 +18,8 @@ use crate::logs::{CsvLayout, SIMULATED};
 
 /// Names of the time column that are known without a mapping, each with its unit.
 const TIMES: [(&str, TimeUnit); 2] = [("time_utc", TimeUnit::DateTime), ("t_s", TimeUnit::S)];
-/// Names of an encoder's column that are known without a mapping: the text before and after the number of
-/// the joint, and the unit.
+/// Names of an encoder's column that are known without a mapping: the text before and after the number of the
+/// joint, and the unit.
 const VALUES: [(&str, &str, EncoderUnit); 3] = [
     ("count", "", EncoderUnit::Counts),
     ("angle", "_rad", EncoderUnit::Rad),
@@ -100,8 +100,7 @@ fn usual_names(joint: usize) -> [(String, EncoderUnit); 3] {
     VALUES.map(|(before, after, unit)| (format!("{before}{joint}{after}"), unit))
 }
 
-/// The layout of a table without a mapping, whose columns have the usual names. The encoders are in
-/// the order of the columns.
+/// The layout of a table without a mapping, whose columns have the usual names. The encoders are in the order of the columns.
 fn usual_layout(table: &CsvTable<'_>, path: &Path, bar: &BallBarConfig) -> Result<BarTableLayout, LogError> {
     let (time, unit) =
         TIMES.into_iter().find(|(name, _)| table.has(name)).unwrap_or(("time_utc", TimeUnit::DateTime));

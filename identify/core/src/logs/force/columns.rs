@@ -167,8 +167,8 @@ impl ForceLayout {
         Ok(Some(Self { kind, columns, to_si: 1.0, frame_in_comment: kind == ForceKind::InFlange }))
     }
 
-    /// Meaning of the columns. Call this after the last row has been read, because the comment with the axes may
-    /// be anywhere in the table.
+    /// Meaning of the columns. Call this after the last row has been read, because the comment with the axes may be
+    /// anywhere in the table.
     pub fn kind(&self, table: &CsvTable<'_>) -> ForceKind {
         let is_base = |frame: &str| frame.eq_ignore_ascii_case("base");
         let in_base = self.frame_in_comment && table.comment("force_frame").is_some_and(is_base);

@@ -46,8 +46,8 @@ impl Validate for ForceLogMapping {
 }
 
 impl ForceLog {
-    /// Reads the file at `path`. Torques in the file are on the axes of the robot's log; they are
-    /// converted to the model's joints.
+    /// Reads the file at `path`. Torques in the file are on the axes of the robot's log; they are converted
+    /// to the model's joints.
     ///
     /// # Errors
     /// Every way in which the file cannot be used, see [`LogError`].

@@ -100,9 +100,9 @@ impl JointConversion {
         row_times_matrix(&self.to_si(raw_per_s, self.unit), &self.raw_to_joint)
     }
 
-    /// Converts torques \[N m\] on the axes of one row of the log to torques of the joints. The power is the same
-    /// on both sides, so the vector of joint torques is the inverse of `T` times the vector of torques in the
-    /// log, both as column vectors.
+    /// Converts the torques in one row of the log \[N m\], which act on the axes of the log, to torques of the joints.
+    /// The power is the same on both sides, so the vector of joint torques is the inverse of `T` times the vector of
+    /// torques in the log, both as column vectors.
     pub fn to_joint_torque(&self, raw_nm: &[f64]) -> Joints {
         self.joint_to_raw
             .iter()

@@ -1,5 +1,5 @@
 //! Reads logs of ABB Externally Guided Motion. The controller sends `EgmRobot` messages over UDP. The file contains these
-//! messages, each after its length as a varint, which protobuf calls delimited.
+//! messages in protobuf's delimited form: before each message is its length, as a varint.
 //!
 //! The fields are those of ABB's public `egm.proto` (proto2, package `abb.egm`), without fields that are not used. Joints
 //! are in degrees. The times of `feedBack` and `planned` are UTC since RobotWare 6.07. Older controllers only set

@@ -52,8 +52,8 @@ impl LogFormat {
         if text.trim_ascii_start().starts_with(b"<") {
             return Ok(Self::Rsi);
         }
-        // Control bytes mean binary data, except in UTF-16 text, which begins with a byte order mark and
-        // is decoded by the reader.
+        // Control bytes mean binary data, except in UTF-16 text, which begins with a byte order mark and is
+        // decoded by the reader.
         let is_utf_16 = text.starts_with(b"\xff\xfe") || text.starts_with(b"\xfe\xff");
         let has_control_bytes = text.iter().take(4096).any(|byte| matches!(byte, 0..=8 | 14..=31));
         if has_control_bytes && !is_utf_16 {

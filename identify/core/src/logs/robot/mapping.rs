@@ -57,8 +57,8 @@ impl CsvLayout {
     }
 }
 
-/// Adds a multiple of one joint to another: `q[joint] += factor * q[from]`. Both values are those of the
-/// file, after sign and offset.
+/// Adds a multiple of one joint to another: `q[joint] += factor * q[from]`. Both values are those of the file,
+/// after sign and offset.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Coupling {

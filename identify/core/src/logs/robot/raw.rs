@@ -26,7 +26,7 @@ use crate::threads;
 /// Distance by which joint values may exceed the nominal limits before a log is rejected \[deg\], because the zero positions
 /// of real robots differ a little from the data sheet. For prismatic axes the value in radians counts as metres, 35 mm.
 const LIMIT_SLACK_DEG: f64 = 2.0;
-/// If no joint moves by more than this, a remark is added, because such a log cannot identify anything \[deg\].
+/// If no joint moves by more than this, a remark is added, because such a log does not determine any parameter \[deg\].
 const MOTION_DEG_MIN: f64 = 5.0;
 /// Upper bounds of a robot's motion. The wrists of small robots reach 1500 deg/s within 0.13 s.
 const FASTEST: Fastest = Fastest { speed: 30.0, acceleration: 200.0 };
@@ -62,8 +62,8 @@ pub(in crate::logs) struct RawLog {
     more: [Vec<Joints>; 3],
     /// Properties of the log other than its rows.
     pub log: RobotLog,
-    /// Kind of the force on the bar, if the log contains it. If the kind is joint torques and the force has no columns, the
-    /// force is the torques of the rows.
+    /// Kind of the force on the bar, if the log contains it. If the kind is joint torques and the force has no
+    /// columns, the torques of the rows are used.
     pub force: Option<ForceKind>,
 }
 
@@ -74,8 +74,8 @@ pub(in crate::logs) struct Meaning<'a> {
     unit: AngleUnit,
     /// Whether a mapping names the joints.
     is_mapped: bool,
-    /// Factors that convert the values of the file to the units of `conversion`. The conversion of a mapping
-    /// is from radians and metres.
+    /// Factors that convert the values of the file to the units of `conversion`. The conversion of a mapping is
+    /// from radians and metres.
     factors: Joints,
     /// Conversion to the joint variables of the model.
     conversion: JointConversion,
@@ -139,8 +139,8 @@ impl<'a> Meaning<'a> {
         })
     }
 
-    /// The conversion for a format with joints of the controller and angles in `unit`. It is that of the robot's
-    /// configuration, which must convert joints and not motors.
+    /// The conversion for a format with joints of the controller and angles in `unit`. The conversion is taken from the
+    /// robot's configuration, which must convert joints and not motors.
     pub fn of_controller(
         robot: &'a RobotConfig,
         unit: AngleUnit,
@@ -189,8 +189,8 @@ impl RawLog {
         self.log.quality.remarks.push(remark.into());
     }
 
-    /// Adds the next row of the file. A row that repeats the row before, or in which a joint is missing,
-    /// is counted, but not added.
+    /// Adds the next row of the file. A row that repeats the row before, or in which a joint is missing, is
+    /// counted, but not added.
     pub fn push(&mut self, row: RawRobotRow, meaning: &Meaning<'_>) -> Result<(), LogError> {
         let joints = meaning.scaled(row.joints);
         if joints.iter().any(|joint| !joint.is_finite()) {
@@ -261,8 +261,8 @@ impl RawLog {
         Ok(RobotLog { q_rad: q_rad.into(), speed_rad_s, torque, force, ..self.log })
     }
 
-    /// The force on the bar at the times of the joints. If the mapping has a force but some row lacks it, adds
-    /// a remark and returns `None`.
+    /// The force on the bar at the times of the joints. If the mapping has a force but some row lacks it, adds a
+    /// remark and returns `None`.
     fn bar_force(
         &mut self,
         columns: Option<Vec<Joints>>,
@@ -298,8 +298,8 @@ impl RawLog {
         self.remove(&repeated);
     }
 
-    /// Removes rows that jump away and back. They would be interpolated, and would change the motion with
-    /// which the clocks are compared.
+    /// Removes rows that jump away and back. Otherwise they would be interpolated, and would change the motion with which
+    /// the clocks are compared.
     fn drop_excursions(&mut self, meaning: &Meaning<'_>) -> Result<(), LogError> {
         let q = threads::rows(self.joints.len(), |row| meaning.conversion.to_joint(&self.joints[row]));
         let kinds: Vec<JointKind> = meaning.robot.joint_kinds().collect();

@@ -32,8 +32,7 @@ pub fn load(path: &Path, robot: &RobotConfig) -> Result<RobotLog, LogError> {
     load_with(path, robot, &LogOptions::default())
 }
 
-/// Like [`load`], but for bytes in memory. `path` is only used in error messages, and its
-/// extension may determine the format.
+/// Like [`load`], but for bytes in memory. `path` is only used in error messages, and its extension may determine the format.
 ///
 /// # Errors
 /// As [`load`].

@@ -41,8 +41,8 @@ struct RobotTableLayout {
     force: Option<ForceLayout>,
 }
 
-/// Reads a table with the robot's own columns: `t_s` and the columns that the robot's configuration
-/// names. Other columns are ignored.
+/// Reads a table with the robot's own columns: `t_s` and the columns that the robot's configuration names.
+/// Other columns are ignored.
 pub(in crate::logs) fn read_own(source: LogSource<'_>, robot: &RobotConfig) -> Result<RobotLog, LogError> {
     let path = source.path;
     let meaning = Meaning::own(robot, robot.log.unit, own_columns(robot))?;
@@ -63,12 +63,12 @@ pub(in crate::logs) fn read_own(source: LogSource<'_>, robot: &RobotConfig) -> R
 }
 
 /// Returns the log, or an error if its `t_s` counts milliseconds or microseconds. With times that are 1000 times too long,
-/// rows are seconds apart, and all joints seem to be much slower than those of a moving robot.
+/// rows are seconds apart, and all joints seem to move much more slowly than a real robot.
 fn refuse_if_not_seconds(log: RobotLog, path: &Path) -> Result<RobotLog, LogError> {
-    /// Smallest median time between rows of a log with wrong units \[s\]. Even if it is correct, such a
-    /// log cannot follow a motion.
+    /// A log is refused only if the median time between its rows is at least this \[s\]. Even with correct times, such a log
+    /// would be too coarse to follow a motion.
     const PERIOD_S_MIN: f64 = 0.9;
-    /// Largest speed in a log with wrong units \[rad/s, m/s\]. A real motion exceeds this speed at some time.
+    /// A log is refused only if no joint is faster than this \[rad/s, m/s\]. A real motion exceeds this speed at some time.
     const SPEED_MIN: f64 = 0.02;
     let (t_s, rows) = (&log.q_rad.t_s, &log.q_rad);
     let [period_s, _] = usual_and_longest_step_s(t_s);

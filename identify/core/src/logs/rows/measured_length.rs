@@ -1,8 +1,8 @@
-//! Reads tables of measured lengths. Each row is a pose of the robot with the length of a draw-wire sensor or of
-//! a telescoping bar without encoders.
+//! Reads tables of measured lengths. Each row is a pose of the robot with the length of a draw-wire sensor or of a
+//! telescoping bar without encoders.
 //!
-//! Instruments write different columns, so a mapping in TOML names the columns and their
-//! units. `config/measured_length.toml` explains each key.
+//! Instruments write different columns, so a mapping in TOML names the columns and their units.
+//! `config/measured_length.toml` explains each key.
 
 use std::path::Path;
 
@@ -48,8 +48,8 @@ pub struct LengthUncertaintyColumn {
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MeasuredLengthMapping {
-    /// Standard uncertainty of the wire's scale \[ppm\]. If absent, it is that of a usual wire. 0 means
-    /// that the scale is exact.
+    /// Standard uncertainty of the wire's scale \[ppm\]. If absent, it is that of a usual wire. 0 means that
+    /// the scale is exact.
     pub scale_u_ppm: Option<f64>,
     /// Layout of the table.
     #[serde(default)]
@@ -58,8 +58,8 @@ pub struct MeasuredLengthMapping {
     pub length: LengthColumn,
     /// All joints, base to flange.
     pub joints: Vec<JointColumn>,
-    /// Columns with the controller's position of the flange in the robot's base. Rows are not used if
-    /// this position contradicts the joints.
+    /// Columns with the controller's position of the flange in the robot's base. Rows are not used if this
+    /// position contradicts the joints.
     pub flange: Option<PositionColumns>,
     /// Column of the uncertainty of each row, if the file has this column.
     pub uncertainty: Option<LengthUncertaintyColumn>,
@@ -97,8 +97,8 @@ pub struct LengthRow {
     pub flange_m: Option<[f64; 3]>,
     /// Standard uncertainty of the length \[m\]; `None` if the file does not contain it.
     pub uncertainty_m: Option<f64>,
-    /// Indices of the anchor (as station) and the attachment (as target) in [`MeasuredLengths`]; 0 if the
-    /// file does not name them.
+    /// Indices of the anchor (as station) and the attachment (as target) in [`MeasuredLengths`]; 0 if the file
+    /// does not name them.
     pub set_up: SetUp,
     /// Line number in the file, by which reports name the row.
     pub line: u64,
@@ -109,9 +109,9 @@ pub struct LengthRow {
 pub struct MeasuredLengths {
     /// Rows in the order of the file.
     pub rows: Vec<LengthRow>,
-    /// Names of the anchors in the order of the file; empty if it does not name them.
+    /// Names of the anchors in the order of the file; empty if the file does not name anchors.
     pub anchors: Vec<String>,
-    /// Names of the attachments in the order of the file; empty if it does not name them.
+    /// Names of the attachments in the order of the file; empty if the file does not name attachments.
     pub attachments: Vec<String>,
 }
 

@@ -2,8 +2,8 @@
 //! tracker measured there. The joints of the robot are in the same row ([`MeasuredPoses`]), or in the robot's own log at the
 //! time of the row ([`TimedPoses`]).
 //!
-//! Trackers write different columns, so a mapping in TOML names the columns and their
-//! units. `config/measured_pose.toml` explains each key.
+//! Trackers write different columns, so a mapping in TOML names the columns and their units.
+//! `config/measured_pose.toml` explains each key.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -83,7 +83,8 @@ pub struct RotationColumns {
     pub frame: Option<EulerFrame>,
 }
 
-/// Largest deviation from a rotation by rounded numbers. If the deviation is larger, the numbers are not an orientation.
+/// Largest deviation from a rotation that rounding of the numbers explains. If the deviation is larger, the numbers
+/// are not an orientation.
 const NOT_A_ROTATION: f64 = 1e-2;
 
 /// The axes of three rotations; `None` for an invalid `order`.
@@ -102,7 +103,7 @@ fn axes(order: &str) -> Option<[Vector3<f64>; 3]> {
 }
 
 impl RotationColumns {
-    /// Checks that all keys that the form needs are present, and no other keys.
+    /// Checks that all keys that the form needs are present, and that no other keys are present.
     fn check(&self) -> Result<(), Violation> {
         use RotationForm::{Euler, Matrix, Quaternion, RotationVector};
         let columns = match self.form {
@@ -191,8 +192,8 @@ pub struct PoseUncertainty {
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MeasuredPoseMapping {
-    /// Standard uncertainty of the tracker's scale \[ppm\]. If absent, it is that of a usual tracker. 0 means
-    /// that the scale is exact.
+    /// Standard uncertainty of the tracker's scale \[ppm\]. If absent, it is that of a usual tracker. 0 means that
+    /// the scale is exact.
     pub scale_u_ppm: Option<f64>,
     /// Layout of the table.
     #[serde(default)]
@@ -261,12 +262,12 @@ pub struct PoseRow {
 /// A table in which rows contain the joints.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct MeasuredPoses {
-    /// Rows in the order of the file. It must be the order of the robot's motion, because backlash
-    /// depends on the previous pose.
+    /// Rows in the order of the file. It must be the order of the robot's motion, because backlash depends
+    /// on the previous pose.
     pub rows: Vec<PoseRow>,
-    /// Names of the stations in the order of the file; empty if it does not name them.
+    /// Names of the stations in the order of the file; empty if the file does not name stations.
     pub stations: Vec<String>,
-    /// Names of the targets in the order of the file; empty if it does not name them.
+    /// Names of the targets in the order of the file; empty if the file does not name targets.
     pub targets: Vec<String>,
 }
 
@@ -302,9 +303,9 @@ impl MeasuredPoses {
 pub struct TimedPoses {
     /// Rows without joints. If a regular clock is found, their times are those of this clock, otherwise the stamps.
     pub rows: Stream<PoseRow>,
-    /// Names of the stations in the order of the file; empty if it does not name them.
+    /// Names of the stations in the order of the file; empty if the file does not name stations.
     pub stations: Vec<String>,
-    /// Names of the targets in the order of the file; empty if it does not name them.
+    /// Names of the targets in the order of the file; empty if the file does not name targets.
     pub targets: Vec<String>,
     /// Comparison of the stamps with the regular clock; `None` if no such clock is found.
     pub stamps: Option<Stamps>,
@@ -340,8 +341,8 @@ impl TimedPoses {
             let (before, after) = ((before.line, *before_ns), (after.line, *after_ns));
             return Err(LogError::time_not_increasing(path, "line", before, after));
         }
-        // Two targets may be measured at the same time. The later row then gets the next nanosecond, so that
-        // it is not a duplicate.
+        // Two targets may be measured at the same time. The later row then gets the next nanosecond, so that it
+        // is not a duplicate.
         for row in 1..rows.len() {
             let (before_ns, before) = rows[row - 1];
             let (stamp_ns, pose) = &mut rows[row];
@@ -363,7 +364,7 @@ fn drop_excursions(
     rows: &mut Vec<PoseRow>,
     path: &Path,
 ) -> Result<Option<String>, LogError> {
-    // The indices of the rows of each station and target, which are a view of the robot's motion.
+    // A view contains the indices of the rows of one combination of station and target.
     let mut views: BTreeMap<SetUp, Vec<usize>> = BTreeMap::new();
     for (place, row) in rows.iter().enumerate() {
         views.entry(row.set_up).or_default().push(place);
@@ -383,8 +384,8 @@ fn drop_excursions(
     Ok(remark)
 }
 
-/// The positions of the rows \[m\], without the steps where the target or station changes, because these are
-/// no motion of the robot.
+/// The positions of the rows \[m\], without the steps at changes of target or station, because these steps are not
+/// motion of the robot.
 fn motion(rows: &[PoseRow]) -> Vec<Joints> {
     let mut before: Option<&PoseRow> = None;
     let mut steps_between_targets_m = Vector3::zeros();

@@ -125,8 +125,7 @@ fn positive() -> f64 {
     1.0
 }
 
-/// The columns of the joints in a table that is written: `q1_deg` and so on in degrees, `q1_mm` and
-/// so on for prismatic joints.
+/// The columns of the joints in a table that is written: `q1_deg` and so on in degrees, `q1_mm` and so on for prismatic joints.
 pub fn joint_columns(robot: &RobotConfig) -> Vec<JointColumn> {
     let joint = |(number, kind): (usize, JointKind)| {
         let unit = match kind {
@@ -187,8 +186,8 @@ pub fn joints_of_robot(joints: &[JointColumn], robot: &RobotConfig, path: &Path)
     })
 }
 
-/// Checks the standard uncertainty of an instrument's scale \[ppm\]. An uncertainty of more than a tenth means
-/// that the unit is wrong.
+/// Checks the standard uncertainty of an instrument's scale \[ppm\]. An uncertainty of more than a tenth means that
+/// the unit is wrong.
 pub(super) fn check_scale_u(scale_u_ppm: Option<f64>) -> Result<(), Violation> {
     let remedy = "write the standard uncertainty in ppm: 1000 for 0.1 %, 0 if the scale is exact";
     scale_u_ppm.map_or(Ok(()), |u_ppm| Violation::unless_within("scale_u_ppm", u_ppm, [0.0, 1e5], remedy))
@@ -233,9 +232,9 @@ pub(super) fn rows<R>(
 }
 
 /// Removes rows that only differ from an earlier row by their `line`, and returns a remark if there are any. Such a copy
-/// adds no information and would make the uncertainties too small. A pose that is measured again usually has other noise.
-/// It only looks like a copy if its joints are commanded and the reading is coarse. If it is removed, the uncertainties
-/// can only become too large.
+/// adds no information and would make the uncertainties too small. A pose that is measured again usually has other noise. It
+/// looks like a copy only if its joints are commanded and the reading is coarse. If such a pose is removed, the
+/// uncertainties can only become too large.
 pub fn drop_copies<R: Clone + Debug>(rows: &mut Vec<R>, line: impl Fn(&mut R) -> &mut u64) -> Option<String> {
     /// Largest number of lines that are listed in the remark.
     const NAMED: usize = 8;
@@ -289,7 +288,8 @@ impl Names {
 pub(super) struct SetUpNames([Names; 2]);
 
 impl SetUpNames {
-    /// The numbers of station and target in a row, by the names in two columns. A number is 0 if the file lacks the column.
+    /// The numbers of station and target in a row, by the names in two columns. A number is 0 if the file does
+    /// not have the column.
     pub fn place(
         &mut self,
         row: &CsvRow<'_>,

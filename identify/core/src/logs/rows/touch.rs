@@ -2,8 +2,8 @@
 //! touched part. A ball is seated in a socket ([`ContactMapping`]). A probe touches a flat face ([`TouchMapping`]), and may
 //! have a dial gauge, whose reading is then in the row.
 //!
-//! Files have different columns, so a mapping in TOML names the columns and their units. `config/contact.toml`
-//! and `config/touch.toml` explain each key.
+//! Files have different columns, so a mapping in TOML names the columns and their units. `config/contact.toml` and
+//! `config/touch.toml` explain each key.
 
 use std::path::Path;
 
@@ -118,8 +118,8 @@ impl Validate for TouchMapping {
 /// A table of touched faces.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Touches {
-    /// Rows in the order of the file. It must be the order of the robot's motion, because backlash
-    /// depends on the previous pose.
+    /// Rows in the order of the file. It must be the order of the robot's motion, because backlash depends
+    /// on the previous pose.
     pub rows: Vec<TipRow>,
     /// Names of the faces, in the order in which they occur first in the file.
     pub faces: Vec<String>,

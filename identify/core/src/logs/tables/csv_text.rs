@@ -34,7 +34,7 @@ pub(in crate::logs) struct CsvColumn {
     pub name: String,
 }
 
-/// The delimiter of a header row: semicolon or tab if the row has more of them than commas, otherwise comma.
+/// The delimiter of a header row: semicolon or tab if the row contains more of this character than commas, otherwise comma.
 fn delimiter_of(header: &str) -> u8 {
     let count = |delimiter: u8| header.bytes().filter(|&byte| byte == delimiter).count();
     [b';', b'\t'].into_iter().filter(|&d| count(d) > count(b',')).max_by_key(|&d| count(d)).unwrap_or(b',')
@@ -93,8 +93,8 @@ impl<'a> CsvTable<'a> {
         Ok(Self { header, decimal_comma, rows, cells: csv::StringRecord::new() })
     }
 
-    /// The comment lines `# key: value` that were decoded so far, with keys in lower case. These are at least those before
-    /// the rows that were read.
+    /// The comment lines `# key: value` that were decoded so far, with keys in lower case. They include all comments before
+    /// the last row that was read.
     pub fn comments(&self) -> &[(String, String)] {
         self.rows.get_ref().comments()
     }
@@ -140,8 +140,8 @@ impl<'a> CsvTable<'a> {
         name.map(|name| self.column(name, remedy)).transpose()
     }
 
-    /// The remedy, if the header shows why a column is missing: the header is a row of numbers, or
-    /// the cells have another delimiter.
+    /// The remedy, if the header shows why a column is missing: the header is a row of numbers, or the
+    /// cells have another delimiter.
     fn remedy_of_header(&self) -> Option<String> {
         let is_number = |name: &String| name.replace(',', ".").parse::<f64>().is_ok();
         let is_numbered = (1..).zip(&self.header).all(|(number, name)| *name == number.to_string());
@@ -163,8 +163,8 @@ impl<'a> CsvTable<'a> {
         })
     }
 
-    /// Names of the first columns, for a message. They are shortened, because the first line of a file without
-    /// a header may be long.
+    /// Names of the first columns, for a message. They are shortened, because the first line of a file without a
+    /// header may be long.
     pub fn names(&self) -> String {
         const NAMED: usize = 16;
         const LETTERS: usize = 32;

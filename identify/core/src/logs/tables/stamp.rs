@@ -50,8 +50,8 @@ pub struct TimeColumn {
     pub unit: TimeUnit,
     /// Duration of a cycle \[ms\]. Required with [`TimeUnit::Cycles`], not allowed with any other unit.
     pub period_ms: Option<f64>,
-    /// If present, the column contains times modulo this number, in its unit. Successive rows must then be less
-    /// than half of it apart.
+    /// If present, the column contains times modulo this number, in the unit of the column. Successive rows must then be
+    /// less than half of this number apart.
     pub wraps_at: Option<u64>,
 }
 
@@ -70,7 +70,7 @@ impl TimeColumn {
         })
     }
 
-    /// Checks that cycles and no other unit have a duration, and that times with a date do not wrap.
+    /// Checks that a duration is given for cycles but for no other unit, and that times with a date do not wrap.
     pub(in crate::logs) fn check(&self) -> Result<(), Violation> {
         let (key, is_cycles) = ("time.period_ms", self.unit == TimeUnit::Cycles);
         let problem = "it is missing, and unit = \"cycles\" needs it";
@@ -120,7 +120,8 @@ impl StampReader {
         Self { unit: time.unit, unit_ns, wraps_at_ns, before_ns: None, wrapped_ns: 0 }
     }
 
-    /// The stamp of the next row, from a number of units \[ns\]. `None` if it is more than 292 years from zero.
+    /// Converts the time of the next row, a number of units, to its stamp \[ns\]. `None` if the stamp is more than
+    /// 292 years from zero.
     pub(in crate::logs) fn of_units(&mut self, units: i64) -> Option<i64> {
         let shown_ns = self.units_to_ns(units)?;
         self.unwrapped(shown_ns)

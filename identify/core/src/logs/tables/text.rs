@@ -53,9 +53,8 @@ impl<'a> Text<'a> {
     /// Opens the text of a file. `sheet` is the name of the sheet if the file is a workbook.
     ///
     /// # Errors
-    /// [`LogError::NotText`] for binary data, for a workbook with several sheets if `sheet` is `None`, and for a
-    /// file that is not a workbook if a `sheet` is given. Binary data after the first block cause this error
-    /// only when they are reached.
+    /// [`LogError::NotText`] for binary data, for a workbook with several sheets if `sheet` is `None`, and for a file that is
+    /// not a workbook if a `sheet` is given. Binary data after the first block cause this error only when they are reached.
     pub fn new(source: LogSource<'a>, sheet: Option<&str>) -> Result<Self, LogError> {
         let path = source.path;
         let mut text = Self {
@@ -277,8 +276,8 @@ fn control_character(text: &str) -> Option<(usize, char)> {
     Some((ordinary + offset, character))
 }
 
-/// Whether a line is a comment: its first character is `#`, as in the `csv` crate. A `#` after a blank begins
-/// a cell, such as `#N/A`.
+/// Whether a line is a comment: its first character is `#`, as in the `csv` crate. A `#` after a blank begins a
+/// cell, such as `#N/A`.
 pub fn is_comment(line: impl AsRef<[u8]>) -> bool {
     line.as_ref().first() == Some(&COMMENT)
 }

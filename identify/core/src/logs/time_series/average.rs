@@ -7,15 +7,15 @@ impl<R: Row> Stream<R> {
     /// Average of each row over the time `width_s` around it, without the bias from the curvature of the motion. `None` for
     /// rows nearer than `width_s` to an end or a gap, because an average over a shorter time would be another filter.
     ///
-    /// The mean over a curved motion is biased by `width^2 / 24` times its acceleration. This bias is in the logs of the
-    /// robot and of the bar, but it does not cancel, because the bar's joints are not a linear function of the robot's
-    /// joints. For a fast robot the contradiction reaches a tenth of a millimetre. The mean over twice the width has four
-    /// times the bias, so `(4 mean - mean over twice the width) / 3` has none (Richardson's extrapolation). Its noise is 1.2
-    /// times that of the mean.
+    /// The mean over a curved motion is biased by `width^2 / 24` times its acceleration. Both the robot's log and the bar's
+    /// log would have this bias. It would not cancel, because the bar's joints are not a linear function of the robot's
+    /// joints. For a fast robot, the resulting contradiction between the logs reaches a tenth of a millimetre. The mean over
+    /// twice the width has four times the bias, so `(4 mean - mean over twice the width) / 3` has no bias (Richardson's
+    /// extrapolation). The noise of this result is 1.2 times the noise of the mean.
     ///
-    /// The mean is an integral of the spline through all rows, not a mean of samples, because logs differ in rate: eleven
-    /// samples at 100 Hz and twenty-five at 250 Hz span different times. Where the motion is curved, this difference
-    /// would remain in the result.
+    /// The mean is an integral of the spline through all rows, not a mean of samples, because logs differ in rate:
+    /// eleven samples at 100 Hz and twenty-five at 250 Hz span different times. If the motion is curved, means of
+    /// samples would therefore differ between the logs.
     pub fn averages(&self, width_s: f64) -> Vec<Option<R>> {
         let averages_of = |part| {
             let part = self.slice(part);
@@ -38,8 +38,8 @@ impl<R: Row> Stream<R> {
     }
 }
 
-/// Integral over time of the spline through a segment without gaps. The mean of each number is subtracted
-/// first, to reduce rounding errors.
+/// Integral over time of the spline through a segment without gaps. The mean of each number is subtracted first,
+/// to reduce rounding errors.
 struct Integral<'a, R> {
     /// Times of the rows \[s\].
     t_s: &'a [f64],

@@ -1,7 +1,6 @@
-//! Finds excursions: rows that jump away and back faster than any motion. They were not measured. A logger or an
-//! instrument writes such values, mostly zeros, in place of missing values. Logs of robots, bars and trackers are
-//! searched for excursions before their rows are used for anything else. [`Excursions::find`] searches,
-//! [`remark`] reports the excursions found.
+//! Finds excursions: rows that jump away and back faster than any motion. They were not measured. A logger or an instrument
+//! writes such values, mostly zeros, in place of missing values. Logs of robots, bars and trackers are searched for excursions
+//! before their rows are used for anything else. [`Excursions::find`] searches, [`remark`] reports the excursions found.
 
 use std::path::Path;
 
@@ -11,12 +10,12 @@ use super::sampling::STEPS_PART;
 use crate::logs::LogError;
 use crate::statistics::{quantile, trimmed_mean};
 
-/// Largest number of successive excursions. If a fraction [`SHARE_MAX`] of the rows are independent excursions, a longer run
-/// begins at one row in a billion.
+/// Largest number of successive excursions. Even if a fraction [`SHARE_MAX`] of all rows were independent excursions, a
+/// longer run would begin at only one row in a billion.
 const ROWS_MAX: usize = 8;
-/// An excursion exceeds this multiple of the noise of the log, which is the lower quartile of its second differences other
-/// than zero. For normal noise this is 9.4 standard deviations beyond both neighbours, which occurs by chance in one row in
-/// 10^14. If the resolution is coarse, it is twelve steps of the resolution.
+/// An excursion exceeds this multiple of the noise of the log. The noise is the lower quartile of the second differences of
+/// the log, without those that are zero. For normal noise, this limit is 9.4 standard deviations beyond both neighbours, which
+/// occurs by chance in one row in 10^14. For values with a coarse resolution, this limit is twelve steps of the resolution.
 const NOISE_QUARTILES: f64 = 12.0;
 /// A log with a larger fraction of excursions is rejected.
 const SHARE_MAX: f64 = 0.1;
@@ -46,11 +45,16 @@ pub(in crate::logs) struct Excursions<'a, S> {
 }
 
 impl<S: Fn(usize, usize, usize) -> f64> Excursions<'_, S> {
-    /// The indices of the excursions, in increasing order. A row is an excursion if a value is beyond the values of both
-    /// neighbours by more than each of three limits. The neighbours are the nearest rows before and after the excursion
-    /// that are kept. The limits are the distance that the fastest motion can go and come back in between, the noise of the
-    /// log, and the difference of the neighbours. This difference must be one that the fastest motion allows. Rows that
-    /// could be motion are therefore kept.
+    /// The indices of the excursions, in increasing order. The *neighbours* of a row are the nearest rows before and after
+    /// it that are not excursions. A row is an excursion if a value is beyond the values of both neighbours by more than
+    /// each of these limits:
+    ///
+    /// - the distance that the fastest motion can go and come back between the neighbours,
+    /// - the noise of the log ([`NOISE_QUARTILES`]),
+    /// - the difference between the neighbours.
+    ///
+    /// The fastest motion must also be able to reach one neighbour from the other. Rows that could be
+    /// motion are therefore kept.
     pub fn find(&self) -> Vec<usize> {
         // Period and noise of the log, from a sample of its rows.
         let every = self.t_s.len().div_ceil(SAMPLED_ROWS).max(1);
@@ -69,12 +73,12 @@ impl<S: Fn(usize, usize, usize) -> f64> Excursions<'_, S> {
         };
         while before + 2 < self.t_s.len() {
             step_per_row(before, before + 1, &mut next_step);
-            // A row that continues the motion is not checked, because at an excursion the values change by
-            // more than any motion does.
+            // A row that continues the motion is not checked, to save time. At an excursion, the change per row differs from
+            // the change before it.
             let leaves_motion = (0..self.columns)
                 .any(|column| (next_step[column] - last_step[column]).abs() > 0.5 * noise[column]);
-            // The longest run is tried first. In a shorter run, a row of the same excursion would be taken for
-            // the row that is back.
+            // The longest run is tried first. With a shorter run, another row of the same excursion would be taken for the
+            // first row after it.
             let run = (1..=ROWS_MAX)
                 .rev()
                 .filter(|_| leaves_motion)
@@ -90,9 +94,9 @@ impl<S: Fn(usize, usize, usize) -> f64> Excursions<'_, S> {
         excursions
     }
 
-    /// Whether the `rows` rows after the row `before` are an excursion, so that the row after them is back at the
-    /// motion. A motion of acceleration `a` that turns back within the time `T` between both neighbours is beyond them
-    /// by at most `a T^2 / 8`.
+    /// Whether the `rows` rows after the row `before` are an excursion. Their neighbours are the row `before` and the
+    /// first row after them. A motion with acceleration `a` that turns back within the time `T` between the neighbours
+    /// goes beyond them by at most `a T^2 / 8`.
     fn is_excursion(&self, before: usize, rows: usize, period_s: f64, noise: &[f64]) -> bool {
         let after = before + rows + 1;
         let Some(after_s) = self.t_s.get(after) else { return false };
@@ -105,16 +109,16 @@ impl<S: Fn(usize, usize, usize) -> f64> Excursions<'_, S> {
         let is_beyond = |row: usize, column: usize| {
             let (to_row, to_after) = ((self.step)(before, row, column), to_after(column));
             let beyond = (to_row - to_after.max(0.0)).max(to_after.min(0.0) - to_row);
-            // The row `after` may itself be an excursion. Then it is farther from the row `before` than the correct rows
-            // between them are, so that these are not taken for excursions.
+            // The row `after` may itself be an excursion. In this case `distance` is large, so the correct rows between the
+            // neighbours are not taken for excursions.
             beyond > turning_max.max(noise[column]).max(distance)
         };
         distance <= distance_max
             && (before + 1..after).all(|row| (0..self.columns).any(|column| is_beyond(row, column)))
     }
 
-    /// Lower quartile of the second differences other than zero, as a measure of noise: most second differences come from
-    /// resolution and noise, and only three from each excursion.
+    /// Lower quartile of the second differences other than zero, as a measure of noise. Most second differences come from
+    /// resolution and noise, because excursions are rare and each contributes only three.
     fn second_difference(&self, column: usize, every: usize) -> f64 {
         let rows = (1..self.t_s.len().saturating_sub(1)).step_by(every);
         let sizes = rows.map(|row| (self.step)(row, row + 1, column) - (self.step)(row - 1, row, column));

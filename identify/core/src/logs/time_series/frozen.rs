@@ -55,9 +55,9 @@ impl<R: Row> Stream<R> {
 /// changes, which are a motion.
 const REPEATED_STEP_RAD: f64 = 1e-4;
 
-/// Indices of rows that repeat the row before in the middle of a motion, in runs of at most `run_max`. A logger
-/// that polls faster than its source updates writes the same row several times. `step_rad` is the largest change of
-/// a number between two rows.
+/// Indices of rows that repeat the row before in the middle of a motion, in runs of at most `run_max`. A logger that
+/// polls faster than its source updates writes the same row several times. `step_rad` is the largest change of a
+/// number between two rows.
 pub(in crate::logs) fn repeated_rows(
     rows: usize,
     run_max: usize,

@@ -1,7 +1,7 @@
 //! Time series: rows of numbers, each with a time on one clock.
 //!
 //! `stream` contains the rows. `sampling` estimates the regular clock by which they were sampled. `excursions` and `frozen`
-//! find rows that were not measured. `unwrapped` makes readings continuous that wrap. `spline` interpolates between rows,
+//! find rows that were not measured. `unwrapped` makes readings continuous if they wrap. `spline` interpolates between rows,
 //! and `average` smooths them. `shared` contains data that several users read.
 
 mod average;

@@ -1,11 +1,10 @@
 //! Estimates the regular clock by which the rows of a log were sampled, from their stamps and from the motion of the joints.
 //! [`find_clock`] returns the times of the rows on this clock, for `Stream::from_stamps`.
 //!
-//! Controllers sample by a clock that is regular to microseconds. The stamps may come from another clock: they
-//! may be rounded, read late, or shared by several rows. The model of the stamp of row `k` is
-//! `t_k = offset + n_k period + steps + jitter`, rounded to a grid. The cells of this grid are the intervals
-//! that round to the same stamp. The row's number `n_k` is a whole number of periods. It increases by more than
-//! one where rows are missing.
+//! Controllers sample by a clock that is regular to microseconds. The stamps may come from another clock: they may be rounded,
+//! read late, or shared by several rows. The model of the stamp of row `k` is `t_k = offset + n_k period + steps + jitter`,
+//! rounded to a grid. A *cell* of this grid is the interval of times that are rounded to the same stamp. The row's number
+//! `n_k` is a whole number of periods. It increases by more than one where rows are missing.
 //!
 //! The steps of the estimation are:
 //!
@@ -55,22 +54,21 @@ pub(in crate::logs) fn find_clock(stamps_s: Vec<f64>, rows: &[Joints]) -> Option
     const CURVE_S: f64 = 0.1;
     /// The times of the clock are used if the motion at these times is at most this factor rougher than at the stamps. In
     /// 2400 simulated logs (50 to 1000 Hz, joints with 0.1 to 300 urad of noise, stamps off by 6 to 500 us), no log with a
-    /// regular clock had a factor above 1.001. If the stamps are correct, times of a regular clock that move joints by half
-    /// of their noise already have a factor of 1.1.
+    /// regular clock had a factor above 1.001. If the stamps are correct, a wrong regular clock that displaces the joints by
+    /// half of their noise already has a factor of 1.1.
     const AS_SMOOTH: f64 = 1.1;
     let t_s = &*stamps_s;
-    // Regular stamps without missing rows are used as they are. A comparison with the motion would take
-    // long for millions of rows.
+    // Regular stamps without missing rows are used as they are. A comparison with the motion would take long
+    // for millions of rows.
     let even = already_even(t_s);
     if let Some(EvenStamps { stamps, .. }) = even.as_ref().filter(|even| even.stamps.missing == 0) {
         return Some(Sampling { stamps: stamps.clone(), t_s: stamps_s });
     }
     let motion = periods_by_motion(rows);
-    // Stamps can be compared with the motion only if the motion determines enough periods.
+    // Stamps can be compared with the motion only if the motion determines the number of periods at enough rows.
     let moves = motion.iter().flatten().count() >= ROWS_MIN;
-    // An explanation is the number of periods from each row to the next. Where the motion determines this
-    // number, it is used. Elsewhere the first explanation assumes that no row is missing, and the second assumes
-    // that the stamps are correct.
+    // An explanation is the number of periods from each row to the next. Where the motion determines this number, it is used.
+    // Elsewhere the first explanation assumes that no row is missing, and the second assumes that the stamps are correct.
     let (explanations, contradiction_nats) = match &even {
         None => (vec![motion.clone()], None),
         Some(EvenStamps { stamps, periods }) => {
@@ -83,13 +81,13 @@ pub(in crate::logs) fn find_clock(stamps_s: Vec<f64>, rows: &[Joints]) -> Option
         }
     };
     let grid_s = find_grid(t_s);
-    // Where joints rest, a missing row looks the same as a clock that passes from one cell of the grid to the next. Such
-    // rows are therefore not counted.
+    // While the joints rest, a missing row cannot be distinguished from a stamp that is rounded to the next cell of the
+    // grid. Missing rows are therefore only counted where the joints move.
     let known: Vec<bool> = explanations[0].iter().map(Option::is_some).collect();
     let missing_by_stamps = even.as_ref().map_or(0, |even| missing(even.periods.iter().copied(), &known));
     let candidates = explanations.iter().filter(|_| moves).filter_map(|periods| {
         let numbered = Numbered::new(t_s, periods, grid_s)?;
-        // The length is only needed to compare two explanations.
+        // The length of the description is only needed if there are two explanations to compare.
         let description_nats = if even.is_some() { numbered.description(&known) } else { 0.0 };
         Some((numbered, description_nats))
     });
@@ -111,13 +109,13 @@ pub(in crate::logs) fn find_clock(stamps_s: Vec<f64>, rows: &[Joints]) -> Option
     is_right.then_some(Sampling { t_s: even_s, stamps })
 }
 
-/// Number of missing rows, from the number of periods between rows. Only counts where the motion is `known`.
+/// Number of missing rows, from the number of periods between rows. Rows at which the motion is not `known` do not count.
 fn missing(periods: impl Iterator<Item = f64>, known: &[bool]) -> usize {
     periods.zip(known).map(|(periods, known)| if *known { periods - 1.0 } else { 0.0 }).sum::<f64>() as usize
 }
 
-/// Length of the list of places of `count` special rows among all `rows` \[nats\]: about the logarithm of
-/// the number of possible lists.
+/// Length of a list that names `count` of all `rows` \[nats\]. It is the logarithm of the number of possible
+/// lists, by Stirling's approximation.
 fn nats_of_places(count: usize, rows: usize) -> f64 {
     let (count, rows) = (count as f64, rows as f64);
     if count > 0.0 { count * ((rows / count).ln() + 1.0) } else { 0.0 }
@@ -171,11 +169,14 @@ impl Numbered {
         self.rest_s.iter().zip(&self.fit.with_steps_s).map(|(rest_s, fitted_s)| rest_s - fitted_s)
     }
 
-    /// Length of the description of the stamps \[nats\]. The regular clock itself is not included, because all
-    /// explanations share it. The description lists which rows are missing, counted only where the motion is `known`. For
-    /// stamps that rounding does not explain, it contains the cell of the grid. For each step of the stamps' clock it
-    /// contains place and size. If the stamps were rounded by another clock, it contains the phase and rate of that clock
-    /// relative to the regular one.
+    /// Length of the description of the stamps \[nats\]. The description contains:
+    ///
+    /// - which rows are missing, counted only where the motion is `known`,
+    /// - the cell of the grid, for stamps that rounding does not explain,
+    /// - the row and the size of each step of the stamps' clock,
+    /// - the phase and the rate of the clock by which the stamps were rounded, if it is not the regular clock.
+    ///
+    /// The regular clock itself is not included, because all explanations share it.
     fn description(&self, known: &[bool]) -> f64 {
         /// `sqrt(2 pi e)`: its logarithm is the differential entropy of a normal distribution of unit deviation, here in cells.
         const CELLS: f64 = 4.13;
@@ -194,8 +195,8 @@ impl Numbered {
         let least_excess = PHASES.into_iter().map(excess).fold(f64::INFINITY, f64::min);
         let cells_nats = rows * (1.0 + CELLS * least_excess).ln();
         let missing = missing(self.numbers.windows(2).map(|pair| pair[1] - pair[0]), known);
-        // Each step has two parameters, place and size. Another clock has two, phase and rate: its stamps are rounded, so
-        // that they typically deviate by a quarter of a cell.
+        // Each step has two parameters, row and size. If the stamps were rounded by another clock, phase and rate of that
+        // clock are two more parameters. Such stamps typically deviate by a quarter of a cell.
         let usual_late_s = median(&mut self.late_s().map(f64::abs).collect::<Vec<_>>()).unwrap_or_default();
         let parameters = 2 * (self.breaks_at.len() + usize::from(usual_late_s > WRITTEN_S));
         nats_of_places(missing, self.numbers.len()) + cells_nats + parameters as f64 * rows.ln()
@@ -204,11 +205,12 @@ impl Numbered {
     /// Computes the times of all rows on the clock, and compares the stamps with these times. Steps at which the motion is
     /// unknown remain in the times.
     fn times(&self, t_s: &[f64], motion: &[Option<f64>]) -> (Vec<f64>, Stamps) {
-        /// Rounded stamps deviate by 0.29 cells of their grid, root mean square. Stamps of a clock whose period is a
-        /// multiple of the grid do not deviate. Stamps count as rounded if they deviate by more than this.
+        /// Stamps count as rounded if their root mean square deviation is above this limit, in cells of the grid.
+        /// Rounded stamps deviate by 0.29 cells (`1 / sqrt(12)`). Stamps of a clock whose period is a multiple of the
+        /// grid do not deviate.
         const ROUNDED_SIGMA: f64 = 0.1;
         let Self { grid_s, period_s, numbers, breaks_at, fit, .. } = self;
-        // The place of a step is only known to within a few rows, and near a gap the motion is unknown.
+        // The row of a step is only known to within a few rows, so the motion must be known in all rows near it.
         let has_motion = |row: usize| {
             let near = motion.get(row.saturating_sub(NEIGHBOURS)..row + NEIGHBOURS);
             near.is_some_and(|near| near.iter().all(Option::is_some))
@@ -216,8 +218,8 @@ impl Numbered {
         // `steps` are removed from the times, `kept_steps_s` remain in the times (0 for a removed step).
         let (mut steps, mut kept_steps_s) = (Vec::new(), vec![0.0; breaks_at.len()]);
         for ((&row, &by_s), kept_s) in breaks_at.iter().zip(&fit.steps_s).zip(&mut kept_steps_s) {
-            // Where the motion is unknown, the robot may stand still. Then only the stamps show for how long,
-            // so the step is kept.
+            // Where the motion is unknown, the robot may stand still. Only the stamps then show the duration of this
+            // standstill, so the step is kept.
             if has_motion(row) { steps.push(StampStep { at_s: t_s[row], by_s }) } else { *kept_s = by_s }
         }
         let clock_time_s = |row: usize| {

@@ -14,8 +14,7 @@ use super::stream::{Row, Stream};
 /// Smallest number of rows without a gap: the not-a-knot ends need two inner knots.
 pub const KNOTS_MIN: usize = 4;
 
-/// A cubic spline through the rows of a stream, in separate parts without gaps. In a gap of the stream
-/// the spline has no value.
+/// A cubic spline through the rows of a stream, in separate parts without gaps. In a gap of the stream the spline has no value.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CubicSpline<R> {
     knots: Shared<Stream<R>>,
@@ -67,8 +66,7 @@ impl<R: Row> CubicSpline<R> {
         bridged.contains(&true).then_some(Self { knots, curvatures, bridged })
     }
 
-    /// Value and derivatives `t_s` seconds after the first row; `None` before the first row, after the
-    /// last row, and in gaps.
+    /// Value and derivatives `t_s` seconds after the first row; `None` before the first row, after the last row, and in gaps.
     pub fn at(&self, t_s: f64) -> Option<SplinePoint<R>> {
         let interval = self.knots.interval(t_s)?;
         let Interval { width_s, ends: [left, right], curvatures: [m_left, m_right] } =
@@ -147,8 +145,8 @@ fn solve_curvatures<R: Row>(t_s: &[f64], values: &[R], out: &mut [f64]) {
     for i in 1..last {
         let (mut lower, mut diagonal, mut upper) = (h(i - 1), 2.0 * (h(i - 1) + h(i)), h(i));
         if i == 1 {
-            // Not-a-knot: `m_0` is the linear extrapolation of `m_1` and `m_2`,
-            // `m_0 = m_1 + h_0 / h_1 (m_1 - m_2)`, so it is eliminated.
+            // Not-a-knot: `m_0` is the linear extrapolation of `m_1` and `m_2`, `m_0 = m_1 + h_0 / h_1 (m_1 - m_2)`,
+            // so it is eliminated.
             diagonal += h(0) * (1.0 + h(0) / h(1));
             upper -= h(0) * h(0) / h(1);
             lower = 0.0;

@@ -1,10 +1,9 @@
 //! A time series on one clock: increasing times, and one row of numbers for each time.
 //!
-//! The robot's log, a force, a tracker's log and the bar's readings are all streams, so that each operation exists
-//! only once. [`Stream::at`] and [`Stream::spline`] interpolate, [`Stream::averages`] smooths,
-//! [`Stream::unwrapped`] makes readings continuous that wrap, and [`Stream::filter_map`] selects rows. Two
-//! neighbouring rows have a gap between them if their times differ by more than a limit. None of the operations
-//! extends across a gap, or across a restart of the counters.
+//! The robot's log, a force, a tracker's log and the bar's readings are all streams, so that each operation exists only once.
+//! [`Stream::at`] and [`Stream::spline`] interpolate, [`Stream::averages`] smooths, [`Stream::unwrapped`] makes readings
+//! continuous if they wrap, and [`Stream::filter_map`] selects rows. Two neighbouring rows have a gap between them if their
+//! times differ by more than a limit. None of the operations extends across a gap, or across a restart of the counters.
 
 use std::borrow::Cow;
 use std::ops::{Deref, DerefMut, Range};
@@ -23,7 +22,8 @@ pub trait Row: Copy {
     /// A row of the same type and length whose number `i` is `number(i)`.
     fn with_numbers(&self, number: impl FnMut(usize) -> f64) -> Self;
 
-    /// Whether the numbers continue those of the row before. They do not if a counter restarted between the two rows.
+    /// Whether the numbers continue the numbers of the row before. They do not continue them if a counter restarted
+    /// between the two rows.
     fn continues(&self, _before: &Self) -> bool {
         true
     }
@@ -66,8 +66,8 @@ impl Row for Vector3<f64> {
 /// Rows with times on one clock. A stream dereferences to the slice of its rows.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Stream<R> {
-    /// Time of the first row \[ns on the stream's clock\]. Zero of that clock may be 1970, the start of a
-    /// controller or any other time.
+    /// Time of the first row \[ns on the stream's clock\]. Zero of that clock may be 1970, the start of a controller
+    /// or any other time.
     pub first_stamp_ns: i64,
     /// Times since the first row \[s\]. They increase strictly from 0.
     pub t_s: Vec<f64>,
@@ -149,9 +149,8 @@ impl<R> Stream<R> {
         stream.with_gap_limit(gap_limit_s)
     }
 
-    /// A stream of `rows`. Their times are those of the regular clock, if one is found from the stamps and
-    /// the `motion`. Otherwise the times are the stamps, and of rows with equal stamps only the first is
-    /// kept. `stamps_ns` must not decrease.
+    /// A stream of `rows`. Their times are those of the regular clock, if one is found from the stamps and the `motion`.
+    /// Otherwise the times are the stamps, and of rows with equal stamps only the first is kept. `stamps_ns` must not decrease.
     ///
     /// Returns the stream, the clock if one was found, and for each row whether it was kept (empty if all were kept).
     pub(in crate::logs) fn from_stamps(
@@ -213,8 +212,8 @@ impl<R> Stream<R> {
         }
     }
 
-    /// A stream of the results of `convert` on the rows with these indices. Rows for which `convert`
-    /// returns `None` are left out.
+    /// A stream of the results of `convert` on the rows with these indices. Rows for which `convert` returns
+    /// `None` are left out.
     pub fn filter_map<S>(
         &self,
         indices: Range<usize>,

@@ -1,5 +1,5 @@
-//! Makes readings continuous that wrap after a turn or at the width of a counter. An [`Unwrapped`] contains a segment of the
-//! readings as in the file and after unwrapping, for a picture in a report.
+//! Makes readings continuous if they wrap after a turn or at the width of a counter. An [`Unwrapped`] contains a segment of
+//! the readings as in the file and after unwrapping, for a picture in a report.
 
 use std::borrow::Cow;
 use std::ops::Range;
@@ -35,8 +35,8 @@ pub struct Unwrapped {
     pub period_rad: f64,
     /// Number of wraps in the log.
     pub wraps: usize,
-    /// Largest change from one reading to the next, as a fraction of half a period. From 1 on the direction
-    /// of a change is ambiguous.
+    /// Largest change from one reading to the next, as a fraction of half a period. At 1 and above, the direction of
+    /// a change is ambiguous.
     pub step_part: f64,
     /// The segment of the log with the most wraps, thinned.
     pub points: Vec<UnwrappedPoint>,
@@ -73,8 +73,7 @@ impl Unwrapped {
         })
     }
 
-    /// Combines the results for the parts of a log of one encoder. The part with the most wraps
-    /// is shown. `None` without wraps.
+    /// Combines the results for the parts of a log of one encoder. The part with the most wraps is shown. `None` without wraps.
     pub fn of_parts(parts: impl IntoIterator<Item = Option<Self>>) -> Option<Self> {
         let parts: Vec<Self> = parts.into_iter().flatten().collect();
         let wraps = parts.iter().map(|part| part.wraps).sum();
@@ -85,7 +84,7 @@ impl Unwrapped {
 }
 
 impl<R: Row> Stream<R> {
-    /// The stream with numbers that wrap after a `period` made continuous. Borrowed if no number wraps.
+    /// The stream with continuous numbers, if numbers wrap after a `period`. The result is borrowed if no number wraps.
     ///
     /// A number that differs from the row before by more than half a period is moved by whole periods to the value nearest
     /// to that row. Across a gap the number of periods cannot be determined, so it is assumed not to change.

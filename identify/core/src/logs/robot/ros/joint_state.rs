@@ -40,8 +40,8 @@ pub(in crate::logs) struct RosJointState {
 }
 
 impl RosJointState {
-    /// Decodes a message. `names_before` are the names of the message before, if there is one. The error is
-    /// a description of the problem.
+    /// Decodes a message. `names_before` are the names of the message before, if there is one. The error is a
+    /// description of the problem.
     pub fn decode(bytes: &[u8], names_before: Option<&Rc<[String]>>) -> Result<Self, String> {
         // A message begins with four bytes, of which the second determines the encoding.
         let Some((&[_, encoding, _, _], body)) = bytes.split_first_chunk::<4>() else {

@@ -11,8 +11,7 @@ use shared::recording::{parse_record, up_to_broken_chunk};
 use super::bag::Bag;
 use crate::logs::LogError;
 
-/// Longest valid record of a bag, in bytes. It is far longer than the chunks that recorders write,
-/// and far shorter than memory.
+/// Longest valid record of a bag, in bytes. It is far longer than the chunks that recorders write, and far shorter than memory.
 const RECORD_BYTES_MAX: usize = 256 << 20;
 
 /// Reads the joint states of a bag. A damaged or incomplete bag is read up to the damage, with a remark.
@@ -23,7 +22,7 @@ pub(super) fn read(bytes: &[u8], path: &Path) -> Result<Bag, LogError> {
         .with_record_length_limit(RECORD_BYTES_MAX)
         .with_prevalidate_chunk_crcs(true);
     let mut reader = LinearReader::new_with_options(options);
-    // The library would continue to read after a broken chunk, so it only gets the bytes up to there.
+    // The library would continue to read after a broken chunk, so it only receives the bytes before this chunk.
     let mut source = up_to_broken_chunk(bytes);
     while let Some(event) = reader.next_event() {
         let record = match event {
@@ -49,7 +48,8 @@ pub(super) fn read(bytes: &[u8], path: &Path) -> Result<Bag, LogError> {
     Ok(bag)
 }
 
-/// Adds a remark that the bag is damaged or incomplete here. This is an error if no joint state was read before.
+/// Adds a remark that the bag is damaged or incomplete after the messages that were read. This is an error if no joint
+/// state was read before.
 fn broken_off(bag: &mut Bag, error: &McapError, path: &Path) -> Result<(), LogError> {
     let messages: usize = bag.topics.iter().map(|topic| topic.messages.len()).sum();
     if messages == 0 {

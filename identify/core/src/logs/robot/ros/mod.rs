@@ -3,8 +3,8 @@
 //!
 //! A message in a bag has two times. One is the time at which the recorder received the message. The other is
 //! `header.stamp`, which the publisher set; with ros2_control this is the time of the controller manager, not of the
-//! encoders. `header.stamp` is used if every message of the topic has it, otherwise the receive time. The name of the log's
-//! clock is the name of the time used.
+//! encoders. `header.stamp` is used if every message of the topic has it, otherwise the receive time. The clock of the log
+//! is named after the time that is used.
 
 mod bag;
 mod joint_state;
@@ -23,8 +23,8 @@ use bag::RecordedJointState;
 
 pub(in crate::logs) use bag::{Bag, UNSTAMPED, Wanted, clock_name};
 
-/// Families of joint names that drivers use, each from base to flange. All names of a family may have the
-/// same prefix, such as `left_`.
+/// Families of joint names that drivers use, each from base to flange. All names of a family may have the same
+/// prefix, such as `left_`.
 fn families(axes: usize) -> Vec<Vec<String>> {
     const UR: [&str; 6] = [
         "shoulder_pan_joint",
@@ -82,8 +82,7 @@ pub(in crate::logs) fn read(
     raw.finish(&meaning)
 }
 
-/// The kind of the force in the mapping. A bag only contains the efforts of the joints, so columns in
-/// the mapping are an error.
+/// The kind of the force in the mapping. A bag only contains the efforts of the joints, so columns in the mapping are an error.
 fn kind_of_efforts(force: &ForceColumns, path: &Path) -> Result<ForceKind, LogError> {
     if force.columns.is_empty() {
         return Ok(force.kind());

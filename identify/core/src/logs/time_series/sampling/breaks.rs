@@ -27,16 +27,14 @@ pub(super) fn find_breaks(rest_s: &[f64], period_s: f64, rounding_s: f64) -> Opt
     /// A log with more steps has no regular clock. NTP steps a clock that it cannot slew at most once in five minutes (its
     /// step-out threshold). With this number of steps the clock was therefore not synchronised for more than three hours.
     const STEPS_MAX: usize = 40;
-    /// Rows at which the difference of the means is above this fraction of the largest difference may be
-    /// the place of the step.
+    /// The step may be at any row at which the difference of the means is above this fraction of the largest difference.
     const NEARLY: f64 = 0.9;
     let beside = rows_beside(period_s);
-    // The mean of the middle half is used because the median of rounded stamps jumps from one multiple of
-    // the grid to the next.
+    // The mean of the middle half is used because the median of rounded stamps jumps from one multiple of the grid to the next.
     let middle_s = |range: Range<usize>| trimmed_mean(rest_s[range].to_vec(), 0.25).unwrap_or_default();
-    // Size of the step at a row, if there is one, by the means on both sides.
+    // Size of a possible step at a row: the difference between the means on both sides.
     let step_s = |at: usize| (middle_s(at..at + beside) - middle_s(at - beside..at)).abs();
-    // Mean deviation of the rests of the rows from their mean.
+    // Mean deviation of the rests from their mean, over the `beside` rows from `from` on.
     let scatter_s = |from: usize| {
         let middle_s = middle_s(from..from + beside);
         rest_s[from..from + beside].iter().map(|rest| (rest - middle_s).abs()).sum::<f64>() / beside as f64
@@ -54,8 +52,8 @@ pub(super) fn find_breaks(rest_s: &[f64], period_s: f64, rounding_s: f64) -> Opt
         }
         let sizes: Vec<(usize, f64)> = (at..(at + 2 * beside).min(end)).map(|at| (at, step_s(at))).collect();
         let largest_s = sizes.iter().map(|(_, size_s)| *size_s).fold(0.0, f64::max);
-        // The means determine the place to within a few rows only. Among these rows, the step is where
-        // two successive rests differ most.
+        // The means determine the row of the step only to within a few rows. Among these rows, the step is at the row at
+        // which two successive rests differ most.
         let single_step_s = |at: usize| (rest_s[at] - rest_s[at - 1]).abs();
         let near = sizes.iter().filter(|(_, size_s)| *size_s > NEARLY * largest_s).map(|(at, _)| *at);
         let best = near.max_by(|a, b| single_step_s(*a).total_cmp(&single_step_s(*b)))?;

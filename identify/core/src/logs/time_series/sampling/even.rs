@@ -1,5 +1,4 @@
-//! Recognises stamps that are already those of a regular clock: all their distances are whole
-//! multiples of the median distance.
+//! Recognises stamps that are already those of a regular clock: all their distances are whole multiples of the median distance.
 
 use super::Stamps;
 use crate::statistics::{median, rms};

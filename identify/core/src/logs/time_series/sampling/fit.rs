@@ -1,8 +1,8 @@
-//! Fits a smooth curve with steps to the rests of the stamps. The rest of a stamp is its
-//! difference from number times period.
+//! Fits a smooth curve with steps to the rests of the stamps. The rest of a stamp is the stamp minus the number of its
+//! row times the period.
 //!
-//! The curve is a chain of straight pieces between knots, a minute apart. The places of the steps (breaks) are given, and
-//! the fit estimates their sizes. A prior keeps the slope similar from piece to piece.
+//! The curve is a chain of straight pieces between knots, a minute apart. The rows of the steps (*breaks*) are given, and
+//! the fit estimates the sizes of the steps. A prior keeps the slope similar from piece to piece.
 
 use std::ops::Range;
 
@@ -16,7 +16,8 @@ use crate::statistics::median;
 const KNOTS_S: f64 = 60.0;
 /// Largest number of pieces between knots.
 const PIECES_MAX: usize = 200;
-/// Standard deviation of the change of the clock's rate from one knot to the next: that of a quartz that warms up by 1 K.
+/// Standard deviation of the change of the clock's rate from one knot to the next: a quartz clock changes by this if its
+/// temperature changes by 1 K.
 const RATE_CHANGE: f64 = 2e-6;
 /// Limit of the Huber loss in standard deviations.
 const HUBER: f64 = 1.345;
@@ -99,8 +100,12 @@ fn rough_step_s(rest_s: &[f64], at: usize) -> Option<f64> {
     Some(middle_s(at..end)? - middle_s(at.saturating_sub(BESIDE)..at)?)
 }
 
-/// Geometry of the curve to be fitted. The vector `x` of unknowns contains the values at the knots, then
-/// the sizes of the steps.
+/// Geometry of the curve to be fitted. The vector `x` of unknowns contains the values at the knots, then the
+/// sizes of the steps:
+///
+/// ```text
+/// | knot 0 | knot 1 | ... | knot `pieces` | step 0 | step 1 | ... |
+/// ```
 struct FitCurve<'a> {
     /// Number of each row on the clock, in periods.
     numbers: &'a [f64],

@@ -27,8 +27,8 @@ const MISCOUNTED: f64 = 1000.0;
 
 /// Number of periods from each row to the next, where the motion determines it.
 pub(super) fn periods_by_motion(rows: &[Joints]) -> Vec<Option<f64>> {
-    /// Number of passes. Where many rows are missing, periods determined in one pass make the usual steps
-    /// of the next pass known.
+    /// Number of passes. If many rows are missing, the usual step is only known at some rows. Each pass determines more
+    /// periods, and with them the usual steps of the next pass.
     const PASSES: usize = 3;
     let steps: Vec<Joints> = rows.windows(2).map(|pair| difference(&pair[1], &pair[0])).collect();
     let mut periods = vec![Some(1.0); steps.len()];
@@ -46,9 +46,9 @@ fn norm_squared(step: &Joints) -> f64 {
     step.iter().map(|value| value * value).sum()
 }
 
-/// Number of periods of the joint step `at`: the multiple `m` of `step = m usual`. The usual step is the mean of
-/// the usual steps on both sides. On each side it is the median of the steps divided by their `periods`, as far
-/// as these were already determined.
+/// Number of periods of the joint step `at`: the multiple `m` of `step = m usual`. The usual step is the mean of the usual
+/// steps on both sides. The usual step of a side is the median of the steps divided by their `periods`. Steps whose
+/// periods are not yet known are left out.
 fn periods_of_step(steps: &[Joints], periods: &[Option<f64>], at: usize) -> Option<f64> {
     /// If the usual step is smaller, the robot stands still \[rad, m\].
     const STEP_RAD_MIN: f64 = 50e-6;
@@ -84,11 +84,12 @@ fn periods_of_step(steps: &[Joints], periods: &[Option<f64>], at: usize) -> Opti
     if is_even && whole_neighbours() >= NEIGHBOURS_WHOLE { whole_multiple(&steps[at]) } else { None }
 }
 
-/// Compares the periods between rows by the `motion` with the `periods` by the stamps. Where the stamps have missing rows, a
-/// curve through `side` rows on either side determines the periods instead, if it is accurate enough. `if_unknown` converts
-/// the periods by the stamps to the periods that this curve assumes where the motion is unknown.
+/// Compares two counts of the periods between rows: `motion`, from the joint steps, and `periods`, from the stamps. If rows
+/// are missing according to the stamps, a curve through `side` rows on either side determines the count instead, if the
+/// curve is accurate enough. The curve needs the numbers of these rows on the clock. If the motion is unknown, `if_unknown`
+/// converts the count from the stamps to the count that the curve assumes.
 ///
-/// Returns the periods by the motion, corrected by the curves, and how strongly they contradict the stamps \[nats\].
+/// Returns the counts from the motion, corrected by the curves, and how strongly they contradict the stamps \[nats\].
 pub(super) fn compare_motion(
     motion: &[Option<f64>],
     periods: &[f64],
@@ -117,14 +118,15 @@ pub(super) fn compare_motion(
             contradictions_nats.push(by_curve.map_or(MISCOUNTED.ln(), |(_, nats)| nats));
         }
     }
-    // The largest contradiction among many places is large by chance. The logarithm of their number corrects for this.
+    // Among many tested rows, the largest contradiction is large by chance. The logarithm of the number of
+    // tests corrects for this.
     let by_chance_nats = f64::ln(tests.max(1) as f64);
     (motion, contradictions_nats.iter().map(|nats| (nats - by_chance_nats).max(0.0)).sum())
 }
 
-/// Finds the number of periods, 1 to `most`, from `row` to the next one for which `side` rows on both sides are nearest to a
-/// cubic. Returns it with the log-likelihood ratio to the second-best number; `None` if this ratio is too small. `numbers`
-/// are the numbers of the rows on the clock.
+/// Finds the number of periods from `row` to the next row, between 1 and `most`. It is the number with which the `side` rows
+/// on both sides are nearest to a cubic curve. Returns this number and its log-likelihood ratio to the second-best number.
+/// `None` if the ratio is too small. `numbers` are the numbers of the rows on the clock.
 fn periods_by_curve(
     rows: &[Joints],
     side: usize,
@@ -142,7 +144,7 @@ fn periods_by_curve(
     }
     let (count, axes) = (end - first, rows[row].len());
     let joints = DMatrix::from_fn(count, axes, |i, axis| rows[first + i][axis] - rows[row][axis]);
-    // Sum of squared distances of the rows from the best cubic if this number of periods is between `row` and the next one.
+    // Sum of squared distances of the rows from the best cubic, if the next row is `periods` after `row`.
     let squares = |periods: usize| {
         let longer = periods as f64 - (numbers[row + 1] - numbers[row]);
         let time = |i: usize| {

@@ -1,8 +1,7 @@
 //! Estimates the period of the regular clock and the number of each row on this clock.
 //!
-//! The inputs are the stamps and the number of periods from row to row by the motion, which is not always known.
-//! The number of a row is the number of periods since the first row. [`correct_numbers`] repairs numbers after
-//! the curve has been fitted.
+//! The inputs are the stamps and the number of periods from row to row by the motion, which is not always known. The number of
+//! a row is the number of periods since the first row. [`correct_numbers`] repairs numbers after the curve has been fitted.
 
 use super::breaks::rows_beside;
 use super::motion::{PERIODS_MAX, WHOLE};
@@ -10,8 +9,8 @@ use crate::statistics::{median, trimmed_mean};
 
 /// Number of rows of a segment. The period is first measured over each segment.
 const LAG: usize = 32;
-/// Fraction of the segments that is left out at either end of their sorted periods, because the clock may
-/// be set within a segment.
+/// Fraction of the segments that is left out at either end of their sorted periods, because the clock may be
+/// set within a segment.
 pub(in crate::logs) const STEPS_PART: f64 = 0.02;
 
 /// The period \[s\], from segments in which the motion determines the number of periods. If there are too few such segments,
@@ -57,8 +56,8 @@ fn jitter_s(t_s: &[f64], motion: &[Option<f64>], period_s: f64) -> f64 {
 }
 
 /// Number of each row on the clock, from 0. Where the motion is known, it determines the number, and a late stamp is a step
-/// of the clock. Where the motion is unknown, the number is one more than that of the row before. It is larger if this row
-/// and those after it are later than jitter and rounding (up to `rounding_s`) explain.
+/// of the clock. Where the motion is unknown, the number is one more than the number of the row before. It is increased
+/// further if this row and the rows after it are later than jitter and rounding (up to `rounding_s`) explain.
 pub(super) fn number_rows(t_s: &[f64], motion: &[Option<f64>], period_s: f64, rounding_s: f64) -> Vec<f64> {
     /// Number of rows over which the phase follows the stamps. The period is known to a thousandth, so the phase lags by
     /// less than half a period. The phase follows so slowly that missing rows do not change it.
@@ -75,8 +74,8 @@ pub(super) fn number_rows(t_s: &[f64], motion: &[Option<f64>], period_s: f64, ro
     let mut numbers = vec![0.0];
     for (row, motion) in (1..t_s.len()).zip(motion) {
         let before = numbers.last().copied().unwrap_or_default();
-        // Number of periods by which this row and three quarters of the rows after it are late (negative: early), if
-        // this row has this number.
+        // Number of periods by which this row and three quarters of the rows after it are late (negative: early), if this
+        // row has the given `number`.
         let lasting_delay = |number: f64| {
             let next = t_s[row..].iter().take(lasting_rows).zip(0..);
             let mut delays: Vec<f64> =

@@ -1,5 +1,4 @@
-//! Compares the stamps of a log with the regular clock by which its rows were sampled, and
-//! reports the differences as remarks.
+//! Compares the stamps of a log with the regular clock by which its rows were sampled, and reports the differences as remarks.
 
 /// Differences between the stamps of a log and the regular clock by which its rows were sampled.
 #[derive(Debug, Clone, Default, PartialEq)]
