@@ -17,8 +17,8 @@ pub enum ComparedLog {
 }
 
 impl ComparedLog {
-    /// A possible cause of speeds that do not match, if this cause is specific to this log. The text is a part
-    /// of the list of causes in the message.
+    /// A possible cause of speeds that do not match, if this cause is specific to this log. The text is a part of the list
+    /// of causes in the message.
     const fn own_cause(self) -> &'static str {
         match self {
             Self::Recording => "the bar came off during the run, ",
@@ -235,8 +235,8 @@ pub enum PrepareError {
         of_joints(joints.as_deref())
     )]
     Mirrored {
-        /// Joints of the robot, counted from 0, whose reversed signs give the mirror image; `None` if no
-        /// reversal of signs gives the mirror image.
+        /// Joints of the robot, counted from 0, whose reversed signs give the mirror image; `None` if no reversal of signs
+        /// gives the mirror image.
         joints: Option<Vec<usize>>,
         /// Joints and directions of the encoders in the format of `--encoders`.
         stated: String,

@@ -1,5 +1,5 @@
-//! Describes why a run was refused, for reports: where in the run the error is ([`Place`]), and the
-//! residuals that show it ([`Deviations`]).
+//! Describes why a run was refused, for reports: where in the run the error is ([`Place`]), and the residuals
+//! that show it ([`Deviations`]).
 
 use super::align::refine::Residuals;
 use super::samples::angle_errors::{AngleErrors, LocalShift, local_shifts};

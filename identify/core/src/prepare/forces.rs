@@ -41,8 +41,8 @@ pub struct BarForces {
     pub clock: ForceClock,
     /// Number of samples at times that the force log does not cover. These samples are left out.
     pub uncovered: usize,
-    /// Smallest and largest force along the bar, with the signs of the log \[N\]. If only signs
-    /// are known, smallest and largest sign.
+    /// Smallest and largest force along the bar, with the signs of the log \[N\]. If only signs are known,
+    /// smallest and largest sign.
     pub range: [f64; 2],
     /// Root mean square of the joint torques that gravity, friction, inertia and the force do not explain \[N m\]; `None` if
     /// the log does not contain torques.

@@ -1,5 +1,5 @@
-//! Prepares a calibration: turns a recording and a robot log, each with its own clock, into
-//! samples and start values of a solve.
+//! Prepares a calibration: turns a recording and a robot log, each with its own clock, into samples and start
+//! values of a solve.
 //!
 //! The only prior knowledge is the nominal geometry. The clock difference, the offsets of the encoders, the position of the
 //! bar's base and the bar's configuration are unknown. Each step is a plain function on values:
@@ -9,8 +9,8 @@
 //!    continuous if they wrap after a turn. Optionally, both logs are smoothed by a moving average
 //!    ([`Stream::averages`](crate::logs::Stream::averages)).
 //! 2. [`fit_sphere`] finds the position of the bar's base and the bar's length from the robot's positions.
-//! 3. [`Predictor`] places the nominal bar at this base. It computes the bar's joints from the
-//!    robot's log by inverse kinematics.
+//! 3. [`Predictor`] places the nominal bar at this base. It computes the bar's joints from the robot's
+//!    log by inverse kinematics.
 //! 4. `align::rate` estimates the relative rate of the clocks from short sections of the run. [`correlate`] then compares
 //!    predicted with measured joint *speeds*. The magnitudes of the speeds do not depend on offsets, signs or
 //!    configurations. The root of the sum of the squared speeds does not depend on the order of the joints either. The peaks
@@ -157,8 +157,8 @@ pub struct SampleCounts {
     pub time_not_increasing: usize,
     /// Cycles of an origin of the counters with too few readings to find the offsets of this origin.
     pub other_origin: usize,
-    /// Cycles without a moving average, because they are nearer to an end or a gap of the
-    /// recording than the width of the average.
+    /// Cycles without a moving average, because they are nearer to an end or a gap of the recording than the
+    /// width of the average.
     pub not_averaged: usize,
     /// Cycles at times that the robot's log does not cover.
     pub outside_robot_log: usize,
@@ -206,9 +206,9 @@ pub struct Alignment {
     pub correlation: f64,
     /// Highest correlation at any clearly different shift.
     pub runner_up: f64,
-    /// Whether the angles fit equally well at another shift, which occurs if the motion repeats. In this
-    /// case, the shift with the longest overlap was chosen. The resulting geometry is the same for all these
-    /// shifts, but the clock difference is not.
+    /// Whether the angles fit equally well at another shift, which occurs if the motion repeats. In this case, the
+    /// shift with the longest overlap was chosen. The resulting geometry is the same for all these shifts, but the
+    /// clock difference is not.
     pub ambiguous: bool,
     /// Duration of the overlap of the logs \[s\].
     pub overlap_s: f64,
@@ -256,8 +256,8 @@ pub struct Prepared {
     pub origins: Vec<OriginSpan>,
     /// How the alignment varies along the run: one value for about every 5 s.
     pub local_shifts: Vec<LocalShift>,
-    /// Residuals, present only if the angles fit no geometry near the nominal one. The solve then
-    /// searches for a change during the run.
+    /// Residuals, present only if the angles fit no geometry near the nominal one. The solve then searches for a
+    /// change during the run.
     pub poor_fit: Option<PoorFit>,
     /// The force on the bar, if it was measured.
     pub force: Option<BarForces>,
@@ -295,8 +295,8 @@ impl Prepared {
         }
     }
 
-    /// Time of the first point of the timeline, counted from `t_ref` \[s\]. This is close
-    /// to the time of the first valid sample.
+    /// Time of the first point of the timeline, counted from `t_ref` \[s\]. This is close to the time of
+    /// the first valid sample.
     pub fn first_s(&self) -> f64 {
         self.timeline.points.first().map_or(0.0, |point| point.t_s)
     }

@@ -34,8 +34,8 @@ pub struct SphereFit {
 const ROWS_MAX: usize = 100_000;
 /// A robot position is used only if it is farther than this from the last used position \[m\].
 const POSITIONS_APART_M: f64 = 0.005;
-/// Number of draws of four positions for a first sphere. If half of the positions are outliers, one
-/// draw in sixteen contains no outlier.
+/// Number of draws of four positions for a first sphere. If half of the positions are outliers, one draw in
+/// sixteen contains no outlier.
 const DRAWS: usize = 200;
 /// Number of rounds; each selects the inliers and fits a sphere to them.
 const ROUNDS: usize = 5;
@@ -163,8 +163,8 @@ fn likely_mistake(
     ))
 }
 
-/// Joints in a limited number of rows, evenly spaced in the log. These rows suffice to decide
-/// whether the positions lie on one sphere.
+/// Joints in a limited number of rows, evenly spaced in the log. These rows suffice to decide whether the positions
+/// lie on one sphere.
 fn tried_joints(log: &RobotLog) -> Vec<Joints> {
     const ROWS: usize = 400;
     let stride = log.q_rad.len().div_ceil(ROWS).max(1);

@@ -1,8 +1,8 @@
 //! Runs the steps of the preparation in the order in which [`prepare`](super) numbers them.
 //!
-//! The input is a recording and a robot log. Both are first made continuous, and checked for motion and
-//! duration. Then come the sphere, the prediction of the bar's joints, the alignment, the selection of samples
-//! and the forces. The result is [`Prepared`].
+//! The input is a recording and a robot log. Both are first made continuous, and checked for motion and duration.
+//! Then come the sphere, the prediction of the bar's joints, the alignment, the selection of samples and the forces.
+//! The result is [`Prepared`].
 
 use shared::config::{BallBarConfig, RobotConfig};
 use shared::recording::schema::{CycleRecord, EncoderInfo};
@@ -158,8 +158,8 @@ fn encoder_offsets(found: &AlignedRecording, reference: usize, sorted: &Sorted) 
     (0..BAR_JOINTS).filter(|joint| measured[*joint]).map(offset).collect()
 }
 
-/// Status of every cycle of the recording. `of_samples` has the status of each reading; other cycles
-/// keep their status from [`BarAngles`].
+/// Status of every cycle of the recording. `of_samples` has the status of each reading; other cycles keep
+/// their status from [`BarAngles`].
 fn statuses_of_cycles(angles: &BarAngles, of_samples: &[SampleStatus]) -> Vec<SampleStatus> {
     let mut statuses = angles.statuses.clone();
     for (reading, status) in angles.readings.iter().zip(of_samples) {

@@ -56,8 +56,8 @@ pub struct TimelinePoint {
     /// The highest status among the cycles of this point. Later entries of [`SampleStatus`] are higher. A single outlier is
     /// therefore visible even if the point covers a minute.
     pub status: SampleStatus,
-    /// Largest speed of any bar joint, over 0.1 s \[rad/s\]; `None` if the cycle is not valid
-    /// or neighbouring samples are missing.
+    /// Largest speed of any bar joint, over 0.1 s \[rad/s\]; `None` if the cycle is not valid or
+    /// neighbouring samples are missing.
     pub bar_speed_rad_s: Option<f64>,
     /// Largest speed of any robot joint, over 0.1 s \[rad/s\]; `None` outside the robot's log.
     pub robot_speed_rad_s: Option<f64>,

@@ -157,8 +157,8 @@ fn least_squares_terms(samples: &[TorqueSample], weights: &DVector<f64>) -> Opti
         normal += weighted.tr_mul(&across);
         right += weighted.tr_mul(&torque_across);
     }
-    // The terms have different units. Each term is scaled by the root of its diagonal entry,
-    // so that the eigenvalues are comparable.
+    // The terms have different units. Each term is scaled by the root of its diagonal entry, so that
+    // the eigenvalues are comparable.
     let scale = normal.diagonal().map(|entry: f64| if entry > 0.0 { entry.sqrt().recip() } else { 0.0 });
     let scaled = DMatrix::from_fn(terms, terms, |i, j| normal[(i, j)] * scale[i] * scale[j]);
     let eigen = scaled.symmetric_eigen();

@@ -173,8 +173,8 @@ impl AlignmentSearch<'_> {
     fn most_likely(&self, window: &Range<usize>, mut hypotheses: Vec<Hypothesis>) -> Vec<Hypothesis> {
         let least_rad = hypotheses.iter().map(Hypothesis::spread_rad).fold(f64::INFINITY, f64::min);
         let highest = hypotheses.iter().map(|other| other.matched.correlation).fold(0.0, f64::max);
-        // If a motion repeats, many hypotheses have nearly the same spread. The hypothesis whose speeds
-        // match best is therefore always selected.
+        // If a motion repeats, many hypotheses have nearly the same spread. The hypothesis whose speeds match best
+        // is therefore always selected.
         let has_highest = |hypothesis: &Hypothesis| hypothesis.matched.correlation >= highest;
         hypotheses.retain(|other| has_highest(other) || other.spread_rad() <= NEAR_BEST * least_rad);
         hypotheses.sort_by(|a, b| {
@@ -323,8 +323,8 @@ impl AlignmentSearch<'_> {
         let slip = large_slip(&pairs, &self.readings.t_s, self.recorded_joints, self.options);
         let encoder_map = match (find_encoder_map(&pairs, self.recorded_joints, self.options), slip) {
             (Ok(_) | Err(PrepareError::NoEncoderMap { .. }), Some(slip)) => return Err(slip),
-            // Wrong signs of robot joints have the same effect as wrong directions of
-            // encoders. The message also names these joints.
+            // Wrong signs of robot joints have the same effect as wrong directions of encoders. The message
+            // also names these joints.
             (Err(PrepareError::Mirrored { stated, .. }), _) => {
                 return Err(PrepareError::Mirrored { joints: mirroring_joints(self.chains[0]), stated });
             }
@@ -369,8 +369,8 @@ impl AlignmentSearch<'_> {
 
     /// Finds offsets and configurations from pairs of measured and predicted angles.
     fn offset_fit(&self, pairs: &[AnglePair], encoder_map: &EncoderMap) -> OffsetFit {
-        // This limit is wider than the limit for a whole run. A short segment may lie where the
-        // errors of the nominal geometry are largest.
+        // This limit is wider than the limit for a whole run. A short segment may lie where the errors of the
+        // nominal geometry are largest.
         let limit_rad = 4.0 * self.options.spread_max_mrad * 1e-3;
         fit_offsets(self.predictor.bar_links(), pairs, encoder_map, self.origins, limit_rad)
     }

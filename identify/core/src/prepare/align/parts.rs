@@ -27,8 +27,8 @@ struct MatchedPart {
     /// Time from the first reading of the recording to the first sample of this part \[s\].
     start_s: f64,
     matched: Match,
-    /// Time since the first stamp of the robot's log minus time since the first reading of the
-    /// recording, at the same instant \[s\].
+    /// Time since the first stamp of the robot's log minus time since the first reading of the recording, at
+    /// the same instant \[s\].
     shift_s: f64,
 }
 
@@ -73,8 +73,8 @@ impl AlignmentSearch<'_> {
         window.clone().step_by(length).filter_map(part).collect()
     }
 
-    /// Whether the angles of one side fit at the shift of the first part of this side. The criterion is the
-    /// same as for a run without a clock step.
+    /// Whether the angles of one side fit at the shift of the first part of this side. The criterion is the same as for a
+    /// run without a clock step.
     fn side_fits(&self, side: &[MatchedPart], step_s: f64) -> bool {
         let (Some(first), Some(last)) = (side.first(), side.last()) else { return false };
         let window = first.samples.start..last.samples.end;

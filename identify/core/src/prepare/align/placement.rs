@@ -127,8 +127,8 @@ pub fn all_placements(rows: &[Sighted]) -> Option<Placements> {
     Some(Placements { places: as_placements(places), probes: as_placements(probes) })
 }
 
-/// `flange_from_probe` of a target, as the mean over the rows of this target. Each row is
-/// given with the known pose of the tracker.
+/// `flange_from_probe` of a target, as the mean over the rows of this target. Each row is given with the known
+/// pose of the tracker.
 fn probe(rows: &[(Sighted, Pose)]) -> Pose {
     let on_flange_m = |(row, tracker): &(Sighted, Pose)| {
         row.flange.inverse_transform_point(&tracker.transform_point(&row.seen.position_m.into())).coords

@@ -23,8 +23,7 @@ impl PredictedBar {
     pub const CONFIGURATION: Configuration = Configuration::ALL[0];
 }
 
-/// Predicts the bar with the nominal robot and the nominal bar. The position of the base was found
-/// from the robot's positions.
+/// Predicts the bar with the nominal robot and the nominal bar. The position of the base was found from the robot's positions.
 #[derive(Debug, Clone)]
 pub struct Predictor<'a> {
     log: &'a CubicSpline<Joints>,
@@ -44,8 +43,7 @@ impl<'a> Predictor<'a> {
         base_m: Vector3<f64>,
     ) -> Result<Self, InverseError> {
         let bar = Chain::new(Translation3::from(base_m).into(), bar.links.clone());
-        // Checks the structure of the bar at an arbitrary pose. With a valid structure, predictions at other
-        // poses do not fail.
+        // Checks the structure of the bar at an arbitrary pose. With a valid structure, predictions at other poses do not fail.
         first_ball_bar_inverse(&bar, &bar.forward(&[0.1; BAR_JOINTS]))?;
         Ok(Self { log, robot: Tracer::new(robot), bar })
     }

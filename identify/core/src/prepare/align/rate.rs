@@ -1,5 +1,5 @@
-//! Estimates the rate of one clock relative to another, from parts of a run. `find` uses
-//! this rate for the correlation of speeds.
+//! Estimates the rate of one clock relative to another, from parts of a run. `find` uses this rate for
+//! the correlation of speeds.
 //!
 //! A *part* is a section of some seconds, in which two clocks do not drift apart measurably. Each part is correlated with
 //! the whole of the other log. The shifts `s` of the parts lie on a line `s = s0 + rate m`, where `m` is the middle of a
@@ -116,8 +116,8 @@ fn common_rate(parts: &[RunPart], log_points: usize) -> Option<f64> {
     });
     let matching = stacks.into_iter().flatten().filter(|stack| stack.sum > 0.0);
     let best = matching.max_by(|a, b| a.sum.total_cmp(&b.sum))?;
-    // The lines that were tried differ by whole grid steps. A line fitted through the peaks
-    // near the best of them is more accurate.
+    // The lines that were tried differ by whole grid steps. A line fitted through the peaks near the best of
+    // them is more accurate.
     let peak = |part: &RunPart| {
         let on_line = part.shift(best.run_middle, best.rate).round() as i64;
         let (shift, weight) = part.correlations.peak_near(on_line, NEAR)?;
@@ -127,8 +127,8 @@ fn common_rate(parts: &[RunPart], log_points: usize) -> Option<f64> {
     let (slope, squares) = slope_and_squares(&peaks);
     let squares_of_step =
         |index: usize| squares_about_mean(&peaks[..index]) + squares_about_mean(&peaks[index..]);
-    // If the clock was set between two parts, the shifts are constant before and after this
-    // instant, because the rate did not change.
+    // If the clock was set between two parts, the shifts are constant before and after this instant, because the
+    // rate did not change.
     let is_clock_step = (1..peaks.len()).any(|index| squares_of_step(index) < squares);
     (slope.is_finite() && !is_clock_step).then(|| slope.clamp(-RATE_MAX, RATE_MAX))
 }

@@ -96,8 +96,8 @@ pub(in crate::prepare) fn speeds<T>(
     found
 }
 
-/// Combines all channels into one, the root of the sum of their squares. The result does not
-/// depend on the order of the encoders.
+/// Combines all channels into one, the root of the sum of their squares. The result does not depend on the
+/// order of the encoders.
 pub(in crate::prepare) fn without_order(channels: &Channels) -> Channels {
     let root = |step: usize| channels.values.iter().map(|values| values[step].powi(2)).sum::<f64>().sqrt();
     Channels { known: channels.known.clone(), values: vec![(0..channels.known.len()).map(root).collect()] }

@@ -63,8 +63,8 @@ pub struct AlignedPoses {
     pub states: Vec<JointState>,
     /// If the robot moved during the measurement: the times of these rows, and the robot's log. `None` for a stop-and-go log.
     pub moving: Option<Moving>,
-    /// How the clocks were aligned. In a stop-and-go log, the accuracy of the skew is limited
-    /// by the durations of the standstills.
+    /// How the clocks were aligned. In a stop-and-go log, the accuracy of the skew is limited by the
+    /// durations of the standstills.
     pub alignment: Alignment,
     /// Reference time of the alignment on the tracker's clock.
     pub t_ref: UtcNs,
@@ -256,8 +256,8 @@ impl TrackerSearch<'_> {
         } else {
             shifts.iter().filter_map(|coarse| self.fit(window, clock(coarse.shift))).collect()
         };
-        // The match of the speeds at the clock of a fit. The predicted speeds are those of the target
-        // at the position that the fit has found.
+        // The match of the speeds at the clock of a fit. The predicted speeds are those of the target at the position that
+        // the fit has found.
         let match_of_target = |fit: &TrackerFit| {
             if self.stop_and_go() {
                 return self.match_of_distances(window, fit);
@@ -309,8 +309,8 @@ impl TrackerSearch<'_> {
         (high - low).norm()
     }
 
-    /// Measured speed of the target, from the first row of the window on. In a stop-and-go log,
-    /// it is the mean speed between two rows.
+    /// Measured speed of the target, from the first row of the window on. In a stop-and-go log, it is the mean
+    /// speed between two rows.
     fn observed_speeds(&self, window: &Range<usize>) -> Channels {
         let observed_m = self.observed_m.slice(window.clone());
         let steps =

@@ -1,5 +1,5 @@
-//! Common functions of two searches: the search for the clock of a recording (`find`), and the search for the
-//! clock of a tracker's log (`tracker`).
+//! Common functions of two searches: the search for the clock of a recording (`find`), and the search for the clock of
+//! a tracker's log (`tracker`).
 //!
 //! Both searches first compare a section of the log of limited length, the *window* ([`liveliest`]). They choose the best of
 //! several fits in the window ([`best`]), and extend this fit step by step to the whole log ([`extended`]).
@@ -13,8 +13,8 @@ use crate::prepare::{ComparedLog, PrepareError, PrepareOptions};
 pub(in crate::prepare) const WINDOW_S: f64 = 900.0;
 /// Factor by which the window grows from one fit to the next.
 const GROWTH: f64 = 4.0;
-/// Largest number of shifts that are taken from each correlation of speeds. At each of these shifts, the
-/// angles or positions are then compared.
+/// Largest number of shifts that are taken from each correlation of speeds. At each of these shifts, the angles or
+/// positions are then compared.
 pub(in crate::prepare) const CANDIDATES: usize = 6;
 /// Two fits whose residuals differ by less than this factor count as equally good. This occurs if the motion repeats.
 const TIE: f64 = 1.2;

@@ -67,8 +67,8 @@ pub struct EncoderPlace {
     pub joint: u8,
     /// Whether the encoder counts in the direction opposite to the recorded one.
     pub reversed: bool,
-    /// Spread of the difference between measured and predicted angles, with nominal geometry (1.48
-    /// times the median deviation) \[mrad\].
+    /// Spread of the difference between measured and predicted angles, with nominal geometry (1.48 times
+    /// the median deviation) \[mrad\].
     pub spread_mrad: f64,
 }
 
@@ -85,9 +85,9 @@ impl EncoderMap {
         self.encoders.iter().all(|place| place.joint == place.recorded_joint && !place.reversed)
     }
 
-    /// Whether every encoder on joints 1, 3 and 5 is reversed. The bar then measures the motion as reflected in
-    /// a plane through the gimbal's vertical axis. In the mirror image these joints turn in the opposite
-    /// direction; joints 2 and 4 turn as before.
+    /// Whether every encoder on joints 1, 3 and 5 is reversed. The bar then measures the motion as reflected in a plane
+    /// through the gimbal's vertical axis. In the mirror image these joints turn in the opposite direction; joints 2 and
+    /// 4 turn as before.
     fn is_mirrored(&self) -> bool {
         let mut odd = self.encoders.iter().filter(|place| place.joint % 2 == 1).peekable();
         odd.peek().is_some() && odd.all(|place| place.reversed)

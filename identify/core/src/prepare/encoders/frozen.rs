@@ -7,9 +7,9 @@ use crate::prepare::{BarReading, PrepareError};
 
 /// Shortest time of constant readings that is an error \[s\]. Shorter times are turning points of the motion.
 const FROZEN_S_MIN: f64 = 1.0;
-/// Constant readings at the end of the log are not followed by a step that would prove an error. They are only an
-/// error if the encoder changes in more than this fraction of its other readings. The encoder of a joint that
-/// often rests changes in fewer readings.
+/// Constant readings at the end of the log are not followed by a step that would prove an error. They are only an error
+/// if the encoder changes in more than this fraction of its other readings. The encoder of a joint that often rests
+/// changes in fewer readings.
 const CHANGES_MIN: f64 = 0.9;
 
 /// Returns the error of the first encoder whose readings are constant while others change; `None` if there is no such encoder.

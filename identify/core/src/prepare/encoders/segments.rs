@@ -31,8 +31,8 @@ pub(in crate::prepare) struct OffsetFit {
     /// Pairs of the segments that fit, in the order of time. Each entry is the index of a sample and the joints of this
     /// sample \[rad\]. Joints without encoder have the predicted value.
     pub fitting: Vec<(usize, [f64; BAR_JOINTS])>,
-    /// Robust standard deviation of measured minus predicted angles of each joint, with
-    /// offsets added and nominal geometry \[rad\].
+    /// Robust standard deviation of measured minus predicted angles of each joint, with offsets added
+    /// and nominal geometry \[rad\].
     pub spread_rad: [f64; BAR_JOINTS],
 }
 

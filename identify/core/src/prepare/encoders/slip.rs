@@ -14,15 +14,15 @@ const CLEARLY_WITHIN: f64 = 0.5;
 enum EncoderFit {
     /// The encoder fits some joint without a step.
     Whole,
-    /// The encoder fits joint `joint` (counted from 0) before and after a step. The step is at pair `at`,
-    /// where the readings change by `by_rad`.
+    /// The encoder fits joint `joint` (counted from 0) before and after a step. The step is at pair `at`, where the
+    /// readings change by `by_rad`.
     Stepped { joint: usize, at: usize, by_rad: f64 },
     /// The encoder fits no joint.
     Nowhere,
 }
 
-/// Returns a slip, if there is a segment in which all encoders fit except one, and this
-/// encoder fits both before and after a step.
+/// Returns a slip, if there is a segment in which all encoders fit except one, and this encoder fits both before
+/// and after a step.
 ///
 /// `pairs` are in the order of time; `t_s` are the times of all samples \[s\].
 pub(in crate::prepare) fn large_slip(
@@ -63,8 +63,8 @@ fn encoder_fit(segment: &[AnglePair], recorded: usize, limit_rad: f64) -> Encode
             at,
             by_rad: -sign * by_rad,
         });
-        // If the step is near an end of the segment, the encoder fits as a whole, because most
-        // samples fit. The step is still reported.
+        // If the step is near an end of the segment, the encoder fits as a whole, because most samples fit. The
+        // step is still reported.
         if spread_of(deviations(differences)) <= limit_rad {
             return with_step.unwrap_or(EncoderFit::Whole);
         }

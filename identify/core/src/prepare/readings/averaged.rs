@@ -1,8 +1,8 @@
 //! Computes the effect of the moving average on both logs, for reports.
 //!
-//! The readings of both logs before the average are compared with their averages, joint by joint. The differences
-//! at standstill show the noise that the average removes. In motion, the differences also show fast changes of
-//! the motion that the average removes.
+//! The readings of both logs before the average are compared with their averages, joint by joint. The differences at
+//! standstill show the noise that the average removes. In motion, the differences also show fast changes of the motion
+//! that the average removes.
 
 use std::borrow::Cow;
 
@@ -130,8 +130,8 @@ impl AveragingComparison {
         Self { still: none.clone(), moving: none, fastest_rad_s: 0.0, fastest_joint: 0, fastest: Vec::new() }
     }
 
-    /// Adds a part of the log. `time_s` converts times of `rows` to the time of `standstills`. The
-    /// standstills are in the order of time.
+    /// Adds a part of the log. `time_s` converts times of `rows` to the time of `standstills`. The standstills are in
+    /// the order of time.
     fn add<R: Row>(
         &mut self,
         rows: &Stream<R>,
@@ -150,8 +150,8 @@ impl AveragingComparison {
                 row.numbers().iter().zip(average.numbers()).map(|(logged, average)| logged - average);
             sums.iter_mut().zip(removed).for_each(|(squares, removed)| squares.add(removed));
         }
-        // Finds the largest averaged speed in this part. If it exceeds that of earlier
-        // parts, the readings around it are stored.
+        // Finds the largest averaged speed in this part. If it exceeds that of earlier parts, the readings
+        // around it are stored.
         let joints = self.still.len();
         let point_at = |row: usize, joint: usize| point(&t_s, rows, &averages, row, joint);
         let rows_and_joints =

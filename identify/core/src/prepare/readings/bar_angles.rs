@@ -69,8 +69,8 @@ impl BarAngles {
         let mut averaged = self.readings.averaged(width_s);
         let by_origin = averaged.chunk_by_mut(|a, b| a.origin == b.origin);
         by_origin.enumerate().for_each(|(origin, rows)| rows.iter_mut().for_each(|row| row.origin = origin));
-        // All valid cycles are marked as without an average. The selection of samples later sets the
-        // status of the cycles that have an average.
+        // All valid cycles are marked as without an average. The selection of samples later sets the status of the cycles
+        // that have an average.
         let valid = self.statuses.iter_mut().filter(|status| **status == SampleStatus::Thinned);
         valid.for_each(|status| *status = SampleStatus::NotAveraged);
         std::mem::replace(&mut self.readings, averaged)
@@ -128,8 +128,8 @@ struct Counters<'a> {
     encoders: &'a [EncoderInfo],
     /// One unwrapper for each encoder, in the order of the recording.
     unwrappers: Vec<Unwrapper>,
-    /// Whole turns that are subtracted from each joint, chosen at the first reading of the origin
-    /// \[rad\]; `None` before this reading.
+    /// Whole turns that are subtracted from each joint, chosen at the first reading of the origin \[rad\];
+    /// `None` before this reading.
     turns_rad: Option<[f64; BAR_JOINTS]>,
 }
 

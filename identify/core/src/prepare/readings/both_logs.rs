@@ -1,5 +1,5 @@
-//! Makes both logs continuous and, optionally, averages them. The logs from before the average are retained,
-//! to report the effect of the average.
+//! Makes both logs continuous and, optionally, averages them. The logs from before the average are retained, to report the
+//! effect of the average.
 
 use std::borrow::Cow;
 

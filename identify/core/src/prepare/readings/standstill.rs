@@ -1,22 +1,22 @@
 //! Finds standstills, and the jitter of bar and robot angles in them, for reports.
 //!
 //! The input is the readings at which neither robot nor bar moves. Readings without a gap between them form a
-//! standstill, if they last long enough. The jitter is the standard deviation of the angles about a straight
-//! line, which is fitted to each standstill.
+//! standstill, if they last long enough. The jitter is the standard deviation of the angles about a straight line, which
+//! is fitted to each standstill.
 
 use serde::Serialize;
 
 use crate::kinematics::{BAR_JOINTS, Joints};
 
-/// A joint with a lower speed is at standstill \[rad/s\]. Speeds are computed over 0.1 s, so noise of 75
-/// urad causes speeds below this limit.
+/// A joint with a lower speed is at standstill \[rad/s\]. Speeds are computed over 0.1 s, so noise of 75 urad causes
+/// speeds below this limit.
 pub const MOVING_RAD_S: f64 = 3e-3;
 /// Shortest standstill \[s\]. Shorter ones are turning points of the motion.
 const DURATION_S_MIN: f64 = 0.4;
 /// Longest time between two readings of the same standstill \[s\].
 const BREAK_S: f64 = 0.05;
-/// Readings nearer than this to an end of a standstill are not used for the jitter, because
-/// the motion ends and begins there \[s\].
+/// Readings nearer than this to an end of a standstill are not used for the jitter, because the motion ends
+/// and begins there \[s\].
 const EDGE_S: f64 = 0.1;
 /// Smallest number of readings of a standstill that is used for the jitter.
 const READINGS_MIN: usize = 10;

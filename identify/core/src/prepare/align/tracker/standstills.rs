@@ -52,8 +52,8 @@ impl TrackerSearch<'_> {
         (0..steps).map(rests).collect()
     }
 
-    /// Whether the robot is at rest at the time `tau_s` of its log; `None` outside the log.
-    /// `resting` is the result of [`Self::resting`].
+    /// Whether the robot is at rest at the time `tau_s` of its log; `None` outside the log. `resting` is
+    /// the result of [`Self::resting`].
     pub(super) fn rests_at(&self, resting: &[bool], tau_s: f64) -> Option<bool> {
         let place = (tau_s / self.step_s).round() as usize;
         resting.get(place).copied().filter(|_| tau_s >= 0.0)
@@ -72,8 +72,8 @@ impl TrackerSearch<'_> {
             shift_s: coarse.shift_s + steps as f64 * self.step_s - skew * middle_s,
             skew,
         };
-        // Number of rows at which the robot is at rest. `None` if they are less than
-        // [`AT_REST_MIN`] of the rows within the robot's log.
+        // Number of rows at which the robot is at rest. `None` if they are less than [`AT_REST_MIN`] of the rows
+        // within the robot's log.
         let rows_at_rest = |clock: &Clock| {
             let (mut covered, mut at_rest) = (0, 0);
             for rests in times_s.iter().filter_map(|t_s| self.rests_at(&resting, clock.robot_time_s(*t_s))) {
