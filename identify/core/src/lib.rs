@@ -6,8 +6,8 @@
 //! runs these steps, and [`evaluate`] assesses the result.
 //!
 //! The other modules support experiments. [`plan`] searches for paths and poses, [`simulate`] generates experiments
-//! with known parameters, and [`study`] runs thousands of simulated experiments. [`robot`] imports a robot from a URDF
-//! and checks its configuration.
+//! with known parameters, and [`study`] runs thousands of simulated experiments. [`robot`] imports a robot from a
+//! URDF file and checks the robot's configuration.
 
 pub mod calibrate;
 pub mod cost;

@@ -81,8 +81,8 @@ pub(crate) fn median_size(values: impl Iterator<Item = f64>) -> f64 {
     quantile(&mut values.map(f64::abs).collect::<Vec<_>>(), 0.5)
 }
 
-/// Mean of the values without the smallest and the largest ones, where the fraction `part` of the values is removed at each
-/// end. `None` if no values remain.
+/// Trimmed mean: the mean after a fraction `part` of the values has been removed at each end, the smallest values at one end
+/// and the largest at the other. `None` if no values remain.
 pub(crate) fn trimmed_mean(mut values: Vec<f64>, part: f64) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     let ends = (part * values.len() as f64) as usize;

@@ -1,10 +1,10 @@
-//! Runs numbered work on several threads. Results are in the order of the numbers, so they do not depend on
-//! the number of threads.
+//! Runs a function for the numbers from 0 to `count` on several threads. Results are in the order of the numbers,
+//! so they do not depend on the number of threads.
 
 use std::convert::Infallible;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
-/// Number of rows in one unit of work. One unit takes about a millisecond.
+/// A unit of work for [`rows`] is a range of this many numbers. One unit takes about a millisecond.
 const ROWS_AT_ONCE: usize = 256;
 
 /// Number of threads that this machine runs in parallel. The call takes a tenth of a millisecond because it reads files.
@@ -19,8 +19,8 @@ pub(crate) fn each<T: Send>(count: usize, work: impl Fn(usize) -> T + Sync) -> V
     on_threads(threads, count, |number| Ok::<_, Infallible>(work(number))).unwrap_or_default()
 }
 
-/// Results of `of` for each number from 0 to `count` (excluded), in order. Each thread takes [`ROWS_AT_ONCE`] numbers at a
-/// time, so this is for short calls.
+/// Results of `of` for each number from 0 to `count` (excluded), in order. Each thread takes [`ROWS_AT_ONCE`]
+/// numbers at a time, so this is for short calls.
 pub(crate) fn rows<T: Send>(count: usize, of: impl Fn(usize) -> T + Sync) -> Vec<T> {
     let part = |part: usize| -> Vec<T> {
         (part * ROWS_AT_ONCE..count.min((part + 1) * ROWS_AT_ONCE)).map(&of).collect()

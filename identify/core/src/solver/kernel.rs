@@ -2,22 +2,41 @@
 //! panel of rows. The crate `pulp` selects the widest SIMD instructions of the processor at run time. A binary for any
 //! x86-64 therefore uses AVX2 and FMA where available.
 //!
-//! A panel is column-major: column `c` is `panel[c * stride..][..rows]`. `rows` is a multiple of [`ROW_STEP`], with rows
-//! of zeros as padding.
+//! A panel is column-major: column `c` begins at index `c * stride`.
+//!
+//! ```text
+//!              column 0   column 1   column 2
+//! row 0        [0]        [stride]   [2 * stride]   \
+//! row 1        [1]        ..         ..             |  `rows`, a multiple of ROW_STEP; the last of these rows
+//! ..           ..         ..         ..             |  can be padding, filled with zeros
+//! row rows-1   ..         ..         ..             /
+//! ..           ..         ..         ..             rows not in use, up to `stride`
+//! ```
 
 use pulp::{Arch, Simd, WithSimd};
 
-/// The number of rows of a panel is a multiple of this number, which is the size of the widest SIMD register.
+/// The number of rows of a panel is a multiple of this number. The widest SIMD register (AVX-512)
+/// contains this many numbers.
 pub(super) const ROW_STEP: usize = 8;
 
 /// The number of columns for [`add_products`] is a multiple of this number.
 pub(super) const COLUMN_STEP: usize = TILE;
 
-/// Products are formed in square tiles of this many columns. The nine sums of a tile stay in registers, and each loaded
-/// number is used three times.
+/// Products are computed in square tiles of this many columns. A tile contains the dot products of the columns `x0 x1 x2`
+/// with the columns `y0 y1 y2`:
+///
+/// ```text
+///          x0      x1      x2
+/// y0    x0.y0   x1.y0   x2.y0
+/// y1    x0.y1   x1.y1   x2.y1
+/// y2    x0.y2   x1.y2   x2.y2
+/// ```
+///
+/// The nine sums stay in registers, and each loaded number is used three times.
 const TILE: usize = 3;
 
-/// A column with a smaller sum of squares is treated as zero, because a division by the sum would overflow.
+/// A column with a smaller sum of squares is treated as zero. Otherwise the division by the squared length of `v` in
+/// the reflection could overflow.
 const SQUARE_MIN: f64 = f64::MIN_POSITIVE / f64::EPSILON;
 
 /// Dimensions of a column-major panel.
@@ -31,8 +50,8 @@ pub(super) struct Shape {
     pub(super) columns: usize,
 }
 
-/// Adds `panel^T panel` to `sums`, a column-major square matrix. Only the lower triangle of `sums` and the whole tiles on
-/// its diagonal are updated. The number of columns is a multiple of [`COLUMN_STEP`].
+/// Adds `panel^T panel` to `sums`, a column-major square matrix. Only the tiles on the diagonal of `sums` and below are
+/// updated. The number of columns is a multiple of [`COLUMN_STEP`].
 pub(super) fn add_products(panel: &[f64], shape: Shape, sums: &mut [f64]) {
     Arch::new().dispatch(AddProducts { panel, shape, sums });
 }
@@ -68,7 +87,7 @@ impl WithSimd for AddProducts<'_> {
     }
 }
 
-/// The dot products `x_i . y_j` of a tile, as `[j][i]`.
+/// The dot products of the columns `x` and `y`, which form a tile. Entry `[j][i]` is `x_i . y_j`.
 #[inline(always)]
 fn tile_products<S: Simd>(simd: S, x: [&[S::f64s]; TILE], y: [&[S::f64s]; TILE]) -> [[f64; TILE]; TILE] {
     let mut sums = [[simd.splat_f64s(0.0); TILE]; TILE];
@@ -90,9 +109,9 @@ fn tile_products<S: Simd>(simd: S, x: [&[S::f64s]; TILE], y: [&[S::f64s]; TILE])
     reduced
 }
 
-/// Replaces `triangle` (column-major, upper, square) by the triangular factor `R` of `[triangle; panel]`, by
-/// Householder reflections. `R^T R` grows by `panel^T panel`, although this product is never formed. The contents of
-/// the panel are meaningless afterwards.
+/// Replaces `triangle` (column-major, upper, square) by the triangular factor `R` of the stacked matrix `[triangle; panel]`,
+/// by Householder reflections. `R^T R` increases by `panel^T panel`, although this product is never computed. The contents
+/// of the panel are meaningless afterwards.
 pub(super) fn fold_into_triangle(panel: &mut [f64], shape: Shape, triangle: &mut [f64]) {
     Arch::new().dispatch(FoldTriangle { panel, shape, triangle });
 }
@@ -116,13 +135,16 @@ impl WithSimd for FoldTriangle<'_> {
             if squared < SQUARE_MIN {
                 continue;
             }
-            // Golub and Van Loan, algorithm 5.1.1: `H = I - beta v v^T` maps (pivot, x) to (reflected, 0), with v = (v1, x).
+            // Golub and Van Loan, algorithm 5.1.1. `pivot` is the diagonal entry of the triangle in column
+            // `k`, and `x` is the panel's column `k`. The reflection `H = I - beta v v^T` with `v = (v1, x)`
+            // maps `(pivot, x)` to `(reflected, 0)`.
             let pivot = self.triangle[k * columns + k];
             let reflected = -(pivot * pivot + squared).sqrt().copysign(pivot);
             let v1 = pivot - reflected;
             let beta = 2.0 / (v1 * v1 + squared);
             self.triangle[k * columns + k] = reflected;
-            // Applies `H` to each of the following columns (top, y).
+            // Apply `H` to each of the following columns. `top` is the column's entry in row `k` of the triangle, `y` its
+            // entries in the panel.
             for (j, column) in (k + 1..columns).zip(right.chunks_exact_mut(stride)) {
                 let y = S::as_mut_simd_f64s(&mut column[..rows]).0;
                 let top = &mut self.triangle[j * columns + k];

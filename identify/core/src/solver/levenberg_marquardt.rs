@@ -52,11 +52,11 @@ impl Damping {
         }
     }
 
-    /// Solves `(H + lambda D) step = -g`. Returns the step and the decrease of the cost that the model predicts for it,
-    /// `(lambda step^T D step - step^T g) / 2`.
+    /// Solves `(H + lambda D) step = -g`. Returns the step and its predicted decrease of the cost,
+    /// `(lambda step^T D step - step^T g) / 2`. `None` if the matrix cannot be factorised.
     ///
-    /// For a column without effect on the residuals the step is zero, so the matrix does not become singular. The
-    /// identifiability at the solution lists such columns. `None` if the matrix cannot be factorised.
+    /// For a column without effect on the residuals the step is zero, so such a column does not make the matrix singular.
+    /// The identifiability at the solution lists such columns.
     fn step(&self, model: &QuadraticModel, lambda: f64) -> Option<(DVector<f64>, f64)> {
         let Normal { matrix, gradient, .. } = &model.normal;
         let step = -ScaledCholesky::damped(matrix.clone(), &self.scale_squared, lambda)?.solve(gradient);
@@ -65,7 +65,7 @@ impl Damping {
     }
 
     fn accept(&mut self, gain: f64) {
-        // Nielsen's rule. If the prediction was accurate, the damping falls by the factor 0.1 rather than 1/3.
+        // Nielsen's rule. After an accurate prediction, the damping falls by the factor 0.1 rather than Nielsen's 1/3.
         self.lambda *= (1.0 - (2.0 * gain - 1.0).powi(3)).max(0.1);
         self.growth = 2.0;
     }
@@ -112,14 +112,14 @@ struct Descent {
     evaluations: usize,
 }
 
-/// Used if no step lowers the cost. The solve then counts as converged if the best step predicts a decrease smaller than
-/// this fraction of a residual's variance. Every parameter is then within a thousandth of its standard deviation of the
-/// minimum, which is the level of rounding errors.
+/// Limit for convergence when no step lowers the cost: the best step predicts a decrease below this fraction of a
+/// residual's variance. Every parameter is then within a thousandth of its standard deviation of the minimum. Rounding
+/// errors prevent a closer approach.
 const NEGLIGIBLE_PART: f64 = 1e-6;
 
-/// Tests whether the current point is a minimum, and returns the criterion that holds. The test uses the step for the small
-/// initial damping, because a short step due to heavy damping is not a sign of convergence. A predicted decrease of at most
-/// `negligible` counts as zero.
+/// Tests whether the current point is a minimum. Returns the criterion that is met, or `None`. The test uses a step with the
+/// small initial damping, because a step that is short due to heavy damping does not indicate convergence. A predicted
+/// decrease of at most `negligible` counts as zero.
 fn at_minimum(
     now: &Descent,
     damping: &Damping,
@@ -182,7 +182,7 @@ fn accept_step(
             continue;
         };
         if predicted <= options.cost_tolerance * now.model.cost {
-            // A larger damping gives a shorter step, whose predicted decrease is below the rounding error too.
+            // A larger damping would give a shorter step with a still smaller predicted decrease.
             return Ok(false);
         }
         let trial_x = &now.x + &step;
@@ -206,7 +206,7 @@ fn accept_step(
     Ok(false)
 }
 
-/// Minimises as [`solve`] does, but does not compute rank and covariance. For studies that solve thousands of problems.
+/// Minimises like [`solve`], but does not compute rank and covariance. Used by studies that solve thousands of problems.
 ///
 /// # Errors
 /// The errors of [`solve`].

@@ -1,6 +1,6 @@
 //! Robust losses. A loss `rho(s)` is a function of the squared residual norm `s = |r|^2` of a sample. Its derivative
-//! `rho'(s)` is the weight of the sample in iteratively reweighted least squares. The module `robust` estimates the scales
-//! of losses; each `pass` applies the weights.
+//! `rho'(s)` is the weight of the sample in iteratively reweighted least squares. The module `robust` estimates the
+//! scales of losses, and `pass` applies the weights.
 
 use serde::{Deserialize, Serialize};
 
@@ -27,17 +27,17 @@ pub(super) fn squared_norm_quantile(rows: usize, z: f64) -> f64 {
     n * (1.0 - v + z * v.sqrt()).powi(3)
 }
 
-/// Standard normal quantile of 0.99. With scales from this quantile, one in a hundred samples that are not outliers
-/// is beyond the scale.
+/// Standard normal quantile of 0.99. If the scale of a loss is computed from this quantile, one in a hundred
+/// samples that are not outliers is beyond the scale.
 pub(super) const CLEAN_QUANTILE: f64 = 2.326;
 
-/// Loss of a sample: the contribution of its squared residual norm `s` to the cost. The scale `c` is a norm in the
-/// residual's (whitened) unit:
+/// Loss of a sample: the contribution of its squared residual norm `s` to the cost. The scale `c` is a norm in
+/// the residual's (whitened) unit:
 ///
 /// - `huber` is quadratic in the norm up to `c`, and linear beyond (Huber 1964).
 /// - `cauchy` is `c^2 ln(1 + s / c^2)`.
-/// - `geman_mcclure` is `c^2 s / (c^2 + s)`. It is bounded, so a gross outlier has almost no weight (Geman and McClure
-///   1985).
+/// - `geman_mcclure` is `c^2 s / (c^2 + s)`. It is bounded, so a gross outlier has almost no weight
+///   (Geman and McClure 1985).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Loss {
     /// Formula of the loss.
@@ -50,7 +50,7 @@ impl Loss {
     /// Least squares without a robust loss.
     pub const SQUARED: Self = Self { name: LossName::None, scale: 1.0 };
 
-    /// The loss `rho(s)`. It equals `s` for small `s`.
+    /// The loss `rho(s)`. It is approximately `s` for small `s`.
     pub fn rho(self, s: f64) -> f64 {
         let squared = self.scale * self.scale;
         match self.name {
@@ -74,8 +74,8 @@ impl Loss {
         }
     }
 
-    /// Converts this loss, which is for samples of `usual` residuals, to a loss for samples of `rows` residuals. The
-    /// fraction of non-outlier samples beyond the scale stays equal.
+    /// Converts the scale of this loss from samples with `usual` residuals to samples with `rows` residuals. The fraction of
+    /// non-outlier samples beyond the scale stays equal.
     pub(super) fn of_rows(self, rows: usize, usual: usize) -> Self {
         let [rows, usual] = [rows, usual].map(|rows| squared_norm_quantile(rows, CLEAN_QUANTILE));
         Self { scale: self.scale * (rows / usual).sqrt(), ..self }

@@ -2,9 +2,10 @@
 //! columns; a column is a free parameter. [`solve`] returns the parameters at the minimum with the reason of termination,
 //! identifiability and covariance. Nothing here depends on robots.
 //!
-//! Each sample contributes a small dense block of rows to the normal matrix, so the Jacobian of all samples is never stored.
-//! At the solution, orthogonal transformations reduce the blocks once more, to a triangular matrix. Rank, dependent groups
-//! and covariance are computed from this triangle, because the normal matrix would square the condition number.
+//! Each sample contributes a small dense block of rows to the normal matrix, so the Jacobian of all samples is never
+//! stored. After the last step, a further pass over the samples reduces the blocks to a triangular matrix by
+//! orthogonal transformations. Rank, dependent groups and covariance are computed from this triangle, because the
+//! normal matrix has the square of its condition number.
 
 mod information;
 mod kernel;
@@ -61,8 +62,8 @@ pub trait LeastSquares: Sync {
     /// Number of samples of the problem.
     fn samples(&self) -> usize;
 
-    /// Largest number of residual rows of a measured sample. Samples that represent prior knowledge may have more rows.
-    /// Scales of losses refer to this number.
+    /// Largest number of residual rows of a measured sample. Samples that represent prior knowledge may have
+    /// more rows. Scales of losses refer to this number.
     fn rows(&self) -> usize;
 
     /// Number of residual rows of one sample.
@@ -70,8 +71,7 @@ pub trait LeastSquares: Sync {
         self.rows()
     }
 
-    /// Whether the sample represents prior knowledge. Such a sample belongs to no fold, so it is used whichever
-    /// fold is held out.
+    /// Whether the sample represents prior knowledge. Such a sample belongs to no fold, so it is never held out.
     fn is_known(&self, _sample: usize) -> bool {
         false
     }
@@ -82,14 +82,16 @@ pub trait LeastSquares: Sync {
     }
 
     /// Prepares residuals and Jacobians at `x`. Quantities that depend only on `x` are computed here, once. Each thread
-    /// calls this function for a linearisation of its own.
+    /// calls this function and gets its own linearisation.
     fn at<'a>(&'a self, x: &[f64]) -> Linearisation<'a>;
 }
 
-/// Writes the residual and the Jacobian of a sample, whose index is the first argument. Both are zero on entry.
+/// Writes the residual and the Jacobian of a sample. The arguments are the index of the sample, the residual and the
+/// Jacobian. Residual and Jacobian are zero on entry.
 ///
-/// Returns false if the sample has no value at this point, for example because its time is outside the other log. Samples
-/// without a value at the start are left out and counted. If another sample has no value after a step, the step is refused.
+/// Returns false if the sample has no value at this point, for example because its time is outside the other log.
+/// Samples without a value at the start are left out and counted. If any other sample has no value after a step,
+/// the step is refused.
 pub type Linearisation<'a> = Box<dyn FnMut(usize, &mut [f64], &mut Block<'_>) -> bool + 'a>;
 
 /// Why a solve has no result.

@@ -14,21 +14,21 @@ pub struct Options<'a> {
     pub loss: Loss,
     /// Highest number of accepted steps.
     pub iterations_max: usize,
-    /// The solve ends if the ratio of the norms of the scaled step and the scaled parameters is at most this.
+    /// The solve ends if the norm of the scaled step is at most this fraction of the norm of the scaled parameters.
     pub step_tolerance: f64,
-    /// The solve ends if a step predicts a decrease of at most this fraction of the cost.
+    /// The solve ends if the predicted decrease of the cost is at most this fraction of the cost.
     pub cost_tolerance: f64,
-    /// The solve ends if the cosine between the residual and every column is at most this.
+    /// The solve ends if the cosine of the angle between the residual and each column is at most this.
     pub gradient_tolerance: f64,
-    /// Initial damping, relative to the scaled normal matrix. It is small because the start is accurate to millimetres, and
-    /// a larger damping would suppress steps along weakly determined directions.
+    /// Initial damping, relative to the scaled normal matrix. It is small: the start is accurate to millimetres, and a
+    /// larger damping would suppress steps along weakly determined directions.
     pub damping_start: f64,
-    /// Singular values of the column-scaled Jacobian count as zero below this fraction of the largest one.
+    /// Singular values of the column-scaled Jacobian count as zero if they are below this fraction of the largest one.
     pub rank_tolerance: f64,
     /// Assumed noise of the residuals.
     pub noise: ResidualNoise,
-    /// Highest number of threads. With `None`, the number that is efficient for the size of the problem is used. The result
-    /// does not depend on the number of threads.
+    /// Highest number of threads. `None` selects an efficient number for the size of the problem. The result does not depend
+    /// on the number of threads.
     pub threads: Option<NonZeroUsize>,
     /// Observer that may cancel the solve.
     pub watch: Option<&'a dyn Watch>,
@@ -123,7 +123,7 @@ pub struct NotConverged {
     pub summary: Summary,
 }
 
-/// The samples and priors provide no degree of freedom from which their noise could be estimated.
+/// The residuals are too few to estimate their variance, because no degree of freedom remains.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error(
     "too few samples: {columns} parameters are free without a prior, and no more residuals than that count (robust weights), so \

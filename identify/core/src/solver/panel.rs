@@ -5,10 +5,11 @@ use nalgebra::DMatrix;
 
 use super::kernel::{self, COLUMN_STEP, ROW_STEP, Shape};
 
-/// Number of rows of a panel. A panel of this many rows and 40 columns fits into the second-level cache.
+/// Number of rows of a panel, except if a single sample has more. A panel with this many rows and 40 columns fits
+/// into the second-level cache.
 const PANEL_ROWS: usize = 240;
 
-/// Jacobian of one sample: `rows` entries in each column of a panel.
+/// Jacobian of one sample: an entry for each row of the sample, in each column of a panel.
 #[derive(Debug)]
 pub struct Block<'a> {
     /// Jacobian of the panel that contains the sample, column-major.
@@ -21,7 +22,7 @@ pub struct Block<'a> {
 }
 
 impl Block<'_> {
-    /// Derivatives of all rows by the parameter of one column. Empty for a column that does not exist.
+    /// Derivatives of all rows of the sample with respect to one parameter. Empty if the column does not exist.
     #[inline]
     pub fn column_mut(&mut self, column: usize) -> &mut [f64] {
         let start = column * self.stride + self.offset;
@@ -45,8 +46,14 @@ impl Block<'_> {
     }
 }
 
-/// Weighted rows of several samples, column-major. The first columns are the Jacobian, the next one is the residual. Zero
-/// columns follow, so that the number of columns is a multiple of the kernel's column step.
+/// Weighted rows of several samples, column-major. The columns are:
+///
+/// ```text
+/// 0 .. columns-1         columns     columns+1 .. width-1
+/// Jacobian               residual    zeros
+/// ```
+///
+/// The zero columns make `width` a multiple of the kernel's column step.
 pub(super) struct RowPanel {
     data: Vec<f64>,
     stride: usize,
@@ -54,7 +61,7 @@ pub(super) struct RowPanel {
     columns: usize,
     /// Number of all columns, see [`width`].
     width: usize,
-    /// Number of rows, followed by the number of rows in use.
+    /// Highest number of rows. The next field, `used`, is the number of rows in use.
     capacity: usize,
     used: usize,
     /// For each sample, its index and the row after its last row.
@@ -62,8 +69,8 @@ pub(super) struct RowPanel {
 }
 
 impl RowPanel {
-    /// Creates an empty panel for samples of `rows` rows. Samples that represent prior knowledge may have more
-    /// rows, up to [`PANEL_ROWS`].
+    /// Creates an empty panel for samples of `rows` rows. Samples that represent prior knowledge may have more rows,
+    /// but at most [`PANEL_ROWS`].
     pub(super) fn new(columns: usize, rows: usize) -> Self {
         let capacity = PANEL_ROWS.max(rows);
         let (stride, width) = (capacity.next_multiple_of(ROW_STEP), width(columns));
@@ -85,8 +92,8 @@ impl RowPanel {
         self.used = 0;
     }
 
-    /// Residual and Jacobian for the next sample. They are the next `rows` unused rows, all zero. The rows count as unused
-    /// until [`RowPanel::keep`] is called.
+    /// Residual and Jacobian of the next sample, to be filled in by the caller. They refer to the next `rows` unused rows,
+    /// which are zero. The rows count as unused until [`RowPanel::keep`] is called.
     pub(super) fn next(&mut self, rows: usize) -> (&mut [f64], Block<'_>) {
         let offset = self.used;
         let (jacobian, rest) = self.data.split_at_mut(self.columns * self.stride);
@@ -117,12 +124,13 @@ impl RowPanel {
         self.samples.iter().find(|(_, end)| row < *end).map(|(sample, _)| *sample)
     }
 
-    /// Adds the products of all columns to `sums`, a square matrix with [`width`] columns.
+    /// Adds the dot products of all pairs of columns to `sums`, a square matrix with [`width`] columns.
     pub(super) fn add_products(&self, sums: &mut [f64]) {
         kernel::add_products(&self.data, Shape { columns: self.width, ..self.shape() }, sums);
     }
 
-    /// Reduces Jacobian and residual to a triangle of `columns + 1` columns, and overwrites the panel.
+    /// Reduces Jacobian and residual together with `triangle`, which has `columns + 1` columns, to a new
+    /// triangle. Overwrites the panel.
     pub(super) fn fold_into_triangle(&mut self, triangle: &mut [f64]) {
         let shape = self.shape();
         kernel::fold_into_triangle(&mut self.data, shape, triangle);
@@ -142,7 +150,8 @@ pub(super) fn width(columns: usize) -> usize {
     (columns + 1).next_multiple_of(COLUMN_STEP)
 }
 
-/// Replaces `into` by the triangular factor of `[into; from]`. Both are upper triangles of the same size, column-major.
+/// Replaces `into` by the triangular factor of the stacked matrix `[into; from]`. Both are upper triangles of
+/// the same size, column-major.
 pub(super) fn fold_triangles(from: &DMatrix<f64>, into: &mut DMatrix<f64>) {
     let columns = into.ncols();
     let stride = columns.next_multiple_of(ROW_STEP);

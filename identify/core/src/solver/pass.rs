@@ -1,6 +1,6 @@
 //! One pass over all samples of a problem at `x`, with one or several threads. A pass computes residuals and Jacobians,
-//! applies the weights of the robust loss, and reduces the rows by a [`Fold`]. Every solve and every analysis of a solution
-//! uses passes. A [`Fold`] is a reduction of rows; it has no relation to the folds of a cross-validation.
+//! applies the weights of the robust loss, and reduces the rows by a [`Fold`], for example to normal equations. Every solve
+//! and every analysis of a solution uses passes. A [`Fold`] has no relation to the folds of a cross-validation.
 //!
 //! Samples are divided into parts, which are ranges of consecutive samples. The size of a part depends only on the number of
 //! samples. Each part is reduced separately, and the reduced parts are merged in order. The result is therefore independent
@@ -19,8 +19,8 @@ use crate::threads::{on_threads, threads_there};
 const PART_SAMPLES_MIN: usize = 128;
 /// Highest number of parts, to bound the memory of partial sums.
 const PARTS_MAX: usize = 64;
-/// Number of Jacobian entries that justify an additional thread. They are about a millisecond of work; starting a thread
-/// takes some 50 us.
+/// A pass uses one more thread for each this many Jacobian entries. So many entries take about a millisecond; starting a
+/// thread takes some 50 us.
 const ENTRIES_PER_THREAD: usize = 1 << 17;
 
 /// Residual, loss and weight of one sample in a pass.
@@ -55,7 +55,7 @@ pub(super) enum PassError {
 }
 
 impl PassError {
-    /// The error of a solve whose first pass fails.
+    /// The error of a solve, if this error occurred in the first pass.
     pub(super) fn at_start(self, samples: usize) -> SolveError {
         match self {
             Self::NotFinite(sample) => SolveError::NotFinite { sample },
@@ -68,18 +68,19 @@ impl PassError {
 /// Selects the samples of a pass.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Taking<'a> {
-    /// All samples with a value. The first pass uses this variant and so determines the samples in use.
+    /// All samples that have a value. The first pass uses this variant, and its samples are then the samples in use.
     WhatIsThere,
     /// Exactly the samples that are present in these fits.
     These(&'a [SampleFit]),
 }
 
-/// Accumulates the rows of a part in a reduced form.
+/// Accumulates the rows of a range of samples in a reduced form.
 pub(super) trait Fold: Send {
-    /// Adds the rows of a panel, and may overwrite the panel. The error identifies a sample with a number that is not finite.
+    /// Adds the rows of a panel, and may overwrite the panel. The error contains the index of a sample with a number
+    /// that is not finite.
     fn fold(&mut self, panel: &mut RowPanel) -> Result<(), PassError>;
 
-    /// Adds the reduced form of the samples that follow.
+    /// Adds `later`, the reduced form of the samples that follow.
     fn merge(&mut self, later: Self);
 }
 
@@ -201,8 +202,7 @@ impl<'a> Pass<'a> {
         Self { problem, x, options, taking, progress }
     }
 
-    /// Reduces the rows of all samples with the reduction that `new` creates for each part. Also returns the
-    /// fit of each sample.
+    /// Reduces the rows of all samples. `new` creates an empty reduction for each part. Also returns the fit of each sample.
     pub(super) fn run<F: Fold>(&self, new: impl Fn() -> F + Sync) -> Result<(F, Vec<SampleFit>), PassError> {
         let samples = self.problem.samples();
         let part_samples = samples.div_ceil(PARTS_MAX).max(PART_SAMPLES_MIN);
@@ -300,8 +300,8 @@ fn require_finite(panel: &RowPanel) -> Result<(), PassError> {
     panel.not_finite().map_or(Ok(()), |sample| Err(PassError::NotFinite(sample)))
 }
 
-/// Highest number of threads for a pass over all samples of a problem. It is the number in the options or, without one, the
-/// number that is efficient.
+/// Number of threads for a pass over all samples of a problem. Without a number in the options, it follows from the
+/// number of Jacobian entries.
 pub(super) fn threads_for(problem: &dyn LeastSquares, options: &Options<'_>) -> usize {
     let efficient = || {
         let threads = problem.samples() * problem.rows() * problem.columns() / ENTRIES_PER_THREAD;

@@ -1,8 +1,8 @@
 //! Solves with a robust loss. The scale of the loss is estimated from the residuals, because the noise of samples that are
 //! not outliers is unknown.
 //!
-//! The *spread* is a robust estimate of the standard deviation of a residual. It is large at the start, where residuals are
-//! dominated by errors of the model rather than by outliers. A narrow bounded loss would have many local minima there. A
+//! The *spread* is a robust estimate of the standard deviation of a residual. At the start, errors of the model dominate the
+//! residuals rather than outliers, and the spread is large. A narrow bounded loss would have many local minima there. A
 //! [`Schedule`] therefore begins with a Cauchy loss as wide as the spread, and narrows the loss as the spread decreases.
 //! This is graduated non-convexity (Blake and Zisserman 1987), with a schedule that depends on the data. Only the last solve
 //! uses the requested loss.
@@ -15,12 +15,12 @@ use super::{LeastSquares, Loss, LossName, Options, SolveError, Summary, minimise
 const INTERMEDIATE_QUANTILE: f64 = 1.645;
 /// Number of accepted steps between two estimates of the spread.
 const STEPS_BETWEEN: usize = 2;
-/// The spread has converged if a round reduces it by less than this fraction.
+/// The rounds end if a round reduces the spread by less than this fraction.
 const DECREASE_MIN: f64 = 0.02;
 /// A smaller spread consists of rounding errors, so no robust loss is needed.
 const SPREAD_MIN: f64 = 1e-12;
 
-/// Fraction of the samples that are assumed not to be outliers, with the standard normal quantile of this fraction.
+/// Fraction of the samples that are assumed not to be outliers (`share`), and the standard normal quantile of this fraction.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct GoodShare {
     share: f64,
@@ -28,14 +28,14 @@ pub struct GoodShare {
 }
 
 impl GoodShare {
-    /// Half of the samples are assumed good; the other half may be outliers.
+    /// At least half of the samples are assumed not to be outliers.
     pub const HALF: Self = Self { share: 0.5, quantile: 0.0 };
-    /// Nine tenths of the samples are assumed good, so only gross outliers are excluded.
+    /// At least nine tenths of the samples are assumed not to be outliers, so only the largest residuals are ignored.
     pub const NINE_TENTHS: Self = Self { share: 0.9, quantile: 1.2816 };
 
-    /// The spread, from the squared residual norm and the number `n` of residuals of each sample. It is the root of the
-    /// `share` quantile of `squared norm / q(n)` over the samples, where `q(n)` is the same quantile for `n` standard normal
-    /// variables. Zero without samples.
+    /// Computes the spread. `samples` contains the squared residual norm of each sample and its number `n` of residuals.
+    /// Each squared norm is divided by `q(n)`, the `share` quantile of the squared norm of `n` standard normal variables.
+    /// The spread is the root of the `share` quantile of these ratios. Zero without samples.
     pub fn spread(self, samples: impl Iterator<Item = (f64, usize)>) -> f64 {
         let mut variances: Vec<f64> =
             samples.map(|(squared, rows)| squared / squared_norm_quantile(rows, self.quantile)).collect();
@@ -46,35 +46,37 @@ impl GoodShare {
         variances.select_nth_unstable_by(rank, f64::total_cmp).1.sqrt()
     }
 
-    /// The spread of the samples that have a value at `x`, see [`Self::spread`].
+    /// Computes the spread of the samples that have a value at `x`, see [`Self::spread`].
     pub fn spread_at(self, problem: &dyn LeastSquares, x: &[f64]) -> f64 {
         self.spread(fits(problem, x).iter().filter(|fit| fit.present).map(|fit| (fit.squared, fit.rows)))
     }
 }
 
-/// How the loss is narrowed in rounds. Each round improves the parameters with a loss for the spread before the round.
+/// How the loss is narrowed in rounds. Each round improves the parameters, with a loss whose scale follows from the
+/// spread before the round.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Schedule {
-    /// Fraction of the samples that are assumed not to be outliers: first for the spread at the start, second for the
-    /// spread after each round.
+    /// Fractions of the samples that are assumed not to be outliers. The first is for the spread at the start, the second
+    /// for the spread after each round.
     pub good: [GoodShare; 2],
-    /// Smallest ratio of the scales of consecutive rounds. If the scale decreased faster, the solution could converge to
-    /// samples that agree by chance.
+    /// Smallest ratio of the scales of two consecutive rounds. If the scale decreased faster, the solution
+    /// could converge to samples that agree by chance.
     pub narrowing: f64,
-    /// If set, convergence is followed by one more round, with a loss narrower by the factor `narrowing`. If its spread is at
-    /// most this fraction of the spread before, the round has found a better minimum, and the schedule continues from there.
+    /// If set, an additional round follows convergence, with a loss that is narrower by the factor `narrowing`. The
+    /// additional round has found a better minimum if its spread is at most `better_max` times the spread before. The
+    /// schedule then continues from this minimum; otherwise the result of the additional round is discarded.
     pub better_max: Option<f64>,
     /// Highest number of rounds.
     pub rounds_max: usize,
 }
 
 impl Schedule {
-    /// Assumes throughout that half of the samples are good.
+    /// Assumes for all spreads that half of the samples are not outliers.
     const USUAL: Self = Self { good: [GoodShare::HALF; 2], narrowing: 0.0, better_max: None, rounds_max: 20 };
 
-    /// Runs rounds from the parameters `x` until the spread converges. Returns the parameters and their spread.
-    /// `spread` computes the spread at given parameters. `solve` runs one round: it improves given parameters with the
-    /// loss for a given spread, [`Loss::intermediate`].
+    /// Runs rounds from the parameters `x` until the spread converges. Returns the parameters and their spread. `spread`
+    /// computes the spread at given parameters. `solve` runs one round: it improves given parameters, with the loss
+    /// [`Loss::intermediate`] for a given spread.
     ///
     /// # Errors
     /// The errors of `solve`.
@@ -108,7 +110,7 @@ impl Schedule {
 }
 
 impl Loss {
-    /// Cauchy loss of a round of a schedule, for samples of `rows` residuals with this spread.
+    /// Cauchy loss of one round, for samples of `rows` residuals with the spread `sigma`.
     pub fn intermediate(sigma: f64, rows: usize) -> Self {
         let scale = sigma * squared_norm_quantile(rows, INTERMEDIATE_QUANTILE).sqrt();
         Self { name: LossName::Cauchy, scale }
@@ -116,14 +118,14 @@ impl Loss {
 }
 
 impl LossName {
-    /// Loss of the last solve, for samples of `rows` residuals with this spread. One in a hundred samples that are not
-    /// outliers is beyond its scale.
+    /// Loss of the last solve, for samples of `rows` residuals with the spread `sigma`. One in a hundred samples that are
+    /// not outliers is beyond the scale of the loss.
     pub fn for_spread(self, sigma: f64, rows: usize) -> Loss {
         let scale = sigma * squared_norm_quantile(rows, CLEAN_QUANTILE).sqrt();
         if sigma <= SPREAD_MIN { Loss::SQUARED } else { Loss { name: self, scale } }
     }
 
-    /// The loss for the spread at parameters `x` for which the schedule has converged.
+    /// Loss of the last solve. Its scale follows from the spread at `x`, the parameters at which the rounds have converged.
     pub fn for_spread_at(self, problem: &dyn LeastSquares, x: &[f64]) -> Loss {
         if self == Self::None {
             return Loss::SQUARED;
@@ -161,7 +163,7 @@ pub fn minimise_robust(
 mod tests {
     use super::*;
 
-    /// The spread falls from 1 to 0.99 in the first round, and no narrower loss reduces it further.
+    /// The spread falls from 1 to 0.99 in the first round. A narrower loss does not reduce it further.
     #[test]
     fn the_spread_is_that_at_the_solution_whether_or_not_a_narrower_loss_was_tried() {
         for better_max in [None, Some(0.8)] {

@@ -2,7 +2,7 @@
 
 use super::{LeastSquares, Linearisation, Prior};
 
-/// A problem with some samples of another problem, and with all columns and priors of that problem.
+/// A problem with selected samples of another problem, and with all columns and priors of that problem.
 pub struct Subset<'p> {
     /// The problem that contains the samples.
     pub of: &'p dyn LeastSquares,

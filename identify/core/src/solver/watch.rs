@@ -24,7 +24,7 @@ pub trait Watch: fmt::Debug + Sync {
         let _ = stage;
     }
 
-    /// Called by the thread that computed a part of the samples, after each part (one to some tens of milliseconds). Returns
-    /// false to end the solve with [`super::SolveError::Cancelled`].
+    /// Called after each part of the samples, by the thread that computed the part. A part takes one to some tens of
+    /// milliseconds. Returns false to end the solve with [`super::SolveError::Cancelled`].
     fn goes_on(&self, progress: &Progress) -> bool;
 }

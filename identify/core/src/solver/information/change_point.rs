@@ -11,8 +11,8 @@
 //!
 //! A change is significant relative to its own uncertainty. Residuals are not independent, because errors of gears and encoders
 //! are correlated over seconds. The scatter of `q` is therefore estimated from sums over blocks of the run, in two ways:
-//! - `pooled`: the ratio of the scatter of the blocks' scores to the scatter for independent noise, averaged over all
-//!   blocks.
+//! - `pooled`: the ratio of the scatter of the blocks' scores to the scatter for independent noise,
+//!   averaged over all blocks.
 //! - `clustered`: the scatter of the blocks' contributions to this change (Liang and Zeger 1986), where the influence of
 //!   each block on the fit is removed (Bell and McCaffrey 2002). The degrees of freedom are the effective number of
 //!   contributing blocks less one. This estimate is also valid if the noise varies along the run.
@@ -68,11 +68,11 @@ pub struct Change {
     pub explained: f64,
 }
 
-/// Searches for a change in the given `samples` of `problem`, which are in the order of time. `x` is the solution for the
-/// columns `estimated`. An alternative is a column, or a set of columns that change together. A change is significant if
-/// a run without changes shows an equally large one with probability `false_alarms` at most. Of all significant changes,
-/// the one with the smallest Bayesian information criterion is returned. `None` if no change is significant, or if there
-/// are too few samples.
+/// Searches for a change in the given `samples` of `problem`, which are in the order of time. `x` is the solution for
+/// the columns `estimated`. An alternative is a column, or a set of columns that change together. A change is
+/// significant if a run without changes shows an equally large one with probability `false_alarms` at most. Of all
+/// significant changes, the one with the smallest Bayesian information criterion is returned. `None` if no change is
+/// significant, or if there are too few samples.
 pub fn change_point(
     problem: &dyn LeastSquares,
     x: &[f64],

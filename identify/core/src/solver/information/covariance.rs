@@ -1,10 +1,10 @@
-//! Uncertainty of the identified parameters, from the singular values of the Jacobian at the solution, or from the jackknife
-//! (`normals`).
+//! Uncertainty of the identified parameters, from the singular values of the Jacobian at the solution, or
+//! from the jackknife (`normals`).
 //!
-//! The first form is the covariance of least squares to first order, `s^2 (J^T J)^-1`, for independent noise of equal
-//! size on the weighted residual rows. It is computed from singular values, never from the inverted normal matrix. It
-//! does not contain effects that the model omits. Priors count as measurements. Parameters that are only determined in
-//! combinations have no covariance.
+//! The covariance from singular values is that of least squares to first order, `s^2 (J^T J)^-1`. It assumes
+//! independent noise of equal size on the weighted residual rows. It is never computed from the inverted normal
+//! matrix. It does not contain effects that the model omits. Priors count as measurements. Parameters that are only
+//! determined in combinations have no covariance.
 //!
 //! Every covariance is represented as `S S^T`. Each column of `S` is the contribution of one source of uncertainty: the
 //! errors of some samples, a prior, or the value of a parameter that was not estimated. The matrix `S` is a [`Spread`].
@@ -61,7 +61,7 @@ pub enum SigmasFrom {
     /// deviations are too small.
     #[default]
     IndependentNoise,
-    /// Jackknife: from the changes of the solution when the folds are left out in turn.
+    /// Standard deviations from the jackknife: from the changes of the solution when each fold in turn is left out.
     Jackknife {
         /// Number of folds.
         folds: usize,
@@ -107,7 +107,7 @@ impl fmt::Display for SigmasFrom {
 pub enum UncertaintySource {
     /// Errors of all samples, and the priors, as one source.
     Together,
-    /// Errors of the samples of a data set, from 0.
+    /// Errors of the samples of one data set.
     Samples {
         /// Index of the data set, from 0.
         data_set: usize,
@@ -119,9 +119,10 @@ pub enum UncertaintySource {
     },
     /// Prior knowledge that is represented by samples.
     Known,
-    /// Model terms that were left out of the solution although the robot may have such errors.
+    /// Model terms that were left out of the solution. They may be nonzero in the robot.
     LeftOut,
-    /// The prior of a column that the samples contradict. The contribution is the change of the solution without this prior.
+    /// The prior of a column, if the samples contradict this prior. The contribution is the change of the solution when
+    /// the prior is removed.
     Contradicted {
         /// Column with the prior.
         column: usize,
@@ -131,7 +132,7 @@ pub enum UncertaintySource {
     OtherScale,
     /// The value of a considered parameter, which is uncertain but not estimated.
     Considered {
-        /// Column in the covariance. Columns of considered parameters follow those of the solution.
+        /// Column of the parameter in the covariance. Columns of considered parameters follow those of the solution.
         column: usize,
     },
 }
@@ -147,7 +148,7 @@ impl UncertaintySource {
 /// The matrix `S` with the source of each of its columns.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Spread {
-    /// Each column is one standard deviation of a source, in the parameters' units.
+    /// Each column is the effect of one standard deviation of a source, in the parameters' units.
     pub by_source: DMatrix<f64>,
     /// Source of each column.
     pub sources: Vec<UncertaintySource>,
@@ -163,7 +164,7 @@ impl Spread {
         Self { by_source, sources: columns.iter().map(|(source, _)| *source).collect() }
     }
 
-    /// Adds a source. `contribution` is the change of each parameter if the source is wrong by one standard deviation.
+    /// Adds a source. `contribution` is the change of each parameter for an error of one standard deviation in the source.
     pub fn add(&mut self, source: UncertaintySource, contribution: &DVector<f64>) {
         let count = self.sources.len();
         self.by_source.resize_horizontally_mut(count + 1, 0.0);
@@ -171,8 +172,8 @@ impl Spread {
         self.sources.push(source);
     }
 
-    /// Selects the rows `places`, followed by the rows `left_out` of terms that were left out of the solution. Priors of
-    /// columns that are not among `places` become [`UncertaintySource::LeftOut`].
+    /// Selects rows: first the rows `places`, then the rows `left_out` of terms that were left out of the solution. A prior
+    /// of a column that is not among `places` becomes [`UncertaintySource::LeftOut`].
     #[must_use]
     pub fn of(&self, places: &[usize], left_out: &[usize]) -> Self {
         let source = |source: &UncertaintySource| match *source {
@@ -199,12 +200,12 @@ impl Spread {
 pub struct Considered {
     /// Standard deviations of their values.
     pub sigmas: Vec<f64>,
-    /// Change of the estimate per error of the value. One row for each column of the solution, one column
-    /// for each considered parameter.
+    /// Change of the estimate per error of the considered value. The matrix has one row for each column of the solution,
+    /// and one column for each considered parameter.
     pub change: DMatrix<f64>,
 }
 
-/// Covariance of the free parameters. Columns of left-out terms follow, then those of considered parameters.
+/// Covariance of the estimated parameters, of left-out terms, and of considered parameters. The columns are in this order.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Covariance {
     matrix: DMatrix<f64>,
@@ -247,8 +248,8 @@ impl Covariance {
         Self { matrix, spread, determined, estimated, left_out: 0, sigmas_from, variance_factor }
     }
 
-    /// Replaces the covariance by that of the jackknife over `folds`. The last `left_out` rows of `spread` are those of
-    /// terms that were left out: their value in the solution is zero, although the robot may have such errors.
+    /// Replaces the covariance by that of the jackknife over `folds`. The last `left_out` rows of `spread` belong to terms
+    /// that were left out of the solution. The solution sets these terms to zero, although they may be nonzero in the robot.
     pub fn replace_by_jackknife(&mut self, spread: Spread, folds: usize, left_out: usize) {
         assert_eq!(spread.by_source.nrows(), self.determined.len() + left_out);
         self.determined.extend(std::iter::repeat_n(true, left_out));
@@ -274,7 +275,8 @@ impl Covariance {
         self.determined.extend(std::iter::repeat_n(true, count));
     }
 
-    /// Multiplies the contributions of the samples of a data set by `times`, and also those of [`UncertaintySource::Together`].
+    /// Multiplies contributions to the uncertainty by `times`: those of the samples of one data set, and those of
+    /// [`UncertaintySource::Together`].
     #[must_use]
     pub fn widened(mut self, data_set: usize, times: f64) -> Self {
         let Spread { by_source, sources } = &mut self.spread;
@@ -289,7 +291,7 @@ impl Covariance {
         self
     }
 
-    /// Adds a source. `contribution` is the change of each column if the source is wrong by one standard deviation.
+    /// Adds a source. `contribution` is the change of each column for an error of one standard deviation in the source.
     #[must_use]
     pub(crate) fn with_source(mut self, source: UncertaintySource, contribution: &DVector<f64>) -> Self {
         self.spread.add(source, contribution);
@@ -297,14 +299,14 @@ impl Covariance {
         self
     }
 
-    /// Change of all columns if the prior of a column is wrong by its standard deviation `sigma`. It is the contribution
-    /// of the prior or, if the sources are not separated, `P e / sigma` with the unit covariance `P` and the unit vector
-    /// `e` of the column.
+    /// Change of all columns for an error of one standard deviation `sigma` in the prior of one column. If the
+    /// sources are separated, this is the contribution of the prior. Otherwise it is `P e / sigma`, with the unit
+    /// covariance `P` and the unit vector `e` of the column.
     pub(crate) fn by_prior_on_all(&self, column: usize, sigma: f64) -> DVector<f64> {
         let Spread { by_source, sources } = &self.spread;
         let of_prior = sources.iter().position(|source| *source == UncertaintySource::Prior { column });
-        // If the sources are not separated, the covariance is that of least squares, from which the variance
-        // factor is divided out.
+        // If the sources are not separated, the matrix is the covariance of least squares. Its division by the variance
+        // factor gives the unit covariance.
         let unit = self.variance_factor.filter(|factor| *factor > 0.0).unwrap_or(1.0);
         of_prior.map_or_else(
             || self.matrix.column(column) / (unit * sigma),
@@ -312,7 +314,7 @@ impl Covariance {
         )
     }
 
-    /// Change of the estimate of a column if the prior of this column is wrong by one standard deviation. `None` if the
+    /// Change of the estimate of a column for an error of one standard deviation in this column's prior. `None` if the
     /// sources are not separated.
     pub fn by_prior(&self, column: usize) -> Option<f64> {
         let Spread { by_source, sources } = &self.spread;
@@ -335,8 +337,8 @@ impl Covariance {
         (0..self.estimated).chain(self.estimated + self.left_out..self.determined.len()).collect()
     }
 
-    /// Whether there are standard deviations. They need a degree of freedom for the variance factor, except
-    /// those of the jackknife.
+    /// Whether there are standard deviations. Those of least squares need a variance factor, and therefore at least one
+    /// degree of freedom. Those of the jackknife do not.
     pub fn has_sigmas(&self) -> bool {
         self.variance_factor.is_some() || self.sigmas_from != SigmasFrom::IndependentNoise
     }
@@ -356,7 +358,7 @@ impl Covariance {
     }
 
     /// Standard deviation of a column, without the sources that were added because the samples contradict a prior or the
-    /// scale of all lengths. `None` as for [`Self::sigma`].
+    /// scale of all lengths. `None` under the conditions of [`Self::sigma`].
     pub fn sigma_before_contradictions(&self, column: usize) -> Option<f64> {
         let Spread { by_source, sources } = &self.spread;
         let is_added = |source: &UncertaintySource| {

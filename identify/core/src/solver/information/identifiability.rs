@@ -1,6 +1,6 @@
-//! Identifiability of the free parameters at a point: rank, singular values and groups of dependent parameters. They are
-//! computed from an orthogonal factorisation of the Jacobian. Each solve ends with this analysis; it is also used alone for
-//! the selection of parameters and poses.
+//! Identifiability of the free parameters at a point: rank, singular values and groups of dependent parameters. They
+//! are computed from an orthogonal factorisation of the Jacobian. Each solve ends with this analysis; it is also used
+//! alone for the selection of parameters and poses.
 //!
 //! A prior determines its parameter, however wide the prior and however exact the samples are. Let `J_f` be the samples'
 //! columns without prior, `J_p` those with a prior, and `P` the weights of the priors. The rank of `[J_f J_p; 0 P]` is the
@@ -37,7 +37,7 @@ pub struct Identifiability {
     pub prior_sigmas: Vec<Option<f64>>,
     /// Rank from samples and priors.
     pub rank: usize,
-    /// Rank from samples alone.
+    /// Rank from samples without priors.
     pub rank_of_samples: usize,
     /// Singular values of the column-scaled Jacobian (samples and priors), descending.
     pub singular_values: Vec<f64>,
@@ -64,7 +64,8 @@ pub struct Unidentifiable {
     pub columns: usize,
     /// Names of the parameters that are not identified.
     pub what: String,
-    /// Names of the parameters to fix so that the others are determined, in the form of the option's value.
+    /// Names of parameters that the user can fix so that the remaining ones are determined. The text is the value
+    /// of the option `--fix`.
     pub fix: String,
 }
 
@@ -74,8 +75,8 @@ impl Identifiability {
         self.rank == self.names.len()
     }
 
-    /// Ratio of the smallest nonzero singular value to the largest one that counts as zero, which shows how certain the rank
-    /// is. `None` at full rank.
+    /// Ratio of the smallest nonzero singular value to the largest one that counts as zero. The larger the ratio, the
+    /// more certain is the rank. `None` at full rank.
     pub fn gap(&self) -> Option<f64> {
         let smallest = self.singular_values.get(self.rank.checked_sub(1)?)?;
         Some(smallest / self.singular_values.get(self.rank)?)
@@ -95,12 +96,13 @@ impl Identifiability {
         Observability::new(&self.triangle, units, self.samples, 1e-9)
     }
 
-    /// Groups of `columns` for which the priors determine some combination better than all other data do. All `columns` have
-    /// priors. The other data are the samples and the priors of other columns. A group can be a single column.
+    /// Finds combinations of `columns` that the priors determine better than all other data do. Returns the columns of
+    /// these combinations in groups; a group can be a single column. All `columns` have priors. The other data are the
+    /// samples and the priors of columns not in `columns`.
     ///
-    /// Let `S` be the information of the other data about the columns, in units of the priors' standard deviations. It is the
+    /// Let `S` be the information of the other data about `columns`, in units of the priors' standard deviations. `S` is the
     /// Schur complement of the normal matrix. In directions with an eigenvalue of `S` below one, the solution follows the
-    /// priors. `P` is the projection onto these directions. Columns `i` and `j` with an entry `P_ij` belong to one group.
+    /// priors. The groups are those of [`combined`] for the projection onto these directions.
     pub fn by_priors(&self, columns: &[usize]) -> Vec<Vec<usize>> {
         let others: Vec<usize> = (0..self.names.len()).filter(|column| !columns.contains(column)).collect();
         let sigma = |column: &usize| self.prior_sigmas.get(*column).copied().flatten();
@@ -109,7 +111,7 @@ impl Identifiability {
             .enumerate()
             .filter_map(|(place, column)| Some(Prior { column: place, value: 0.0, sigma: sigma(column)? }));
         let priors_of_others: Vec<Prior> = priors_of_others.collect();
-        // If the other columns come first, the last rows of the triangle are a square root of the Schur complement.
+        // The other columns come first. The last rows of the triangle are then a square root of the Schur complement.
         let order = [&others[..], columns].concat();
         let mut triangle = with_priors(priors_of_others.iter(), &self.triangle.select_columns(&order));
         let first = others.len();
@@ -177,7 +179,8 @@ impl Identifiability {
     }
 }
 
-/// Groups of columns that a projection `P` combines. Columns `i` and `j` with an entry `P_ij` belong to one group.
+/// Groups of columns that a projection `P` combines. Columns `i` and `j` belong to one group if the entry
+/// `P_ij` is not zero.
 pub fn combined(projection: &DMatrix<f64>) -> Vec<Vec<usize>> {
     /// Entries of the projection up to this size count as zero. A column with a smaller diagonal entry counts as determined.
     const COMPONENT_MIN: f64 = 0.1;
@@ -221,7 +224,7 @@ pub(in crate::solver) fn at_solution(
     let triangle = match sample_triangle(problem, x, options, Taking::These(fits)) {
         Ok((triangle, _)) => triangle,
         Err(PassError::Cancelled) => return Err(SolveError::Cancelled { iterations }),
-        // The same samples were finite at this point during the solve, so only the squares of derivatives can have overflowed.
+        // The samples were finite at this point during the solve, so only squares of derivatives can have overflowed.
         Err(PassError::Lost | PassError::NotFinite(_)) => DMatrix::zeros(0, problem.columns()),
     };
     let (identifiability, spectrum) = examine(problem, &triangle, fits, options);
@@ -318,7 +321,7 @@ fn scaled(triangle: &DMatrix<f64>) -> (DMatrix<f64>, DVector<f64>) {
     (scaled, lengths)
 }
 
-/// Number of singular values above this fraction of the largest one.
+/// Number of singular values larger than `tolerance` times the largest one.
 fn rank(singular_values: &DVector<f64>, tolerance: f64) -> usize {
     let floor = tolerance * singular_values.max();
     singular_values.iter().filter(|s| **s > floor).count()
@@ -368,7 +371,7 @@ pub(in crate::solver) struct Open {
 }
 
 impl Open {
-    /// Analyses those columns among `all` that have no prior.
+    /// Analyses the columns in `all` that have no prior.
     pub(in crate::solver) fn new(
         triangle: &DMatrix<f64>,
         all: impl Iterator<Item = usize>,

@@ -1,6 +1,6 @@
 //! Effect of an error in a fixed value on the estimated values. To first order it is `-J_e^+ J_h`, where `J_e` are the
-//! columns of estimated parameters, `J_h` those of fixed parameters, and `+` is the pseudo-inverse. Used for considered
-//! parameters and by `identify examine`.
+//! columns of estimated parameters, `J_h` those of fixed parameters, and `+` is the pseudo-inverse. Used for
+//! considered parameters and by `identify examine`.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -22,8 +22,8 @@ pub struct Influence {
 
 /// Influence of the columns `held` of a problem on its other columns.
 ///
-/// In the problem, both sets of columns are free. Estimates that minimise `|J_e dx + J_h dh|` change by `-J_e^+ J_h dh` for
-/// an error `dh` of the fixed values. Samples have the weight of the robust loss at `x`, and priors of estimated columns are
+/// All columns are free in the problem. The estimates minimise `|J_e dx + J_h dh|`, so an error `dh` of the fixed values
+/// changes them by `-J_e^+ J_h dh`. Samples have the weight of the robust loss at `x`, and priors of estimated columns are
 /// included. The estimated columns must be identifiable when the columns `held` are fixed.
 ///
 /// # Errors
@@ -51,8 +51,8 @@ pub fn influence(
     Ok(Influence { estimated: names(&estimated), held: names(held), change })
 }
 
-/// Minimises `|A X - B|` over `X` by the singular values of the column-scaled matrix `A`. `None` if a column of `A` is zero,
-/// if `A` has fewer rows than columns, or if a number is not finite.
+/// Minimises `|A X - B|` over `X`, using the singular values of the column-scaled matrix `A`. `None` if a column of `A` is
+/// zero, if `A` has fewer rows than columns, or if a number is not finite.
 fn least_squares(a: &DMatrix<f64>, b: &DMatrix<f64>) -> Option<DMatrix<f64>> {
     let lengths = DVector::from_iterator(a.ncols(), a.column_iter().map(|column| column.norm()));
     if a.nrows() < a.ncols() || !lengths.iter().all(|length| length.is_finite() && *length > 0.0) {

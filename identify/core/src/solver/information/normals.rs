@@ -1,11 +1,11 @@
 //! Normal equations of folds, linearised at a point `x`. A fold is a set of samples, usually a segment of a run, that can be
-//! left out of a solution as a whole.
+//! left out of a solution as a whole. Errors of gears and encoders are correlated over seconds. Folds of several seconds are
+//! therefore nearly independent, while single samples are not.
 //!
-//! Because `|r + J dx|^2 = r^T r + 2 (J^T r) dx + dx (J^T J) dx`, three sums describe the samples of a fold. One pass over
-//! the samples computes the sums of each fold, with the columns of all candidate terms. The following computations then need
-//! only small matrices and no further pass: steps, covariances, the jackknife, the selection of terms, scales of priors, and
-//! predictions of held-out folds. `calibrate` uses all of them. Errors of gears and encoders are correlated over seconds.
-//! Folds of several seconds are therefore nearly independent, while single samples are not.
+//! Because `|r + J dx|^2 = r^T r + 2 (J^T r) dx + dx (J^T J) dx`, a fold is described by three sums: `r^T r`, `J^T r` and
+//! `J^T J`. One pass over the samples computes the sums of each fold, with the columns of all candidate terms. The following
+//! computations then need only small matrices and no further pass: steps, covariances, the jackknife, the selection of
+//! terms, scales of priors, and predictions of held-out folds. `calibrate` uses all of them.
 
 use std::num::NonZeroUsize;
 use std::ops::{Add, AddAssign, Sub};
@@ -63,7 +63,8 @@ impl Normal {
         }
     }
 
-    /// Adds priors of some columns at `x`. Returns the sum of their squared residuals, which is not added to `squared`.
+    /// Adds the priors of some columns, for the parameter values `x`. Returns the sum of the priors' squared residuals,
+    /// which is not added to `squared`.
     pub fn add_priors(&mut self, priors: &[Prior], x: &[f64]) -> f64 {
         let mut squared = 0.0;
         for prior in priors {
@@ -123,8 +124,8 @@ pub struct Normals {
 }
 
 impl Normals {
-    /// Computes the normal equations in one pass over the samples of all folds at `x`, with the weights of the options'
-    /// loss. Samples without a value are left out.
+    /// Computes the normal equations in one pass over the samples of all folds at `x`, with the weights of the
+    /// options' loss. Samples without a value are left out.
     ///
     /// # Errors
     /// [`SolveError`] if a residual or derivative is not finite, or the pass was cancelled.
@@ -135,7 +136,7 @@ impl Normals {
         folds: &[Vec<usize>],
     ) -> Result<Self, SolveError> {
         let known: Vec<usize> = (0..problem.samples()).filter(|sample| problem.is_known(*sample)).collect();
-        // The samples of prior knowledge are summed as one more set, the last one.
+        // The samples of prior knowledge form an additional set after the folds.
         let sets: Vec<&Vec<usize>> = folds.iter().chain([&known]).collect();
         // Each set is summed by one thread; different sets are summed in parallel.
         let one_thread = Options { threads: Some(NonZeroUsize::MIN), ..*options };
@@ -180,10 +181,10 @@ impl Normals {
         whole
     }
 
-    /// Variance of the gradients `g_k` of the `n` folds, relative to the variance for independent noise of variance one and
-    /// averaged over all directions. It is `n / (n - 1) sum g_k^T H^-1 g_k / tr(H^-1 N)`. `H` is the normal matrix of all
-    /// data and priors, `N` that of all folds. The result is 1 if errors are not correlated within a fold (design effect,
-    /// Kish 1965). `None` for fewer than two folds, or if the result is not finite.
+    /// Overdispersion: the variance of the folds' gradients `g_k`, divided by their variance for independent noise of
+    /// variance one. It is averaged over all directions: `n / (n - 1) sum g_k^T H^-1 g_k / tr(H^-1 N)` for `n` folds. `H` is
+    /// the normal matrix of all data and priors, `N` that of all folds. If errors are not correlated within a fold, the
+    /// result is 1 (design effect, Kish 1965). `None` for fewer than two folds, or if the result is not finite.
     pub fn overdispersion(&self) -> Option<f64> {
         /// Avoids a division by zero in directions that only samples outside the folds determine.
         const RIDGE: f64 = 1e-12;
@@ -198,8 +199,8 @@ impl Normals {
         Some(scatter * count / ((count - 1.0) * expected)).filter(|ratio| ratio.is_finite())
     }
 
-    /// Logarithm of the evidence of the samples with these priors, up to a constant (MacKay 1992). The variance of the
-    /// residuals is assumed to be `dispersion` times that of independent ones. `None` if columns are linearly dependent.
+    /// Logarithm of the evidence of the samples with these priors, up to a constant (MacKay 1992). `dispersion` is the
+    /// assumed variance of the residuals, relative to independent noise. `None` if columns are linearly dependent.
     pub fn evidence(&self, priors: &[Prior], dispersion: f64) -> Option<f64> {
         let mut posterior = &self.total + &self.known;
         posterior.matrix /= dispersion;
@@ -212,8 +213,8 @@ impl Normals {
         Some(-0.5 * (posterior.after(&step) + factor.log_determinant()) - log_sigmas)
     }
 
-    /// Gradients of the folds at the solution for the columns `kept`, with which further columns can be tested. `None` if
-    /// the columns `kept` are linearly dependent.
+    /// Gradients of the folds at the solution for the columns `kept`. They serve to test whether further columns are needed.
+    /// `None` if the columns `kept` are linearly dependent.
     pub fn scores(&self, kept: &[usize], priors: &[Prior]) -> Option<Scores> {
         let priors = priors_among(priors, kept);
         let x: Vec<f64> = kept.iter().map(|&column| self.x[column]).collect();
@@ -231,8 +232,8 @@ impl Normals {
     }
 
     /// Effective number of parameters that each fold determines: `tr(H^-1 N)`, with the normal matrix `H` of all data and
-    /// `N` of the fold. It is less than the number of parameters of the fold if priors or other folds also determine them
-    /// (MacKay 1992). `None` if columns are linearly dependent.
+    /// `N` of the fold. If priors or other folds contribute to the same parameters, it is less than the number of parameters
+    /// that the fold alone can determine (MacKay 1992). `None` if columns are linearly dependent.
     pub fn taken(&self) -> Option<Vec<f64>> {
         let inverse = self.covariance()?;
         Some(self.folds.iter().map(|fold| inverse.dot(&fold.matrix)).collect())
@@ -243,8 +244,8 @@ impl Normals {
         self.folds.iter().filter(|fold| fold.rows > 0.0).count()
     }
 
-    /// Normal equations of the same samples at another point. They are exact if the residuals are linear between the two
-    /// points, which holds for small terms.
+    /// Normal equations of the same samples at another point. They are exact if the residuals are linear
+    /// between the two points, which holds for small terms.
     #[must_use]
     pub fn about(&self, x: &[f64]) -> Self {
         let step = DVector::from_column_slice(x) - DVector::from_column_slice(&self.x);
@@ -257,14 +258,14 @@ impl Normals {
         }
     }
 
-    /// Mean squared residual of each fold, predicted by a solution for `columns` from all other folds. Columns not in
-    /// `columns` keep their values. `None` if the other folds do not determine the columns.
+    /// For each fold, the mean squared residual that a solution without this fold predicts. The solution estimates `columns`
+    /// and leaves other columns unchanged. `None` if the other folds do not determine the columns.
     pub fn held_out(&self, columns: &[usize], priors: &[Prior]) -> Option<Vec<f64>> {
         self.held_out_each(|_| columns.to_vec(), priors)
     }
 
-    /// Mean squared residual of each fold as in [`Self::held_out`], but with the columns that `columns` returns for the
-    /// index of the fold.
+    /// As [`Self::held_out`], but the estimated columns can differ between folds: `columns` returns them for the
+    /// index of a fold.
     pub fn held_out_each(&self, columns: impl Fn(usize) -> Vec<usize>, priors: &[Prior]) -> Option<Vec<f64>> {
         let error = |(number, fold): (usize, &Normal)| {
             let columns = columns(number);
@@ -298,7 +299,7 @@ impl Normals {
         Some(-self.factored()?.1.solve(&self.whole().gradient))
     }
 
-    /// For each fold, the solution without this fold, linearised at `x`. `None` if the other folds and the priors do
+    /// Solutions without each fold in turn, linearised at `x`. `None` for a fold if the other folds and the priors do
     /// not determine every column.
     pub fn without_each(&self) -> Vec<Option<Vec<f64>>> {
         let whole = self.whole();
@@ -312,12 +313,12 @@ impl Normals {
     }
 
     /// Spread of the solution `x` by the jackknife over folds, which uses the change of the solution when one fold is left
-    /// out. The result is valid for any correlation of errors within a fold, if different folds are independent. The
-    /// contributions of the priors are added.
+    /// out. Errors may be correlated within a fold, but different folds must be independent. The contributions of the priors
+    /// are added. `data_set` returns the data set of a fold.
     ///
-    /// It is approximately `H^-1 (sum g g') H^-1` (a sandwich, Liang and Zeger 1986), corrected for the influence of each
-    /// fold on the solution (Bell and McCaffrey 2002, CR3). `data_set` returns the data set of a fold. `None` for fewer than
-    /// two folds, or if the other folds do not determine every column.
+    /// The covariance of this spread is approximately `H^-1 (sum g g') H^-1`, with the normal matrix `H` and the gradient
+    /// `g` of a fold (a sandwich, Liang and Zeger 1986). It is corrected for the influence of each fold on the solution
+    /// (Bell and McCaffrey 2002, CR3). `None` for fewer than two folds, or if the other folds do not determine every column.
     pub fn jackknife(&self, data_set: impl Fn(usize) -> usize) -> Option<Spread> {
         let count = self.folds() as f64;
         if count < 2.0 {
@@ -327,13 +328,14 @@ impl Normals {
         let mut contributions = Vec::new();
         for (number, fold) in self.folds.iter().enumerate().filter(|(_, fold)| fold.rows > 0.0) {
             let others = ScaledCholesky::new(&whole - &fold.matrix).filter(ScaledCholesky::is_complete)?;
-            // At the solution, all gradients add up to zero. The gradient of the other folds is therefore minus
-            // that of this fold.
+            // At the solution, all gradients add up to zero. The gradient of the other folds is therefore the negative
+            // gradient of this fold.
             let change = others.solve(&fold.gradient) * ((count - 1.0) / count).sqrt();
             contributions.push((UncertaintySource::Samples { data_set: data_set(number) }, change));
         }
-        // The priors contribute `H^-1 P H^-1`. Their weights `P` are diagonal. For the samples of prior knowledge `P` is not
-        // diagonal, so an eigenvalue decomposition provides the sources.
+        // The priors with their weights `P` contribute the covariance `H^-1 P H^-1`. For ordinary priors `P` is
+        // diagonal, and each prior is a source. For samples of prior knowledge `P` is not diagonal, so the eigenvectors
+        // of `P` are the sources.
         let inverse = factor.inverse();
         for &Prior { column, sigma, .. } in &self.priors {
             contributions.push((UncertaintySource::Prior { column }, inverse.column(column) / sigma));
@@ -360,14 +362,14 @@ pub struct Scores {
 }
 
 impl Scores {
-    /// Probability that the gradients along the columns `tried` are at least this far from zero although the parameters of
-    /// these columns are zero. Rao's score test, with the scatter of the folds because errors within a fold are correlated
-    /// (Hotelling's T squared). `None` if there are too few folds.
+    /// Tests whether the parameters of the columns `tried` are zero. Returns the probability of gradients at least this
+    /// large if they are. This is Rao's score test. Because errors within a fold are correlated, the variance of the
+    /// gradients is estimated from the scatter of the folds (Hotelling's T squared). `None` if there are too few folds.
     pub fn chance(&self, tried: &[usize]) -> Option<f64> {
         let (count, size) = (self.gradients.len(), tried.len());
         let fisher = FisherSnedecor::new(size as f64, count.checked_sub(size)? as f64).ok()?;
-        // For each tried column, the coefficients of the kept columns that explain it. The explained component is
-        // removed from the gradient.
+        // For each tried column, the coefficients of the kept columns that explain it. With these coefficients, the
+        // explained component is removed from the gradients.
         let coefficients: Vec<DVector<f64>> = tried
             .iter()
             .map(|&column| {
@@ -393,7 +395,7 @@ impl Scores {
     }
 }
 
-/// Priors of a selection of the columns. Their columns are numbered as in the selection.
+/// Priors of the selected columns. In the result, a column's number is its index in `columns`.
 fn priors_among(priors: &[Prior], columns: &[usize]) -> Vec<Prior> {
     let place = |prior: &Prior| {
         let column = columns.iter().position(|column| *column == prior.column)?;
@@ -407,7 +409,7 @@ mod tests {
     use super::*;
     use crate::solver::{Linearisation, minimise};
 
-    /// A line with noise that is constant within each fold: `r = a + b t - y`.
+    /// Test problem: a line with noise that is constant within each fold, `r = a + b t - y`.
     struct Line {
         y: Vec<f64>,
         priors: Vec<Prior>,

@@ -1,10 +1,10 @@
 //! Finds groups of dependent parameters from a sparse basis of the Jacobian's null space.
 //! `identifiability` reports these groups.
 //!
-//! In an orthonormal basis, usually all entries are nonzero. This module reduces the basis to vectors that are zero at the
-//! pivots of the other vectors. The pivots are chosen such that a direction with many parameters, such as a common scale of
-//! all lengths, becomes a vector of its own. The other vectors then become sparse: two parameters of which only the sum is
-//! determined, for example, or three that shift the same height. The support of a vector is the set of columns with nonzero
+//! In an orthonormal basis, usually all entries are nonzero. This module converts the basis to vectors that are zero at
+//! the pivots of the other vectors. The pivots are chosen so that a direction with many parameters, such as a common scale
+//! of all lengths, becomes a vector of its own. The other vectors then become sparse. For example, one has two nonzero
+//! entries if only the sum of two parameters is determined. The support of a vector is the set of columns with nonzero
 //! entries; overlapping supports are merged to groups.
 
 use nalgebra::DMatrix;
@@ -12,7 +12,7 @@ use nalgebra::DMatrix;
 use crate::solver::DependentGroup;
 use crate::statistics::largest_size;
 
-/// Entries count as zero below this fraction of the largest entry of their vector. The gaps of ranks are much larger.
+/// Entries below this fraction of the largest entry of their vector count as zero.
 const ENTRY_TOLERANCE: f64 = 1e-4;
 
 /// Groups of dependent columns, from an orthonormal null basis of the column-scaled Jacobian. The basis has one column for
@@ -61,7 +61,7 @@ fn support(vector: &[f64]) -> Vec<usize> {
     vector.iter().enumerate().filter(|(_, v)| is_nonzero(v)).map(|(column, _)| column).collect()
 }
 
-/// Basis of the same null space, in which each vector is zero at the pivots of the others.
+/// Basis of the same null space, in which each vector is zero at the pivots of the other vectors.
 fn sparse_basis(mut basis: DMatrix<f64>) -> Vec<Vec<f64>> {
     let full = basis.clone();
     let mut pivots = Vec::new();
@@ -102,7 +102,8 @@ fn next_pivot(basis: &DMatrix<f64>) -> Option<usize> {
 
 /// Orthonormal basis of the vectors in the span of `basis` that are zero at `pivot`.
 fn vanishing_at(basis: &DMatrix<f64>, pivot: usize) -> DMatrix<f64> {
-    // A reflection maps the pivot's row onto the first coefficient. The other columns are then zero at the pivot.
+    // A reflection transforms the columns so that the pivot's row is zero except for its first entry. All
+    // columns except the first are then zero at the pivot.
     let row = basis.row(pivot).transpose();
     let mut axis = row.clone();
     axis[0] += row.norm().copysign(row[0]);
@@ -127,7 +128,8 @@ mod tests {
 
     #[test]
     fn a_scale_through_everything_does_not_hide_the_pairs() {
-        // 0..5 lengths with a common scale, 0|5 a pair, 1|6|7 a triple, 8|9 a pair of angles, 10 alone.
+        // Parameters: 0 to 5 are lengths with a common scale. 0 and 5 are a pair, 1, 6 and 7 a triple, 8 and 9 a pair of
+        // angles. 10 is alone.
         let scale = vec![1.0, 2.0, 0.5, 0.3, 0.7, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
         let pair = vec![1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, 0.0];
         let triple_a = vec![0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0];

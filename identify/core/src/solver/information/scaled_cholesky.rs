@@ -1,6 +1,6 @@
-//! Cholesky factorisation of a normal matrix `N`. The columns, which are in metres, radians and seconds, are scaled to
-//! unit length first. Used for steps, covariances of folds, and tests. The rank is determined in `identifiability`,
-//! from an orthogonal factorisation.
+//! Cholesky factorisation of a normal matrix `N`. Parameters are in metres, radians and seconds, so the columns are scaled
+//! to unit length first. Used for steps, covariances of folds, and tests. The rank is not determined here, but in
+//! `identifiability`, from an orthogonal factorisation.
 
 use nalgebra::linalg::Cholesky;
 use nalgebra::{DMatrix, DVector, Dyn};
@@ -20,7 +20,7 @@ impl ScaledCholesky {
         Self::damped(normal, &diagonal, 0.0)
     }
 
-    /// Factor of `N + lambda D`, with columns scaled by the square root of the diagonal `D` (Marquardt 1963).
+    /// Factor of `N + lambda D`, with a diagonal matrix `D` (Marquardt 1963). Columns are scaled by the square roots of `D`.
     pub fn damped(mut normal: DMatrix<f64>, d: &DVector<f64>, lambda: f64) -> Option<Self> {
         let scale = d.map(|d| if d > 0.0 { d.sqrt().recip() } else { 0.0 });
         for (j, mut column) in normal.column_iter_mut().enumerate() {
@@ -31,8 +31,8 @@ impl ScaledCholesky {
         Some(Self { factor: normal.cholesky()?, scale })
     }
 
-    /// Whether every column is determined: a component of at least a millionth of each scaled column is independent of
-    /// the columns before it.
+    /// Whether every column is determined. A column is determined if at least a millionth of its squared length is
+    /// independent of the columns before it.
     pub fn is_complete(&self) -> bool {
         const PIVOT_MIN: f64 = 1e-6;
         let pivots = self.factor.l_dirty().diagonal();
