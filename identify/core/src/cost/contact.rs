@@ -8,8 +8,8 @@ use crate::kinematics::Chain;
 use crate::logs::TipRow;
 use crate::model::{Owner, ParameterId};
 
-/// The residual is `R ball - socket` \[m\], with entries in the robot's base. `R` is the robot's pose. The problem divides
-/// the residual by the standard deviation of a coordinate.
+/// The residual is `R ball - socket` \[m\]: the position of the ball according to the robot's pose `R`, minus the position
+/// of the socket, both in the robot's base. The problem divides the residual by the standard deviation of a coordinate.
 #[derive(Debug, Clone, Copy)]
 pub struct SeatedBall<'a> {
     /// Each sample with the index of its socket.

@@ -10,23 +10,23 @@ use crate::solver::{LeastSquares, Linearisation, Prior};
 
 /// Whitened samples of one instrument, independent of the type of residual.
 pub trait DataSet: LeastSquares {
-    /// As [`LeastSquares::at`], but writes into the columns of the caller's problem. Parameter `i` of this data set
-    /// is column `columns[i]` there.
+    /// As [`LeastSquares::at`], but writes the Jacobian into the columns of the combined problem. Parameter `i` of this data
+    /// set is column `columns[i]` of the combined problem.
     fn at_into<'a>(&'a self, x: &[f64], columns: &'a [usize]) -> Linearisation<'a>;
 }
 
 /// Map from the columns of each run to the columns of the combined problem.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SharedColumns {
-    /// For each run, the combined column of each of its parameters.
+    /// For each run, the columns of its parameters in the combined problem.
     of_runs: Vec<Vec<usize>>,
     all: Vec<Column>,
 }
 
 impl SharedColumns {
-    /// Assigns the columns of all models. `is_own` returns true for parameters with a separate value in each run. All
-    /// other parameters are shared with the first run that has them. The columns of the first run come first, in the
-    /// order of its model.
+    /// Assigns the columns of all models. `is_own` returns true for parameters with a separate value in each run. Any
+    /// other parameter has one column, which is created for the first run that contains the parameter. The columns of the
+    /// first run come first, in the order of its model.
     pub fn new<'m>(
         models: impl IntoIterator<Item = &'m Model>,
         is_own: impl Fn(ParameterId) -> bool,
@@ -67,8 +67,8 @@ impl SharedColumns {
         self.of_run(run).iter().map(|&column| x.get(column).copied().unwrap_or_default()).collect()
     }
 
-    /// One value per combined column, from the values of each run. If several runs have a column, the first of
-    /// them provides the value.
+    /// Converts values from the columns of each run to the combined columns. For a column that several runs share,
+    /// the value of the first of these runs is used.
     pub fn gather<T: Clone>(&self, values_of_runs: &[Vec<T>]) -> Vec<T> {
         let first_value = |column: usize| {
             let value_in_run = |(columns, values): (&Vec<usize>, &Vec<T>)| {

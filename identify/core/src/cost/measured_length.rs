@@ -8,8 +8,8 @@ use crate::logs::LengthRow;
 use crate::model::{Geometry, Owner, ParameterId, SetUp, WireGeometry};
 
 /// The residual is `(1 + scale) |R attachment - anchor| + offset - measured` \[m\], divided by the relative noise of the
-/// sample. The relative noise is the ratio of a sample's standard deviation to that of the median sample. The problem
-/// divides the residual by the standard deviation of the median sample.
+/// sample. The relative noise is the standard deviation of this sample, divided by the standard deviation of the median
+/// sample. The problem divides the residual by the standard deviation of the median sample.
 #[derive(Debug, Clone, Copy)]
 pub struct MeasuredLength<'a> {
     /// Each sample with its length, anchor and attachment. Samples without a row are ignored.

@@ -18,10 +18,10 @@ pub struct PoseNoise {
     pub rotation_rad: f64,
 }
 
-/// `H = R probe` is the probe's pose predicted by the robot (`held`). `S = T measured` is the probe's pose observed by the
-/// tracker (`seen`), where `T` is the tracker's pose and the measured position is divided by `1 + scale`. The residual
-/// consists of the position of `H` minus that of `S`, in the robot's base, and of the rotation vector of `S^-1 H`. Each is
-/// divided by its standard deviation.
+/// The residual compares two poses of the probe. `H = R probe` is predicted by the robot (`held`). `S = T measured` is
+/// observed by the tracker (`seen`), where `T` is the tracker's pose and the measured position is divided by `1 + scale`.
+/// The first three entries are the position of `H` minus the position of `S`, in the robot's base. The other three are the
+/// rotation vector of `S^-1 H`. Each entry is divided by its standard deviation.
 ///
 /// Samples without a row or a rotation are ignored.
 #[derive(Debug, Clone, Copy)]

@@ -32,8 +32,8 @@ pub struct Sighting {
 }
 
 impl Sighting {
-    /// Computes both poses at one sample. If no rotation was measured, only the positions are meaningful. `None` if the
-    /// sample's set-up does not exist.
+    /// Computes both poses at one sample. If no rotation was measured, only the positions are meaningful.
+    /// `None` if the sample's set-up does not exist.
     pub(super) fn new(scene: &Scene<'_>, row: &PoseRow, noise: PoseNoise) -> Option<Self> {
         let (tracker, probe) = scene.geometry.tracker.at(row.set_up)?;
         let held = scene.robot.end() * probe.pose();

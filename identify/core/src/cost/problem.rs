@@ -1,8 +1,9 @@
 //! [`LoopProblem`] applies a cost to the samples of one data set. The result is a least-squares problem for the solver.
 //!
-//! For parameter values `x` the model provides the geometry, from which a [`LoopPoint`] prepares both chains. For each sample,
-//! [`LoopPoint`] interpolates the robot's joints at the sample's time and computes both chains, which together are a [`Scene`].
-//! The cost computes residual and derivatives from the scene. Both are then divided by the standard deviation of the residual.
+//! For parameter values `x` the model provides the geometry, from which a [`LoopPoint`] prepares both chains. For
+//! each sample, [`LoopPoint`] interpolates the robot's joints at the sample's time and computes both chains. A
+//! [`Scene`] contains these two chains. The cost computes residual and derivatives from the scene. Both are then
+//! divided by the standard deviation of the residual.
 //!
 //! Known properties of an instrument ([`Knowns`], such as the distance between two sockets) are additional samples after the
 //! measured ones. Their residuals are already in units of their standard deviations.
@@ -55,7 +56,7 @@ pub struct LoopProblem<'a, R, M> {
     residual: R,
     /// Parameter of each column.
     ids: Vec<ParameterId>,
-    /// The numbers `0, 1, 2 ..`, which assign each parameter to a column of this problem.
+    /// The numbers `0, 1, 2 ..`. They assign parameter `i` to column `i` if this problem is solved alone.
     own_columns: Vec<usize>,
     priors: Vec<Prior>,
     /// One over the standard deviation of a residual entry.
@@ -65,9 +66,9 @@ pub struct LoopProblem<'a, R, M> {
 }
 
 impl<'a, R: Residual, M: RobotMotion> LoopProblem<'a, R, M> {
-    /// Creates the problem. `sigma` is the standard deviation of a residual entry, in the unit of the residual. Residuals
-    /// are divided by `sigma`, so that scales of priors and robust losses are in units of standard deviations. If `sigma` is
-    /// one, the residual is as the cost defines it.
+    /// Creates the problem. `sigma` is the standard deviation of a residual entry, in the unit of the residual.
+    /// Residuals are divided by `sigma`. Scales of robust losses are therefore in units of standard deviations. With a
+    /// `sigma` of one, the residual is that of the cost.
     ///
     /// # Errors
     /// [`CostError`] if the observations do not contain the values that the cost needs, or if `sigma` is not positive.
@@ -139,7 +140,7 @@ pub struct LoopPoint {
     robot_tracer: Tracer,
     bar_chain: Chain,
     bar_tracer: Tracer,
-    /// y axis of the bar's base after its rotation about x, in the root frame.
+    /// y axis of the bar's base after the base's rotation about x, in the root frame.
     base_y: Vector3<f64>,
     joints: MovingJoints,
     robot: Trace,
@@ -172,14 +173,14 @@ impl LoopPoint {
         if !self.geometry.joints_at(motion, observation.t_s, &mut self.joints) {
             return None;
         }
-        // Bar joints: readings corrected by offsets of the counter origin and by encoder errors.
+        // Compute the bar joints: readings corrected by offsets of the counter origin and by encoder errors.
         let joints = &self.joints;
         let errors_rad = self.geometry.encoder_errors_rad(readings);
         let origin_offsets_rad = self.geometry.offsets_of_origin(observation.origin);
         let correction_rad: [f64; BAR_JOINTS] =
             std::array::from_fn(|joint| origin_offsets_rad[joint] - errors_rad[joint]);
         let bar_joints = readings.iter().zip(correction_rad).map(|(reading, rad)| reading.and(Turn::of(rad)));
-        // Length of the rod, elongated by force and direction.
+        // Set the length of the rod, elongated by the force and by the direction of the bar.
         if let Some(rod) = self.geometry.bar_links.get(ROD_LINK) {
             let rod_m = rod.d_m + self.geometry.extension_m(&observation.force, readings);
             self.bar_tracer.set_d(ROD_LINK, rod_m);

@@ -4,8 +4,9 @@ use super::scene::Scene;
 use crate::kinematics::{Chain, ROD_LINK};
 use crate::model::ParameterId;
 
-/// Whether a cost that uses these encoders can depend on the parameter. Harmonics and offsets of an encoder, and waves over
-/// its reading, need this encoder. For all other parameters the result is true.
+/// Whether a cost that uses these encoders can depend on the parameter. Some parameters belong to one encoder: its
+/// harmonics, its offsets, and waves as a function of its reading. For such a parameter, the cost must use this
+/// encoder. For all other parameters the result is true.
 pub(super) fn encoders_suffice(id: ParameterId, encoders: &[usize]) -> bool {
     match id {
         ParameterId::EncoderWave { joint, .. }
@@ -29,8 +30,8 @@ pub trait Residual: Sync {
     /// Whether the parameter changes the residual for this robot. Parameters that do not change the residual need not be free.
     fn depends_on(id: ParameterId, robot: &Chain) -> bool;
 
-    /// Whether the residual can distinguish the effect of the parameter from that of the other parameters. Named selections
-    /// of parameters free only such parameters.
+    /// Whether the residual can distinguish the effect of the parameter from that of the other parameters. Named
+    /// selections of parameters free only such parameters.
     fn identifies(id: ParameterId, robot: &Chain) -> bool {
         Self::depends_on(id, robot)
     }

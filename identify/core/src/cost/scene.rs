@@ -1,6 +1,6 @@
-//! A [`Scene`] contains both chains at one sample and computes the twists of their ends by each parameter, for all
-//! residuals. [`super::LoopProblem`] creates the scene from the parameter values, the observation, and the robot's motion at
-//! the time of the observation.
+//! A [`Scene`] contains both chains at one sample. From the scene, every cost computes the twist of each chain's end per
+//! unit rate of a parameter. [`super::LoopProblem`] creates the scene from the parameter values, the observation, and the
+//! robot's motion at the time of the observation.
 
 use nalgebra::Vector3;
 
@@ -14,7 +14,7 @@ pub enum Movement {
     Robot(Twist),
     /// Moves the bar's end by this twist. The bar's end is computed from the bar's joints and links.
     Bar(Twist),
-    /// Moves neither end. The parameter may still occur in the residual, as those of other instruments do.
+    /// Moves neither end. The parameter may nevertheless change the residual; parameters of other instruments do.
     None,
 }
 
@@ -34,7 +34,7 @@ pub struct Scene<'a> {
     pub bar_rad: [f64; BAR_JOINTS],
     /// Chain of the bar on its base. The length of its rod includes the elongation by force and direction of this sample.
     pub bar_chain: &'a Chain,
-    /// Computes the bar at other joint angles, such as those that the robot's pose implies.
+    /// Computes the bar's chain at other joint angles, such as those that the robot's pose implies.
     pub bar_tracer: &'a Tracer,
     /// Joint states of the robot.
     pub joints: &'a MovingJoints,
@@ -103,7 +103,7 @@ impl Scene<'_> {
     pub fn elongation(&self, id: ParameterId) -> f64 {
         match id {
             ParameterId::BarCompliance => self.observation.force.along_n,
-            // From -1 to 1: the sign of the force, smoothed around zero.
+            // The sign of the force, smoothed around zero: from -1 to 1.
             ParameterId::BarPlay => self.observation.force.side,
             ParameterId::BarWave { joint, order, phase } => {
                 self.readings.get(joint).map_or(0.0, |reading| phase.wave(order, *reading))
@@ -119,8 +119,9 @@ impl Scene<'_> {
         self.bar_chain.links.get(ROD_LINK).map_or(0.0, |rod| rod.d_m)
     }
 
-    /// Twist of the bar's end per radian of base tilt. The base is `T(origin) Rx(rx) Ry(ry)`, so `rx` rotates the axis of
-    /// `ry`. There is no rotation about z, because the offset of encoder 1 contains it.
+    /// Twist of the bar's end per radian of base tilt. The base has the pose `T(origin) Rx(rx) Ry(ry)`, so `rx`
+    /// rotates the axis of `ry`. The base has no parameter for the rotation about z, because the offset of encoder 1
+    /// has the same effect.
     fn base_rotation(&self, axis: Axis, end_m: Vector3<f64>) -> Twist {
         let axis = match axis {
             Axis::X => Vector3::x(),

@@ -1,6 +1,6 @@
-//! Computes all results that the report of a calibration shows, and collects them in [`Evidence`]. A gap is the distance of
-//! the robot's end from the bar's end. Without encoders the bar's end is unknown, and a gap is the distance of the robot's
-//! end from the sphere of the bar.
+//! Computes all results that the report of a calibration shows, and collects them in [`Evidence`]. A gap is the
+//! distance between the robot's end and the bar's end. Without encoders the bar's end is unknown. A gap is then the
+//! distance of the robot's end from the sphere of the bar.
 
 use super::accuracy::workspace::Workspace;
 use super::limits::gap_m;
@@ -33,9 +33,9 @@ pub struct RunEvidence {
 }
 
 impl RunEvidence {
-    /// Computes the results of a run whose model contains the solution.
+    /// Computes the results of a run. `model` contains the solution.
     pub fn new(prepared: &Prepared, model: &Model) -> Self {
-        /// Half widths of the two curves \[s\]: the wide one as in figure 5.5 of the thesis, the other one near the minimum.
+        /// Half widths of the two curves \[s\]. The wide curve corresponds to figure 5.5 of the thesis.
         const WIDE_S: f64 = 0.2;
         const NEAR_S: f64 = 0.005;
         const STEPS: usize = 20;
@@ -64,7 +64,7 @@ pub struct Evidence {
     pub gap_before_m: Sizes,
     /// Gap at the solution, statistics over all runs \[m\].
     pub gap_after_m: Sizes,
-    /// Residuals of all runs at the solution, expressed as errors of single joints: one list for each joint.
+    /// Residuals of all runs at the solution, each expressed as the error of a single joint. One list for each joint.
     pub joints: Vec<Vec<JointGap>>,
     /// Deviation of the robot's end from the bar's sphere, per run.
     pub spheres: Vec<SphereDeviation>,
@@ -72,13 +72,14 @@ pub struct Evidence {
     pub workspace: WorkspaceError,
     /// Data from which `workspace` was computed. Kept to compute the errors of the deployments later.
     uncertain: Workspace,
-    /// For each part of an instrument, such as a socket, the rows measured there, as predicted by the fit to all other data.
+    /// Rows that were measured at each part of an instrument, such as a socket, compared with the prediction of a fit
+    /// to all other data.
     pub unseen: Vec<UnseenPart>,
     /// Limitations of the result.
     pub limits: Vec<Limit>,
     /// Prediction of held-out segments; `None` if not requested.
     pub held_out: Option<HeldOut>,
-    /// For each partial deployment, its best fit and the prediction of the held-out segments by this fit. Empty if not
+    /// The best fit of each partial deployment, and the errors of its predictions for held-out segments. Empty if not
     /// requested. Deployments whose fit does not converge are omitted.
     pub deployed: Vec<(Deployed, HeldOut)>,
 }
@@ -110,8 +111,8 @@ pub fn evidence(calibration: &Calibration, joint_limits: &[[f64; 2]]) -> Evidenc
 }
 
 impl Evidence {
-    /// Adds the predictions of held-out ball-bar segments by the calibration and by its deployments, and the expected error
-    /// of each deployment over the workspace. Each deployment is solved again.
+    /// Adds two results: the predictions of held-out ball-bar segments by the calibration and by its deployments, and the
+    /// expected error of each deployment over the workspace. Each deployment is solved again.
     ///
     /// # Errors
     /// [`CalibrateError`] if a solve fails or `watch` cancels it.

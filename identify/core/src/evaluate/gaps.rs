@@ -1,6 +1,6 @@
-//! Residuals by joint. The gap between robot and bar is expressed as the motion of a single robot joint that closes most of
-//! it. This motion is `-J . e / |J|^2`, with the position error `e` and its derivative `J` with respect to the joint. Used
-//! for the figures by joint in the report.
+//! Residuals by joint. The gap between robot and bar is expressed as the motion of a single robot joint: the motion that
+//! reduces the gap most. With the position error `e` and its derivative `J` with respect to the joint, this motion is
+//! `-J . e / |J|^2`. The report shows these motions in the figures by joint.
 
 use crate::cost::Closure;
 
@@ -17,13 +17,14 @@ pub struct JointGap {
 
 /// For each joint, the least-squares motion of this joint alone, one entry per sample. `axes` is the number of joints.
 ///
-/// Uses positions only. A sample is omitted for joints that hardly move the end, with a lever arm below a tenth of a metre. In
-/// these values, a gear error is a wave over the joint angle. Backlash is a difference between the two directions of motion.
+/// Uses positions only. If the lever arm between joint and end is below a tenth of a metre, the sample is omitted
+/// for this joint. In the results, a gear error appears as a wave over the joint angle, and backlash as a
+/// difference between the two directions of motion.
 pub fn joint_gaps<'a>(
     axes: usize,
     closures: impl Iterator<Item = &'a Closure> + Clone,
 ) -> Vec<Vec<JointGap>> {
-    /// Minimum lever arm \[m/rad\]. The lever arm of a prismatic joint is 1 m/m.
+    /// Minimum lever arm between joint and end \[m/rad\]. A prismatic joint always has the lever arm 1 m/m.
     const LEVER_MIN: f64 = 0.1;
     let of_joint = |joint: usize| {
         let gap = |closure: &Closure| {

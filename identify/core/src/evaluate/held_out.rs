@@ -1,5 +1,6 @@
-//! Compares robot and bar on held-out segments of time, before and after calibration. `calibrate::validation::held_out`
-//! provides the models that were fitted without each segment. The errors are the differences of the two ends.
+//! Compares robot and bar on segments of time that were held out of the fit, before and after calibration.
+//! `calibrate::validation::held_out` provides the models that were fitted without each segment. The errors are the
+//! differences of the two ends.
 
 use super::nominal::bar_fitted;
 use super::uncalibrated;
@@ -16,12 +17,14 @@ use crate::model::{Geometry, Model, Observation, ParameterId};
 pub struct HeldOutSegment {
     /// Index of the run that contains the segment, from 0.
     pub run: usize,
-    /// Errors in three stages, each with the time of the sample on the bar's clock, since the run's reference time \[s\]:
-    /// - nominal: the nominal robot, with the bar fitted to it on the other samples of the run;
+    /// Errors in three stages. Each error comes with the time of its sample on the bar's clock, since the run's reference
+    /// time \[s\]. The stages are:
+    /// - nominal: the nominal robot, with the bar fitted to this robot on the other samples of the run;
     /// - predicted: the fit to all data except the segment;
-    /// - fitted: the full fit, which includes the segment.
+    /// - fitted: the fit to all data, including the segment.
     ///
-    /// If the cost does not estimate the offsets of all encoders, the bar is also fitted to the robots of the last two stages.
+    /// If the cost does not estimate the offsets of all encoders, the bar is also fitted again in the
+    /// stages predicted and fitted.
     pub stages: [Vec<(f64, PoseError)>; 3],
 }
 
@@ -43,7 +46,7 @@ impl HeldOutSegment {
 pub struct HeldOut {
     /// Segments in the order of runs and time. Segments that the other data could not predict are omitted.
     pub segments: Vec<HeldOutSegment>,
-    /// Number of omitted segments, because the other data do not determine all parameters.
+    /// Number of segments that were omitted because the other data do not determine all parameters.
     pub undetermined: usize,
 }
 
@@ -59,8 +62,8 @@ fn rms(segments: &[HeldOutSegment]) -> [PoseError; 3] {
     [0, 1, 2].map(|stage| PoseFigures::of(errors(stage).map(|(_, error)| *error)).rms())
 }
 
-/// For each segment, the nominal robot with the bar fitted to it on the other samples of the run. `None` if the other data
-/// do not determine all parameters.
+/// For each segment, the nominal robot with the bar fitted to this robot on the other samples of the run. `None` if
+/// the other data do not determine all parameters.
 pub fn nominals(calibration: &Calibration, segments: &[Segment]) -> Vec<Option<Geometry>> {
     let runs: Vec<_> = calibration.bar_runs().collect();
     let nominal = |segment: &Segment| {
@@ -70,15 +73,15 @@ pub fn nominals(calibration: &Calibration, segments: &[Segment]) -> Vec<Option<G
     segments.iter().map(nominal).collect()
 }
 
-/// Errors of each segment in all three stages. `nominals` come from [`nominals`].
+/// Errors of each segment in all three stages. The argument `nominals` is the result of the function [`nominals`].
 pub fn held_out(calibration: &Calibration, segments: &[Segment], nominals: &[Option<Geometry>]) -> HeldOut {
     let Some(cost) = calibration.cost() else { return HeldOut::default() };
     let measured = calibration.measured();
     let robot = calibration.model().robot();
     let is_estimated =
         |link| cost.identifies(&measured, ParameterId::Bar { link, parameter: LinkParameter::Theta }, robot);
-    // A cost that does not use all encoders does not estimate their offsets. The comparison is then between robots, each
-    // with its own fitted bar.
+    // A cost that does not use all encoders does not estimate their offsets. The bar is then fitted to each robot, so the
+    // comparison shows differences between the robots only.
     let all_estimated = measured.iter().enumerate().all(|(link, measured)| !measured || is_estimated(link));
     let geometry = |model: &Model, motion: &_, observations: &[Observation]| {
         if all_estimated { model.geometry(&[]) } else { bar_fitted(model.clone(), motion, observations) }
@@ -101,7 +104,7 @@ pub fn held_out(calibration: &Calibration, segments: &[Segment], nominals: &[Opt
     HeldOut { undetermined: segments.len() - predicted.len(), segments: predicted }
 }
 
-/// Difference between robot and bar. It uses all measured encoders, even if the cost does not.
+/// Difference between the ends of robot and bar. It uses all measured encoders, including those that the cost does not use.
 fn pose_error(closure: &Closure, measured: [bool; BAR_JOINTS]) -> PoseError {
     PoseError {
         position_m: closure.gap_m(measured.contains(&true)),

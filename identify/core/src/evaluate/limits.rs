@@ -1,5 +1,5 @@
-//! Limitations of a calibration, as sentences that suggest an action. They result from tests of the solution, its covariance
-//! and its residuals. Used for report and verdict.
+//! Limitations of a calibration, as sentences that suggest an action. They result from tests of the solution, of its
+//! covariance and of its residuals. Report and verdict use them.
 
 use serde::{Deserialize, Serialize};
 use shared::config::JointKind;
@@ -26,23 +26,23 @@ const BY_CHANCE: f64 = 3.09;
 /// Samples with a weight below this in the robust loss are outliers.
 const WEIGHT_MIN: f64 = 0.5;
 
-/// Larger length errors have another cause than manufacturing or measurement \[m\].
+/// Length errors above this limit have another cause than manufacturing or measurement \[m\].
 const LENGTH_OFF_M: f64 = 5e-3;
 
-/// A rotation of the plate by more than this is reported \[rad\]. Offsets of joints have smaller errors; mountings of plates
-/// may have larger ones.
+/// A rotation of the plate by more than this is reported \[rad\]. It is more than the usual error of a joint
+/// offset; the mounting of a plate may be further off.
 const TURNED_RAD: f64 = 17e-3;
 
-/// A larger relative error of a gear ratio shows a wrong configuration, because gear ratios are ratios of tooth numbers. The
-/// elasticity of a drive contributes less than a tenth of this.
+/// Relative errors of a gear ratio above this limit show a wrong configuration, because gear ratios are ratios of tooth
+/// numbers. The elasticity of a drive contributes less than a tenth of this limit.
 const RATIO_OFF: f64 = 500e-6;
 /// Smaller delays of a joint are not reported \[s\]. At 1 rad/s, this delay is an error of half a milliradian.
 const DELAY_S: f64 = 5e-4;
 
-/// A contribution below this fraction of an uncertainty increases it by less than 6 %.
+/// Contributions below this fraction of an uncertainty are negligible, because they increase it by less than 6 %.
 const NEGLIGIBLE: f64 = 1.0 / 3.0;
 
-/// Maximum number of names in one sentence. If there are more names, the sentence ends with the number of the others.
+/// Maximum number of names in one sentence. If there are more, the sentence ends with the number of the remaining names.
 const NAMED: usize = 3;
 
 /// One limitation of a calibration.
@@ -68,7 +68,7 @@ pub fn limits(calibration: &Calibration, workspace: &WorkspaceError) -> Vec<Limi
         limits.extend(turned_plate(model, solution));
     }
     limits.extend(of_disagreement(&calibration.runs, &calibration.solved.sigmas, solution.loss));
-    // A wrong scale contradicts the priors of all lengths as well.
+    // A wrong scale would contradict the priors of all lengths as well, so lengths come first.
     limits.extend(of_lengths(calibration, scales));
     limits.extend(strained_priors(&calibration.contradicted.priors));
     limits.extend(correlated_residuals(calibration));
@@ -79,7 +79,7 @@ pub fn limits(calibration: &Calibration, workspace: &WorkspaceError) -> Vec<Limi
     limits
 }
 
-/// Reasons that the instruments report for a result that may be wrong.
+/// Reasons, reported by the instruments, why the result may be wrong.
 fn of_doubts(calibration: &Calibration) -> impl Iterator<Item = Limit> {
     calibration.runs.iter().enumerate().flat_map(move |(number, Run { instrument, model })| {
         let doubts = instrument.doubts(&model.geometry(&[])).into_iter();
@@ -103,7 +103,7 @@ fn little_travel(calibration: &Calibration) -> Vec<Limit> {
     travel.filter(|(_, travel_deg)| *travel_deg < TRAVEL_MIN_DEG).map(little).collect()
 }
 
-/// Samples with a low weight in the robust loss, if they are more than one in twenty samples.
+/// Outliers (samples with a low weight in the robust loss), if they are more than one in twenty samples.
 fn outliers(solution: &Solution) -> Option<Limit> {
     let weights = &solution.sample_weights;
     // At its scale, a loss has the weight one half. The weight of Geman-McClure is the square of this.
@@ -169,8 +169,8 @@ fn of_disagreement(runs: &[Run], sigmas: &[f64], loss: Loss) -> Option<Limit> {
     })
 }
 
-/// Lengths that differ from the configured ones, for any instruments. The cause is a different robot or bar, or a wrong
-/// scale of all lengths.
+/// Lengths that differ from the configured ones, for any instruments. Either the robot or the bar is not the
+/// configured one, or the scale of all lengths is wrong.
 fn of_lengths(calibration: &Calibration, scales: impl Iterator<Item = ScaleFrom>) -> Vec<Limit> {
     let mut sources: Vec<&str> = Vec::new();
     for source in scales.map(describe_scale) {
@@ -193,9 +193,9 @@ fn of_lengths(calibration: &Calibration, scales: impl Iterator<Item = ScaleFrom>
     sentences.map(|sentence| Limit { sentence, serious: true }).collect()
 }
 
-/// Changes during the measurement. They are serious if they move the end of an arm with this reach by more than a negligible
-/// fraction of the expanded uncertainty. The fraction is small because a change also increases the expanded uncertainty: it
-/// makes the samples contradict each other.
+/// Changes during the measurement. `reach_m` is the reach of the arm. Changes are serious if they move the arm's end by more
+/// than a negligible fraction of the expanded uncertainty. The fraction is small because a change also increases the
+/// expanded uncertainty: the samples before and after the change contradict each other.
 fn of_changes(changed: &[Changed], reach_m: f64, expanded_m: f64) -> Option<Limit> {
     (!changed.is_empty()).then(|| Limit {
         sentence: format!(
@@ -230,7 +230,7 @@ fn correlated_residuals(calibration: &Calibration) -> impl Iterator<Item = Limit
     })
 }
 
-/// Force measurements that do not explain the bar's length.
+/// Force measurements that do not explain changes of the bar's length.
 fn forces_without_sign(calibration: &Calibration) -> impl Iterator<Item = Limit> {
     let undetermined = Elongation::all(calibration)
         .into_iter()
@@ -259,7 +259,7 @@ fn strained_priors(strained: &[ContradictedPrior]) -> Option<Limit> {
     })
 }
 
-/// Estimates of one error term of the joints. Each consists of the joint (from 1), the value and the standard
+/// Estimates of one error term, for all joints. Each entry consists of the joint (from 1), the value, and the standard
 /// deviation of the value.
 fn estimates(model: &Model, solution: &Solution, wanted: JointTerm) -> Vec<(usize, f64, f64)> {
     let columns = model.columns().enumerate();
@@ -272,7 +272,7 @@ fn estimates(model: &Model, solution: &Solution, wanted: JointTerm) -> Vec<(usiz
     of_term.collect()
 }
 
-/// Whether an estimate `off` with this standard deviation is significantly larger than the limit `off_min`.
+/// Whether the estimate `off`, with the standard deviation `sigma`, is significantly larger than the limit `off_min`.
 fn is_certain(off: f64, off_min: f64, sigma: f64) -> bool {
     off.abs() > off_min + BY_CHANCE * sigma
 }
@@ -305,8 +305,8 @@ fn late_joints(model: &Model, solution: &Solution) -> Option<Limit> {
     })
 }
 
-/// Joints whose delay differs significantly from the median delay. The median delay is an error of the clocks. Joints
-/// without an estimate count as joints without delay.
+/// Joints whose delay differs significantly from the median delay. A delay that all joints have is an error of the clocks,
+/// which the median represents. Joints without an estimate count as joints with zero delay.
 fn later_than_others(delays: &[(usize, f64, f64)], axes: usize) -> Vec<String> {
     let mut all_s: Vec<f64> = delays.iter().map(|(_, delay_s, _)| *delay_s).collect();
     all_s.resize(axes, 0.0);
@@ -316,8 +316,8 @@ fn later_than_others(delays: &[(usize, f64, f64)], axes: usize) -> Vec<String> {
     late.map(|(joint, delay_s, _)| format!("joint {joint} by {:+.1} ms", 1e3 * delay_s)).collect()
 }
 
-/// Rotation of the flange plate about the flange's axis, relative to the configuration, or an offset of the last joint. The
-/// two cannot be distinguished.
+/// Rotation of the flange plate about the flange's axis, relative to the configuration. An offset of the last joint
+/// has the same effect and cannot be distinguished.
 fn turned_plate(model: &Model, solution: &Solution) -> Option<Limit> {
     let last = model.axes().checked_sub(1)?;
     let theta = ParameterId::Robot { link: last, parameter: LinkParameter::Theta };

@@ -1,5 +1,5 @@
-//! Evaluation of a calibration. Computes the figures of the report from a solution; no solve uses these figures. Most of
-//! them are in [`Evidence`].
+//! Evaluation of a calibration. Computes the numbers and curves of the report from a solution; solves do not use them. Most
+//! results are in [`Evidence`].
 
 mod accuracy;
 mod evidence;

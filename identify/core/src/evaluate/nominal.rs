@@ -1,13 +1,14 @@
-//! The nominal robot with a bar fitted to it. A calibration is compared with this reference.
+//! The nominal robot with a bar fitted to it. It is the reference for the improvement by a calibration.
 
 use crate::cost::{LoopProblem, Position, Residual, Transform};
 use crate::model::{Geometry, Model, Observation, Owner, ParameterId, RobotMotion};
 use crate::solver::{Options, minimise};
 
-/// Relative tolerance of the cost. The root mean square that is compared changes by half of this.
+/// Relative tolerance of the cost. Because the cost is a sum of squares, a root mean square changes by half of this.
 const COST_TOLERANCE: f64 = 1e-6;
 
-/// The calibrated model with its robot reset to nominal, and with the bar's base and encoder offsets fitted to this robot.
+/// Geometry of the uncalibrated robot: the robot is reset to nominal, and the bar's base and encoder offsets are
+/// fitted to this robot.
 ///
 /// Without the fit, all errors of the robot would appear as a displacement of the bar. If the fit fails, the
 /// bar stays as calibrated.
@@ -17,8 +18,8 @@ pub fn uncalibrated(model: &Model, motion: &impl RobotMotion, observations: &[Ob
     bar_fitted(nominal, motion, observations)
 }
 
-/// Geometry with the model's robot unchanged, and the bar's base and encoder offsets fitted to this robot. If the fit fails,
-/// the bar is unchanged.
+/// Geometry with the model's robot unchanged, and the bar's base and encoder offsets fitted to this robot. If
+/// the fit fails, the bar stays unchanged as well.
 pub(super) fn bar_fitted(
     mut model: Model,
     motion: &impl RobotMotion,

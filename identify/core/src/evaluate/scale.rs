@@ -1,5 +1,5 @@
-//! Describes the reference of the scale of all lengths as text. If there is only one reference, no other
-//! measurement can verify it.
+//! Describes in a sentence what determines the scale of all lengths (the reference of the scale). If there is only one
+//! reference, no other measurement can verify it.
 
 use std::borrow::Cow;
 use std::path::Path;
@@ -11,12 +11,12 @@ use super::Budget;
 use crate::instrument::{Run, ScaleFrom};
 use crate::model::{ParameterId, Role};
 
-/// Length error of a plate that the sentence uses as an example \[m\].
+/// Length error of a plate that serves as an example in the sentence \[m\].
 const LONGER_M: f64 = 1e-4;
 
-/// A sentence that describes what determines the scale. The references are the plates of `bars`, each with its
-/// configuration, and the instruments `others`, each with the file of its mapping. The effect of a plate error on positions
-/// comes from the budget.
+/// The sentence about the reference of the scale. References are the plates of `bars`, each with the source of its
+/// configuration, and the instruments of `others`, each with the file of its mapping. The budget contains the effect of a
+/// plate error on positions.
 pub fn scale_sentence<'a>(
     bars: impl IntoIterator<Item = (&'a BallBarConfig, Source)>,
     others: impl IntoIterator<Item = (&'a Run, &'a Path)>,

@@ -46,8 +46,8 @@ pub fn shift_curve(
     curve
 }
 
-/// Vertex of the parabola through the smallest squared gap and the squared gaps before and after it, because squared gaps
-/// are quadratic in the shift.
+/// Time shift at the minimum of the curve. Squared gaps are quadratic in the shift. A parabola is therefore drawn through
+/// the smallest squared gap and its two neighbours, and the result is its vertex.
 fn minimum(shift_s: &[f64], rms_m: &[f64]) -> Option<f64> {
     let least = (0..rms_m.len()).min_by(|&a, &b| rms_m[a].total_cmp(&rms_m[b]))?;
     let square = |index: usize| rms_m.get(index).map(|rms| rms * rms);

@@ -1,9 +1,9 @@
-//! Distance of the robot's end from the sphere of a rigid bar, and the fraction of it that a force
+//! Distance of the robot's end from the sphere of a rigid bar, and the fraction of this distance that a force
 //! explains (TFRT-6017 section 5.3).
 //!
-//! If the bar's encoders measure its direction, the deviation is the gap between robot and bar along the rod. The axes
-//! of a real bar miss each other by some hundredths of a millimetre. The robot therefore does not move on an exact
-//! sphere about the gimbal.
+//! If encoders measure the bar's direction, the deviation is the gap between robot and bar along the rod. It
+//! then takes into account that the axes of a real bar miss each other by some hundredths of a millimetre, so
+//! that the robot does not move on an exact sphere.
 
 use nalgebra::Vector3;
 
@@ -26,7 +26,7 @@ pub struct OffSphere {
     pub off_m: f64,
     /// `off_m` minus the elongation by the force \[m\].
     pub unexplained_m: f64,
-    /// Axial force on the bar with the sign of its log \[N\], or only its sign if `bplay` was estimated.
+    /// Axial force on the bar \[N\], with the sign that it has in the log. Only this sign if `bplay` was estimated.
     pub force: f64,
 }
 
@@ -46,7 +46,7 @@ impl ModelDeviation {
         let radial_m = |closure: &Closure| {
             if by_encoders { closure.direction.dot(&closure.position_error_m) } else { closure.off_sphere_m }
         };
-        // The bar of a closure is elongated by the force; the bar of `off_m` is not.
+        // `off_m` refers to a bar without force, while the bar of a closure is elongated by the force.
         let sample = |closure: &Closure| OffSphere {
             t_s: closure.t_s,
             direction: closure.direction,
@@ -81,11 +81,11 @@ pub struct Elongation {
     pub run: usize,
     /// The force measurement of the run.
     pub measured: BarForces,
-    /// The estimated parameter: `bcompliance`, or `bplay` if only the sign of the force was measured or
+    /// The estimated parameter: usually `bcompliance`. It is `bplay` if only the sign of the force was measured or
     /// if `bplay` explains more.
     pub parameter: ParameterId,
-    /// Value of the parameter, with the sign of the log: elongation per newton \[m/N\], or elongation for
-    /// a positive force \[m\].
+    /// Value of the parameter, for the sign of the force in the log. For `bcompliance` it is the elongation per newton
+    /// \[m/N\], for `bplay` the elongation under a positive force \[m\].
     pub value: f64,
     /// Standard deviation of `value`; `None` if the parameter was fixed.
     pub sigma: Option<f64>,
@@ -108,7 +108,7 @@ impl Elongation {
     fn of_run(calibration: &Calibration, run: usize, prepared: &Prepared, model: &Model) -> Option<Self> {
         let Solved { columns, solution, .. } = &calibration.solved;
         let measured = prepared.force?;
-        // The calibration frees the play instead of the compliance if the play explains more.
+        // A calibration frees `bplay` instead of `bcompliance` if `bplay` explains more.
         let candidates = [ParameterId::BarCompliance, ParameterId::BarPlay].into_iter();
         let mut estimated = candidates.filter(|id| model.column_of(*id).is_some());
         let parameter = estimated.next().unwrap_or_else(|| measured.parameter());
@@ -152,8 +152,8 @@ impl Elongation {
     }
 }
 
-/// Deviation of one run from the sphere, before and after calibration. If a force was measured, also the elongation of the
-/// bar by the force.
+/// Deviation of one run from the sphere, before and after calibration. If a force was measured, it also
+/// contains the elongation of the bar by the force.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SphereDeviation {
     /// Deviation with the nominal robot, and with the bar fitted to this robot.

@@ -1,14 +1,18 @@
-//! Estimates the noise of the bar's encoders and of the robot's joints from the residuals of cost `pose`, which uses
-//! it for its weights.
+//! Estimates the noise of the bar's encoders and of the robot's joints from the residuals of cost `pose`. The cost then uses
+//! these noises for its weights.
 //!
 //! Encoders and joints move a pose in different directions, so the scatter of the poses separates both noises. The
-//! covariance of a residual `r` is `V = s_e^2 E + s_r^2 Q + K`. `E` and `Q` are the covariances for encoders and for robot
-//! joints of unit variance, and `K` is the known covariance from other sources. The variances `s_e^2` and `s_r^2` are
-//! maximum likelihood estimates, by Fisher scoring.
+//! covariance of a residual `r` is `V = s_e^2 E + s_r^2 Q + K`. `E` is the covariance for encoders of unit variance, `Q`
+//! that for robot joints of unit variance, and `K` the known covariance from other sources. The variances `s_e^2` and
+//! `s_r^2` are maximum likelihood estimates, by Fisher scoring.
 //!
-//! In each step, `V_1 = E`, `V_2 = Q`, and `W = V^-1` are the weights from the step before. The new variances `s_l^2` solve
-//! two equations, `k` = 1, 2 (Rao 1971): `sum_l tr(W V_k W V_l) s_l^2 = r' W V_k W r - tr(W V_k W K)`, with sums over all
-//! samples. The equations are unbiased for any weights, so the start need not be accurate.
+//! Stages: `FoundNoise::of` repeats `scoring_step` until both variances converge, and then computes the
+//! correlation of successive residuals.
+//!
+//! A scoring step computes the weights `W = V^-1` from the variances of the previous step. With `V_1 = E` and `V_2 = Q`, the
+//! new variances `s_1^2` (encoders) and `s_2^2` (joints) solve two linear equations, one for each `k` = 1, 2 (Rao 1971):
+//! `sum_l tr(W V_k W V_l) s_l^2 = r' W V_k W r - tr(W V_k W K)`. Both sides are summed over all samples. The equations are
+//! unbiased for any weights, so the start need not be accurate.
 
 use nalgebra::{Matrix6, Vector6};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
@@ -41,18 +45,18 @@ pub struct FoundNoise {
     /// Estimated noise. It includes correlated errors.
     pub noise: AngleNoise,
     /// Correlation of successive residuals. It is zero for white noise. If a fraction of the variance is due to slowly
-    /// varying errors, it is equal to this fraction.
+    /// varying errors, the correlation is equal to this fraction.
     pub autocorrelation: f64,
-    /// Standard deviation that `autocorrelation` has for white noise.
+    /// Standard deviation of `autocorrelation` if the noise is white.
     pub autocorrelation_sigma: f64,
 }
 
-/// Residual of one sample, with the covariances that the noise of its angles contributes.
+/// Residual of one sample, with the covariances to which the noise of the angles contributes.
 #[derive(Debug, Clone)]
 pub(in crate::cost) struct NoisySample {
     /// Position \[m\] and rotation \[rad\].
     pub residual: Vector6<f64>,
-    /// Covariance of the residual for unit variance of the encoders (`E`), and of the robot joints (`Q`).
+    /// Covariances of the residual for unit variance of the encoders (`E`) and for unit variance of the robot joints (`Q`).
     pub by_angles: [Matrix6<f64>; 2],
     /// Covariance from all other sources (`K`).
     pub known: Matrix6<f64>,
@@ -95,7 +99,7 @@ impl FoundNoise {
         if rows < 2 * columns {
             return None;
         }
-        // The fit of the parameters reduces the residuals. This is the factor on their squares.
+        // The fit of the parameters makes the residuals smaller than the noise. This is the factor on their squares.
         let reduction = (rows - columns) as f64 / rows as f64;
         let thinned: Vec<&NoisySample> =
             present.iter().step_by(present.len().div_ceil(SAMPLES_MAX).max(1)).copied().collect();
@@ -130,8 +134,8 @@ impl Weighted<'_> {
     }
 }
 
-/// One step of Fisher scoring: new variances from samples weighted with the variances `before`. Sums of squares are divided
-/// by `reduction`, to correct for the fit.
+/// One step of Fisher scoring: computes new variances from samples that are weighted with the variances `before`. Squared
+/// residuals are divided by `reduction`, because the fit of the parameters has reduced them by this factor.
 fn scoring_step(
     samples: &[&NoisySample],
     before: [f64; 2],
@@ -166,7 +170,7 @@ fn scoring_step(
     let determinant = ee * rr - er * er;
     let [e, r] = right_side;
     let both = [(rr * e - er * r) / determinant, (ee * r - er * e) / determinant];
-    // The variance `k`, if the other variance is fixed at its limit.
+    // The variance with index `k`, if the other variance has the value `other`.
     let single = |k: usize, other: f64| (right_side[k] - er * other) / information[k][k];
     let [encoder_min, robot_min] = lower_limits;
     let [encoder, robot] = match [both[0] < encoder_min, both[1] < robot_min] {
@@ -216,7 +220,8 @@ mod tests {
 
     use super::*;
 
-    /// Poses that are moved by five encoders and six joints in random directions. Optionally every tenth pose is an outlier.
+    /// Poses with errors from five encoders and six joints, which act in random directions. If `outliers` is set, every
+    /// tenth pose is an outlier.
     fn samples(truth: AngleNoise, outliers: bool) -> Vec<Option<NoisySample>> {
         let mut random = StdRng::seed_from_u64(5);
         let mut normal = move || random.sample::<f64, _>(StandardNormal);

@@ -14,7 +14,7 @@ pub struct Closure {
     pub t_s: f64,
     /// Robot joints as reported, at that instant.
     pub joints: JointState,
-    /// Position of the robot's end minus that of the bar's end, in the robot's base \[m\].
+    /// Position of the robot's end minus position of the bar's end, in the robot's base \[m\].
     pub position_error_m: Vector3<f64>,
     /// Rotation from the bar's end to the robot's end, as a rotation vector in the robot's base \[rad\].
     pub turned_rad: Vector3<f64>,
@@ -34,15 +34,15 @@ pub struct Closure {
 }
 
 impl Closure {
-    /// Distance between the two ends \[m\]. If the bar has no encoders, its end is unknown, and this is the distance of the
-    /// robot's end from the sphere of the bar.
+    /// Distance between the two ends \[m\]. If the bar has no encoders, its end is unknown, and this is the distance
+    /// of the robot's end from the sphere of the bar.
     pub fn gap_m(&self, by_encoders: bool) -> f64 {
         if by_encoders { self.position_error_m.norm() } else { self.off_sphere_m.abs() }
     }
 }
 
-/// Closures at all observations, for one geometry. Angles of joints without encoder must have been filled in. Observations
-/// outside the robot's log are omitted.
+/// Closures at all observations, for one geometry. Angles of joints without encoder must have been filled in.
+/// Observations outside the robot's log are omitted.
 pub fn loop_closures(
     geometry: &Geometry,
     motion: &impl RobotMotion,

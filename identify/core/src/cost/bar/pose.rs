@@ -13,23 +13,25 @@ use crate::model::{Geometry, Observation, Owner, ParameterId, RobotMotion};
 /// Standard deviation that is added in each direction \[m, rad\]. Near a singular pose, the noise of both chains vanishes in
 /// some directions. The added value limits the weights of these directions.
 const FLOOR: f64 = 1e-7;
-/// Standard deviation of an angle without encoder \[rad\]. Compared with the microradians of an encoder, such an angle has
-/// practically no weight, and the covariance can still be factorised.
+/// Standard deviation that is assumed for the angle of a joint without encoder \[rad\]. It is large compared
+/// with the microradians of an encoder, so the angle has practically no weight. Because it is finite, the
+/// covariance can be factorised.
 const UNKNOWN_RAD: f64 = 0.1;
 
-/// The residual is the position \[m\] and rotation vector \[rad\] of `B^-1 R`, whitened. It is multiplied by the inverse
-/// Cholesky factor of its covariance, so that the six numbers have unit standard deviation.
+/// Cost `pose`. The residual is the position \[m\] and the rotation vector \[rad\] of `B^-1 R`, multiplied by the inverse
+/// Cholesky factor of their covariance. The six resulting numbers have unit standard deviation (they are whitened).
 ///
-/// The covariance of a sample is propagated from the noise of its eleven angles. It is computed once, on the geometry
-/// that [`WhitenedPose::new`] receives, and stays constant in a solve. Residual and derivative are therefore consistent.
-/// Geometry errors of millimetres change the covariance by thousandths. If this matters, whiten again at the solution
+/// The covariance of a sample is propagated from the noise of its eleven angles. It is computed once, on the geometry that
+/// [`WhitenedPose::new`] receives, and stays constant in a solve. Residual and derivative are therefore consistent. Geometry
+/// errors of millimetres change the covariance by thousandths. If this matters, compute the covariance again at the solution
 /// and solve once more.
 ///
-/// If the weights of positions in metres were constant, the estimated scale would be too small, because all position errors
-/// shrink with the scale. The error would be several standard deviations if only a prior determines the scale. The weights
-/// of positions are therefore inversely proportional to the length of the rod during the solve.
+/// The weights of positions are not constant: during the solve they are inversely proportional to the length of the rod.
+/// With constant weights the estimated scale would be too small, because all position errors shrink with the scale. If only
+/// a prior determines the scale, this error would be several standard deviations.
 ///
-/// Without encoder 3 the rotation about the rod is unknown. Directions in which this rotation moves the end have no weight.
+/// Without encoder 3 the rotation about the rod is unknown. The residual then has no weight in the directions in which this
+/// rotation moves the end.
 #[derive(Debug, Clone)]
 pub struct PoseByNoise<const ENCODER_3: bool> {
     /// Inverse Cholesky factor of each sample's covariance. `None` if the sample has no value.
@@ -71,7 +73,7 @@ impl<const ENCODER_3: bool> PoseByNoise<ENCODER_3> {
         FoundNoise::of(&samples, columns, start)
     }
 
-    /// For each observation, the residual with its covariances. `None` outside the robot's log.
+    /// The residual of each observation, with its covariances. `None` if the robot's log does not cover the observation.
     fn noisy_samples(
         geometry: &Geometry,
         motion: &impl RobotMotion,
@@ -85,13 +87,13 @@ impl<const ENCODER_3: bool> PoseByNoise<ENCODER_3> {
     }
 }
 
-/// Length of the rod, to which the weights of positions refer \[m\].
+/// Length of the rod \[m\]. The weights of positions are relative to this length.
 fn rod_length_m(geometry: &Geometry) -> f64 {
     geometry.bar_links.get(ROD_LINK).map_or(1.0, |rod| rod.d_m)
 }
 
-/// Position and rotation vector of `B^-1 R`, with their derivatives with respect to the twists (linear, then
-/// angular) of both ends.
+/// Position and rotation vector of `B^-1 R`, with their derivatives with respect to the twists of both ends. A twist has
+/// the order linear, angular.
 struct RelativePose {
     value: Vector6<f64>,
     by_robot: Matrix6<f64>,
@@ -132,7 +134,7 @@ pub(in crate::cost) fn inverse_left_jacobian(w: &Vector3<f64>) -> Matrix3<f64> {
     Matrix3::identity() - cross * 0.5 + cross * cross * c
 }
 
-/// The residual of a sample, with its covariances for angles of unit variance.
+/// Computes the residual of a sample, and the covariances that angles of unit variance cause.
 fn noisy_sample<const ENCODER_3: bool>(scene: &Scene<'_>) -> NoisySample {
     let pose = RelativePose::new(scene);
     let covariance = |chain: &Trace, by_twist: &Matrix6<f64>, is_included: fn(usize) -> bool| {
@@ -160,7 +162,8 @@ pub struct Whitened {
     residual: Vector6<f64>,
     by_robot: Matrix6<f64>,
     by_bar: Matrix6<f64>,
-    /// Derivative of the whitened residual with respect to the length of the rod, only through the weights.
+    /// Derivative of the whitened residual with respect to the length of the rod. It contains only the effect of the
+    /// length on the weights.
     by_scale: Vector6<f64>,
 }
 

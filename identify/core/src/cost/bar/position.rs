@@ -1,4 +1,4 @@
-//! Cost that uses the bar as a point. It needs encoders 1 and 2.
+//! Cost that uses the bar to measure the position of the robot's end. It needs encoders 1 and 2.
 
 use nalgebra::Vector3;
 
@@ -9,8 +9,8 @@ use crate::model::{Owner, ParameterId};
 
 /// The residual is `R_p - B_p` \[m\] (thesis eq. 2.2).
 ///
-/// The bar's point depends on joints 3 to 5 only through lever arms that are nominally zero (`ba3 ba4 ba5 bd4 bd5`). If
-/// these joints have no encoder, their angles must be filled in, see [`super::fill_in`].
+/// `B_p` depends on joints 3 to 5 only through lever arms that are nominally zero (`ba3 ba4 ba5 bd4 bd5`). If these joints
+/// have no encoder, their angles must be filled in, see [`super::fill_in`].
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Position;
 
@@ -50,7 +50,8 @@ impl Residual for Position {
     fn identifies(id: ParameterId, robot: &Chain) -> bool {
         let is_separable = match id {
             ParameterId::Robot { link, parameter } => !robot.is_last_rotation(link, parameter),
-            // `ba2` moves the rod's end sideways, as `btheta2` does. Only the cardan's angles distinguish these two parameters.
+            // `ba2` moves the rod's end sideways, as `btheta2` does. Only the cardan's angles, which this cost
+            // does not use, distinguish these two parameters.
             ParameterId::Bar { link: 1, parameter: LinkParameter::A } => false,
             _ => true,
         };

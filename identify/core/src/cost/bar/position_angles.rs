@@ -1,4 +1,4 @@
-//! Cost that uses the bar as a point and two angles of its cardan. It needs encoders 1, 2, 4 and 5.
+//! Cost that compares the position of the robot's end and two angles of the cardan. It needs encoders 1, 2, 4 and 5.
 
 use nalgebra::Vector5;
 
@@ -8,15 +8,16 @@ use crate::cost::{Movement, Residual, Scene};
 use crate::kinematics::{BAR_JOINTS, Chain, ImpliedBar, LinkParameter, Turn};
 use crate::model::{Observation, Owner, ParameterId};
 
-/// The residual is `R_p - B_p` \[m\], `sin(b4^ - b4)` and `sin(b5^ - b5)` (thesis eq. 2.3). `b^` are the joints that the
-/// robot's pose implies, see [`ImpliedBar`]. As in the thesis, metres and sines have equal weights.
+/// The residual is `R_p - B_p` \[m\], `sin(b4^ - b4)` and `sin(b5^ - b5)` (thesis eq. 2.3). `b4^` and `b5^` are
+/// the joint angles that the robot's pose implies, see [`ImpliedBar`]; `b4` and `b5` are the measured angles. As
+/// in the thesis, metres and sines have equal weights.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct PositionAngles;
 
 /// Indices (from 0) of the joints whose angles are compared.
 const COMPARED: [usize; 2] = [3, 4];
 
-/// Bar joints that the robot's pose implies, and the differences of the compared joints from the measured angles.
+/// Bar joints that the robot's pose implies, and the compared joints' differences from the measured angles.
 #[derive(Debug, Clone)]
 pub struct ComparedAngles {
     implied: ImpliedBar,

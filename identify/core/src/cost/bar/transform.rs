@@ -12,7 +12,8 @@ use crate::model::{Owner, ParameterId};
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Transform;
 
-/// Writes the derivative of a pose with this rotation for a twist (`w`, `v`), which is `sign ([w] rotation, v)`.
+/// Writes the derivative of a pose for a twist with angular part `w` and linear part `v`: `sign ([w] rotation, v)`.
+/// `rotation` is the rotation of the pose.
 #[inline(always)]
 fn write_derivative(twist: &Twist, rotation: &Matrix3<f64>, sign: f64, out: &mut [f64]) {
     let Some(out) = out.first_chunk_mut::<12>() else { return };

@@ -1,6 +1,6 @@
-//! Uncertainty budget of positions by contribution, as in the GUM (JCGM 100:2008). Each source of the covariance (samples,
-//! priors, considered parameters) is propagated to random postures. The budget is shown in the report. The expanded
-//! uncertainty is the value after "known within" there.
+//! Uncertainty budget of positions, as in the GUM (JCGM 100:2008). Each source of the covariance (samples, priors,
+//! considered parameters) is propagated to random postures and becomes one contribution. The report shows the budget; its
+//! value after "known within" is the expanded uncertainty.
 
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
@@ -46,8 +46,9 @@ pub struct Budget {
     pub expanded_m: f64,
     /// The contributions, largest first.
     pub contributions: Vec<Contribution>,
-    /// Displacement of positions, root mean square over the workspace, per metre by which the bar's offset plate is longer than
-    /// specified. It is the derivative of the solution. Absent if there is no plate or if its length is treated as exact.
+    /// Displacement of positions if the bar's offset plate is longer than specified, per metre of this length error; root
+    /// mean square over the workspace. It is the derivative of the solution with respect to the length. Absent if there is
+    /// no plate or if its length is treated as exact.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub moved_by_plate: Option<f64>,
 }
@@ -56,8 +57,8 @@ pub struct Budget {
 const K: f64 = 2.0;
 
 impl Budget {
-    /// Computes the budget. `moved_m` has one column for each source, with the displacement of the robot's end by one
-    /// standard deviation of this source. It has three rows for each posture.
+    /// Computes the budget. `moved_m` has one column for each source: the displacement of the robot's end for an error of
+    /// one standard deviation in this source. It has three rows for each posture.
     pub(in crate::evaluate) fn new(calibration: &Calibration, moved_m: &DMatrix<f64>) -> Self {
         let (model, covariance) = (calibration.model(), &calibration.solution().covariance);
         let postures = moved_m.nrows() as f64 / 3.0;

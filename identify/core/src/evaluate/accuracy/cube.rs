@@ -6,12 +6,12 @@ use serde::{Deserialize, Serialize};
 use super::workspace::{Expected, random_postures};
 use crate::kinematics::{Chain, Joints, Pose, robot_inverse};
 
-/// Candidate edge lengths, largest first \[m\]. The first is that of the standard; the others are for small arms.
+/// Edge lengths of the cubes that are tried, largest first \[m\]. The short lengths are for small arms.
 const EDGES_M: [f64; 6] = [1.0, 0.63, 0.4, 0.25, 0.16, 0.1];
 /// Number of random postures whose positions are tried as the centre of the cube.
 const CENTRES: usize = 100;
-/// Distance of the outer poses from the centre, as a fraction of half the diagonal. Each outer pose is a tenth of the
-/// diagonal away from the end of a diagonal.
+/// Distance of the outer poses from the centre, as a fraction of half the diagonal. Each outer pose is a tenth of the whole
+/// diagonal away from its corner.
 const FROM_CENTRE: f64 = 0.8;
 /// Maximum distance of each joint from its value at the centre \[rad, m\]. It ensures that all poses have the same
 /// configuration of the arm.
@@ -30,7 +30,7 @@ pub struct CubeError {
     pub after: Expected,
 }
 
-/// The cube and the postures of its five poses, of which the first is at the centre.
+/// The cube and the postures of its five poses. The first pose is at the centre.
 pub(in crate::evaluate) struct Cube {
     pub(in crate::evaluate) edge_m: f64,
     pub(in crate::evaluate) centre_m: Vector3<f64>,
@@ -39,8 +39,8 @@ pub(in crate::evaluate) struct Cube {
 
 impl Cube {
     /// The largest cube whose five poses the robot reaches with one orientation, within its joint limits and in one
-    /// configuration. Among cubes of this size, the one with the smallest joint motion is returned. `None` if the robot
-    /// reaches none of the candidates.
+    /// configuration. If several cubes have this size, the one with the smallest joint motion is returned. `None`
+    /// if the robot reaches none of the tried cubes.
     pub(in crate::evaluate) fn largest(robot: &Chain, joint_limits: &[[f64; 2]]) -> Option<Self> {
         let centres: Vec<Joints> = random_postures(joint_limits).take(CENTRES).collect();
         EDGES_M.into_iter().find_map(|edge_m| {
@@ -50,8 +50,8 @@ impl Cube {
         })
     }
 
-    /// The cube centred at the position of a posture, and the largest joint motion from the centre to an outer pose. `None`
-    /// if the robot does not reach an outer pose.
+    /// The cube whose centre is at the position of the posture `q`, and the largest joint motion from the centre to an outer
+    /// pose. `None` if the robot does not reach an outer pose.
     fn centred_at(robot: &Chain, joint_limits: &[[f64; 2]], q: &Joints, edge_m: f64) -> Option<(Self, f64)> {
         let centre = robot.forward(q);
         let mut furthest: f64 = 0.0;
@@ -91,7 +91,7 @@ mod tests {
         for (pose, q) in poses.iter().zip(&cube.postures) {
             assert!(pose.rotation.angle_to(&poses[0].rotation) < 1e-6);
             let from_centre = pose.translation.vector - cube.centre_m;
-            // Each outer pose is a tenth of the cube's diagonal from the end of the diagonal. The standard allows (10 +- 2) %.
+            // Each outer pose is a tenth of the cube's diagonal away from its corner. The standard allows (10 +- 2) %.
             let diagonal = cube.edge_m * 3.0_f64.sqrt();
             let is_centre = from_centre.norm() < 1e-6;
             assert!(is_centre || (from_centre.norm() - 0.4 * diagonal).abs() < 1e-6, "{from_centre}");

@@ -7,8 +7,8 @@ use shared::config::JointKind;
 
 use crate::kinematics::{Chain, Joints};
 
-/// Maximum distance from measured joint values \[rad, m\]. Link errors have one or two waves per turn, so they change by
-/// less than half of their amplitude over this distance.
+/// Maximum distance from measured joint values \[rad, m\]. Errors of a link vary with one or two waves per turn, so over
+/// this distance they change by less than half of their amplitude.
 const BESIDE: f64 = 0.2;
 
 /// Intervals in which each joint was measured. A calibration is valid for a pose if each joint is within or near one of its
@@ -31,7 +31,7 @@ impl Validity {
         let of_joint = |joint: usize| {
             let mut values: Vec<f64> = poses.iter().map(|q| q[joint]).collect();
             values.sort_by(f64::total_cmp);
-            // In a gap up to this width, each value is near one end of the gap. Such a gap belongs to the interval.
+            // Every value in a gap of this width is near one end of the gap, so such a gap belongs to the interval.
             let intervals = values.chunk_by(|low, high| high - low <= 2.0 * BESIDE);
             intervals.filter_map(|values| Some([*values.first()?, *values.last()?])).collect()
         };

@@ -1,10 +1,16 @@
-//! Accuracy of the calibrated robot in its workspace, which is the position error over the whole range of its joints. The
-//! method is Monte Carlo: robots are drawn from the covariance of the solution, and each has the errors `J dp` in many
-//! random postures, where `dp` are the drawn errors of the parameters. Used for the report.
+//! Accuracy of the calibrated robot in its workspace: the position error over the whole range of its joints.
+//! Used for the report. The method is Monte Carlo:
 //!
-//! The tolerance of a link has a component that moves the whole robot relative to its base. This component does not count as
-//! an error. For example, after a linear axis or parallel axes a link error displaces all following links by the same
-//! motion. Another pose of the instrument would have the same effect, so no measurement separates the two.
+//! 1. `Workspace::new` draws random postures, and draws robots from the covariance of the solution. A drawn robot has
+//!    the parameter errors `dp`.
+//! 2. In each posture, a drawn robot has the position error `J dp`, where `J` are the derivatives with
+//!    respect to the parameters.
+//! 3. Motions of the whole robot relative to its base are removed from the tolerances of links (`base_motions`).
+//! 4. `expected` computes mean, quantiles and confidence bounds from the errors of all robots in all postures.
+//!
+//! Step 3 is needed because some link errors act like a motion of the whole robot. For example, if a link follows a linear
+//! axis or parallel axes, its error displaces all following links by the same motion. Another pose of the instrument would
+//! have the same effect, so no measurement separates the two, and the motion does not count as an error.
 
 use std::collections::BTreeMap;
 
@@ -59,12 +65,13 @@ pub struct PlaceError {
 pub struct WorkspaceError {
     /// Error with the nominal geometry.
     pub before: Expected,
-    /// Error with the calibrated geometry (links and joint errors compensated), computed from the covariance of the solution.
+    /// Error with the calibrated geometry, with links and joint errors compensated. Computed from the
+    /// covariance of the solution.
     pub after: Expected,
     /// Error if a controller applies only some parameters of the model. Empty until the deployments are fitted.
     pub deployed: BTreeMap<Deployment, Expected>,
-    /// The combination of parameters that contributes most to the remaining error. Each entry is the name of a parameter and
-    /// its fraction of the combination, 0 to 1, largest first.
+    /// The combination of parameters that contributes most to the remaining error. Each entry consists of a parameter's name
+    /// and its fraction of the combination, 0 to 1. The largest fraction is first.
     pub weakest: Vec<(String, f64)>,
     /// Uncertainty budget of the position error.
     pub budget: Budget,
@@ -74,8 +81,8 @@ pub struct WorkspaceError {
     pub cube: Option<CubeError>,
 }
 
-/// Random postures with the position change that the calibration causes in each, and the derivatives of positions with
-/// respect to the robot's parameters.
+/// Random postures, the change of position that the calibration causes in each posture, and the derivatives of
+/// positions with respect to the robot's parameters.
 #[derive(Debug, Clone)]
 struct Postures {
     states: Vec<JointState>,
@@ -87,28 +94,30 @@ struct Postures {
     by_parameter: DMatrix<f64>,
 }
 
-/// Effects of uncertain parameters on the robot over its workspace. A source is an independent cause of uncertainty
-/// ([`UncertaintySource`]), such as the errors of the samples or a prior.
+/// Effects of uncertain parameters on the robot's position over its workspace. A source is an independent cause of
+/// uncertainty ([`UncertaintySource`]), such as the errors of the samples or a prior.
 #[derive(Debug, Clone)]
 pub(in crate::evaluate) struct Workspace {
     /// Columns of the covariance that belong to the robot, see [`robot_columns`].
     columns: Vec<(usize, ParameterId)>,
-    /// Change of these parameters if a source is wrong by one standard deviation: one row per parameter, one column per source.
+    /// Change of these parameters for an error of one standard deviation in each source: one row per parameter,
+    /// one column per source.
     spread: DMatrix<f64>,
     /// Drawn errors of the sources, in standard deviations: one row per source, one column per robot drawn from the covariance.
     drawn: DMatrix<f64>,
     postures: Postures,
-    /// For each source, the motion of the whole robot that is nearest to the effect of the source. Zero for sources other
-    /// than tolerances of links. One column per source; the six rows correspond to the columns of [`Postures::by_base`].
+    /// For each source, the motion of the whole robot that is nearest to the effect of the source. It is zero if the source
+    /// is not the tolerance of a link. One column per source; the six rows correspond to the columns of
+    /// [`Postures::by_base`].
     base_motions: DMatrix<f64>,
 }
 
-/// Expected position errors of the nominal robot and of the calibrated robot. Each is compared with robots drawn from the
-/// covariance of the solution.
+/// Computes the expected position errors of the nominal robot and of the calibrated robot. Each is compared with
+/// robots drawn from the covariance of the solution.
 ///
-/// `joint_limits` are the limits of the joints of the model. Drawn errors are those of the robot: its links,
-/// including links fixed at uncertain values, and its joint errors, including excluded terms. All other parameters
-/// define the robot's base frame.
+/// `joint_limits` are the limits of the joints of the model. The drawn robots have errors in links and joints,
+/// including links fixed at uncertain values and excluded terms of joint errors. All other parameters only define the
+/// robot's base frame, so no errors are drawn for them.
 pub fn workspace_error(calibration: &Calibration, joint_limits: &[[f64; 2]]) -> WorkspaceError {
     Workspace::new(calibration, joint_limits).error(calibration, joint_limits)
 }
@@ -116,8 +125,8 @@ pub fn workspace_error(calibration: &Calibration, joint_limits: &[[f64; 2]]) -> 
 impl Workspace {
     /// Draws the robots. The arguments are those of [`workspace_error`].
     pub(in crate::evaluate) fn new(calibration: &Calibration, joint_limits: &[[f64; 2]]) -> Self {
-        /// Singular values up to this size count as zero. If the end moves along a line only, a rotation about this
-        /// line has no effect.
+        /// Singular values up to this size count as zero. They occur if the end moves only along a line, because
+        /// a rotation about this line then has no effect.
         const SINGULAR: f64 = 1e-9;
         let covariance = &calibration.solution().covariance;
         let columns = robot_columns(calibration);
@@ -155,7 +164,7 @@ impl Workspace {
         }
     }
 
-    /// Error of each deployment, which applies only some parameters of the model.
+    /// Expected error with each deployment. A deployment applies only some parameters of the model.
     pub(in crate::evaluate) fn deployed<'a>(
         &self,
         parts: impl Iterator<Item = &'a Deployed>,
@@ -172,14 +181,14 @@ impl Workspace {
         Some(CubeError { edge_m: cube.edge_m, centre_m: cube.centre_m.into(), before, after })
     }
 
-    /// Displacement of the robot's end if a source is wrong by one standard deviation, without motions of the whole robot:
-    /// three rows per posture, one column per source \[m\].
+    /// Displacement of the robot's end for an error of one standard deviation in each source, after motions of the whole
+    /// robot are removed: three rows per posture, one column per source \[m\].
     fn moved_m(&self, postures: &Postures) -> DMatrix<f64> {
         &postures.by_parameter * &self.spread - postures.by_base() * &self.base_motions
     }
 
-    /// The combination of parameters that contributes most to position errors. With `K` for `moved_m` and the covariance
-    /// `S S^T`, the combination is `S v`. `v` is the eigenvector of `K^T K` with the largest eigenvalue.
+    /// The combination of parameters that contributes most to position errors. It is `S v`, where the covariance is `S S^T`,
+    /// `v` is the eigenvector of `K^T K` with the largest eigenvalue, and `K` is `moved_m`.
     fn weakest(&self, moved_m: &DMatrix<f64>) -> Vec<(String, f64)> {
         /// Parameters with a smaller fraction of the combination are not reported.
         const PART_MIN: f64 = 0.05;
@@ -190,7 +199,7 @@ impl Workspace {
         let by_parameter_squared = by_parameter.tr_mul(by_parameter);
         let eigen = SymmetricEigen::new(moved_m.tr_mul(moved_m));
         let direction = spread * eigen.eigenvectors.column(eigen.eigenvalues.imax());
-        // Metres and radians become comparable by their effect on positions.
+        // The effect on positions makes metres and radians comparable.
         let effect = |i: usize| direction[i] * direction[i] * by_parameter_squared[(i, i)];
         let whole: f64 = (0..columns.len()).map(effect).sum();
         let mut parts: Vec<(String, f64)> = columns
@@ -204,7 +213,7 @@ impl Workspace {
     }
 }
 
-/// Columns of the covariance that move the robot's end at standstill. They belong to its links and joint errors, except delays.
+/// Columns of the covariance whose parameters move the robot's end at standstill: its links and joint errors, except delays.
 fn robot_columns(calibration: &Calibration) -> Vec<(usize, ParameterId)> {
     let covariance = &calibration.solution().covariance;
     (0..calibration.model().columns().len())
@@ -222,8 +231,8 @@ fn drawn_sources(covariance: &Covariance) -> DMatrix<f64> {
     let sources = &covariance.spread().sources;
     let mut random = ChaCha8Rng::seed_from_u64(0);
     let mut drawn = DMatrix::from_fn(sources.len(), DRAWS, |_, _| StandardNormal.sample(&mut random));
-    // Standard deviations from a few folds are themselves uncertain, so the errors have a multivariate t distribution
-    // (Kotz and Nadarajah 2004).
+    // Standard deviations from a few folds are themselves uncertain. The errors are therefore drawn from a
+    // multivariate t distribution (Kotz and Nadarajah 2004).
     if let Some((freedom, chi_squared)) =
         covariance.sigmas_from.freedom().and_then(|freedom| Some((freedom, ChiSquared::new(freedom).ok()?)))
     {
@@ -236,7 +245,7 @@ fn drawn_sources(covariance: &Covariance) -> DMatrix<f64> {
     drawn
 }
 
-/// Whether a source is the tolerance of a link parameter, which can be estimated or fixed.
+/// Whether a source is the tolerance of a link parameter. The parameter can be estimated or fixed.
 fn is_tolerance_of_link(source: UncertaintySource, calibration: &Calibration) -> bool {
     let (UncertaintySource::Prior { column }
     | UncertaintySource::Contradicted { column }
@@ -291,8 +300,8 @@ impl Postures {
         self.positions_m.iter().zip(ends).map(|(calibrated, other)| calibrated - other).collect()
     }
 
-    /// Derivatives of the positions with respect to a motion of the base, which is a translation and a rotation: three rows
-    /// per posture, `[I, -[p]x]`.
+    /// Derivatives of the positions with respect to a translation and a rotation of the base. With the position `p`,
+    /// each posture has the three rows `[I, -[p]x]`.
     fn by_base(&self) -> DMatrix<f64> {
         let mut by_base = DMatrix::zeros(3 * self.states.len(), 6);
         for (posture, position_m) in self.positions_m.iter().enumerate() {
@@ -323,8 +332,9 @@ impl Postures {
     }
 }
 
-/// Expected error of a robot model. The position of the calibrated robot differs from it by `difference_m` in each posture.
-/// The true robot is assumed to be the calibrated one with the drawn errors `drawn_m`.
+/// Expected error of a robot model, averaged over drawn robots. In each posture, `difference_m` is the position
+/// of the calibrated robot minus the position of this model. `drawn_m` are the errors of the drawn robots
+/// relative to the calibrated robot.
 fn expected(difference_m: &[Vector3<f64>], drawn_m: &DMatrix<f64>) -> Expected {
     let of_draw = |draw: DVectorView<'_, f64>| -> Vec<f64> {
         let drawn = |posture: usize| Vector3::from(draw.fixed_rows::<3>(3 * posture));
@@ -338,8 +348,8 @@ fn expected(difference_m: &[Vector3<f64>], drawn_m: &DMatrix<f64>) -> Expected {
     Expected {
         mean_m: mean(&all),
         p95_m,
-        // With five poses, the quantile of one robot lies between its two largest errors, and can be below the
-        // quantile over all robots.
+        // With five poses, the quantile of one robot is interpolated between its two largest errors. It can therefore be
+        // smaller than the quantile over all robots.
         p95_upper_m: quantile(&mut p95s, 0.975).max(p95_m),
         interval_m: [0.025, 0.975].map(|part| quantile(&mut means, part)),
     }
