@@ -1,6 +1,6 @@
-//! Inverse kinematics of the ball-bar. Computes the bar's joint angles at a pose, in closed form for the nominal bar and
-//! refined for a bar with errors. The module also defines the four configurations of the bar, and computes how near a pose
-//! is to a singular pose.
+//! Inverse kinematics of the ball-bar: the bar's joint angles at a pose. For the nominal bar there is a closed form; for a
+//! bar with errors, iterations refine the result of the closed form. The module also defines the four configurations of the
+//! bar, and computes the distance from a singular pose.
 
 use std::f64::consts::PI;
 
@@ -36,8 +36,9 @@ impl Side {
 
 /// One of the four sets of joint angles (configurations) with which the bar reaches the same pose.
 ///
-/// Turning the gimbal over changes the angles to `b1 + pi, -b2, b3 + pi`. Turning the cardan joint over changes them to
-/// `b3 + pi, -b4, b5 + pi`. A bar changes its configuration only in a singular pose, so a run keeps one configuration.
+/// If the gimbal is turned over, the angles change to `b1 + pi, -b2, b3 + pi`. If the cardan joint is turned
+/// over, they change to `b3 + pi, -b4, b5 + pi`. A bar changes its configuration only in a singular pose, so a
+/// run keeps one configuration.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct Configuration {
     /// Sign of sin b2.
@@ -61,13 +62,13 @@ impl Configuration {
         Self { gimbal: Side::of(angles_rad[1]), cardan: Side::of(angles_rad[3]) }
     }
 
-    /// Converts joint variables to those of the same pose in this configuration, each in (-pi, pi].
+    /// Converts joint variables to this configuration, without changing the pose. The results are in (-pi, pi].
     pub fn carry(self, bar_links: &[DhLink], bar_rad: &[f64; BAR_JOINTS]) -> [f64; BAR_JOINTS] {
         let (from, angles_rad) = (Self::of(bar_links, bar_rad), angles_from_joints(bar_links, bar_rad));
         joints_from_angles(bar_links, &self.carry_from(from, &angles_rad))
     }
 
-    /// Converts link angles from configuration `from` to those of the same pose in this configuration. Whole
+    /// Converts link angles from configuration `from` to this configuration, without changing the pose. Whole
     /// turns are not removed.
     fn carry_from(self, from: Self, angles_rad: &[f64; BAR_JOINTS]) -> [f64; BAR_JOINTS] {
         let mut b = *angles_rad;
@@ -81,9 +82,10 @@ impl Configuration {
     }
 }
 
-/// Distance from the nearest singular pose \[rad\]: of b2 or b4 from a multiple of pi, whichever is smaller. At sin b2 = 0
-/// the rod is along the base axis, at sin b4 = 0 along the last axis. In a singular pose one joint is undetermined. Near
-/// such a pose, encoder errors are amplified by the inverse of this distance.
+/// Distance from the nearest singular pose \[rad\]. The distances of b2 and of b4 from the nearest multiple of pi are
+/// computed, and the smaller one is returned. At sin b2 = 0 the rod is along the base axis, and at sin b4 = 0 it is
+/// along the last axis. In these poses one joint is undetermined. Near them, encoder errors are amplified by the
+/// inverse of this distance.
 ///
 /// `bar_rad` are joint variables. This function adds the links' offsets `theta`.
 pub fn singularity_margin_rad(bar_links: &[DhLink], bar_rad: &[f64; BAR_JOINTS]) -> f64 {
@@ -92,7 +94,7 @@ pub fn singularity_margin_rad(bar_links: &[DhLink], bar_rad: &[f64; BAR_JOINTS])
     to_multiple_of_pi(angles_rad[1]).min(to_multiple_of_pi(angles_rad[3]))
 }
 
-/// Signs of the twists of links 1 to 4.
+/// Signs of the parameters alpha (twists of +-90 degrees) of links 1 to 4.
 fn twist_signs(chain: &Chain) -> Result<[f64; 4], InverseError> {
     if chain.links.len() != BAR_JOINTS {
         return Err(InverseError::Links { found: chain.links.len(), expected: BAR_JOINTS });
@@ -102,9 +104,9 @@ fn twist_signs(chain: &Chain) -> Result<[f64; 4], InverseError> {
 
 /// Joint angles \[rad\] of the nominal bar at a pose, for each configuration in the order of [`Configuration::ALL`].
 ///
-/// A pose has six degrees of freedom, but the bar has five joints. The bar's direction and the rotation of its end agree
-/// with `target`; the distance of `target` from the gimbal is ignored. Of the errors of the chain, only the joint offsets
-/// are included; see [`ball_bar_inverse_refined`].
+/// A pose has six degrees of freedom, but the bar has five joints. The result therefore agrees with `target` in the bar's
+/// direction and in the rotation of its end, while the distance of `target` from the gimbal is ignored. The closed form
+/// includes no errors of the chain except joint offsets. For other errors, use [`ball_bar_inverse_refined`].
 ///
 /// # Errors
 /// [`InverseError::Structure`] or [`InverseError::Links`] if the chain is not a ball-bar.
@@ -118,7 +120,7 @@ pub fn ball_bar_inverse(
     }))
 }
 
-/// As [`ball_bar_inverse`], only for the first configuration of [`Configuration::ALL`].
+/// As [`ball_bar_inverse`], but only for the first configuration of [`Configuration::ALL`].
 ///
 /// # Errors
 /// As [`ball_bar_inverse`].
@@ -161,8 +163,8 @@ fn inverse_in_first(
     Ok((configuration, [b1, b2, b3, b4, b5]))
 }
 
-/// Joint angles \[rad\] that bring the end of `chain` closest to `target`. The chain may have geometric errors. The result
-/// is in the configuration, and in the turn of each joint, nearest to `near`.
+/// Joint angles \[rad\] that bring the end of `chain` closest to `target`. The chain may have geometric errors. Of all
+/// equivalent solutions, the result is the one in the configuration of `near`, with each joint within half a turn of `near`.
 ///
 /// Minimises the sum of squares of position error \[m\] and rotation vector \[rad\]. The end reaches `target` exactly only
 /// if the bar can reach it.

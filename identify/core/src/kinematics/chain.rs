@@ -13,8 +13,8 @@ pub const LENGTH_M_MAX: f64 = 4.0;
 
 /// Roll, pitch and yaw \[rad\] of `R = Rz(yaw) Ry(pitch) Rx(roll)`, as in URDF.
 ///
-/// At a pitch of +-90 degrees only the sum or difference of roll and yaw is determined. Yaw is then zero. Roll is always
-/// computed last, from the rotation that remains after yaw and pitch, so that the three angles reproduce `R`.
+/// At a pitch of +-90 degrees, only the sum or the difference of roll and yaw is determined, so yaw is set to zero. Roll is
+/// always computed last, from the rotation that remains after yaw and pitch. The three angles therefore reproduce `R`.
 pub fn roll_pitch_yaw(rotation: &Rotation3<f64>) -> [f64; 3] {
     let r = rotation.matrix();
     let cos_pitch = r[(0, 0)].hypot(r[(1, 0)]);
@@ -27,8 +27,8 @@ pub fn roll_pitch_yaw(rotation: &Rotation3<f64>) -> [f64; 3] {
 /// One link: `Rz(theta + joint) Tz(d) Tx(a) Rx(alpha) Ry(beta)`. If its joint is prismatic, the joint variable is added to
 /// `d` instead of `theta`.
 ///
-/// With `beta` zero this is the standard Denavit-Hartenberg link. With `d` fixed and `beta` free it is Hayati's link, for an
-/// axis nearly parallel to the previous axis (Hayati and Mirmirani 1985).
+/// With `beta` zero this is the standard Denavit-Hartenberg link. With `d` fixed and `beta` free it is Hayati's link, which
+/// is used if the next axis is nearly parallel to the previous axis (Hayati and Mirmirani 1985).
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct DhLink {
     /// Whether the joint is revolute or prismatic.
@@ -57,7 +57,7 @@ impl DhLink {
         }
     }
 
-    /// The transform after the joint, without `theta` and the joint variable: `Tz(d) Tx(a) Rx(alpha) Ry(beta)`.
+    /// The transform of the link without its rotation or shift by the joint: `Tz(d) Tx(a) Rx(alpha) Ry(beta)`.
     pub(crate) fn after_joint(&self) -> Pose {
         let twist = Rotation3::from_axis_angle(&Vector3::x_axis(), self.alpha_rad);
         let hayati = Rotation3::from_axis_angle(&Vector3::y_axis(), self.beta_rad);
@@ -78,8 +78,8 @@ impl DhLink {
 /// A series of links on a base in the root frame (the robot's base).
 #[derive(Debug, Clone, PartialEq)]
 pub struct Chain {
-    /// Base of the chain in the root frame: for the ball-bar, the position of the gimbal; for the
-    /// robot, usually the identity.
+    /// Base of the chain in the root frame. For the ball-bar it is the position of the gimbal; for the robot it
+    /// is usually the identity.
     pub root_from_base: Pose,
     /// Links from base to end.
     pub links: Vec<DhLink>,
@@ -93,8 +93,8 @@ impl Chain {
         Self { root_from_base, links, last_from_end: Pose::identity() }
     }
 
-    /// Whether a parameter of a link (from 0) is a rotation after the last joint. Positions of the end do not separate such
-    /// a parameter from `a`, `d` and `theta` of the last link.
+    /// Whether a parameter of a link (from 0) is a rotation after the last joint. Positions of the end do not show the
+    /// difference between such a parameter and `a`, `d` or `theta` of the last link.
     pub fn is_last_rotation(&self, link: usize, parameter: LinkParameter) -> bool {
         link + 1 == self.links.len() && matches!(parameter, LinkParameter::Alpha | LinkParameter::Beta)
     }

@@ -1,13 +1,13 @@
-//! Computes Denavit-Hartenberg links of an arm from the lines of its joint axes, as a URDF defines them. The import
-//! of URDFs uses it.
+//! Computes Denavit-Hartenberg links of an arm from the lines of its joint axes. The import of URDF files uses it,
+//! because a URDF file defines an arm by such lines.
 //!
-//! An axis line is a point and a direction, with all joints at zero. The motion of the arm depends only on these lines
-//! and on the pose of its end (product of exponentials, Brockett 1984). So any links along the same lines move the end
-//! in the same way.
+//! An axis line is a point and a direction, with all joints at zero. The motion of the arm depends only on
+//! these lines and on the pose of its end (product of exponentials, Brockett 1984). Any links along the same
+//! lines therefore move the end in the same way.
 //!
-//! Each link connects one line with the next by their common normal. If two lines are nearly parallel, the common normal is
-//! not unique, or further away than a robot is long. Hayati's link is then used instead. It ends where the next line
-//! intersects the plane across the previous line.
+//! Each link connects one line with the next line by the common normal of the two lines. If the lines are nearly parallel,
+//! the common normal is not unique, or further away than a robot is long. Hayati's link is then used instead. It ends where
+//! the next line intersects a plane perpendicular to the previous line.
 
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use shared::config::JointKind;
@@ -25,12 +25,12 @@ pub struct AxisLine {
     pub direction: Vector3<f64>,
 }
 
-/// Two axes count as parallel if the sine of the angle between them is smaller. The angle is then as small as errors of
-/// calibration and rounding, so the position of the common normal is arbitrary.
+/// Two axes count as parallel if the sine of the angle between them is below this limit. Such an angle is as small as errors
+/// of calibration and rounding, so the position of the common normal is arbitrary.
 const NEARLY_PARALLEL: f64 = 1e-3;
-/// Below this sine of the angle between two axes, Hayati's link is used if the common normal is further away than the
-/// longest link. Hayati's link remains short at such angles: its plane intersects the next axis within about the
-/// length of the link.
+/// Hayati's link is used if the common normal is further away than the longest link and the sine of the angle
+/// between the axes is below this limit. At such angles Hayati's link is short, because its plane intersects the
+/// next axis within about the length of the link.
 const HAYATI_SINE_MAX: f64 = 0.5;
 /// Lengths \[m\] and angles \[rad\] below this are rounding errors.
 const ROUNDING: f64 = 1e-12;
@@ -51,7 +51,7 @@ impl Chain {
         };
         let next_axes = axes.iter().skip(1).map(Some).chain([None]);
         for (axis, next) in axes.iter().zip(next_axes) {
-            // If the axes are parallel, any plane across them is possible. The last link uses the plane through the
+            // For parallel axes, any plane perpendicular to them is possible. The last link uses the plane through the
             // origin of the end.
             let link = match next {
                 Some(next) => link_to(&frame, next, 0.0),
@@ -64,23 +64,25 @@ impl Chain {
             frame *= link.transform(0.0);
             links.push(link);
         }
-        // A rotation about z of the end and a shift along it remain, because the last link cannot include them.
+        // The last link cannot include a rotation of the end about its own z or a shift along it. These
+        // two remain in `last_from_end`.
         let last_from_end = frame.inverse() * end;
         let last_from_end = if is_identity(&last_from_end) { Pose::identity() } else { last_from_end };
         Self { root_from_base, links, last_from_end }
     }
 }
 
-/// Whether a pose is the identity, up to rounding errors. The condition on the trace excludes a rotation by 180 degrees, for
-/// which [`rotation_vector`] returns zero as well.
+/// Whether a pose is the identity, up to rounding errors. [`rotation_vector`] is zero for the identity and also for a
+/// rotation by 180 degrees, which the condition on the trace excludes.
 fn is_identity(pose: &Pose) -> bool {
     pose.translation.vector.norm() < ROUNDING
         && rotation_vector(pose.rotation.matrix()).norm() < ROUNDING
         && pose.rotation.matrix().trace() > 0.0
 }
 
-/// Base frame of the chain. Its z is along the first axis, its origin is the point of this axis nearest to the root, and its
-/// x is as near to the root's x as possible. If the axis is nearly along the root's x, its x is near the root's y instead.
+/// Base frame of the chain. Its z axis is along the first joint axis. Its origin is the point of this joint axis
+/// nearest to the root. Its x axis is as near as possible to the root's x axis, or to the root's y axis if the
+/// joint axis is nearly along the root's x axis.
 fn base_frame(first: &AxisLine) -> Pose {
     let z = first.direction;
     let origin_m = match first.joint {
@@ -114,7 +116,7 @@ fn link_to(frame: &Pose, next: &AxisLine, plane_m: f64) -> DhLink {
         let crossing = p - u * ((p.z - plane_m) / u.z);
         let a_m = snapped(crossing.x.hypot(crossing.y));
         let theta_rad = if a_m > 0.0 { angle(crossing.y, crossing.x) } else { 0.0 };
-        // Rz(-theta) u = Rx(alpha) Ry(beta) z = (sin beta, -sin alpha cos beta, cos alpha cos beta)
+        // Formula: Rz(-theta) u = Rx(alpha) Ry(beta) z = (sin beta, -sin alpha cos beta, cos alpha cos beta)
         let turned = Rotation3::from_axis_angle(&Vector3::z_axis(), -theta_rad) * u;
         let beta_rad = angle(turned.x, turned.y.hypot(turned.z));
         return DhLink {
@@ -126,9 +128,9 @@ fn link_to(frame: &Pose, next: &AxisLine, plane_m: f64) -> DhLink {
             ..DhLink::default()
         };
     }
-    // The common normal is the direction x of the link. If the two lines intersect, both signs of x are possible:
-    // the sign with the smaller rotation about z is used. In the axes (x, z cross x, z) the direction u is (0,
-    // -sin alpha, cos alpha).
+    // The common normal is the direction x of the link. If the two lines intersect, both signs of x are
+    // possible, and the sign with the smaller rotation about z is used. In the frame with the axes x, z cross x
+    // and z, the direction u is (0, -sin alpha, cos alpha).
     let normal = Vector3::new(-u.y, u.x, 0.0) / sine;
     let length = normal.dot(&foot);
     let x = match snapped(length) {

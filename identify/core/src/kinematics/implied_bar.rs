@@ -1,13 +1,14 @@
 //! Computes the joint variables of a bar with arbitrary errors at a given pose (`b^` in the thesis), and their derivatives.
-//! The cost `position_angles`, joints without an encoder, and the alignment of the logs use them.
+//! Users are the cost `position_angles`, joints without an encoder, and the alignment of the logs.
 //!
-//! A pose has six degrees of freedom, the bar five. The end of the bar has the rotation of the pose and lies on the line
-//! through its position along the rod. Only the distance along the rod may differ. These conditions are five smooth
-//! equations `f(joints, bar, pose) = 0`, which hold exactly for every set of parameters. Three are the rotation vector from
-//! the bar's end to the pose. Two are the components, across the rod, of the vector from the bar's end to the pose.
+//! A pose has six degrees of freedom, but the bar has only five. The end of the bar therefore agrees with the pose except
+//! for the distance along the rod. These conditions are five smooth equations `f(joints, bar, pose) = 0`, which can be
+//! fulfilled exactly for every set of parameters:
+//! - Three equations state that the rotation vector from the bar's end to the pose is zero.
+//! - Two equations state that the vector from the bar's end to the pose has no component perpendicular to the rod.
 //!
-//! The equations are solved by Newton's method. The implicit function theorem gives the derivatives:
-//! `d joints = -(df/d joints)^-1 df`.
+//! Newton's method solves the equations, starting at the closed form of the nominal bar. The implicit function theorem gives
+//! the derivatives: `d joints = -(df/d joints)^-1 df`.
 
 use nalgebra::{Matrix5, Vector3, Vector5};
 
@@ -17,11 +18,12 @@ use super::{BAR_JOINTS, Chain, InverseError, LinkParameter, Pose, Trace, Tracer,
 
 /// Index of the link (from 0) whose `d` is the length of the bar. The rod is along z of the previous frame.
 pub const ROD_LINK: usize = 2;
-/// Iterations end after a step below this size. Convergence is quadratic, so the next step would be a rounding error.
+/// The iteration ends after a step below this size. Convergence is quadratic, so a further step would
+/// only contain rounding errors.
 const STEP_RAD_LAST: f64 = 1e-9;
 const ITERATIONS_MAX: usize = 20;
 /// Sums of squared differences \[rad^2\] count as equal if they differ by less than this. If several configurations fit the
-/// measured joints equally well, the first one is selected, so rounding errors do not decide.
+/// measured joints equally well, the first of them is selected, so that rounding errors do not determine the choice.
 const TIE: f64 = 1e-6;
 
 /// Joint variables of the bar at a pose, and their derivatives.
@@ -36,8 +38,8 @@ pub struct ImpliedBar {
     rod: Rod,
 }
 
-/// Direction of the rod, two directions perpendicular to it, and how far the pose is beyond the bar's end,
-/// along the rod \[m\].
+/// Direction of the rod, two directions perpendicular to it, and the distance from the bar's end to the pose along the rod
+/// \[m\]. The distance is positive if the pose is beyond the bar's end.
 #[derive(Debug, Clone, Copy)]
 struct Rod {
     along: Vector3<f64>,
@@ -53,8 +55,8 @@ impl Rod {
         Self { along, across: [first, along.cross(&first)], beyond_m }
     }
 
-    /// Change of the five equations if the bar's end moves by `twist`. If `rotates_rod`, the rod rotates with the end, so
-    /// the directions across the rod change as well.
+    /// Change of the five equations if the bar's end moves by `twist`. If `rotates_rod` is set, the rod rotates with the
+    /// end, so the directions perpendicular to the rod change as well.
     fn equations(&self, twist: &Twist, rotates_rod: bool) -> Vector5<f64> {
         let turned =
             if rotates_rod { twist.angular.cross(&self.along) * self.beyond_m } else { Vector3::zeros() };
@@ -65,10 +67,8 @@ impl Rod {
 }
 
 impl ImpliedBar {
-    /// Solves for `target` in the configuration nearest to `near` \[rad\]. Joints without a value in `near` are
-    /// ignored in this comparison.
-    ///
-    /// `tracer` is `chain` prepared for forward passes.
+    /// Solves for `target`. Of the four configurations, the one nearest to `near` \[rad\] is used; joints without a value in
+    /// `near` are ignored in this comparison. `tracer` is `chain` prepared for forward passes.
     ///
     /// # Errors
     /// [`InverseError::NotConverged`] at a singular pose; other errors if the chain is not a ball-bar.
@@ -110,8 +110,8 @@ impl ImpliedBar {
         self.by_equations * self.rod.equations(twist, false)
     }
 
-    /// Derivative of the joint variables with respect to a parameter of the bar. The parameter belongs to link `link`, or to
-    /// the base if `None`, and moves the bar's end by `twist` if the joints are fixed.
+    /// Derivative of the joint variables with respect to a parameter of the bar. The parameter belongs to the link `link`,
+    /// or to the base if `link` is `None`. If the joints were fixed, the parameter would move the bar's end by `twist`.
     pub fn by_bar(&self, link: Option<usize>, twist: &Twist) -> Vector5<f64> {
         -(self.by_equations * self.rod.equations(twist, rotates_rod(link)))
     }
@@ -131,7 +131,7 @@ fn equations_by_joints(trace: &Trace, rod: &Rod) -> Matrix5<f64> {
     matrix
 }
 
-/// Closed form of the nominal structure. Of the four configurations, returns the one nearest to the measured joints.
+/// Solution of the closed form. Of the four configurations, returns the one nearest to the measured joints.
 fn nearest_closed_form(
     chain: &Chain,
     target: &Pose,

@@ -1,6 +1,7 @@
-//! Functions that the inverse kinematics of the robot and of the bar share. The first group checks that a chain has a
-//! nominal structure with a closed form, in which all twists are multiples of 90 degrees, and computes the angles of such a
-//! structure. The second group refines joint variables on the true chain, which has errors in every parameter.
+//! Functions that the inverse kinematics of the robot and of the bar share. A chain has a nominal structure if all its
+//! twists are multiples of 90 degrees, which permits a closed form. The functions of the first group check the
+//! structure and compute angles of the closed form. The functions of the second group refine joint variables on the
+//! true chain, which has errors in every parameter.
 
 use std::f64::consts::{PI, TAU};
 
@@ -21,7 +22,7 @@ pub enum InverseError {
         key: &'static str,
         /// Value of the parameter \[deg, m\].
         value: f64,
-        /// Value that the structure needs \[deg, m\].
+        /// Value that the structure requires \[deg, m\].
         expected: &'static str,
     },
     /// An axis is prismatic, which the closed form does not support.
@@ -32,7 +33,7 @@ pub enum InverseError {
         /// Number of the link, from 1.
         link: usize,
     },
-    /// The number of links is not the number of the structure.
+    /// The chain does not have the number of links that the structure requires.
     #[error("the chain has {found} links, {expected} are needed; check the links in the configuration")]
     Links {
         /// Number of links of the chain.
@@ -59,7 +60,8 @@ pub enum InverseError {
          move the pose away from a singularity or check the chain's parameters"
     )]
     NotConverged {
-        /// Number of iterations. It is below the limit if no further step could be computed, as at a singular pose.
+        /// Number of iterations. It is below the limit if the iteration ended because no further step could be computed, as
+        /// at a singular pose.
         iterations: usize,
         /// Largest motion of a joint in the last step; infinite if no step was computed.
         step_rad: f64,
@@ -75,7 +77,7 @@ impl InverseError {
 
 /// Largest deviation of a twist from a multiple of 90 degrees in the nominal structure \[rad\].
 const TWIST_TOLERANCE_RAD: f64 = 0.1;
-/// Largest value of a length that is zero in the nominal structure \[m\]. It is ten times the manufacturing errors of
+/// Lengths up to this value count as zero in the nominal structure \[m\]. The limit is ten times the manufacturing errors of
 /// robots, and a tenth of the smallest designed offset of a wrist.
 const LENGTH_TOLERANCE_M: f64 = 5e-3;
 
@@ -143,8 +145,8 @@ pub(super) fn point_z(
     (first, second)
 }
 
-/// Solves `Rz(t0) Rx(signs0 90) Rz(t1) Rx(signs1 90) Rz(t2) = rotation` for the three angles of a spherical wrist. `side`
-/// and `first_if_free` are as in [`point_z`].
+/// Solves `Rz(t0) Rx(signs0 90) Rz(t1) Rx(signs1 90) Rz(t2) = rotation` for the three angles of a spherical wrist.
+/// `side` and `first_if_free` are as in [`point_z`].
 pub(super) fn wrist_angles(
     rotation: &Matrix3<f64>,
     signs: [f64; 2],
@@ -157,12 +159,12 @@ pub(super) fn wrist_angles(
     [first, second, last[(1, 0)].atan2(last[(0, 0)])]
 }
 
-/// The angle that differs from `angle_rad` by whole turns and is nearest to `near_rad`.
+/// Adds whole turns to `angle_rad` so that the result is nearest to `near_rad`.
 pub fn nearest_turn(angle_rad: f64, near_rad: f64) -> f64 {
     angle_rad + ((near_rad - angle_rad) / TAU).round() * TAU
 }
 
-/// The angle without whole turns, in (-pi, pi] \[rad\].
+/// Removes whole turns from an angle. The result is in (-pi, pi] \[rad\].
 pub fn wrapped(angle_rad: f64) -> f64 {
     let wrapped = nearest_turn(angle_rad, 0.0);
     if wrapped <= -PI { wrapped + TAU } else { wrapped }
@@ -182,9 +184,9 @@ pub(super) fn pose_error(target: &Pose, end: &Pose) -> SVector<f64, 6> {
     SVector::from_iterator(position.iter().chain(turn.iter()).copied())
 }
 
-/// Rotation vector \[rad\] of a rotation matrix. The angle is computed by the arc tangent, because the arc cosine of the
-/// trace loses half of the digits at small angles. The result is zero for a rotation by 180 degrees, where the sign of
-/// the axis is arbitrary.
+/// Rotation vector \[rad\] of a rotation matrix. The angle is computed by the arc tangent, because the arc
+/// cosine of the trace loses half of the digits at small angles. The result is zero for a rotation by 180
+/// degrees, where the sign of the axis is arbitrary.
 pub fn rotation_vector(rotation: &Matrix3<f64>) -> Vector3<f64> {
     let r = rotation;
     let twice_sine = Vector3::new(r[(2, 1)] - r[(1, 2)], r[(0, 2)] - r[(2, 0)], r[(1, 0)] - r[(0, 1)]);
@@ -194,18 +196,18 @@ pub fn rotation_vector(rotation: &Matrix3<f64>) -> Vector3<f64> {
     if sine < 1e-9 { 0.5 * twice_sine } else { twice_sine * (0.5 * angle / sine) }
 }
 
-/// Joint variables \[rad, m\] at which the end of `chain` is closest to `target`, by Gauss-Newton iterations from
-/// `start`. With six joints this is Newton's method. With more joints, each step is the solution of least norm. Metres
-/// and radians have equal weight.
+/// Joint variables \[rad, m\] at which the end of `chain` is closest to `target`, by Gauss-Newton iterations from `start`.
+/// With six joints this is Newton's method. With more joints, each step is the shortest step to the solution of the
+/// linearised equations. Metres and radians have equal weight.
 pub(super) fn refine<const N: usize>(
     chain: &Chain,
     target: &Pose,
     start: [f64; N],
 ) -> Result<[f64; N], InverseError> {
-    /// Iterations end after a step below this size, because the next step would be a rounding error.
+    /// The iteration ends after a step below this size, because a further step would only contain rounding errors.
     const STEP_RAD_MIN: f64 = 1e-13;
-    /// A step below this size is also accepted as the last one if steps no longer become smaller, because rounding
-    /// errors then prevent it.
+    /// The iteration also ends after a step below this size if the step is not much shorter than the step before.
+    /// Rounding errors then prevent further progress.
     const STEP_RAD_ACCEPTED: f64 = 1e-10;
     const ITERATIONS_MAX: usize = 30;
     /// Longer steps are shortened to this size, because the linearisation is valid only for short steps.
@@ -239,13 +241,15 @@ pub(super) fn refine<const N: usize>(
     Err(InverseError::NotConverged { iterations, step_rad })
 }
 
-/// As [`refine`], for arms with more axes than a pose needs. Such an arm reaches a pose with many sets of joint variables
-/// \[rad, m\]. Of those connected with `start`, the result is the set nearest to the middle of the joint limits, each joint
-/// relative to its range. It depends only on the pose, not on the path to the pose (Liegeois 1977).
+/// As [`refine`], for arms with more axes than a pose needs. Such an arm reaches a pose with many sets of joint
+/// variables \[rad, m\]. Among the sets that are connected with `start`, the result is the set nearest to the middle of
+/// the joint limits. Distances of joints from the middle are relative to their ranges. The result depends only on the
+/// pose, not on the path to the pose (Liegeois 1977).
 ///
-/// The joint variables are divided by their ranges. `J` is the Jacobian, `J+` its pseudoinverse, `e` the pose error, and `m`
-/// the vector from the joints to the middle. A step is `J+ e + (m - J+ J m) / 2`. The first term is Newton's method towards
-/// the pose. The second term is half of a Gauss-Newton step towards the middle, by motions that do not change the pose.
+/// In the following formula, joint variables are divided by their ranges. `J` is the Jacobian, `J+` its pseudoinverse, `e`
+/// the pose error, and `m` the vector from the joints to the middle. A step is `J+ e + (m - J+ J m) / 2`. The first term is
+/// Newton's method towards the pose. The second term is half of a Gauss-Newton step towards the middle, by motions that do
+/// not change the pose.
 pub(super) fn refine_centred<const N: usize>(
     chain: &Chain,
     target: &Pose,
@@ -254,13 +258,13 @@ pub(super) fn refine_centred<const N: usize>(
 ) -> Result<[f64; N], InverseError> {
     /// After a step below this size the joints have converged up to rounding errors \[fraction of a range\].
     const STEP_MIN: f64 = 1e-12;
-    /// After the last iteration, a step below this size is accepted \[fraction of a range\]. The remaining error is a motion
-    /// that does not change the pose, and is below the resolution of a controller.
+    /// If no iteration remains, a last step below this size is accepted \[fraction of a range\]. The remaining error does
+    /// not change the pose, and is below the resolution of a controller.
     const STEP_ACCEPTED: f64 = 1e-9;
     const ITERATIONS_MAX: usize = 200;
-    /// Fraction of the Gauss-Newton step towards the middle. A Gauss-Newton step ignores the curvature of the constraint
-    /// (the set of joints with this pose). Half of the step converges as long as the curvature contributes at most three
-    /// times as much to the second derivative as the Gauss-Newton term.
+    /// Fraction of the Gauss-Newton step towards the middle that is used. The Gauss-Newton step ignores the curvature of the
+    /// constraint (the set of joints with this pose). With half of the step, the iteration converges unless the curvature
+    /// contributes more than three times as much to the second derivative as the Gauss-Newton term.
     const STEP_SHARE: f64 = 0.5;
     /// Longer steps are shortened to this size \[fraction of a range\].
     const STEP_MAX: f64 = 0.1;
@@ -314,7 +318,8 @@ fn least_squares_step<const N: usize>(
         let is_regular = factor.l_dirty().diagonal().min() > PIVOT_MIN;
         return is_regular.then(|| jacobian.tr_mul(&factor.solve(&error)));
     }
-    // Householder QR: reflects column by column to a triangle, and the right-hand side with it.
+    // Householder QR: reflections convert the matrix to a triangle, column by column, and are applied to the
+    // right-hand side as well.
     let mut triangle = jacobian;
     let mut rhs = error;
     for k in 0..N {

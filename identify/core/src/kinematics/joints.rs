@@ -8,7 +8,7 @@ use serde::{Deserialize, Deserializer, Serialize};
 
 pub use shared::config::AXES_MAX;
 
-/// One number for each axis of an arm, base to flange: joint variables (\[rad\], of prismatic axes \[m\]),
+/// One number for each axis of an arm, base to flange. The numbers are joint variables \[rad; m for prismatic axes\],
 /// their rates, or torques.
 ///
 /// The length is the number of axes. The numbers are stored in place instead of in a `Vec`, because ten hours of log contain

@@ -1,5 +1,5 @@
-//! Finds which joints of an arm must be reversed to obtain its mirror image. If two logs agree only after mirroring, the
-//! alignment reports these joints, because their signs may be wrong.
+//! Finds the joints of an arm whose signs must be reversed to obtain the mirror image of the arm. If the robot's log agrees
+//! with the bar's recording only after mirroring, the alignment reports these joints, because their signs may be wrong.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -7,13 +7,14 @@ use super::{Chain, Joints, Pose};
 
 /// Number of poses at which arm and mirror image are compared.
 const POSES: usize = 12;
-/// Largest difference between arm and mirror image: of positions relative to the reach, of axis directions as unit vectors.
+/// Largest difference at which arm and mirror image count as equal. It applies to positions relative to the reach, and
+/// to differences of unit vectors along the axes.
 const DIFFERENCE_MAX: f64 = 0.02;
 
 /// The joints (from 0) whose signs must be reversed to mirror the arm in the plane of the base's x and z axes. `None` if the
 /// arm is not symmetric about this plane. Deviations from symmetry up to 2 % of the reach are tolerated.
 ///
-/// Mirror images in other planes through the base's z axis need no check, because they differ only in the offset
+/// Mirror images in other planes through the base's z axis need no test, because they differ only in the offset
 /// of the first joint.
 pub fn mirroring_joints(arm: &Chain) -> Option<Vec<usize>> {
     let mirror = Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, 1.0));

@@ -1,10 +1,10 @@
 //! Geometry of the robot and of the ball-bar: forward kinematics, derivatives with respect to every
 //! parameter, and inverse kinematics.
 //!
-//! Robot and ball-bar are chains of standard Denavit-Hartenberg links. Both chains end in the same frame, at the end of the
-//! offset plate: the robot's last link includes tool and plate, and link 5 of the bar ends there as well. A robot has two to
-//! eight axes, revolute or prismatic. A link may have Hayati's extra rotation about y, which describes nearly parallel axes
-//! (Hayati and Mirmirani 1985).
+//! Robot and ball-bar are chains of standard Denavit-Hartenberg links. Both chains end in the same frame, at the end of
+//! the offset plate: the robot's last link includes tool and plate, and link 5 of the bar ends there as well. A robot
+//! has two to eight axes, revolute or prismatic. A link may have Hayati's extra rotation about y, which describes
+//! nearly parallel axes (Hayati and Mirmirani 1985).
 
 mod ball_bar_inverse;
 mod chain;

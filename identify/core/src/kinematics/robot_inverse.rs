@@ -1,9 +1,8 @@
 //! Inverse kinematics of robots with six to eight axes: computes joint variables at a pose, also for arms with
 //! errors in every parameter.
 //!
-//! A six-axis arm with a spherical wrist has a closed form on its nominal structure. Newton's method on the true
-//! chain starts at the solutions of this closed form. For other arms, Newton's method starts at joint variables
-//! that the caller passes.
+//! Newton's method is used on the true chain. For a six-axis arm with a spherical wrist, it starts at the solutions of a
+//! closed form for the nominal structure. For other arms, it starts at joint variables that the caller passes.
 
 use nalgebra::Matrix3;
 
@@ -17,7 +16,7 @@ use super::{Chain, InverseError, Joints, Pose};
 const AXES: usize = 6;
 
 /// Parameters of the closed form. Twists are rounded to right angles, and offsets that are zero in the nominal structure are
-/// omitted. `tn` below is the angle of link n: joint variable plus `theta`.
+/// omitted. In the functions below, `t1` to `t6` are the angles of the links: joint variable plus `theta`.
 struct ClosedForm {
     /// Signs of the twists of links 1, 3, 4 and 5. The sign for link 3 is that of an equivalent arm whose axis 3 has the
     /// direction of axis 2.
@@ -68,7 +67,7 @@ impl ClosedForm {
     fn angles_to_wrist(&self, wrist_m: [f64; 3]) -> Vec<[f64; 3]> {
         let [sign1, sign3, ..] = self.signs;
         let [x, y, z] = wrist_m;
-        // The coordinate of the wrist along axis 2 is the shoulder's offset: x sin t1 - y cos t1 = sign1 shoulder.
+        // Along axis 2, the coordinate of the wrist is the shoulder's offset: x sin t1 - y cos t1 = sign1 shoulder.
         let Some(from_azimuth) = clamped(sign1 * self.shoulder_m / x.hypot(y)).map(f64::asin) else {
             return Vec::new();
         };
@@ -78,8 +77,8 @@ impl ClosedForm {
             // Position of the wrist relative to axis 2, in the plane perpendicular to this axis.
             let (s1, c1) = t1.sin_cos();
             let (out, up) = (c1 * x + s1 * y - self.a1_m, sign1 * (z - self.d1_m));
-            // The forearm leads from elbow to wrist: a3 along x of link 3, d4 perpendicular to x. Upper arm, forearm and the
-            // line from axis 2 to the wrist form a triangle.
+            // The forearm connects elbow and wrist: its component along x of link 3 is a3, its perpendicular component is
+            // d4. The upper arm, the forearm and the line from axis 2 to the wrist form a triangle.
             let forearm_m = self.a3_m.hypot(self.d4_m);
             let bend = (-sign3 * self.d4_m).atan2(self.a3_m);
             let cos_elbow =
@@ -100,8 +99,8 @@ impl ClosedForm {
     }
 }
 
-/// Clamps a sine or cosine to the range from -1 to 1. Absolute values slightly above 1 are accepted, because errors of the
-/// chain can put a reachable pose slightly outside the nominal workspace. `None` from 1.02 on, and for NaN.
+/// Clamps a sine or cosine to the range from -1 to 1. Absolute values of less than 1.02 are accepted, because errors of the
+/// chain can put a reachable pose slightly outside the nominal workspace. `None` for larger values and for NaN.
 fn clamped(value: f64) -> Option<f64> {
     (value.abs() < 1.02).then(|| value.clamp(-1.0, 1.0))
 }
@@ -129,17 +128,17 @@ fn closed_form(chain: &Chain, target: &Pose, near: &[f64; AXES]) -> Result<Vec<[
 /// Joint variables \[rad, m\] that move the end of `chain` to `target`. If there are several solutions, the result is the
 /// solution nearest to `near`, a list of one value for each axis.
 ///
-/// An arm with a spherical wrist has six revolute axes. The twists of links 1, 3, 4 and 5 are right angles, axes 2 and 3 are
-/// parallel with equal or opposite directions, and axes 4 to 6 intersect in one point. For such an arm, Newton's method on
-/// the given chain starts at the closed form. The chain may have errors of some mm and mrad in every parameter.
+/// A six-axis arm has a closed form if its axes are revolute, the twists of links 1, 3, 4 and 5 are right angles, axes 2 and
+/// 3 are parallel with equal or opposite directions, and axes 4 to 6 intersect in one point. For such an arm, Newton's
+/// method on the given chain starts at the closed form. The chain may have errors of some mm and mrad in every parameter.
 ///
-/// For other arms, Newton's method starts at `near`, so it finds a solution only if one is near. With seven or eight axes,
-/// each step has the least norm, so the solution is close to `near`.
+/// For other arms, Newton's method starts at `near`, so it finds a solution only if a solution is near. With seven or eight
+/// axes, each step has the least norm, so the solution is close to `near`.
 ///
 /// # Errors
 /// [`InverseError::Unreachable`] if the pose is outside the workspace. [`InverseError::NotConverged`] at a singularity, or
-/// if the solution is too far from `near`. [`InverseError::Links`] if the arm does not have six to eight axes, or `near`
-/// does not have one value for each axis.
+/// if the solution is too far from `near`. [`InverseError::Links`] if the arm does not have six to eight axes, or
+/// `near` does not have one value for each axis.
 pub fn robot_inverse(chain: &Chain, target: &Pose, near: &[f64]) -> Result<Joints, InverseError> {
     if near.len() != chain.links.len() {
         return Err(InverseError::Links { found: chain.links.len(), expected: near.len() });
@@ -152,9 +151,9 @@ pub fn robot_inverse(chain: &Chain, target: &Pose, near: &[f64]) -> Result<Joint
     }
 }
 
-/// As [`robot_inverse`], except for seven and eight axes. Of all postures that are connected with `near`, the result
-/// is then the posture nearest to the middle of the joint limits \[rad, m\]. It depends only on the pose, so it
-/// repeats on a closed path.
+/// As [`robot_inverse`], but with a different solution for seven and eight axes. Of all postures that are connected with
+/// `near`, it is the posture nearest to the middle of the joint limits \[rad, m\]. It depends only on the pose, so the
+/// joints return to their start on a closed path.
 ///
 /// # Errors
 /// The errors of [`robot_inverse`].
@@ -203,8 +202,8 @@ fn six_axes(chain: &Chain, target: &Pose, near: &[f64]) -> Result<Joints, Invers
     Err(failure)
 }
 
-/// All solutions of a six-axis arm with a spherical wrist: up to eight, each joint in (-pi, pi]. Solutions of the closed
-/// form that do not converge on the given chain are omitted.
+/// All solutions of a six-axis arm with a spherical wrist: up to eight, each joint in (-pi, pi]. A solution of the closed
+/// form is omitted if Newton's method does not converge from it on the given chain.
 ///
 /// # Errors
 /// [`InverseError::Unreachable`] and [`InverseError::NotConverged`] if no solution converges. [`InverseError::Structure`],

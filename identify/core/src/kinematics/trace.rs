@@ -1,10 +1,14 @@
-//! A forward pass along a [`Chain`] computes the end pose ([`Trace`]). It also stores the axes from which the derivative of
-//! the end pose with respect to any parameter of any link is computed, a [`Twist`]. All residuals and the inverse
-//! kinematics use this module.
+//! A forward pass along a [`Chain`] computes the end pose. The result is a [`Trace`], which also contains the axes of all
+//! links. From these axes, the derivative of the end pose with respect to any parameter of any link is computed as a
+//! [`Twist`]. All residuals and the inverse kinematics use this module.
 //!
-//! A parameter of link i moves everything after link i as one rigid body. The motion is a twist about or along an axis that
-//! the forward pass computes: `theta` about and `d` along z of frame i-1, `alpha` about and `a` along x of link i, `beta`
-//! about y of frame i. Neither finite differences nor symbolic expressions are needed.
+//! A parameter of link i moves everything after link i as one rigid body. The motion is a rotation about an axis or a
+//! shift along an axis:
+//! - `theta` about and `d` along z of frame i-1,
+//! - `alpha` about and `a` along x of link i,
+//! - `beta` about y of frame i.
+//!
+//! The forward pass computes these axes, so neither finite differences nor symbolic expressions are needed.
 
 use nalgebra::{Matrix3, Vector3, Vector6};
 use shared::config::JointKind;
@@ -43,7 +47,7 @@ impl Twist {
         Vector6::new(linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
     }
 
-    /// Twist of a point that the frame carries, at this vector from the frame's origin.
+    /// Twist of a point that moves with the frame. `to_point` is the vector from the frame's origin to this point.
     #[inline]
     pub fn carried(&self, to_point: &Vector3<f64>) -> Self {
         Self { linear: self.linear + self.angular.cross(to_point), ..*self }
@@ -91,8 +95,8 @@ impl Turn {
         }
     }
 
-    /// Sine and cosine of `count` times the angle, computed by a few products. Evaluating the sine and cosine of the
-    /// multiple takes ten times as long.
+    /// Sine and cosine of `count` times the angle, computed by a few products. This takes a tenth of the time of `sin` and
+    /// `cos` of the multiple.
     #[inline]
     pub fn times(self, mut count: u8) -> Self {
         let (mut product, mut doubled) = (Self { sin: 0.0, cos: 1.0 }, self);
@@ -129,7 +133,7 @@ impl LinkParameter {
     /// The four parameters of the standard convention, in the order of the thesis' tables.
     pub const STANDARD: [Self; 4] = [Self::A, Self::D, Self::Alpha, Self::Theta];
 
-    /// The parameter to which a joint's variable is added, that is, the offset of the joint.
+    /// The parameter that is the offset of a joint: the joint's variable is added to it.
     pub const fn offset_of(joint: JointKind) -> Self {
         match joint {
             JointKind::Revolute => Self::Theta,
@@ -225,7 +229,7 @@ impl Trace {
         self.axes.iter().map(|axes| (axes.origin_before, axes.z_before))
     }
 
-    /// Twists of a point that the first `joints` joints move, one for each of these joints.
+    /// Twists of a point, one for each of the first `joints` joints at unit rate. Only these joints move the point.
     pub fn point_twists(&self, point: Vector3<f64>, joints: usize) -> impl Iterator<Item = Twist> {
         self.axes.iter().take(joints).map(move |axes| axes.twist(point))
     }

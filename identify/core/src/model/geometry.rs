@@ -1,6 +1,7 @@
 //! [`Geometry`] contains the values of all parameters, arranged by meaning: chains of robot and bar, joint errors, clock,
-//! and the geometry of the other instruments. It converts reported joints and encoder readings to true ones. Residuals
-//! ([`crate::cost`]), corrections of poses, and simulations use it. [`super::Model`] creates it from the columns of a solve.
+//! and the geometry of the other instruments. It converts reported joints and encoder readings to true joint
+//! angles. Users are residuals ([`crate::cost`]), corrections of poses, and simulations. [`super::Model`]
+//! creates a geometry from the columns of a solve.
 
 use std::cell::OnceCell;
 
@@ -15,7 +16,7 @@ use crate::kinematics::{AXES_MAX, BAR_JOINTS, Chain, DhLink, LinkParameter, Pose
 /// Number of bar joints before the rod, which define the direction of the bar.
 pub(super) const DIRECTION_JOINTS: usize = 2;
 
-/// Joint states of a moving robot. One value is reused as a buffer from sample to sample.
+/// Joint states of a moving robot at one sample. The same value is reused for the following samples.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct MovingJoints {
     /// Joint state as reported by the log.
@@ -35,8 +36,8 @@ impl MovingJoints {
     }
 }
 
-/// Pose of the ball-bar's base: `T(origin) Rx(rx) Ry(ry)`. The rotation about z is not included, because it
-/// is the bar's `btheta1`.
+/// Pose of the ball-bar's base: `T(origin) Rx(rx) Ry(ry)`. A rotation about z is not included, because the bar's `btheta1`
+/// has the same effect.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct BasePlacement {
     /// Centre of the gimbal in the robot's base \[m\].
@@ -108,7 +109,7 @@ impl WireGeometry {
     }
 }
 
-/// Geometry of a ball on the flange and of the sockets in which it is seated.
+/// Geometry of a ball on the flange, and of the sockets in which the ball is seated.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct ContactGeometry {
     /// Centre of the ball in the flange frame \[m\].
@@ -126,7 +127,7 @@ pub struct Face {
     pub distance_m: f64,
 }
 
-/// Geometry of a probe tip on the flange and of the faces that it touches.
+/// Geometry of a probe tip on the flange, and of the faces that the tip touches.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct TouchGeometry {
     /// Centre of the tip's ball in the flange frame \[m\].
@@ -201,8 +202,8 @@ impl Geometry {
         self.robot.forward(&self.corrected(reported).q)
     }
 
-    /// Twist of the robot's end per unit rate of a robot parameter (link, joint error, wave). `None` for parameters of any
-    /// other owner. `end` is the trace of the robot at its corrected joints.
+    /// Twist of the robot's end per unit rate of a robot parameter (link, joint error, wave). `None` for any other
+    /// parameter. `end` is the trace of the robot at its corrected joints.
     #[inline]
     pub fn end_twist(&self, joints: &MovingJoints, end: &Trace, id: ParameterId) -> Option<Twist> {
         let drives = &self.joints.drives;
@@ -217,8 +218,7 @@ impl Geometry {
             ParameterId::JointWave { axis, order, phase } => {
                 let wave =
                     joints.drives(drives).turn.get(axis).map_or(0.0, |angle| phase.wave(order, *angle));
-                // Fast path for drives that turn a single joint, because hundreds of orders are tried and most drives
-                // are of this type.
+                // Fast path for drives that turn a single joint. Most drives do, and hundreds of orders are tried.
                 if let Some(joint) = drives.only_joint(axis) {
                     return Some(end.twist(joint, LinkParameter::Theta)?.scaled(wave));
                 }
@@ -234,15 +234,16 @@ impl Geometry {
         MovingJoints { reported, delayed: reported, corrected, drives: OnceCell::new() }
     }
 
-    /// Joints with their errors added. For a robot at rest, or for a log that samples all joints at one instant.
+    /// Joints with their errors added, without delays. Use this for a robot at rest, or for a log that samples all
+    /// joints at one instant.
     pub fn corrected(&self, reported: &JointState) -> JointState {
         let mut corrected = *reported;
         self.add_joint_errors(&mut corrected, reported, &OnceCell::new());
         corrected
     }
 
-    /// Writes the robot's joint states at bar time `t_s` into `joints`, and overwrites all of them. False if the robot's log
-    /// does not cover this time.
+    /// Writes the robot's joint states at bar time `t_s` into `joints`, whose previous contents are overwritten. Returns
+    /// false if the robot's log does not cover this time.
     #[must_use]
     pub fn joints_at(&self, motion: &impl RobotMotion, t_s: f64, joints: &mut MovingJoints) -> bool {
         let tau_s = self.clock.robot_time_s(t_s);
@@ -262,7 +263,7 @@ impl Geometry {
         reported: &JointState,
         drives: &OnceCell<DriveState>,
     ) {
-        // This test takes less time than the sines and cosines of all drives.
+        // Without errors, return early, because the sines and cosines of all drives take more time than this test.
         if !self.joints.any() && self.axis_waves.iter().all(Waves::is_none) {
             return;
         }
@@ -279,7 +280,7 @@ impl Geometry {
         }
     }
 
-    /// Errors of the bar's encoders at these readings \[rad\]. They must be subtracted from the readings.
+    /// Errors of the bar's encoders at these readings \[rad\]. Corrected angles are the readings minus these errors.
     #[inline]
     pub fn encoder_errors_rad(&self, readings: &[Turn; BAR_JOINTS]) -> [f64; BAR_JOINTS] {
         std::array::from_fn(|joint| self.encoder_waves[joint].at(readings[joint]).0)
@@ -294,7 +295,7 @@ impl Geometry {
             .unwrap_or_default()
     }
 
-    /// The offset of one encoder for an origin, counted from 1. The table of offsets is extended if necessary.
+    /// The offset of one encoder for an origin (from 1), for changes. The table of offsets is extended if necessary.
     pub(super) fn offset_of_origin_mut(&mut self, origin: usize, joint: usize) -> Option<&mut f64> {
         let index = origin.checked_sub(1)?;
         if self.origin_offsets_rad.len() <= index {
@@ -303,7 +304,8 @@ impl Geometry {
         self.origin_offsets_rad.get_mut(index)?.get_mut(joint)
     }
 
-    /// Elongation of the ball-bar due to an axial force and to the direction of the bar, which the readings determine \[m\].
+    /// Elongation of the ball-bar \[m\], due to an axial force and as a function of the bar's direction. The
+    /// readings determine the direction.
     #[inline]
     pub fn extension_m(&self, force: &BarForce, readings: &[Turn; BAR_JOINTS]) -> f64 {
         let by_direction: f64 =

@@ -2,19 +2,19 @@
 //! joint encoders, delays in the log, and compliance under gravity.
 //!
 //! Gear errors are periodic in the output angle of the gear, called the drive angle. A drive angle is not always a joint
-//! angle of the model, because rods or bevel gears may couple drives. The drive angles are `g = q C^-1` (row vector times
-//! matrix), where row `i` of `C` is the motion of each joint per radian of drive `i`. The true angles follow from amplitudes
-//! `a` and shapes `s`:
+//! angle of the model, because rods or bevel gears may couple drives. Row `i` of the matrix `C` is the motion of each joint
+//! per radian of drive `i`. With the joint angles `q` as a row vector, the drive angles are `g = q C^-1`. The true joint
+//! angles `q'` follow from amplitudes `a` and shapes `s`, summed over the terms `t`:
 //!
 //! `q' = q + e(g, dg/dt) C`, `e_i = sum_t a_it s_t(g_i)`.
 //!
 //! If drives are coupled, a joint may also have errors of its own, from its bearing or from an encoder on the joint. Such an
-//! error is `s_t(q_i)` and moves joint `i` only.
+//! error is `a_it s_t(q_i)` and moves joint `i` only.
 //!
 //! Shapes are functions of the reported state, so errors are linear in their amplitudes: `dq'/da_it = s_t(g_i) C_i`. The
 //! exception is a delay `d_i`, which evaluates the drive's angle at another instant of the log:
-//! `e_i = g_i(t + d_i - d) - g_i(t)`. If a delay were modelled by a shape, which would be a rate, it would amplify the noise
-//! of the log. The mean `d` of all delays is subtracted because the clock describes it.
+//! `e_i = g_i(t + d_i - d) - g_i(t)`. A linear shape for a delay would be the rate `dg_i/dt`, which amplifies the noise of
+//! the log. The mean `d` of all delays is subtracted because the shift of the clock represents it.
 
 use nalgebra::{DMatrix, Vector3};
 use shared::config::{JointKind, RobotConfig};
@@ -26,11 +26,12 @@ use crate::statistics::mean;
 /// Scale of the drive speed in the backlash shape `tanh(rate / speed)` \[rad/s\]. At this speed the shape is about 0.76. The
 /// scale is lower than the speeds of calibration motions, and higher than the apparent speed of a noisy log at standstill.
 ///
-/// At standstills in a log the shape is zero, although a real joint stays on the side from which it arrived. If the robot
-/// stands still at every pose, `instrument::rows` therefore sets each joint to 1 rad/s in the direction of its last motion.
+/// At a standstill in a log the shape is zero, although a real joint stays on the side from which it arrived. For data
+/// with a standstill at every pose, `instrument::rows` therefore replaces the rate of each joint by 1 rad/s in the
+/// direction of its last motion.
 pub const BACKLASH_SPEED_RAD_S: f64 = 0.01;
 
-/// If a log column turns faster than the joint by more than this factor, it is assumed to be a motor angle.
+/// If a column of the log turns faster than the joint by more than this factor, the column is assumed to be a motor angle.
 const GEAR_RATIO_MIN: f64 = 2.0;
 
 fn rows_of(matrix: &DMatrix<f64>) -> Vec<Joints> {
@@ -56,8 +57,8 @@ pub struct DriveTrain {
 }
 
 impl DriveTrain {
-    /// Drive train of an upright robot with one drive per joint. `arm` is the nominal chain, used for the lever arms of
-    /// weights. Errors of a few millimetres in lever arms do not matter.
+    /// Drive train of an upright robot with one drive per joint. The lever arms of weights are computed from `arm`, the
+    /// nominal chain. Errors of a few millimetres in lever arms do not matter.
     pub fn direct(arm: &Chain) -> Self {
         let axes = arm.links.len();
         let identity = rows_of(&DMatrix::identity(axes, axes));
@@ -72,14 +73,14 @@ impl DriveTrain {
         }
     }
 
-    /// Drive train from the robot's file. Couplings are those of the log's matrix `raw_to_joint`, with each row
-    /// divided by its diagonal entry. If the log contains motor angles, gear ratios that the file does not contain are
+    /// Drive train from the robot's file. The couplings are the matrix `raw_to_joint` of the log, with each row
+    /// divided by its diagonal entry. If the log contains motor angles, gear ratios that are missing in the file are
     /// computed from this matrix.
     pub fn of(robot: &RobotConfig, arm: &Chain) -> Self {
         let raw_to_joint = &robot.log.raw_to_joint;
         let axes = raw_to_joint.len();
         let joint_from_drive = DMatrix::from_fn(axes, axes, |i, j| raw_to_joint[i][j] / raw_to_joint[i][i]);
-        // Zero in the robot's file means unknown.
+        // A value of zero in the robot's file means unknown.
         let known = |numbers: &[f64], axis: usize| numbers.get(axis).copied().filter(|number| *number > 0.0);
         let motor_turns = |axis: usize| {
             let turns_in_log = raw_to_joint[axis][axis].abs().recip();
@@ -146,10 +147,10 @@ impl DriveTrain {
         self.joints.len()
     }
 
-    /// Whether this axis (from 0) can have the term. A prismatic axis can have a ratio error and a delay. A revolute axis
-    /// can also have backlash, waves with a known number per turn, and compliance under a load that it raises and lowers.
-    /// For arms with six revolute axes, [`Load::acts_on`] determines these loads. In other arms, the tool is the load of
-    /// every axis except the first.
+    /// Whether this axis (from 0) can have the term. A prismatic axis can have a ratio error and a delay. A revolute
+    /// axis can also have backlash, waves with a known number per turn, and compliance under a load that it raises and
+    /// lowers. In an arm with six revolute axes, [`Load::acts_on`] lists the loads of each axis. In other arms, every
+    /// axis except the first has the tool as its only load.
     pub fn has(&self, axis: usize, term: JointTerm) -> bool {
         if !self.turns(axis) {
             return axis < self.axes() && matches!(term, JointTerm::Ratio | JointTerm::Delay);
@@ -182,7 +183,7 @@ impl DriveTrain {
     fn shape(&self, axis: usize, term: JointTerm, reported: &JointState, state: &DriveState) -> (f64, f64) {
         let DriveState { angle, rate, turn } = state;
         let (angle, rate, turn) = (angle[axis], rate[axis], turn[axis]);
-        // Phase angle of the wave and its time derivative.
+        // For a wave, the phase angle and its time derivative.
         let wave = |period| {
             let n = self.waves_per_turn(axis, period).unwrap_or_default();
             match period {
@@ -213,8 +214,9 @@ impl DriveTrain {
         }
     }
 
-    /// Torque about an axis per newton of weight \[m\], `z . ((p - r) x u)`, and its time derivative \[m/s\]. `z` is the
-    /// direction of the axis and `r` a point on it, `p` is the position of the load, and `u` is the direction of gravity.
+    /// Torque about an axis per newton of weight \[m\], and its time derivative \[m/s\]. The torque is
+    /// `z . ((p - r) x u)`. `z` is the direction of the axis, `r` a point on the axis, `p` the position of the load, and
+    /// `u` the direction of gravity.
     fn lever(&self, axis: usize, load: Load, reported: &JointState) -> (f64, f64) {
         let mut trace = Trace::default();
         self.arm.trace(&reported.q, &mut trace);
@@ -227,7 +229,8 @@ impl DriveTrain {
             Load::Tool => (Some(trace.position_m()), axes.len()),
         };
         let Some(p) = p else { return (0.0, 0.0) };
-        // Velocity of a point that the first `joints` joints move, or the angular velocity of its link.
+        // Velocity of a point that moves with the first `joints` joints. Depending on `component`, the result
+        // is linear or angular.
         let velocity = |point: Vector3<f64>, joints: usize, component: fn(&Twist) -> Vector3<f64>| {
             let twists = trace.point_twists(point, joints).zip(reported.qd);
             twists.map(|(twist, rate)| component(&twist) * rate).sum::<Vector3<f64>>()
@@ -241,7 +244,7 @@ impl DriveTrain {
     }
 }
 
-/// Output angles of all drives at one instant, on which gear errors depend.
+/// Output angles of all drives at one instant. Gear errors are functions of these angles.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DriveState {
     /// Output angle of each drive \[rad\], or position of a prismatic drive \[m\].
@@ -297,8 +300,8 @@ impl JointErrors {
         self.amplitudes.retain(|(_, _, amplitude)| *amplitude != 0.0);
     }
 
-    /// Motion of each joint per unit amplitude of a term, at this drive state. For a delay, `reported` must be
-    /// the delayed joint state.
+    /// Motion of each joint per unit amplitude of a term. `state` are the drives at this instant. For a delay, `reported`
+    /// must be the delayed joint state.
     pub fn by_amplitude(
         &self,
         axis: usize,
@@ -315,7 +318,8 @@ impl JointErrors {
         })
     }
 
-    /// Joints with the delay of each drive applied. Near an end or a gap of the log, the state is extrapolated from `reported`.
+    /// Joints with the delay of each drive applied. Where the log does not cover the delayed time, the state
+    /// is extrapolated from `reported`.
     pub(super) fn delayed(&self, reported: &JointState, motion: &impl RobotMotion, tau_s: f64) -> JointState {
         let mut delayed = *reported;
         let delays = || self.amplitudes.iter().filter(|(_, term, _)| *term == JointTerm::Delay);
@@ -334,7 +338,7 @@ impl JointErrors {
                 continue;
             }
             let later = motion.at(tau_s + delay_s).unwrap_or_else(|| reported.after(delay_s));
-            // Change `g_i(t + d_i - d) - g_i(t)` of the drive angle, and the same change of its derivatives.
+            // Change of the drive angle, `g_i(t + d_i - d) - g_i(t)`, and the corresponding change of its derivatives.
             let drive_change = |joints_of: fn(&JointState) -> &Joints| {
                 self.drives.of_drive(axis, joints_of(&later))
                     - self.drives.of_drive(axis, joints_of(reported))
@@ -355,7 +359,8 @@ impl JointErrors {
     pub(super) fn add_to(&self, corrected: &mut JointState, reported: &JointState, state: &DriveState) {
         for axis_amplitudes in self.amplitudes.chunk_by(|(axis, _, _), (next, _, _)| axis == next) {
             let axis = axis_amplitudes[0].0;
-            // Error and its rate: first for errors of the drive, then for errors of the joint.
+            // Each entry is an error and its time derivative. The first entry sums the errors of the drive, the second
+            // those of the joint.
             let mut errors = [(0.0, 0.0); 2];
             let terms = axis_amplitudes.iter().map(|(_, term, amplitude)| (*term, *amplitude));
             for (term, amplitude) in terms.filter(|(term, _)| *term != JointTerm::Delay) {

@@ -11,14 +11,14 @@ pub enum Period {
     Once,
     /// Twice per turn, as from an elliptic or tilted gear or encoder.
     Twice,
-    /// Once per lobe of a cycloid gear. Only if the robot's file contains the number of lobes.
+    /// Once per lobe of a cycloid gear. Only available if the robot's file contains the number of lobes.
     Cycloid,
-    /// Once per motor turn. Only if the gear ratio is known.
+    /// Once per motor turn. Only available if the gear ratio is known.
     Motor,
-    /// Once per turn of the joint rather than of the drive, as from a bearing or encoder of the joint. Only
+    /// Once per turn of the joint rather than of the drive, as from a bearing or encoder of the joint. Only available
     /// if drives are coupled.
     JointOnce,
-    /// Twice per turn of the joint. Causes and condition are those of [`Self::JointOnce`].
+    /// Twice per turn of the joint. See [`Self::JointOnce`] for causes and condition.
     JointTwice,
 }
 
@@ -50,9 +50,9 @@ impl Load {
     /// All loads, from elbow to tool.
     pub const ALL: [Self; 3] = [Self::Elbow, Self::Wrist, Self::Tool];
 
-    /// Axes (from 0) of a six-axis arm whose compliance under this load can be identified, because they raise and lower
-    /// the load in most postures. Of the other axes, the first is vertical, the fourth points along the forearm, and the
-    /// sixth along the tool.
+    /// Whether the compliance of an axis (from 0) of a six-axis arm can be identified under this load. The axis must raise
+    /// and lower the load in most postures. The first axis does not, because it is vertical. The fourth and sixth axes do
+    /// not, because they point along the forearm and along the tool.
     pub const fn acts_on(self, axis: usize) -> bool {
         matches!((self, axis), (Self::Elbow, 1) | (Self::Wrist, 1 | 2) | (Self::Tool, 1 | 2 | 4))
     }
@@ -66,12 +66,12 @@ impl Load {
     }
 }
 
-/// One error term of a robot axis; the variants are in the order of reports. A constant offset is not a term, because it
-/// is the link's `theta`.
+/// One error term of a robot axis; the variants are in the order of reports. A constant offset is not among the terms,
+/// because the link parameter `theta` represents it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum JointTerm {
-    /// `sin(n g)` or `cos(n g)` of the drive's output angle `g`: `rsin1`, `rcos1`, `rsin2`, `rsinc`, `rsinm`. Or the same of
-    /// the joint angle: `rsinj1`, `rsinj2`.
+    /// `sin(n g)` or `cos(n g)` of the drive's output angle `g`: `rsin1`, `rcos1`, `rsin2`, `rsinc`, `rsinm`. For waves of
+    /// the joint, the sine or cosine of multiples of the joint angle: `rsinj1`, `rsinj2`.
     Wave(Period, Phase),
     /// Half of the lost motion, with the sign of the drive's speed: `rbacklash`.
     Backlash,
@@ -106,7 +106,8 @@ impl JointTerm {
         Self::Compliance(Load::Tool),
     ];
 
-    /// Whether the term depends on the joint angle and moves only this joint. Other terms depend on the drive angle.
+    /// Whether the term is a function of the joint angle and moves only this joint. Other terms are functions
+    /// of the drive angle.
     pub const fn is_of_joint(self) -> bool {
         matches!(self, Self::Wave(Period::JointOnce | Period::JointTwice, _))
     }

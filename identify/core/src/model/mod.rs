@@ -1,6 +1,5 @@
-//! The quantities of a calibration: observations, named parameters with roles, and the geometry that the parameters describe.
-//!
-//! Only [`Model`] maps parameter names to columns of the solve.
+//! The quantities of a calibration: observations, named parameters with roles, and the geometry that the parameters
+//! describe. [`Model`] is the only place that assigns parameters to columns of the solve.
 
 mod geometry;
 mod joint_errors;

@@ -2,27 +2,28 @@
 
 use crate::kinematics::{BAR_JOINTS, Joints};
 
-/// Axial force on the ball-bar, with the sign of its log. It is not known whether tension is positive.
+/// Axial force on the ball-bar, with the sign that it has in the log. It is not known whether tension is
+/// positive in the log.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct BarForce {
     /// Force along the bar \[N\]; 0 if not measured.
     pub along_n: f64,
-    /// Side of the axial play, from -1 to 1. It is the sign of the force, smoothed around zero.
+    /// Side of the axial play: the sign of the force, smoothed around zero, from -1 to 1.
     pub side: f64,
 }
 
-/// Measurement of the ball-bar at one instant. For other instruments only the time is used, because their
-/// rows contain the measurement.
+/// Measurement of the ball-bar at one instant. Other instruments use only the time, because their measurements
+/// are stored in rows.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Observation {
     /// Time on the bar's clock, since the reference time \[s\].
     pub t_s: f64,
-    /// Bar joints without the encoder offsets \[rad\]. Entries that are not `measured` are ignored.
+    /// Bar joints as read from the encoders, without offsets \[rad\]. Entries that are not `measured` are ignored.
     pub bar_rad: [f64; BAR_JOINTS],
     /// Which joints have an encoder value.
     pub measured: [bool; BAR_JOINTS],
-    /// Index of the counter origin. Origin 0 uses the offsets of the bar's links; every
-    /// other origin adds [`super::ParameterId::EncoderOffset`].
+    /// Index of the counter origin. Origin 0 uses only the offsets of the bar's links. For every other origin,
+    /// [`super::ParameterId::EncoderOffset`] is added to these offsets.
     pub origin: usize,
     /// Axial force on the ball-bar.
     pub force: BarForce,

@@ -1,10 +1,10 @@
 //! All parameters of robot and instruments. [`ParameterId`] identifies a parameter, converts it to and from its name in
 //! files and reports, and finds its number in a [`Geometry`].
 //!
-//! Parameters are defined in blocks, one row of `parameters!` below for each block. A row contains the indices of the
-//! block's parameters with their ranges, the names, the common properties (owner, group, unit), and an expression for the
-//! number in the geometry. The macro creates a variant of [`ParameterId`] from each row. A new term or instrument needs a
-//! new row here, and its twist where residuals are computed ([`crate::cost`]).
+//! The macro `parameters!` below contains a table in which each row defines a block of parameters. A row contains the
+//! indices of the block's parameters with their ranges, the names, the common properties (owner, group, unit), and an
+//! expression for the number in the geometry. The macro creates a variant of [`ParameterId`] from each row. A new term or
+//! instrument needs a new row here, and its twist where residuals are computed ([`crate::cost`]).
 
 use std::collections::HashMap;
 use std::fmt;
@@ -116,13 +116,13 @@ pub enum Owner {
 /// Type of a parameter. It determines the prior knowledge about the parameter.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Group {
-    /// Manufactured dimension of a link. Prior knowledge is the tolerance of the dimension.
+    /// Manufactured dimension of a link. The prior is the tolerance of the dimension.
     Link,
-    /// Alternative parametrisation that replaces another parameter. It is freed only by name.
+    /// Alternative parametrisation that replaces another parameter. It is estimated only if it is selected by name.
     InPlaceOfAnother,
-    /// Location, mounting or counter origin, without prior knowledge.
+    /// Location, mounting or counter origin, without prior.
     Placement,
-    /// Relative error of an instrument's lengths. Prior knowledge is the specified uncertainty of the instrument.
+    /// Relative error of an instrument's lengths. The prior is the specified uncertainty of the instrument.
     Scale,
     /// Shift or skew of a clock.
     Clock,
@@ -143,8 +143,8 @@ pub enum Unit {
     Second,
     /// Ratio, displayed in ppm.
     Ratio,
-    /// Deflection of an axis per metre of its load's lever arm \[rad/m\], displayed in mrad/m. It is the compliance
-    /// \[rad/(N m)\] times the weight \[N\].
+    /// Deflection of an axis per metre of its load's lever arm \[rad/m\], displayed in mrad/m. It is the
+    /// compliance \[rad/(N m)\] times the weight \[N\].
     RadianPerMetre,
     /// Metres per newton, displayed in um/N.
     MetrePerNewton,
@@ -198,8 +198,7 @@ pub struct ParameterBlock {
     pub unit: Unit,
     /// Whether every run has a separate value, because of a new set-up or a new counter origin.
     pub of_run: bool,
-    /// Whether a model contains the parameters only on request. Other parameters are present whenever
-    /// the geometry contains them.
+    /// Whether a model contains the parameters only on request. If not, a model contains them whenever its geometry does.
     pub on_request: bool,
 }
 
@@ -233,8 +232,8 @@ impl ParameterBlock {
     }
 }
 
-/// Defines all parameters. Each row is a block: fields with their ranges, name, common properties, and place of
-/// the number in `Geometry`.
+/// Defines all parameters. Each row is a block with these entries: fields with their ranges, name, common properties,
+/// and the expression for the number in `Geometry`.
 macro_rules! parameters {
     ($(
         $(#[doc = $doc:literal])*
@@ -243,8 +242,8 @@ macro_rules! parameters {
             is $common:expr,
             at |$geometry:ident| $number:expr;
     )*) => {
-        /// Identifier of a parameter, in the order of reports. Links, axes and other indices count from 0 here, from 1 in
-        /// names.
+        /// Identifier of a parameter, in the order of reports. Links, axes and other indices count from 0 in the identifier,
+        /// and from 1 in the name.
         #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
         pub enum ParameterId {
             $( $(#[doc = $doc])* $block $({ $( $(#[$field_doc])* $field: $type, )* })?, )*
@@ -255,7 +254,7 @@ macro_rules! parameters {
                 match self { $( Self::$block { $($($field),*)? } => $name.to_string(), )* }
             }
 
-            /// Describes the block of the parameter, with the text of the block's row in the table of parameters.
+            /// Description of the parameter's block: the doc comment of the block's row in the table of parameters.
             pub fn meaning(self) -> &'static str {
                 match self { $( Self::$block { .. } => concat!($($doc),*).trim_ascii(), )* }
             }
@@ -268,7 +267,7 @@ macro_rules! parameters {
 
             /// All parameters that have a name.
             pub fn all() -> impl Iterator<Item = Self> {
-                // The list has thousands of entries, and each new model iterates over it.
+                // The list is created only once, because it has thousands of entries and each new model iterates over it.
                 static ALL: LazyLock<Vec<ParameterId>> = LazyLock::new(ParameterId::list);
                 ALL.iter().copied()
             }
@@ -281,13 +280,14 @@ macro_rules! parameters {
         }
 
         impl Geometry {
-            /// The number in the geometry that a parameter identifies. `None` if the link, joint or station does not exist.
+            /// The number in the geometry that belongs to a parameter. `None` if the link, joint or station does not exist.
             pub fn parameter_mut(&mut self, id: ParameterId) -> Option<&mut f64> {
                 match id { $( ParameterId::$block { $($($field),*)? } => { let $geometry = self; $number } )* }
             }
         }
     };
-    // Appends all parameters of a block to the list: one loop for each of its fields, the last one innermost.
+    // Appends all parameters of a block to the list. Each field of the block becomes a loop; the last field is the innermost
+    // loop.
     (each $all:ident $block:ident [$($field:ident)*]) => { $all.push(Self::$block { $($field),* }) };
     (each $all:ident $block:ident [$($done:ident)*] $field:ident = $values:expr; $($rest:tt)*) => {
         for $field in $values { parameters!(each $all $block [$($done)* $field] $($rest)*); }
@@ -547,10 +547,10 @@ parameters! {
 impl ParameterId {
     /// Number of sockets that have parameters.
     pub const SOCKETS_MAX: usize = 99;
-    /// Number of tracker stations, wire anchors, flange targets and faces that have parameters, each.
+    /// Number of tracker stations that have parameters, and likewise of wire anchors, flange targets and faces.
     pub const SET_UPS_MAX: usize = 99;
-    /// Last counter origin that has parameters. If a run loses the origin more often, the later offsets stay as
-    /// the preparation determined them.
+    /// Last counter origin that has parameters. If a run loses the origin more often, the preparation determines the
+    /// later offsets, and the solve does not change them.
     pub const LAST_ORIGIN: usize = 99;
     /// Length of the ball-bar: `bd3`.
     pub const ROD: Self = Self::Bar { link: ROD_LINK, parameter: LinkParameter::D };
@@ -640,7 +640,7 @@ pub struct Column {
     pub data_set: usize,
 }
 
-/// The name of the parameter. For a later data set, its number follows: `ox@2`.
+/// The name of the parameter. For data sets after the first, the number of the data set follows: `ox@2`.
 impl fmt::Display for Column {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.data_set {
@@ -650,7 +650,7 @@ impl fmt::Display for Column {
     }
 }
 
-/// Suffix of a station or target in names, counted from 1. It is empty for the first one.
+/// Suffix of a station or target in names: its number, counted from 1. It is empty for the first one.
 pub fn further(number: usize) -> String {
     if number == 0 { String::new() } else { (number + 1).to_string() }
 }

@@ -109,12 +109,12 @@ fn fixed_parameter(structure: &mut Geometry, id: ParameterId) -> Option<Paramete
 /// [`Model::set_role`] to change this.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Model {
-    /// Geometry with the right number of links, stations and so on. The numbers in it are replaced by
-    /// the values of `parameters`.
+    /// Geometry with the right number of links, stations and so on. The values of `parameters` replace the
+    /// numbers in this geometry.
     structure: Geometry,
     /// All parameters, in the order of their identifiers.
     parameters: Vec<Parameter>,
-    /// Index into `parameters` of each column.
+    /// For each column, the index of its parameter in `parameters`.
     columns: Vec<usize>,
 }
 
@@ -138,7 +138,7 @@ impl Model {
         Self::new(Geometry::new(robot.clone(), None), &[Owner::Robot, Owner::Clocks])
     }
 
-    /// Replaces the parameters that match `wanted` by those of the geometry, which are fixed at their values.
+    /// Replaces the parameters for which `wanted` is true by the parameters of the geometry, fixed at their values there.
     fn replace_parameters(&mut self, wanted: impl Fn(ParameterId) -> bool) {
         self.parameters.retain(|parameter| !wanted(parameter.id));
         for id in ParameterId::all().filter(|id| !id.block().on_request && wanted(*id)) {
@@ -147,14 +147,14 @@ impl Model {
         self.sort_parameters();
     }
 
-    /// Sorts the parameters. Of duplicates, the first one is kept, which is the older one.
+    /// Sorts the parameters. If a parameter occurs twice, the first occurrence is kept, which is the older one.
     fn sort_parameters(&mut self) {
         self.parameters.sort_by_key(|parameter| parameter.id);
         self.parameters.dedup_by_key(|parameter| parameter.id);
         self.update_columns();
     }
 
-    /// The model with these drives instead of [`DriveTrain::direct`]. Error terms that the drives can have are
+    /// The model with other drives than [`DriveTrain::direct`]. Error terms that are possible with these drives are
     /// added, fixed at zero.
     #[must_use]
     pub fn with_drives(mut self, drives: DriveTrain) -> Self {
@@ -163,8 +163,8 @@ impl Model {
         self
     }
 
-    /// The model with additional on-request parameters, fixed at zero. Parameters that the robot or the bar cannot have are
-    /// ignored. Values and roles of all other parameters stay unchanged.
+    /// The model with additional parameters that are present only on request, fixed at zero. Parameters that are impossible
+    /// for the robot or the bar are ignored. Values and roles of all other parameters stay unchanged.
     #[must_use]
     pub fn with(mut self, more: impl IntoIterator<Item = ParameterId>) -> Self {
         for id in more.into_iter().filter(|id| id.block().on_request) {
@@ -174,8 +174,9 @@ impl Model {
         self
     }
 
-    /// The model with a number of set-ups, all fixed at zero. The two numbers are stations and targets of a tracker, or
-    /// anchors and attachments of a wire. Of sockets or faces there is only the first number, because there is one tip.
+    /// The model with a number of set-ups of an instrument, all fixed at zero. The two numbers are the stations and
+    /// targets of a tracker, or the anchors and attachments of a wire. For sockets and faces only the first number
+    /// is used, because there is only one ball or tip.
     #[must_use]
     pub fn with_set_ups(mut self, owner: Owner, [stations, targets]: [usize; 2]) -> Self {
         let Geometry { tracker, wire, contact, touch, .. } = &mut self.structure;
@@ -204,8 +205,8 @@ impl Model {
         self
     }
 
-    /// Chain of the robot, for the number and types of links, the base and the end. Only [`Self::geometry`] returns a chain
-    /// with the values of the parameters.
+    /// Chain of the robot. Only the number and types of links, the base and the end are valid. For a chain with the
+    /// values of the parameters, use [`Self::geometry`].
     pub fn robot(&self) -> &Chain {
         &self.structure.robot
     }
@@ -288,8 +289,8 @@ impl Model {
         self.columns = estimated.map(|(index, _)| index).collect();
     }
 
-    /// The model with new roles for [`Role::Considered`] parameters. `role` receives a parameter and its standard deviation,
-    /// and returns the new role or `None` for no change.
+    /// The model with new roles for parameters that have the role [`Role::Considered`]. `role` receives such a parameter and
+    /// its standard deviation, and returns the new role, or `None` for no change.
     #[must_use]
     pub fn with_considered(&self, role: impl Fn(&Parameter, f64) -> Option<Role>) -> Self {
         let mut model = self.clone();
@@ -346,8 +347,8 @@ impl Model {
         self.columns().enumerate().filter_map(prior).collect()
     }
 
-    /// Geometry with the values `x` for the columns. All other parameters, and columns missing in `x`, have the
-    /// value in the model.
+    /// Geometry with the values `x` for the columns. If `x` is shorter than the list of columns, the remaining columns have
+    /// the value in the model, as have all parameters that are not estimated.
     pub fn geometry(&self, x: &[f64]) -> Geometry {
         let mut geometry = self.structure.clone();
         for parameter in &self.parameters {

@@ -4,8 +4,8 @@ use super::{Group, Model, ParameterId};
 use crate::kinematics::{Chain, LinkParameter};
 
 /// Parameters that the thesis fixes so that the remaining parameters are identifiable (TFRT-6017 section 3.3), for a robot
-/// with `axes` axes. They are the offset plate, which defines the scale (`ra6` for six axes, and `ba5`), and one parameter
-/// of each dependent pair.
+/// with `axes` axes. They are the lengths of the offset plate, which define the scale (`ra6` for six axes, and `ba5`), and
+/// one parameter of each pair of dependent parameters.
 pub const fn thesis_fixed(axes: usize) -> [ParameterId; 9] {
     use LinkParameter::{A, Alpha, D, Theta};
     const fn robot(number: usize, parameter: LinkParameter) -> ParameterId {
@@ -42,7 +42,7 @@ pub enum Selection {
 }
 
 impl Selection {
-    /// Whether the selection contains a parameter, for a robot with `axes` axes. What a cost can identify has no influence.
+    /// Whether the selection contains a parameter, for a robot with `axes` axes. The answer does not depend on the cost.
     pub fn contains(self, id: ParameterId, axes: usize) -> bool {
         match id {
             // Hayati's rotation replaces the link's `d`. It is freed only by name.
@@ -51,8 +51,8 @@ impl Selection {
                 !thesis_fixed(axes).contains(&id)
             }
             ParameterId::BaseRotation { .. } => matches!(self, Self::Cell | Self::CellWithClocks),
-            // The samples alone do not separate any other parameter from the geometry. Such parameters have priors, are
-            // freed together with a measured force, or belong to another instrument.
+            // Samples alone cannot determine any other parameter separately. Such parameters have priors, are freed together
+            // with a measured force, or belong to another instrument.
             _ => id.group() == Group::Clock && matches!(self, Self::ThesisWithClocks | Self::CellWithClocks),
         }
     }

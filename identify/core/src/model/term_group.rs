@@ -66,8 +66,8 @@ impl TermGroup {
     }
 
     /// Factors by which the prior standard deviations of the group may be multiplied. Manufacturing errors of a gear
-    /// ratio are far below one percent. A wrong ratio in the configuration is a larger error, which is found only if a
-    /// wide prior allows it.
+    /// ratio are far below one percent. A wrong ratio in the configuration is a larger error. To find it, the prior
+    /// must be made wide.
     pub const fn scales(self) -> &'static [f64] {
         match self {
             Self::Ratio => &[1.0, 10.0, 100.0],

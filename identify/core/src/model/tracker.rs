@@ -41,8 +41,8 @@ impl fmt::Display for Coordinate {
     }
 }
 
-/// A rigid transform, as position and rotation vector. A rotation vector is regular up to a full turn, and real set-ups need
-/// half a turn at most. No orientation of a real set-up is therefore singular.
+/// A rigid transform, as position and rotation vector. A rotation vector has no singularity below a full turn, and real
+/// set-ups need half a turn at most.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Placement {
     /// Origin \[m\].
@@ -77,9 +77,9 @@ impl Placement {
         *self.coordinate_mut(coordinate)
     }
 
-    /// Angular velocity per unit rate of one component of the rotation vector, in the parent frame of the placement. It
-    /// is a column of the left Jacobian `1 + (1 - cos t)/t^2 [w] + (t - sin t)/t^3 [w]^2`, with the rotation vector `w`
-    /// and `t = |w|`.
+    /// Angular velocity per unit rate of one component of the rotation vector, in the parent frame of the placement. It is a
+    /// column of the left Jacobian `1 + (1 - cos t)/t^2 [w] + (t - sin t)/t^3 [w]^2`, with the rotation vector `w` and
+    /// `t = |w|`.
     pub fn turning(&self, axis: Axis) -> Vector3<f64> {
         let w = self.rotation_rad;
         let squared = w.norm_squared();

@@ -2,15 +2,16 @@
 //! is a Fourier series, `e(b) = sum_n a_n sin(n b) + c_n cos(n b)`.
 //!
 //! - Errors of a robot axis depend on the output angle of its drive. Causes are the encoder, the teeth of the last gear, or
-//!   the flexspline of a harmonic drive. Waves once and twice per turn are separate terms ([`super::JointTerm`]). The
-//!   amplitudes are many and small, so they are always estimated with a prior.
-//! - Errors of a bar encoder depend on its reading. An eccentric grating causes one wave per turn, an elliptic or tilted
-//!   grating causes two.
-//! - Errors of the bar's length depend on the readings of its first two joints, which define its direction. An oval or
-//!   three-lobed bearing moves the bar's end radially. One wave per turn is an axis offset, which the bar's base and the
-//!   encoder waves already describe. Higher orders are small because the balls of the bearing average them.
+//!   the flexspline of a harmonic drive. Waves once and twice per turn are not described here, but by separate terms
+//!   ([`super::JointTerm`]). The amplitudes are many and small, so they are always estimated with a prior.
+//! - Errors of a bar encoder depend on its reading. An eccentric grating causes one wave per turn, an elliptic or
+//!   tilted grating causes two.
+//! - Errors of the bar's length depend on the readings of its first two joints, which define the bar's direction. An oval or
+//!   three-lobed bearing moves the bar's end radially. One wave per turn would be an axis offset, which the bar's base and
+//!   the encoder waves already describe. Higher orders are small because the balls of the bearing average them.
 //!
-//! The phases of the bar's waves refer to each encoder's offset in the recording.
+//! The angle in waves of the bar is the encoder reading in the recording, without any offset. The phases of these
+//! waves therefore depend on the encoder's offset.
 
 use std::fmt;
 use std::ops::RangeInclusive;
@@ -30,7 +31,7 @@ impl Phase {
     /// Both components, sine first.
     pub const ALL: [Self; 2] = [Self::Sine, Self::Cosine];
 
-    /// Value at an angle of the wave with this order and unit amplitude.
+    /// Value of the wave with this order and unit amplitude, at an angle.
     #[inline]
     pub fn wave(self, order: u8, angle: Turn) -> f64 {
         let Turn { sin, cos } = angle.times(order);
@@ -83,7 +84,8 @@ impl Waves {
     /// Value of the series at an angle, and its derivative with respect to the angle.
     #[inline]
     pub fn at(&self, angle: Turn) -> (f64, f64) {
-        // The angle times the previous order. For consecutive orders, the next multiple needs only one addition of angles.
+        // The multiple of the angle for the previous order. For consecutive orders, the next multiple needs only
+        // one addition of angles.
         let mut previous: Option<(u8, Turn)> = None;
         let (mut sum, mut slope) = (0.0, 0.0);
         for &(order, [a, c]) in self.of_orders.iter().filter(|(_, amplitudes)| *amplitudes != [0.0; 2]) {
