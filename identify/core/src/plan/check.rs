@@ -1,6 +1,6 @@
-//! Checks a path that is given by the robot's joints, from `identify plan` or from other programs. At steps of 1 ms it
-//! computes the bar's joints and checks all constraints. The result has the first violation and total duration of each
-//! violated constraint, extremes of the motion, and the information of the path.
+//! Checks a path that is given by the robot's joints, from `identify plan` or from other programs. At steps of 1 ms, the
+//! module computes the bar's joints and checks all constraints. The result contains the first violation and the total
+//! duration of each violated constraint, the extremes of the motion, and the information of the path.
 
 use crate::kinematics::{BAR_JOINTS, Joints, ball_bar_inverse_refined, singularity_margin_rad};
 use crate::logs::{CubicSpline, RobotLog, SplinePoint};
@@ -14,10 +14,10 @@ use super::{Constraints, Information, Obstacle, Visited};
 const CHECK_S: f64 = 1e-3;
 /// Largest rotation of an encoder cable since the start of the path \[rad\].
 const WINDING_RAD_MAX: f64 = std::f64::consts::TAU;
-/// Largest gap between the ends of the nominal robot and of the bar \[m\]. It is smaller than the errors of
+/// Largest gap between the end of the nominal robot and the end of the bar \[m\]. It is smaller than the errors of
 /// robots before a calibration.
 const OFF_SPHERE_M_MAX: f64 = 0.5e-3;
-/// The information of the path uses one pose of this number of checked poses.
+/// One of this number of checked poses contributes to the information of the path.
 const CHECKS_PER_POSE: usize = 100;
 /// Largest time between two rows of a path \[s\]. With a longer gap, the motion between the rows would be unknown.
 const GAP_S_MAX: f64 = 1.0;
@@ -71,7 +71,7 @@ pub struct Checked {
     pub winding_rad: [[f64; 2]; BAR_JOINTS],
     /// Smallest distance to a singular pose of the bar \[rad\].
     pub bar_margin_rad: f64,
-    /// Smallest singular value of the robot's Jacobian (m and rad alike).
+    /// Smallest singular value of the robot's Jacobian. Metres and radians have equal weight.
     pub dexterity: f64,
     /// Smallest distance between robot, bar and cell \[m\]; `None` if no bodies are known.
     pub clearance_m: Option<f64>,
@@ -125,7 +125,7 @@ pub fn check(
         design.bar_range_deg.map(|[low, high]| (0.5 * (low + high)).to_radians());
     let mut start_rad = None;
     let mut last_acceleration: Option<Joints> = None;
-    // At each time step: joints of the bar by inverse kinematics, violated constraints, and extremes.
+    // At each time step, compute the joints of the bar by inverse kinematics, the violated constraints, and the extremes.
     for step in 0..=(duration_s / CHECK_S).floor() as usize {
         let t_s = step as f64 * CHECK_S;
         let Some(point) = curve.at(t_s) else { return Err(CheckError::Gap { t_s }) };
@@ -211,7 +211,7 @@ impl Checked {
     }
 }
 
-/// Raises each maximum to the absolute value of the same element of `values`, if that is larger.
+/// Sets each maximum to the absolute value of the same element of `values`, if this absolute value is larger.
 fn raise(maxima: &mut Joints, values: &Joints) {
     for (most, value) in maxima.iter_mut().zip(values.iter()) {
         *most = most.max(value.abs());

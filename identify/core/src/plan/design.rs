@@ -13,7 +13,7 @@ pub struct Design {
     /// Centre of the gimbal in the robot's base frame \[m\].
     pub base_m: [f64; 3],
     /// A posture of the robot near which the motion begins \[deg, mm\]. It selects the configuration of elbow and wrist. It
-    /// is ignored if its number of axes differs from the robot's.
+    /// is ignored if the robot has another number of axes.
     pub posture_deg: Joints,
     /// Range of each bar joint on the path \[deg\]. The signs of joints 2 and 4 select the configuration of the bar.
     pub bar_range_deg: [[f64; 2]; 5],
@@ -23,18 +23,17 @@ pub struct Design {
     pub bar_speed_rad_s: f64,
     /// Highest speed of a robot joint \[rad/s, m/s\].
     pub robot_speed_rad_s: f64,
-    /// Duration of the standstills at every third point of the path \[s\]. Those at the beginning and at the end
-    /// are twice as long.
+    /// Duration of a standstill \[s\]. The bar stands still after every third move. The standstills at the beginning and at
+    /// the end of the path are twice as long.
     pub standstill_s: f64,
     /// Least distance of the bar from its singular poses \[deg\].
     pub bar_margin_deg: f64,
     /// Least distance of robot joint 5 from the straight wrist \[deg\].
     pub wrist_margin_deg: f64,
-    /// Least distance of the robot's joints from their limits \[deg\]. For prismatic axes the same
-    /// number is in millimetres.
+    /// Least distance of the robot's joints from their limits \[deg\]. For prismatic axes this number is in millimetres.
     pub limit_margin_deg: f64,
-    /// Smallest permitted singular value of the robot's Jacobian, with metres and radians alike. It excludes the stretched
-    /// elbow and all other postures in which small errors of the geometry cause large joint motions.
+    /// Smallest permitted singular value of the robot's Jacobian; metres and radians have equal weight. It excludes the
+    /// stretched elbow and all other postures in which small errors of the geometry cause large joint motions.
     pub dexterity_min: f64,
 }
 
@@ -57,8 +56,8 @@ impl Design {
     /// Design for a Comau NJ 220-2.7 with a bar of 0.5 to 1.0 m.
     pub const NJ_220: Self = Self { base_m: [1.7, 0.05, 0.6], ..Self::IRB_2400 };
 
-    /// The robot's posture near which the motion begins \[rad, m\]: the design's posture, or a random one within `limits`
-    /// if the number of axes differs.
+    /// The robot's posture near which the motion begins \[rad, m\]. It is the design's posture, or a random posture within
+    /// `limits` if the robot has another number of axes.
     pub fn posture_rad(&self, robot: &Chain, limits: &[[f64; 2]], random: &mut impl Rng) -> Joints {
         if self.posture_deg.len() == limits.len() {
             let numbers = self.posture_deg.iter().zip(&robot.links);
@@ -82,7 +81,7 @@ impl Design {
         !matches!(joints_rad, [_, _, _, _, wrist, _] if wrist.sin().abs() < margin)
     }
 
-    /// The default design for a robot, selected by the length of its upper arm, which exceeds a metre in large robots.
+    /// The default design for a robot. It depends on the length of the upper arm, which exceeds a metre in large robots.
     pub fn for_robot(robot: &RobotConfig) -> Self {
         let upper_arm_m = robot.links.get(1).map_or(0.0, |link| link.a_m);
         if upper_arm_m > 1.0 { Self::NJ_220 } else { Self::IRB_2400 }

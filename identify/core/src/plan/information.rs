@@ -1,12 +1,12 @@
-//! Computes the information of a path, which is the normal equations of the parameters that a calibration would estimate. The
-//! normal equations determine the expected position error and the scalar criterion of every search in this folder. Let `P` be
-//! the covariance of the parameters, and `W` the mean of `J^T J`, where `J` are the derivatives of positions over the
-//! workspace. The position error is then `sqrt(tr(W P))`.
+//! Computes the information of a path: the normal equations (Fisher information) of the parameters that a calibration would
+//! estimate from it. From the normal equations follow the expected position error and the scalar criterion of every search
+//! in this folder. Let `P` be the covariance of the parameters, and `W` the mean of `J^T J` over the workspace, where `J`
+//! are the derivatives of positions. The position error is `sqrt(tr(W P))`.
 //!
-//! Each pose contributes the residual of the `pose` cost at the nominal geometry, divided by the residual's standard deviation.
-//! Noise is white, and the number of samples is that of a calibration. Encoder harmonics and all terms of the robot's axes are
-//! included with their priors. A calibration includes a term only if held-out data support it, so its accuracy is slightly
-//! better than expected here. Errors that no parameter describes are not included.
+//! Each pose contributes the residual of the `pose` cost at the nominal geometry, divided by the residual's standard
+//! deviation. Noise is white, and the number of samples is that of a calibration. Encoder harmonics and all terms of the
+//! robot's axes are included with their priors. A calibration includes a term only if held-out data support it, so a
+//! calibration is slightly more accurate than expected here. Errors that no parameter describes are not included.
 
 use nalgebra::DMatrix;
 use rand_chacha::ChaCha8Rng;
@@ -36,12 +36,12 @@ const KNOWN_SIGMA: f64 = 1e-9;
 /// undetermined, for example the position of the bar or a clock.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ExpectedPosition {
-    /// Error if the robot's axes have no errors and the plate's length is known.
+    /// Error if the robot's axes have no errors beyond their links, and the plate's length is known.
     pub axes_exact_m: f64,
     /// Error if all terms of the axes are estimated with their priors, and the plate's length is known.
     pub with_terms_m: f64,
-    /// Error as in `with_terms_m`, with the uncertainty of the plate's length in addition. All estimated lengths are
-    /// proportional to the plate's length.
+    /// Error as in `with_terms_m`, if the plate's length is uncertain in addition. All estimated lengths are proportional
+    /// to the plate's length.
     pub with_plate_m: f64,
 }
 
@@ -73,19 +73,19 @@ pub struct Information {
     noise: AngleNoise,
     /// Number of samples per second that a calibration keeps \[1/s\].
     samples_per_s: f64,
-    /// Normal equations of the priors, which are added to the normal equations of every path.
+    /// Normal equations of the priors. They are added to those of every path.
     prior: Normal,
     /// Prior standard deviation of each column, SI; infinite without a prior.
     prior_sigmas: Vec<f64>,
     /// Columns of the robot's links.
     link_columns: Vec<usize>,
-    /// Mean of `J^T J` over the workspace, where `J` are the derivatives of positions with respect to the columns
-    /// of the links \[m²\].
+    /// The matrix `W`: mean of `J^T J` over the workspace, where `J` are the derivatives of positions with respect to the
+    /// columns of the links \[m²\].
     weight: DMatrix<f64>,
     criterion: Criterion,
     /// Columns of the candidate terms (errors of the robot's axes and of the bar's length), with their groups.
     term_columns: Vec<(TermGroup, usize)>,
-    /// Column of the plate's length. No path determines it, so the relative uncertainty of all lengths is
+    /// Column of the plate's length. Paths do not determine this length, so the relative uncertainty of all lengths is
     /// that of the plate.
     plate_column: Option<usize>,
 }
@@ -100,7 +100,7 @@ pub struct Visited {
 }
 
 impl Information {
-    /// Prepares the information of runs of the length `duration_s`. Parameters and number of samples are those of a
+    /// Prepares the information of runs with the length `duration_s`. Parameters and number of samples are those of a
     /// calibration with default settings.
     ///
     /// # Errors
@@ -159,9 +159,9 @@ impl Information {
         })
     }
 
-    /// The information for a new run after a calibration. `between` returns the covariance of two parameters in that
-    /// calibration, or `None` if one of them was not identified. Position of the bar, encoder offsets and clocks are
-    /// estimated again in the new run.
+    /// The information for a new run, after a calibration has determined the parameters. `between` returns the covariance of
+    /// two parameters in that calibration, or `None` if the calibration did not identify one of them. The new run estimates
+    /// position of the bar, encoder offsets and clocks again.
     ///
     /// Returns `None` if the calibration identified none of the parameters, or if its covariance is not positive definite.
     #[must_use]
@@ -184,15 +184,15 @@ impl Information {
         let information = ScaledCholesky::new(covariance)?.inverse();
         for (i, (row, _)) in columns.iter().enumerate() {
             for (j, (column, _)) in columns.iter().enumerate() {
-                // The result replaces the priors, because the calibration already includes them.
+                // The information from the calibration replaces the priors, because it already includes them.
                 self.prior.matrix[(*row, *column)] = information[(i, j)];
             }
         }
         Some(self)
     }
 
-    /// The information for another run with the bar at another position. `normal` are the normal equations of the run
-    /// before. `None` if that run leaves a parameter undetermined.
+    /// The information for a second run with the bar at another position. `normal` are the normal equations of the first
+    /// run. `None` if the first run leaves a parameter undetermined.
     #[must_use]
     pub fn after_run(&self, normal: &Normal) -> Option<Self> {
         let covariance = self.covariance_of(normal)?;
@@ -226,9 +226,9 @@ impl Information {
         evaluate(&problem, &self.model.start())
     }
 
-    /// Optimal fractions of a run's time for each of these poses, if the motion between them takes no time. They minimise
-    /// the mean squared position error over the workspace \[m²\], where all terms of the axes are estimated. `None` if the
-    /// poses leave a parameter undetermined.
+    /// Optimal fractions of a run's time for each of these poses, assuming that the motion between poses takes no time. The
+    /// fractions minimise the mean squared position error over the workspace \[m²\], when all terms of the axes are
+    /// estimated. `None` if the poses leave a parameter undetermined.
     pub fn optimum(&self, poses: &Visited, duration_s: f64) -> Option<Optimum> {
         let (_, rows) = self.with_problem(poses, |problem, start| stacked(problem, start))?;
         let mut prior = self.prior.matrix.clone();
@@ -249,8 +249,8 @@ impl Information {
         self.model.columns().len()
     }
 
-    /// Expected covariance of all columns, with the priors and with the columns `fixed` treated as known. `None` if the
-    /// poses leave a column undetermined.
+    /// Expected covariance of all columns, with the priors. The columns `fixed` are treated as known. `None` if the poses
+    /// leave a column undetermined.
     fn covariance<'c>(
         &self,
         normal: &Normal,
@@ -317,7 +317,7 @@ impl Information {
         self.criterion_value(normal, Criterion::Position, fixed)
     }
 
-    /// [`Self::position_with`] for each candidate group alone.
+    /// [`Self::position_with`] for each candidate group alone, without the other groups.
     pub fn with_each(&self, normal: &Normal) -> Vec<WithTerms> {
         let mut groups: Vec<TermGroup> = self.term_columns.iter().map(|(group, _)| *group).collect();
         groups.dedup();
@@ -325,9 +325,9 @@ impl Information {
         groups.into_iter().map(alone).collect()
     }
 
-    /// Groups of link parameters of which the data determine only a combination. A group contains either offsets along
-    /// parallel axes, or parameters with a combination that the priors determine better than the data do. A group of one is
-    /// a parameter that the data do not determine.
+    /// Groups of link parameters of which the data determine only a combination. There are two types of groups: offsets
+    /// along parallel axes, and parameters with a combination that the priors determine better than the data do. A parameter
+    /// that the data do not determine at all forms a group of its own.
     pub fn not_separated(&self, normal: &Normal) -> Vec<Vec<ParameterId>> {
         let Some(covariance) = self.covariance_of(normal) else { return Vec::new() };
         let links = self.link_columns.len();
@@ -336,8 +336,8 @@ impl Information {
             covariance[(row, column)] / (self.prior_sigmas[row] * self.prior_sigmas[column])
         });
         let eigen = relative_covariance.symmetric_eigen();
-        // Projector onto the directions that the priors determine. The variance in such a direction is more than half
-        // of its prior variance.
+        // Projector onto the directions that the priors determine: those in which more than half of
+        // the prior variance remains.
         let mut by_prior = DMatrix::<f64>::zeros(links, links);
         for (direction, remaining) in eigen.eigenvectors.column_iter().zip(eigen.eigenvalues.iter()) {
             if *remaining > 0.5 {

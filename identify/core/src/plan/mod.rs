@@ -1,9 +1,13 @@
 //! Plans paths on the sphere of the ball-bar, and poses for instruments that measure a robot at rest.
 //!
-//! Paths: `random` generates a path within the `constraints`, which use the `design` and compute collisions with `bodies`.
-//! `search` improves a path by its `information`, that is, the expected accuracy of a calibration on the path. `optimum`
-//! computes a bound for the accuracy on any path. `check` checks any path that is given by the robot's joints. `programs`
-//! writes a path as a program for robot controllers. `place` proposes positions of the bar.
+//! Paths:
+//! - `random` generates a path within the `constraints`. The constraints use the `design` and
+//!   compute collisions with `bodies`.
+//! - `search` improves a path by its `information`, which gives the expected accuracy of a calibration on the path.
+//! - `optimum` computes a bound for the accuracy on any path.
+//! - `check` checks any path that is given by the robot's joints.
+//! - `programs` writes a path as a program for robot controllers.
+//! - `place` proposes positions of the bar.
 //!
 //! Poses: `poses` selects poses, and `way` plans collision-free moves between them.
 
@@ -77,7 +81,7 @@ impl shared::config::Validate for PlannedPath {
     }
 }
 
-/// The nominal robot's joints along a path, as a log whose clock starts with the path.
+/// Joints of the nominal robot along a path, as a log. The clock of the log is zero at the start of the path.
 ///
 /// # Errors
 /// An error of the inverse kinematics, with the time at which it occurred \[s\].

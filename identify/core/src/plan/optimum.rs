@@ -1,15 +1,15 @@
-//! Computes the optimal weights of freely chosen poses, with any number of repetitions and without motion between them.
-//! The variance at this optimum is a lower bound for every path and every selection of poses. The ratio of this bound to
-//! the variance of a path or selection is the efficiency of that path or selection. A search moves its path towards the
-//! poses of the optimum.
+//! Computes the optimal weights of poses. A weight is the fraction of the measurements at a pose. Poses may be repeated any
+//! number of times, and motion between them takes no time. The variance at this optimum is therefore a lower bound for every
+//! path and every selection of poses. The efficiency of a path or selection is the ratio of this bound to its variance. A
+//! search moves its path towards the poses of the optimum.
 //!
 //! Of `n` measurements, the fraction `w_i` is at pose `i`, whose Jacobian in units of standard deviations is `J_i`. The
-//! covariance is `P = (prior + n sum w_i J_i^T J_i)^-1`. The variance `v = tr(W P)` is convex in the fractions (Chaloner
-//! 1984 with priors). Its decrease with `w_i` is `d_i = n tr(J_i P W P J_i^T)`. The multiplicative algorithm (Silvey,
-//! Titterington and Torsney 1978) repeats `w_i <- w_i sqrt(d_i)`, followed by normalisation.
+//! covariance is `P = (prior + n sum w_i J_i^T J_i)^-1`. The variance `v = tr(W P)` with the weight matrix `W` is convex in
+//! the fractions (Chaloner 1984 with priors). Its decrease with `w_i` is `d_i = n tr(J_i P W P J_i^T)`. The multiplicative
+//! algorithm (Silvey, Titterington and Torsney 1978) repeats `w_i <- w_i sqrt(d_i)`, followed by normalisation.
 //!
-//! Let `m = sum w_i d_i`. No fractions have a variance below `v^2 / (v + max d_i - m)`. This follows from duality:
-//! `tr(W P') >= 2 s tr(W P) - s^2 tr(P W P P'^-1)` for every covariance `P'` and number `s`.
+//! Let `m = sum w_i d_i`. For any choice of fractions, the variance is at least `v^2 / (v + max d_i - m)`. This follows from
+//! duality: `tr(W P') >= 2 s tr(W P) - s^2 tr(P W P P'^-1)` for every covariance `P'` and number `s`.
 
 use nalgebra::{DMatrix, DVector};
 use rand::Rng;
@@ -29,17 +29,17 @@ const GAP: f64 = 0.05;
 const TIGHT: f64 = 0.9;
 /// Number of random poses that are combined with the poses of a path.
 const RANDOM_POSES: usize = 1000;
-/// Largest number of poses of the path that are used, which is four minutes of a path. Longer paths are thinned
+/// Largest number of poses of the path that are used. It corresponds to four minutes of a path. Longer paths are thinned,
 /// without loss of information.
 const PATH_POSES_MAX: usize = 2400;
-/// Number of poses to which a search moves its path: those with the largest weights. Most of the weight is on
-/// about half of them.
+/// Number of poses towards which a search moves its path. They are the poses with the largest weights. About half of them
+/// have most of the weight.
 const GOALS: usize = 60;
 
 /// Nearly optimal weights of poses.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Optimum {
-    /// Lower bound of the variance, for all weights \[SI\].
+    /// Lower bound of the variance for any choice of weights \[SI\].
     pub variance_min: f64,
     /// Variance for the weights `parts` \[SI\].
     pub variance: f64,
@@ -47,8 +47,8 @@ pub struct Optimum {
     pub parts: Vec<f64>,
 }
 
-/// The most informative poses of the bar \[rad\]: of a set of random poses, those with the largest optimal weights. Empty
-/// if the random poses leave a parameter undetermined.
+/// The most informative poses of the bar \[rad\]: the poses with the largest optimal weights among a set of random poses.
+/// Empty if the random poses leave a parameter undetermined.
 pub(super) fn goals(
     constraints: &Constraints<'_>,
     information: &Information,
@@ -62,17 +62,18 @@ pub(super) fn goals(
     by_part.into_iter().take(GOALS).map(|pose| poses.bar_rad[pose]).collect()
 }
 
-/// Lower bound of the RMS position error with all terms of the axes \[m\]. It holds for every run of the path's length in
-/// the same configuration of shoulder, elbow and wrist. It is computed from the poses of the path and random poses.
+/// Lower bound of the RMS position error when all terms of the axes are estimated \[m\]. It holds for every run that has
+/// the path's length and the path's configuration of shoulder, elbow and wrist. It is computed from the poses of the
+/// path and random poses.
 ///
-/// `None` if the poses leave a parameter undetermined, if the bound did not converge, and for arms that do
-/// not have six axes.
+/// `None` if the poses leave a parameter undetermined, if the bound did not converge, or if the arm does not have six axes.
 pub fn position_m_min(
     checked: &Checked,
     constraints: &Constraints<'_>,
     information: &Information,
 ) -> Option<f64> {
-    // The configuration is known for six axes only. With a free configuration, the bound would be far below any path.
+    // The configuration is known only for arms with six axes. If the configuration were free, the bound would be far below
+    // the variance of any path.
     if constraints.limits.len() != 6 {
         return None;
     }
@@ -86,9 +87,9 @@ pub fn position_m_min(
     (best.variance_min > TIGHT * best.variance).then(|| best.variance_min.sqrt())
 }
 
-/// Computes the weights of poses with the least `tr(weight covariance)`, for `measurements` measurements with any
-/// repetition. `prior` is the information without measurements. `rows` is the Jacobian in units of standard deviations,
-/// with `rows_per_pose` rows for each pose. `None` if the poses leave a parameter undetermined.
+/// Computes the weights of poses with the least `tr(weight covariance)`, for `measurements` measurements. `prior` is the
+/// information without measurements. `rows` is the Jacobian in units of standard deviations, with `rows_per_pose` rows for
+/// each pose. `None` if the poses leave a parameter undetermined.
 pub(super) fn optimum(
     prior: &DMatrix<f64>,
     (rows, rows_per_pose): (&DMatrix<f64>, usize),
@@ -104,7 +105,7 @@ pub(super) fn optimum(
     loop {
         let root =
             DVector::from_fn(rows.nrows(), |row, _| (measurements * parts[row / rows_per_pose]).sqrt());
-        // Covariance and variance for the present weights.
+        // Covariance and variance for the current weights.
         let mut weighted_rows = rows.clone();
         weighted_rows.column_iter_mut().for_each(|mut column| column.component_mul_assign(&root));
         let covariance = ScaledCholesky::new(prior + squared(&weighted_rows))?.inverse();
@@ -117,7 +118,7 @@ pub(super) fn optimum(
             (measurements * jpwp_of_pose.dot(&rows_of_pose)).max(0.0)
         };
         let decreases: Vec<f64> = (0..poses).map(decrease).collect();
-        // The bound from the gap of the decreases.
+        // The bound: `gap` is `max d_i - m`.
         let mean: f64 = parts.iter().zip(&decreases).map(|(part, decrease)| part * decrease).sum();
         let gap = decreases.iter().fold(0.0_f64, |largest, decrease| largest.max(*decrease)) - mean;
         bound = bound.max(variance.powi(2) / (variance + gap));

@@ -7,9 +7,9 @@ use crate::statistics::largest_size;
 
 /// Number of moves between two standstills of the bar.
 const MOVES_PER_STOP: usize = 3;
-/// Two moves without a standstill between them overlap. The overlap is this fraction of the shorter one of their durations.
+/// Two moves without a standstill between them overlap in time. The overlap is this fraction of the shorter move.
 const OVERLAP: f64 = 0.3;
-/// Duration of the standstill before the first and after the last move, in multiples of the design's standstill.
+/// Duration of the standstill before the first move and after the last move, in multiples of the design's standstill.
 const END_STANDSTILLS: f64 = 2.0;
 
 /// One move from point to point, with the minimum-jerk profile `10 u^3 - 15 u^4 + 6 u^5`, where `u` runs from 0 to 1. Speed
@@ -61,7 +61,7 @@ impl Move {
 pub struct Path {
     /// Bar joints before the first move \[rad\].
     pub start_rad: [f64; 5],
-    /// Moves in the order of their start. A move overlaps with its neighbours at most.
+    /// Moves in the order of their start. A move can overlap only with its neighbours.
     pub moves: Vec<Move>,
     /// Duration of the recording \[s\]. The path is at rest before 0 and after its last move.
     pub duration_s: f64,
@@ -78,8 +78,8 @@ impl Path {
         self.moves.last().map_or(self.start_rad, Move::end_rad)
     }
 
-    /// Adds a move to `to_rad`, in which the fastest joint reaches the peak speed `speed_rad_s`. The move starts after a
-    /// standstill if one is due, otherwise shortly before the end of the previous move.
+    /// Adds a move to `to_rad`. The fastest joint reaches the peak speed `speed_rad_s`. If a standstill is due, the move
+    /// starts after the standstill, otherwise shortly before the end of the previous move.
     pub fn push(&mut self, to_rad: &[f64; 5], speed_rad_s: f64, design: &Design) -> Move {
         let from_rad = self.end_rad();
         let by_rad: [f64; 5] = std::array::from_fn(|i| to_rad[i] - from_rad[i]);
@@ -104,8 +104,8 @@ impl Path {
     /// Bar joints at `t_s` \[rad\].
     pub fn at(&self, t_s: f64) -> [f64; 5] {
         let moves_begun = self.moves.partition_point(|step| step.start_s <= t_s);
-        // Of the moves that have begun, all except the last two are complete. Only these two are evaluated, so the time
-        // does not depend on the length of the path.
+        // Only the last two moves that have begun can still be incomplete, so only these two are evaluated. The computing
+        // time therefore does not depend on the length of the path.
         let last_two = self.moves.get(moves_begun.saturating_sub(2)..moves_begun).unwrap_or_default();
         let mut joints = last_two.first().map_or(self.start_rad, |step| step.from_rad);
         for step in last_two {

@@ -1,6 +1,6 @@
-//! Proposes positions of the bar and lengths of its rod (`identify plan place`). It draws random positions that the robot
-//! reaches. At each position it generates some random paths. Positions are ranked by the expected accuracy of a calibration
-//! on the best of these paths.
+//! Proposes positions of the bar and lengths of its rod (`identify plan place`). Random positions within the robot's reach
+//! are drawn, and some random paths are generated at each position. Positions are ranked by the expected accuracy of a
+//! calibration on the best of these paths.
 
 use std::f64::consts::PI;
 use std::time::{Duration, Instant};
@@ -18,12 +18,14 @@ use crate::kinematics::{Chain, Joints, ball_bar_chain, ball_bar_inverse, robot_c
 use crate::model::ModelError;
 use crate::solver::Normal;
 
-/// Number of random paths at each position, of which the best one counts.
+/// Number of random paths at each position. The best path rates the position.
 const PATHS: usize = 2;
-/// Least distance of the bar from the robot's vertical axis, as a fraction of the robot's reach. It leaves space for the
-/// robot's foot and the bar's stand. Robots of 0.7 m reach have a foot of 0.2 m, robots of 2 m reach a foot of 0.6 m.
+/// Least distance of the bar from the robot's vertical axis, as a fraction of the robot's reach. This distance leaves
+/// space for the robot's foot and the bar's stand. Robots of 0.7 m reach have a foot of 0.2 m, robots of 2 m reach a
+/// foot of 0.6 m.
 const PEDESTAL: f64 = 0.25;
-/// Positions are multiples of this \[m\]. A bar is not mounted more accurately, and a calibration estimates its position.
+/// Positions are rounded to multiples of this \[m\]. A bar is not mounted more accurately, and a
+/// calibration estimates its position.
 const STEP_M: f64 = 0.05;
 
 /// A position of the bar, and the expected accuracy of a calibration there.
@@ -48,13 +50,13 @@ pub struct RatedPlace {
 pub struct SecondRun {
     /// Best second position, with the same bar.
     pub place: RatedPlace,
-    /// Expected position errors after a calibration of both runs, each with its own base, offsets and clocks.
+    /// Expected position errors after a calibration of both runs. Each run has its own base of the bar, offsets and clocks.
     pub expected: ExpectedPosition,
     /// Expected position errors of the alternative: one run of twice the length at the best position.
     pub twice_as_long: ExpectedPosition,
 }
 
-/// Requirements on the positions of the bar.
+/// What is required of the positions, and what the search may use.
 #[derive(Debug, Clone)]
 pub struct PlaceRequest<'a> {
     /// Configuration of the robot.
@@ -87,7 +89,7 @@ pub struct Places {
 }
 
 /// Tries positions until `budget` has elapsed or `is_over` returns true. The argument of `is_over` is the
-/// number of positions tried.
+/// number of tried positions.
 ///
 /// # Errors
 /// [`ModelError`] if the model lacks a parameter.
@@ -114,7 +116,7 @@ pub fn places(
         };
         match request.best_at(&bar, base_m, posture_deg, &mut random, &mut is_over)? {
             Some(place) => places.found.push(place),
-            // If the time elapsed at this position, it does not count.
+            // If the time elapsed during the search at this position, the position does not count as one without a path.
             None if is_over() => {}
             None => places.without_path += 1,
         }
@@ -125,8 +127,8 @@ pub fn places(
 }
 
 impl PlaceRequest<'_> {
-    /// Draws a random position: a base of the bar and a posture of the robot \[deg, mm\], so that the bar reaches the
-    /// robot's end within the design's ranges. `None` after many failed trials.
+    /// Draws a random position: a base of the bar and a posture of the robot \[deg, mm\]. They are drawn so that the bar
+    /// reaches the robot's end within the design's ranges. `None` after many failed trials.
     fn random_position(&self, bar: &BallBarConfig, random: &mut ChaCha8Rng) -> Option<([f64; 3], Joints)> {
         const TRIES: usize = 2000;
         let (arm, mut chain) = (robot_chain(self.robot, bar), ball_bar_chain(bar));
@@ -157,7 +159,7 @@ impl PlaceRequest<'_> {
                 continue;
             };
             let constraints = self.constraints(&arm, &chain, &limits, self.design);
-            // The base was rounded, so the robot's joints are computed again.
+            // The base was rounded, so the robot's joints must be computed again.
             if let Ok(q) = constraints.robot_at(bar_rad, &q) {
                 let shown = q.iter().zip(&arm.links).map(|(q, link)| q * link.joint.display_factor());
                 return Some((base_m, shown.map(f64::round).collect()));
@@ -224,7 +226,7 @@ impl PlaceRequest<'_> {
         // The paths keep the same additional margins as those of a search.
         let mut best: Option<RatedPlace> = None;
         for _ in 0..PATHS {
-            // If no path is found in the first trial, the position has too little space.
+            // If no path is found in the first trial, the position has too little space, and no further trial is made.
             let Ok(route) = random_route_until(&tight, random, is_over) else { break };
             let Ok(pieces) = Pieces::of(&tight, &information, &route, is_over) else { continue };
             let normal = pieces.total(&information);

@@ -1,14 +1,14 @@
-//! Selects poses for a calibration with a tracker or a draw-wire (`identify plan poses`). Of many reachable poses
-//! (candidates), those with the least expected position error are selected. They are then put into a short order, with a
-//! collision-free path to each pose.
+//! Selects poses for a calibration with a tracker or a draw-wire (`identify plan poses`). Stages:
+//!
+//! 1. `random_postures` draws many reachable postures, the candidates.
+//! 2. `PoseSelection` selects the candidates with the least expected position error. Poses are selected one by one, the best
+//!    first (greedy). Each pose is then exchanged for a better one, if there is one (Fedorov 1972).
+//! 3. `short_tour` puts the selected poses into a short order, and `way` finds a collision-free path to each pose.
 //!
 //! The criterion is Bayesian I-optimality (Chaloner and Verdinelli 1995): the mean variance of positions over all
 //! candidates. The parameters are errors of links, loads and gears, with the priors of a calibration. The priors are
 //! necessary because harmonics of gears have hundreds of amplitudes, more than a few poses determine. Without priors, the
-//! best poses would be at the ends of the joints' ranges and would not determine the middle.
-//!
-//! Poses are selected one by one, the best first (greedy). Then each pose is exchanged for a better one, if there
-//! is one (Fedorov 1972).
+//! best poses would be at the ends of the joints' ranges and would not determine the errors in the middle.
 
 use std::f64::consts::PI;
 
@@ -36,14 +36,15 @@ use crate::threads::{each, threads_there};
 
 use super::optimum::optimum;
 
-/// Prior standard deviation of the poses of instrument and target \[m, rad\]. It is much larger than the standard deviation
-/// after the measurements. A still larger value would cause rounding errors in the information about gears.
+/// Prior standard deviation of the pose of the instrument and of the target \[m, rad\]. It is much larger than the standard
+/// deviation after the measurements. A still larger value would cause rounding errors in the information about gears.
 const PLACE_SIGMA: f64 = 0.02;
-/// Number of exchanges that are tried, at least one for each pose. The first round over the poses improves the selection most.
+/// Number of exchanges that are tried, but each pose is tried at least once. The first round over all poses
+/// improves the selection most.
 const EXCHANGES: usize = 100;
 /// Number of random selections of the same size for comparison.
 const RANDOM_CHOICES: usize = 5;
-/// A parameter is undetermined if its standard deviation after the measurements exceeds this fraction of
+/// A parameter counts as undetermined if its standard deviation after the measurements exceeds this fraction of
 /// its prior standard deviation.
 const UNDETERMINED: f64 = 0.9;
 
@@ -124,7 +125,7 @@ pub struct PoseRequest<'a> {
     pub noise: PoseNoise,
 }
 
-/// Expected accuracy of a group of parameters of one type.
+/// Expected accuracy of parameters of one type, such as all links.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Determined {
     /// Name for display in reports.
@@ -151,26 +152,26 @@ impl Determined {
 pub struct PlannedPoses {
     /// Indices of the selected candidates, in the order of the motion.
     pub chosen: Vec<usize>,
-    /// Joints at the poses \[rad, m\]. A joint may differ from the candidate by a whole turn, if the arm reaches the pose
-    /// only in this way.
+    /// Joints at the poses \[rad, m\]. They can differ from the candidate by a whole turn of a joint, if the arm reaches the
+    /// pose only in this way.
     pub joints: Vec<Joints>,
     /// Expected RMS position error over the candidates without a calibration \[m\].
     pub before_m: f64,
     /// Expected RMS position error after a calibration with these poses \[m\].
     pub position_m: f64,
-    /// Expected RMS position error after a calibration with an equal number of random poses, median
-    /// over several selections \[m\].
+    /// Expected RMS position error after a calibration with an equal number of random poses \[m\]. It is the median
+    /// over several random selections.
     pub random_m: f64,
     /// Expected accuracy of links, loads and gears.
     pub determined: Vec<Determined>,
-    /// Path of the arm to each pose from the previous pose. The first one is [`Way::Straight`].
+    /// Path of the arm from the previous pose to each pose. The first entry is [`Way::Straight`].
     pub ways: Vec<Way>,
 }
 
 /// Path of an arm to a pose.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Way {
-    /// A straight line in joint space, free of collisions with known bodies.
+    /// A straight line in joint space, free of collisions with the given bodies.
     Straight,
     /// Straight lines in joint space through these postures \[rad, m\].
     Through(Vec<Joints>),
@@ -179,13 +180,13 @@ pub enum Way {
 }
 
 impl PlannedPoses {
-    /// Numbers (from 1) of the poses to which no path is known.
+    /// Numbers (from 1) of the poses to which no path was found.
     pub fn blocked(&self) -> Vec<usize> {
         let numbered = self.ways.iter().zip(1..);
         numbered.filter(|(way, _)| **way == Way::Blocked).map(|(_, number)| number).collect()
     }
 
-    /// Postures of each move between poses: previous pose, intermediate postures, pose.
+    /// Postures of each move: the previous pose, the intermediate postures, and the pose.
     pub fn moves(&self) -> impl Iterator<Item = Vec<Joints>> + '_ {
         self.joints.windows(2).zip(self.ways.iter().skip(1)).map(|(pair, way)| {
             let between: &[Joints] = if let Way::Through(postures) = way { postures } else { &[] };
@@ -194,8 +195,8 @@ impl PlannedPoses {
     }
 }
 
-/// Whether a target (position in the flange frame \[m\]) is on the axis of the last joint. Such a target does not move when
-/// the last joint turns.
+/// Whether a target is on the axis of the last joint, so that the last joint does not move the target. `target_m` is the
+/// position in the flange frame \[m\].
 pub fn is_on_last_axis(robot: &RobotConfig, target_m: &[f64; 3]) -> bool {
     const NEAR_M: f64 = 1e-3;
     let (mut trace, axes) = (Trace::default(), robot.axes());
@@ -206,8 +207,8 @@ pub fn is_on_last_axis(robot: &RobotConfig, target_m: &[f64; 3]) -> bool {
     turned.is_some_and(|twist| twist.linear.norm() < NEAR_M)
 }
 
-/// Random postures that are free of collisions. Joints are within the limits reduced by the design's margin, and revolute
-/// joints also within half a turn of zero.
+/// Random postures that are free of collisions. Joints are within the limits, reduced by the design's margin. Revolute
+/// joints are also within half a turn of zero.
 ///
 /// # Errors
 /// [`PosesError::NoRoom`] if too few of the random postures are free of collisions.
@@ -242,8 +243,8 @@ pub fn random_postures(
     Ok(found)
 }
 
-/// Selects `count` of the candidates, and plans the moves between them. The robot moves along a straight line in joint
-/// space if it is clear of `bodies`, otherwise through intermediate postures. Without `bodies`, all lines are straight.
+/// Selects `count` of the candidates, and plans the moves between them. A move is a straight line in joint space if this
+/// line is clear of `bodies`; otherwise it has intermediate postures. Without `bodies`, all moves are straight.
 ///
 /// # Errors
 /// [`PosesError`] if there are fewer candidates than `count`, or if a candidate has no finite derivatives.
@@ -263,7 +264,7 @@ pub fn poses(
     let weight = known.weight(&standing(candidates.iter().copied()))?;
     let chosen = PoseSelection::new(&known, &jacobian, &weight).best(count);
 
-    // The order of the poses, and a path to each of them.
+    // Find the order of the poses, and a path to each of them.
     let arm = flange_chain(request.robot);
     let is_clear =
         |from: &Joints, to: &Joints| bodies.is_none_or(|bodies| bodies.is_way_clear(&arm, from, to));
@@ -280,7 +281,7 @@ pub fn poses(
         joints.push(to);
         ways.push(way);
     }
-    // RMS position error over the candidates for a covariance of the parameters.
+    // RMS position error over the candidates, for a given covariance of the parameters.
     let position_m = |covariance: &DMatrix<f64>| weight.dot(covariance).max(0.0).sqrt();
     // Random selections for comparison.
     let mut random = ChaCha8Rng::seed_from_u64(seed);
@@ -290,8 +291,8 @@ pub fn poses(
         let covariance = known.covariance_in_order(sample.iter().map(|&pose| candidates[pose]))?;
         random_m.extend(covariance.as_ref().map(position_m));
     }
-    // The covariance is computed for the candidates instead of `joints`, which may differ by whole turns. A whole turn
-    // changes only the effect of an error of a gear's ratio.
+    // The covariance is computed for the candidates instead of `joints`, which may differ from them by whole turns. A whole
+    // turn changes only the effect of an error of a gear's ratio.
     let in_order = order.iter().map(|&pose| candidates[pose]);
     let covariance = known.covariance_in_order(in_order)?.ok_or(PosesError::NotFinite)?;
     Ok(PlannedPoses {
@@ -306,7 +307,7 @@ pub fn poses(
 }
 
 /// Lower bound of the RMS position error over the candidates \[m\]. It holds for every selection of `count` poses, including
-/// selections with repeated poses. The difference from the error of a selection is the most that a better selection could gain.
+/// selections with repeated poses. No other selection can improve on a given one by more than the difference to this bound.
 ///
 /// # Errors
 /// [`PosesError`] if a candidate has no finite derivatives.
@@ -335,13 +336,13 @@ struct PriorModel<'a> {
 }
 
 impl<'a> PriorModel<'a> {
-    /// Sets up the parameters of a calibration. The prior of each group of joint terms has the middle one of the standard
-    /// deviations that a calibration tries.
+    /// Sets up the parameters of a calibration. A calibration tries several standard deviations for the prior of each group
+    /// of joint terms; here the middle one is used.
     fn new(request: &'a PoseRequest<'a>) -> Result<Self, ModelError> {
         let flange = flange_chain(request.robot);
         let (model, owner) = match request.measures {
-            // The position error of a wire's end is computed from the position that a tracker in the
-            // robot's base would measure.
+            // A wire does not measure the position of its end. For the position error, a tracker in the robot's base is
+            // therefore added to the model.
             MeasuredQuantity::Lengths => (
                 Model::alone(&flange).with_set_ups(Owner::Wire, [1, 1]).with_set_ups(Owner::Tracker, [1, 1]),
                 Owner::Wire,
@@ -355,8 +356,8 @@ impl<'a> PriorModel<'a> {
         let is_of_instrument = |id: &ParameterId| {
             id.owner() == owner && (request.measures == MeasuredQuantity::Poses || !turns_probe(id))
         };
-        // The scale is treated as known, like the plate in plans of paths, because its contribution is the
-        // same for all poses.
+        // The scale of the instrument is treated as known, because its contribution is the same for all poses. Plans of
+        // paths treat the plate in the same way.
         let instrument: Vec<ParameterId> = model.ids().into_iter().filter(is_of_instrument).collect();
         let waves = ParameterId::joint_waves(WAVES_PER_TURN_MAX);
         let mut model = model.with_drives(DriveTrain::of(request.robot, &flange)).with(waves);
@@ -443,7 +444,7 @@ impl<'a> PriorModel<'a> {
         Ok(squared(&rows) / states.len().max(1) as f64)
     }
 
-    /// Covariance after measurements with these rows of the Jacobian; `None` if they leave a parameter undetermined.
+    /// Covariance after measurements whose Jacobian has these rows; `None` if they leave a parameter undetermined.
     fn covariance(&self, rows: &DMatrix<f64>) -> Option<DMatrix<f64>> {
         let mut normal = squared(rows);
         self.prior
@@ -453,8 +454,8 @@ impl<'a> PriorModel<'a> {
         Some(ScaledCholesky::new(normal)?.inverse())
     }
 
-    /// Covariance after measurements at these poses in this order. The order determines the direction of motion before each
-    /// pose, on which backlash depends. Moves are straight.
+    /// Covariance after measurements at these poses in this order. The order determines the direction in which each joint
+    /// arrives at a pose, and therefore its backlash. Moves are straight.
     fn covariance_in_order(
         &self,
         poses: impl Iterator<Item = Joints>,
@@ -495,20 +496,27 @@ impl<'a> PriorModel<'a> {
     }
 }
 
-/// The selected poses, and the gain of selecting each further candidate.
+/// The selected poses, and the gain from the selection of each further candidate.
 ///
-/// Let `P` be the covariance, `W` the weight and `J` the rows of a pose in standard deviations. Selecting the pose reduces
-/// `tr(W P)` by `tr((I + J P J^T)^-1 J P W P J^T)`. The matrices `J P J^T` and `J P W P J^T` are small. They are stored for
-/// all candidates and updated after each selection.
+/// Let `P` be the covariance, `W` the weight, and `J` the Jacobian of one pose in units of standard deviations. The
+/// selection of this pose reduces `tr(W P)` by the gain `tr((I + J P J^T)^-1 J P W P J^T)`. The matrices `J P J^T` and
+/// `J P W P J^T` are small. They are stored for all candidates, one below the other, and updated after each selection:
+///
+/// ```text
+///             jacobian (J)    jpj (J P J^T)    jpwpj (J P W P J^T)
+/// pose 0      rows x columns  rows x rows      rows x rows
+/// pose 1      rows x columns  rows x rows      rows x rows
+/// ..
+/// ```
 struct PoseSelection<'k> {
     jacobian: &'k DMatrix<f64>,
     weight: &'k DMatrix<f64>,
     covariance: DMatrix<f64>,
     /// Number of rows of a pose.
     rows: usize,
-    /// `J P J^T` of each candidate, stacked.
+    /// `J P J^T` of all candidates, one below the other.
     jpj: DMatrix<f64>,
-    /// `J P W P J^T` of each candidate, stacked.
+    /// `J P W P J^T` of all candidates, one below the other.
     jpwpj: DMatrix<f64>,
     /// For each candidate, whether it is selected.
     taken: Vec<bool>,
@@ -532,8 +540,8 @@ impl<'k> PoseSelection<'k> {
         Self { jacobian, weight, covariance, rows, jpj, jpwpj, taken }
     }
 
-    /// Selects `count` candidates one by one, the best first. Then exchanges single poses until no exchange improves the
-    /// selection, or the number of exchanges is reached.
+    /// Selects `count` candidates one by one, the best first. Then exchanges single poses, until no exchange improves the
+    /// selection or the maximum number of exchanges is reached.
     fn best(mut self, count: usize) -> Vec<usize> {
         let mut chosen: Vec<usize> = (0..count).filter_map(|_| self.take_best()).collect();
         for _ in 0..(EXCHANGES / count).max(1) {
@@ -553,7 +561,7 @@ impl<'k> PoseSelection<'k> {
         chosen
     }
 
-    /// Selects the candidate with the largest gain. `None` if all are selected, or if rounding
+    /// Selects the candidate with the largest gain. `None` if all candidates are selected, or if rounding
     /// errors prevent the selection.
     fn take_best(&mut self) -> Option<usize> {
         let unselected = (0..self.taken.len()).filter(|&pose| !self.taken[pose]);
@@ -574,8 +582,8 @@ impl<'k> PoseSelection<'k> {
 
     /// Adds a pose to the selection (`sign` 1) or removes it (-1). Returns false if rounding errors prevent this.
     ///
-    /// Let `C C^T = I + sign J P J^T` and `L = P J^T C^-T` for this pose. The new covariance is `P - sign L L^T`. The
-    /// changes of `J P J^T` and `J P W P J^T` of every candidate follow from this formula and the candidate's own `J`.
+    /// Let `C C^T = I + sign J P J^T` and `L = P J^T C^-T` for this pose. The new covariance is `P - sign L L^T`. With this
+    /// formula, `J P J^T` and `J P W P J^T` of every candidate are updated, using the candidate's own `J`.
     fn change(&mut self, pose: usize, sign: f64) -> bool {
         let identity = DMatrix::<f64>::identity(self.rows, self.rows);
         let Some(factor) = (identity + self.rows_of(&self.jpj, pose) * sign).cholesky() else { return false };
@@ -585,7 +593,7 @@ impl<'k> PoseSelection<'k> {
         let wl = self.weight * &l;
         let lwl = l.tr_mul(&wl);
         let rows = self.rows;
-        // L and P W L are combined in one matrix, so that one product with all rows is sufficient.
+        // `L` and `P W L` are put side by side in one matrix, so that one product with all rows is sufficient.
         let mut both = DMatrix::zeros(l.nrows(), 2 * rows);
         both.columns_mut(0, rows).copy_from(&l);
         both.columns_mut(rows, rows).copy_from(&(&self.covariance * wl));
@@ -605,7 +613,7 @@ impl<'k> PoseSelection<'k> {
     }
 }
 
-/// Product of matrices, computed on all threads by dividing the rows of `left`, which has many rows.
+/// Matrix product, computed on all threads. Each thread multiplies some rows of `left`, which has many rows.
 pub(super) fn times(left: &DMatrix<f64>, right: &DMatrix<f64>) -> DMatrix<f64> {
     let rows_per_part = left.nrows().div_ceil(threads_there()).max(1);
     let parts = each(left.nrows().div_ceil(rows_per_part), |part| {
@@ -624,10 +632,10 @@ pub(super) fn squared(rows: &DMatrix<f64>) -> DMatrix<f64> {
     times(&rows.transpose(), rows)
 }
 
-/// A short tour through the chosen poses. It starts at the pose nearest to joints of zero. From each pose it continues to
-/// the nearest remaining pose that a clear straight line reaches, or to the nearest one if there is none. It is then
-/// shortened by reversing sections of it (2-opt, Croes 1958). The distance of two poses is their largest joint difference,
-/// which determines the duration of the move.
+/// Orders the chosen poses in a short tour. The tour starts at the pose nearest to joints of zero. From each pose it
+/// continues to the nearest remaining pose that a clear straight line reaches, or to the nearest remaining pose if no such
+/// line exists. The tour is then shortened by reversing sections of it (2-opt, Croes 1958). The distance between two poses
+/// is their largest joint difference, which determines the duration of the move.
 fn short_tour(
     chosen: &[usize],
     candidates: &[Joints],
@@ -647,8 +655,8 @@ fn short_tour(
         let Some(next) = nearest_clear.or(remaining.len().checked_sub(1)) else { break };
         order.push(remaining.remove(next));
     }
-    // Reverse sections while this shortens the tour. Beyond the first and the last pose, the distance is zero and
-    // every move is possible.
+    // Reverse sections while this shortens the tour. Before the first pose and after the last pose, the distance counts as
+    // zero, and every move counts as possible.
     let length =
         |from: Option<&usize>, to: Option<&usize>| from.zip(to).map_or(0.0, |(a, b)| distance(*a, *b));
     let may_follow =

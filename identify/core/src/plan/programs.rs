@@ -1,9 +1,10 @@
-//! Writes a path, or poses at which the robot stops, as programs of robot controllers. The joints are converted to the
-//! controller's values, then to a list of instructions, then to text in the controller's language.
+//! Writes a path, or poses at which the robot stops, as programs for robot controllers. Three steps: the joints
+//! are converted to the controller's values, the values to a list of instructions, and the instructions to text
+//! in the controller's language.
 //!
-//! The points of a path are so close that the robot leaves the sphere between them by no more than
-//! [`OFF_SPHERE_M_MAX`]. Controllers interpolate differently: joints along lines (RAPID, FANUC), or along curves (KRL's
-//! splines, URScript's servo loop).
+//! The points of a path are close enough that the robot leaves the sphere between them by at most [`OFF_SPHERE_M_MAX`].
+//! Controllers interpolate between points in different ways: along lines in joint space (RAPID, FANUC), or along curves
+//! (KRL's splines, URScript's servo loop).
 //!
 //! Sources: ABB, Technical reference manual RAPID (3HAC050917), `MoveAbsJ`; KUKA System Software 8.3, Operating and
 //! Programming Instructions for System Integrators, `PTP_SPLINE` with `TIME_BLOCK`; Universal Robots, Script Manual,
@@ -60,7 +61,7 @@ pub enum ProgramError {
         /// Name of the robot.
         robot: String,
     },
-    /// The robot does not have six axes. Targets in these languages have six axes; additional axes would be in another
+    /// The robot does not have six axes. A target in these languages has six axes; additional axes would need another
     /// field of the target.
     #[error("{robot} has {axes} axes, programs are written for six; take the joints from the table")]
     Axes {
@@ -77,10 +78,11 @@ pub enum ProgramError {
     Coupling {
         /// The robot's name.
         robot: String,
-        /// The row that `raw_to_joint` needs: contribution of joint 2 of the controller to each joint of the model.
+        /// The row that `raw_to_joint` must contain: the contributions of the controller's joint 2 to the
+        /// joints of the model.
         row: Vec<f64>,
     },
-    /// Even the closest points leave the sphere.
+    /// The robot leaves the sphere between points even if the points are as close as possible.
     #[error(
         "between points {period_s} s apart the robot leaves the sphere by {off_mm:.3} mm; plan with a lower \
          --speed or --acceleration"
@@ -101,11 +103,11 @@ enum Instruction {
     Wait(f64),
     /// Stops until the operator continues the program.
     Halt {
-        /// Message for the operator on the controller's display. The shortest display has 24 characters.
+        /// Message for the operator on the controller's display. The smallest display shows 24 characters.
         message: String,
         /// Reason for the stop, written as a comment.
         reason: String,
-        /// Number of the pose to which the operator jogs the arm, from 1; `None` if the arm is not jogged.
+        /// Number (from 1) of the pose to which the operator jogs the arm; `None` if the arm is not jogged.
         jogged_to: Option<usize>,
     },
     /// Waits between two moves of a path \[s\].
@@ -117,7 +119,7 @@ enum Instruction {
         /// The points in the controller's values, with angles in radians.
         raw_rad: Vec<Joints>,
     },
-    /// Moves along a path with the speeds at its points.
+    /// Moves along a path and passes its points with the given rates.
     Servo(Points),
 }
 
@@ -127,13 +129,13 @@ struct Points {
     period_s: f64,
     /// The points in the controller's values, with angles in radians.
     raw_rad: Vec<Joints>,
-    /// Rates of these values at each point \[rad/s\].
+    /// Rates of the controller's values at each point \[rad/s\].
     rate_rad_s: Vec<Joints>,
 }
 
 impl Points {
-    /// Divides the points into alternating moves and standstills. Points that are equal in all digits of the program count
-    /// as a standstill, because controllers refuse segments of zero length, or stop at them.
+    /// Divides the points into alternating moves and standstills. Points count as a standstill if they are equal in all
+    /// digits of the program. Controllers refuse segments of zero length, or stop at them.
     fn segments(&self, digits: i32) -> Vec<Instruction> {
         let written = |q: &Joints| q.map(|angle| (angle.to_degrees() * 10f64.powi(digits)).round());
         let moves = |pair: &&[Joints]| written(&pair[0]) != written(&pair[1]);
@@ -159,7 +161,7 @@ pub enum ProgramPurpose {
 }
 
 impl Language {
-    /// The language of the robot's maker, if the robot's name contains one of these makers.
+    /// The language of the robot's maker, if the robot's name contains the name of a known maker.
     pub fn of(robot: &RobotConfig) -> Option<Self> {
         Some(match robot.maker()? {
             Maker::Abb => Self::Rapid,
@@ -195,7 +197,8 @@ impl Language {
         if matches!(self, Self::Fanuc) { 3 } else { 6 }
     }
 
-    /// Whether the controller interpolates along a curve with the speeds at the points, instead of along lines.
+    /// Whether the controller interpolates along a curve that has the given rates at the points. If not,
+    /// it interpolates along lines.
     const fn is_smooth(self) -> bool {
         !matches!(self, Self::Rapid | Self::Fanuc)
     }
@@ -285,13 +288,13 @@ fn text(language: Language, purpose: ProgramPurpose, about: &str, steps: &[Instr
     }
 }
 
-/// The conversion of joints to the controller's values, with angles in radians.
+/// The conversion from joints of the model to the controller's values, with angles in radians.
 fn conversion(language: Language, robot: &RobotConfig) -> Result<JointConversion, ProgramError> {
     if robot.axes() != 6 {
         return Err(ProgramError::Axes { robot: robot.name.clone(), axes: robot.axes() });
     }
-    // The log's values are joint angles if the conversion has only signs and couplings, no gear ratios. Only then does a
-    // controller accept them as targets.
+    // If the conversion has only signs and couplings and no gear ratios, the log's values are joint angles. Controllers
+    // accept only joint angles as targets.
     let is_joint = |entry: &f64| [-1.0, 0.0, 1.0].contains(entry);
     if !robot.log.raw_to_joint.iter().flatten().all(is_joint) {
         return Err(ProgramError::Motors { robot: robot.name.clone() });
@@ -302,18 +305,18 @@ fn conversion(language: Language, robot: &RobotConfig) -> Result<JointConversion
     Ok(JointConversion::new(&LogConversion { unit: AngleUnit::Rad, ..robot.log.clone() })?)
 }
 
-/// Checks that joint 3 of the log is measured from the horizontal. The forearm then keeps its direction if only joint 2 of
-/// the log turns. Joint 3 of the model is measured from the upper arm, so it turns back by the same angle. This is the
-/// entry `(2, 3)` of `raw_to_joint`.
+/// Checks that the conversion includes the measurement of the controller's joint 3 from the horizontal. If only joint 2 of
+/// the controller turns, the forearm keeps its direction. Joint 3 of the model is measured from the upper arm, so it turns
+/// back by the same angle. The entry `(2, 3)` of `raw_to_joint` represents this.
 fn check_joint_3_coupling(robot: &RobotConfig) -> Result<(), ProgramError> {
     let mut trace = Trace::default();
     Tracer::new(&flange_chain(robot)).trace(&Joints::zeros(robot.axes()), &mut trace);
     let axes: Vec<Vector3<f64>> = trace.joint_twists().map(|twist| twist.angular).collect();
-    // 1 if axes 2 and 3 are parallel, -1 if antiparallel.
+    // 1 if axes 2 and 3 have the same direction, -1 if they have opposite directions.
     let axes_2_3 = axes[1].dot(&axes[2]).round();
     let configured_row = &robot.log.raw_to_joint[1];
     let mut row = configured_row.clone();
-    // The sum turns -0.0, which the message would show, into 0.0.
+    // Adding zero converts -0.0 to 0.0, because the message would show the sign.
     row[2] = -axes_2_3 * row[1] + 0.0;
     if row == *configured_row {
         return Ok(());
@@ -337,7 +340,7 @@ fn points(
         if off_sphere_m <= OFF_SPHERE_M_MAX {
             let on_path: Vec<_> = times(&curve, period_s).filter_map(|t_s| curve.at(t_s)).collect();
             let raw_rad: Vec<Joints> = on_path.iter().map(|point| conversion.to_raw(&point.value)).collect();
-            // The conversion of joints adds offsets. Rates do not have offsets, so they are subtracted.
+            // The conversion of joints adds offsets. Rates do not have offsets, so the offsets are subtracted again.
             let offset_rad = conversion.to_raw(&Joints::zeros(robot.axes()));
             let raw_rate = |rate: &Joints| {
                 let with_offset = conversion.to_raw(rate);
@@ -356,8 +359,8 @@ fn times(curve: &CubicSpline<Joints>, period_s: f64) -> impl Iterator<Item = f64
     (0..=count).map(move |point| point as f64 * period_s)
 }
 
-/// Largest distance from the sphere at one, two and three quarters of each interval between points \[m\]. Joints are
-/// interpolated as the controller does.
+/// Largest distance of the robot from the sphere, evaluated at one, two and three quarters of each interval between points
+/// \[m\]. Joints are interpolated in the same way as in the controller.
 fn off_sphere(
     language: Language,
     curve: &CubicSpline<Joints>,
@@ -385,7 +388,7 @@ fn off_sphere(
     most_m
 }
 
-/// Cubic Hermite polynomial from `a` to `b` with these slopes, at the fraction `u` of the interval.
+/// Cubic Hermite polynomial from `a` to `b` with the slopes `slope_a` and `slope_b`, at the fraction `u` of the interval.
 fn hermite(u: f64, [a, b]: [f64; 2], [slope_a, slope_b]: [f64; 2]) -> f64 {
     let (u2, u3) = (u * u, u * u * u);
     (2.0 * u3 - 3.0 * u2 + 1.0) * a
@@ -451,8 +454,8 @@ fn krl(name: &str, about: &str, steps: &[Instruction]) -> String {
         Instruction::Servo(_) => String::new(),
     };
     let instructions: String = steps.iter().map(instruction).collect();
-    // Targets are joint angles, so they do not depend on tool and base. But a controller without a valid tool and
-    // base does not move.
+    // Targets are joint angles, so they do not depend on tool and base. A controller nevertheless needs a valid tool
+    // and base to move.
     format!(
         "&ACCESS RVP\nDEF {name}()\n; {about}\nBAS(#INITMOV,0)\nBAS(#VEL_PTP,10)\n$TOOL=$NULLFRAME\n$BASE=$NULLFRAME\n\
          {instructions}END\n"
@@ -466,7 +469,7 @@ fn ur_script(name: &str, about: &str, steps: &[Instruction]) -> String {
         Instruction::Halt { message, reason, jogged_to: None } => {
             format!("  # {reason}\n  popup(\"{message}\", title=\"{name}\", blocking=True)\n")
         }
-        // The arm cannot be jogged while a program runs.
+        // The operator cannot jog the arm while a program runs.
         Instruction::Halt { message, reason, jogged_to: Some(to) } => format!(
             "  # {reason}\n  \
              # stop here, {message}; delete the lines above and start again for poses {to} and following\n  \
@@ -488,9 +491,9 @@ fn ur_script_path(points: &Points) -> String {
     let moves: String = moves
         .map(|(raw_rad, rate_rad_s)| format!("  go([{}], [{}])\n", list(raw_rad, 1.0), list(rate_rad_s, 1.0)))
         .collect();
-    // The robot follows a cubic between two points that has the path's speeds at both. It is evaluated at each time step of
-    // the controller. If the time between points is not a multiple of this step (50 ms and 8 ms), the remaining time is
-    // added to the next interval.
+    // Between two points the robot follows a cubic polynomial that has the path's rates at both points. The polynomial is
+    // evaluated at each time step of the controller. If the time between points is not a multiple of this step (50 ms and 8
+    // ms), the remainder is added to the next interval.
     format!(
         "  global q0 = [{q0}]\n  global v0 = [{v0}]\n  global t = 0\n  \
          def go(q1, v1):\n    local dt = get_steptime()\n    while t + dt < {period} + 0.000001:\n      t = t + dt\n      \

@@ -1,8 +1,8 @@
-//! Generates a random path on the bar's sphere within all constraints. It draws random points and checks each move
-//! before it is added.
+//! Generates a random path on the bar's sphere within all constraints. The path consists of moves between random points;
+//! each move is checked before it is added. If no next move is found, the last few moves are removed (a backtrack).
 //!
 //! The path is the start of a search, or the path of a simulated experiment. Because the points are random in all five bar
-//! joints, the path excites every direction of the pose, which manual paths seldom do.
+//! joints, the path excites all joints in all directions, which manual paths seldom do.
 
 use std::collections::BTreeMap;
 
@@ -13,20 +13,20 @@ use crate::kinematics::Joints;
 use crate::model::JointState;
 use crate::statistics::largest_size;
 
-/// Largest number of points to try for the start or for one move.
+/// Largest number of points that are tried for the start or for one move.
 const TRIES: usize = 300;
-/// Largest number of backtracks without progress of the path.
+/// Largest number of backtracks that do not make the path longer.
 const RETREATS: usize = 60;
 /// Number of moves removed in a backtrack.
 const MOVES_GIVEN_UP: usize = 4;
 /// Fraction of the way to a random point that a move covers.
 const PART_OF_WAY: std::ops::Range<f64> = 0.3..1.0;
-/// Fewest moves of a path that excites all joints.
+/// Smallest number of moves of a path that excites all joints.
 const MOVES_MIN: usize = 4;
-/// Least duration of a path, for the fewest moves and the standstills between them \[s\]. Of paths of 13 s,
-/// one in three succeeds.
+/// Least duration of a path \[s\]. It is sufficient for `MOVES_MIN` moves and the standstills between them. Of the trials
+/// with 13 s, only one in three found a path.
 pub const DURATION_S_MIN: f64 = 15.0;
-/// Range of a move's peak speed, relative to the design's highest speed.
+/// Range from which a move's peak speed is drawn, relative to the design's highest speed.
 const SPEED_RANGE: std::ops::Range<f64> = 0.5..1.0;
 
 /// Why no random path was found.
@@ -93,9 +93,9 @@ fn most_frequent(obstacles: &Obstacles) -> Obstacle {
 pub struct Route {
     /// Path of the bar.
     pub path: Path,
-    /// The robot's joints \[rad, m\]. The first are at the start of the path. For a random path, the following are
-    /// at the end of each move. For a searched path, they are at the start of each further move, and the last at the
-    /// end of the path.
+    /// The robot's joints \[rad, m\]. The first entry is at the start of the path. For a random path, the following entries
+    /// are at the end of each move. For a searched path, they are at the start of each further move, and the last entry is
+    /// at the end of the path.
     pub robot_rad: Vec<Joints>,
 }
 
@@ -107,8 +107,7 @@ pub fn random_route(constraints: &Constraints<'_>, random: &mut impl Rng) -> Res
     random_route_until(constraints, random, &mut || false)
 }
 
-/// As [`random_route`], with cancellation: the search ends if `is_over` returns true. It is called before each
-/// trial of a move.
+/// As [`random_route`], but the search also ends if `is_over` returns true. `is_over` is called before each trial of a move.
 pub(super) fn random_route_until(
     constraints: &Constraints<'_>,
     random: &mut impl Rng,
@@ -134,9 +133,9 @@ pub(super) fn speed_rad_s(design: &Design, random: &mut impl Rng) -> f64 {
     design.bar_speed_rad_s * random.random_range(SPEED_RANGE)
 }
 
-/// Random poses on the sphere in no particular order, each with a speed that the robot can reach. All have the robot's
-/// configuration of shoulder, elbow and wrist at `near_rad`. They represent the poses that a path in this configuration can
-/// visit. Returns fewer than `count` poses if too few trials succeed.
+/// Random poses on the sphere in no particular order, each with a speed that the robot can reach. They represent the poses
+/// that a path can visit without a change of the robot's configuration. All poses have the configuration of shoulder, elbow
+/// and wrist that the robot has at `near_rad`. Returns fewer than `count` poses if too few trials succeed.
 pub(super) fn random_poses(
     constraints: &Constraints<'_>,
     mut near_rad: Joints,
@@ -171,7 +170,8 @@ pub(super) fn random_poses(
     visited
 }
 
-/// A random bar posture, and the robot's joints there nearest to the design's posture \[rad, m\].
+/// A random bar posture, and the robot's joints at this posture \[rad, m\]. If several solutions exist, the joints nearest
+/// to the design's posture are used.
 pub(super) fn start(
     constraints: &Constraints<'_>,
     random: &mut impl Rng,
@@ -197,7 +197,7 @@ pub(super) fn start(
 enum Extension {
     /// A move was added.
     Added,
-    /// The next move would end after the run, so the path is complete.
+    /// The next move would end too late, so the path is complete.
     PathFull,
     /// None of the tried moves is feasible.
     NoneFeasible,
@@ -206,7 +206,7 @@ enum Extension {
 }
 
 /// Adds moves until the duration is reached. If no next move is found, the last few moves are removed, because a joint near
-/// its limit may prevent a continuation.
+/// its limit may prevent every continuation.
 fn fill(
     constraints: &Constraints<'_>,
     route: &mut Route,
@@ -258,8 +258,8 @@ fn extend(
         if is_over() {
             return Extension::SearchEnded;
         }
-        // The move covers a fraction of the way to a random point. A point on this line is within the ranges, and a short
-        // move is feasible more often.
+        // The move covers a fraction of the line to a random point. All points on this line are within the ranges. A short
+        // move is more often feasible than a long one.
         let (goal, part) = (point(design, random), random.random_range(PART_OF_WAY));
         let to_rad = std::array::from_fn(|i| from_rad[i] + part * (goal[i] - from_rad[i]));
         let step = route.path.push(&to_rad, speed_rad_s(design, random), design);
@@ -267,9 +267,9 @@ fn extend(
             route.path.moves.pop();
             return Extension::PathFull;
         }
-        // `near_rad` are the joints at the end of the previous move, but this move may start slightly earlier. The
-        // nearest solution at its start is in the same configuration, because the path between the two was checked
-        // with the previous move.
+        // `near_rad` are the joints at the end of the previous move, but this move may start slightly before that end. The
+        // path between the two instants was checked with the previous move. The nearest solution at the start of this move
+        // is therefore in the same configuration.
         let Some(near_rad) = route.robot_rad.last() else { return Extension::NoneFeasible };
         match constraints.follow(&route.path, step.start_s, step.end_s(), near_rad) {
             Ok(robot) => {

@@ -1,8 +1,12 @@
 //! Improves a path by changing one point at a time, until the time has elapsed (random local search).
 //!
-//! The search starts with the best of several random paths. In each step it moves a point of the path, sometimes towards
-//! the most informative poses, or changes the speed of a move. The information of the changed moves and their neighbours is
-//! then computed again. The change is kept if it improves the criterion and the path still satisfies all constraints.
+//! 1. Several random paths are generated, and the best one is kept.
+//! 2. The path is divided into pieces, one for each move. Each piece has its own information
+//!    (Fisher information, see `information`).
+//! 3. A change is tried: a point of the path is moved, sometimes towards the most informative poses, or the speed of a move
+//!    is changed, or a move is added. The information is recomputed only for the pieces near the change.
+//! 4. The change is kept if it improves the criterion and the path still satisfies all constraints. The search
+//!    continues with step 3.
 
 use std::time::{Duration, Instant};
 
@@ -19,20 +23,20 @@ use crate::kinematics::Joints;
 use crate::model::JointState;
 use crate::solver::Normal;
 
-/// Number of random paths at the start, of which the best is improved.
+/// Number of random paths at the start. The best one is improved.
 const STARTS: u64 = 8;
 /// Standard deviation of the change of a point, for each joint of the bar \[rad\].
 const NUDGE_RAD: f64 = 0.3;
-/// The constraints are checked at every pose. The criterion uses one pose of this number of checked poses.
+/// The constraints are checked at every pose, but only one of this number of poses contributes to the information.
 const LOOKS_PER_POSE: usize = 2;
-/// Largest difference between old and new joints of the robot at the end of the changed moves \[rad, m\]. If it is smaller,
-/// both are the same solution of the inverse kinematics, so that the later moves remain valid.
+/// At the end of the changed moves, the robot's joints before and after the change are compared \[rad, m\]. If they differ
+/// by less than this, they are the same solution of the inverse kinematics, so the later moves remain valid.
 const SAME_MAX: f64 = 1e-3;
 
-/// Additional margins of the search, because constraints are evaluated only at poses that are [`LOOK_S`] apart. Between
-/// two poses, an extreme exceeds both values by at most the acceleration times `LOOK_S^2 / 8`. At 5 rad/s² this is 2
-/// mrad, or 3 mm at the end of an arm. Angles and clearance have this additional distance; the other limits are
-/// multiplied by a factor.
+/// Additional margins of the search. They are needed because constraints are evaluated only at poses that are [`LOOK_S`]
+/// apart. Between two poses, a quantity can exceed its values at both poses by the acceleration times `LOOK_S^2 / 8`. At 5
+/// rad/s² this is 2 mrad, or 3 mm at the end of an arm. For angles and clearance the margin is added to the limit; the other
+/// limits are multiplied by a factor.
 ///
 /// [`LOOK_S`]: super::constraints::LOOK_S
 const ANGLE_ROOM_DEG: f64 = 0.2;
@@ -46,9 +50,9 @@ const DEXTERITY_PART: f64 = 1.03;
 pub struct SearchProgress {
     /// Number of changes tried.
     pub tried: usize,
-    /// Number of changes kept.
+    /// Number of tried changes that were kept.
     pub taken: usize,
-    /// Present value of the criterion.
+    /// Current value of the criterion.
     pub score: f64,
 }
 
@@ -59,7 +63,7 @@ pub struct BestPath {
     pub route: Route,
     /// Normal equations of the path.
     pub normal: Normal,
-    /// The criterion of each random path, in the order of their seeds.
+    /// Values of the criterion for the random paths at the start, in the order of their generation.
     pub random_scores: Vec<f64>,
     /// Number of changes tried and kept, and the final value of the criterion.
     pub progress: SearchProgress,
@@ -74,8 +78,8 @@ pub(super) struct Pieces {
     normals: Vec<Normal>,
 }
 
-/// Searches until `budget` has elapsed or `is_over` returns true. The argument of `is_over` is `None` until the
-/// first path is found.
+/// Searches until `budget` has elapsed or `is_over` returns true. The argument of `is_over` is `None` until the improvement
+/// of a path begins.
 ///
 /// # Errors
 /// [`PlanError`] if no path is found.
@@ -188,8 +192,8 @@ impl Pieces {
         (start_s(index).unwrap_or(0.0), end_s)
     }
 
-    /// Computes the robot's joints and the information of some pieces again. Each piece starts at the joints at which
-    /// the previous piece ends.
+    /// Recomputes the pieces with the indices `pieces`, after their moves have changed or been added: the robot's joints,
+    /// and the Fisher information. Each piece starts at the joints at which the previous piece ends.
     fn redo(
         &mut self,
         constraints: &Constraints<'_>,
@@ -214,14 +218,15 @@ impl Pieces {
         Ok(())
     }
 
-    /// Information of the whole path, the sum over all pieces.
+    /// Information of the whole path: the sum over all pieces.
     pub(super) fn total(&self, information: &Information) -> Normal {
         let mut total = Normal::zeros(information.columns());
         self.normals.iter().for_each(|normal| total += normal);
         total
     }
 
-    /// The path with one point moved, one move's speed changed, or one move added; `None` if a constraint is violated.
+    /// A random variant of the path: one point is moved, one move's speed is changed, or one move is added. `None` if the
+    /// variant violates a constraint.
     fn changed(
         &self,
         constraints: &Constraints<'_>,
@@ -231,30 +236,30 @@ impl Pieces {
     ) -> Option<Self> {
         let design = constraints.design;
         let count = self.path.moves.len();
-        // An index after the last one adds a move.
+        // The index `count`, after the last move, adds a move.
         let index = random.random_range(0..=count);
         let old_rad = self.path.moves.get(index).map_or_else(|| self.path.end_rad(), |step| step.end_rad());
         let to_rad = match random.random_range(0..4) {
-            // Only the speed changes.
+            // Change only the speed.
             0 if index < count => old_rad,
-            // A fraction of the way to a random point.
+            // Move by a fraction of the way to a random point.
             1 => {
                 let (goal, part) = (point(design, random), random.random_range(0.2..1.0));
                 std::array::from_fn(|i| old_rad[i] + part * (goal[i] - old_rad[i]))
             }
-            // All or a fraction of the way to an informative pose.
+            // Move to an informative pose, or by a fraction of the way to it.
             2 if let Some(goal) = goals.choose(random) => {
                 let part = if random.random() { 1.0 } else { random.random_range(0.2..1.0) };
                 std::array::from_fn(|i| old_rad[i] + part * (goal[i] - old_rad[i]))
             }
-            // A random displacement.
+            // Move by a random displacement.
             _ => std::array::from_fn(|i| {
                 let by: f64 = StandardNormal.sample(random);
                 let [low, high] = design.bar_range_deg[i].map(f64::to_radians);
                 (old_rad[i] + NUDGE_RAD * by).clamp(low, high)
             }),
         };
-        // Most changes fail because the robot does not reach the new point, so this is checked first.
+        // Most variants fail because the robot does not reach the new point, so this is checked first.
         constraints.robot_at(&to_rad, self.robot_rad.get(index + 1).or(self.robot_rad.last())?).ok()?;
         let mut path = Path::at_rest(self.path.start_rad, design);
         for (position, step) in self.path.moves.iter().enumerate() {
@@ -283,8 +288,8 @@ impl Pieces {
     }
 }
 
-/// Information of a piece. `robot` are the joints at equal time steps from `from_s` to `until_s`. The robot's speeds are
-/// computed from differences of neighbouring poses.
+/// Information of a piece of the path, which lasts from `from_s` to `until_s`. `robot` are the joints at equal time steps in
+/// this interval. The robot's speeds are computed from differences of neighbouring poses.
 fn piece_information(
     path: &Path,
     information: &Information,

@@ -1,6 +1,6 @@
 //! Finds a collision-free path of an arm between two postures, for the moves between planned poses. A posture is a set of
-//! joint variables. Two trees of postures, one from each end, grow towards random postures and towards each other until
-//! they meet (RRT-Connect, Kuffner and LaValle 2000). Intermediate postures that are not needed are then removed.
+//! joint variables. One tree of postures starts at each end. The trees grow towards random postures and towards each other
+//! until they meet (RRT-Connect, Kuffner and LaValle 2000). Intermediate postures that are not needed are then removed.
 
 use std::f64::consts::{PI, TAU};
 
@@ -10,18 +10,19 @@ use super::poses::Way;
 use crate::kinematics::Joints;
 use crate::statistics::largest_difference;
 
-/// Largest number of random postures to which the trees grow. If there is no path, the search then ends after some seconds.
+/// Largest number of random postures towards which the trees grow. If no path exists, the search ends after this number,
+/// which takes some seconds.
 const TRIES: usize = 1500;
-/// Largest number of random postures, if the target differs from the requested posture by whole turns. If such a path
-/// exists, the first trials find it.
+/// The same limit for a target that differs from the requested posture by whole turns. If a path to such a target exists,
+/// the first trials find it.
 const TRIES_TURNED: usize = 100;
 /// Largest change of a joint in one step of a tree \[rad, m\].
 const STEP: f64 = 0.4;
-/// Distance from the range between both postures \[rad, m\]. Every second random posture is drawn within this distance,
-/// because most paths around an obstacle stay there.
+/// Every second random posture is drawn near both ends: within this distance from the range of joints between them \[rad,
+/// m\]. Most paths around an obstacle stay there.
 const ROUND: f64 = 1.0;
 
-/// A tree of postures that were reached from the first one. `before` has the index of each posture's predecessor.
+/// A tree of postures that are connected with the first posture. `before` contains the index of each posture's predecessor.
 struct Tree {
     postures: Vec<Joints>,
     before: Vec<usize>,
@@ -51,7 +52,7 @@ impl Tree {
         Some(to)
     }
 
-    /// Postures from the last one added back to the root.
+    /// Postures from the last added posture back to the root.
     fn branch(&self) -> Vec<Joints> {
         let mut node = self.postures.len() - 1;
         let mut branch = vec![self.postures[node]];
@@ -63,9 +64,9 @@ impl Tree {
     }
 }
 
-/// Finds a path from one posture to another. If there is none, it tries target postures that differ by whole turns of
-/// joints: a joint that cannot pass an angle then moves in the other direction. Returns the reached posture and the path to
-/// it. Joints stay within `range`; `turns` is true for revolute joints.
+/// Finds a path from one posture to another. If no path is found, it tries target postures that differ by whole turns of
+/// joints. A joint that cannot pass an angle then moves in the other direction. Returns the reached posture and the path to
+/// this posture. Joints stay within `range`; `turns` is true for revolute joints.
 pub(super) fn to_posture(
     from: Joints,
     to: Joints,
@@ -102,7 +103,7 @@ fn with_whole_turns(from: &Joints, to: &Joints, range: &[[f64; 2]], turns: &[boo
     let once = one_turn_away(to);
     let mut others: Vec<Joints> = Vec::new();
     for other in once.iter().copied().chain(once.iter().flat_map(one_turn_away)) {
-        // The same posture can be reached in several orders of turns, and with different rounding errors.
+        // The same posture can result from several orders of turns, with different rounding errors.
         let is_same = |known: &Joints| largest_difference(known, &other) < PI;
         if !is_same(to) && !others.iter().any(is_same) {
             others.push(other);
@@ -123,8 +124,8 @@ fn path_around(
 ) -> Option<Vec<Joints>> {
     let [mut growing, mut opposite] = [from, to].map(Tree::new);
     for attempt in 0..tries {
-        // The trees grow alternately. Of each four attempts, the first two (one for each tree) draw a
-        // posture near the ends.
+        // The trees grow alternately. Of every four attempts, the first two (one for each tree) draw a random posture near
+        // both ends, and the other two draw from the whole range.
         let goal = Joints::from_fn(from.len(), |axis| {
             let [low, high] = range[axis];
             let (near_low, near_high) = (from[axis].min(to[axis]) - ROUND, from[axis].max(to[axis]) + ROUND);
@@ -153,8 +154,8 @@ fn path_around(
     None
 }
 
-/// The intermediate postures that are needed: from each posture, the path continues at the farthest posture that a
-/// free straight line reaches.
+/// Removes intermediate postures that are not needed. From each posture, the path continues at the farthest posture of `way`
+/// that a free straight line reaches.
 fn shortened(way: &[Joints], is_clear: impl Fn(&Joints, &Joints) -> bool) -> Vec<Joints> {
     let (mut at, last) = (0, way.len() - 1);
     let mut needed = Vec::new();
@@ -173,10 +174,10 @@ mod tests {
 
     #[test]
     fn postures_that_differ_by_whole_turns_are_each_tried_once() {
-        // Rounding: adding a turn and subtracting it does not give these angles back.
+        // These angles do not return to the same value after a turn is added and subtracted, due to rounding.
         let to = Joints::from_fn(6, |axis| 0.1 + 0.3 * axis as f64);
         let others = with_whole_turns(&Joints::zeros(6), &to, &[[-10.0, 10.0]; 6], &[true; 6]);
-        // One turn of each of six joints, and of each of the 15 pairs, in either direction.
+        // Expected are one turn of each of six joints, and of each of the 15 pairs of joints, in both directions.
         assert_eq!(others.len(), 6 * 2 + 15 * 4);
         for (index, other) in others.iter().enumerate() {
             assert!(others[..index].iter().chain([&to]).all(|known| largest_difference(known, other) > PI));

@@ -1,6 +1,6 @@
-//! Checks a robot's configuration (`identify robot check`). The result has facts such as the reach, probable mistakes such
-//! as radians instead of degrees, and points for a drawing. The reach and the rank of the Jacobian are computed at random
-//! postures within the joint limits.
+//! Checks a robot's configuration (`identify robot check`). The result contains properties such as the reach, probable
+//! mistakes such as radians instead of degrees, and points for a drawing. Reach and rank of the Jacobian are computed at
+//! random postures within the joint limits.
 
 use nalgebra::{Matrix6xX, Vector3, Vector6};
 use rand::Rng;
@@ -15,16 +15,16 @@ use crate::statistics::extremes;
 
 /// Number of random postures at which the reach is computed.
 const POSTURES: usize = 20_000;
-/// Number of these postures at which the rank of the Jacobian is computed.
+/// The rank of the Jacobian is computed only at this number of these postures.
 const RANK_POSTURES: usize = 50;
-/// Singular values below this fraction of the largest one count as zero, because two axes then have the same effect.
+/// Singular values below this fraction of the largest one count as zero.
 const RANK_TOLERANCE: f64 = 1e-6;
-/// Numbers of decimals to which files usually round a multiple of a right angle in radians. In degrees such
-/// an angle is exact.
+/// Numbers of decimals to which files usually round a right angle in radians. In degrees, a multiple of a right angle is
+/// exact, so a rounded one shows a conversion.
 const RADIAN_DECIMALS: std::ops::RangeInclusive<i32> = 2..=5;
-/// Largest number of decimals to compare of an angle in degrees that was converted from radians.
+/// Of an angle in degrees that was converted from radians, at most this number of decimals is compared.
 const CONVERTED_DECIMALS: usize = 9;
-/// An angle in degrees was probably meant as radians if its number is pi / 2 or pi. The tolerance is this fraction
+/// An angle in degrees was probably meant as radians if its number is pi / 2 or pi. This is the tolerance, as a fraction
 /// of pi / 2.
 const AS_RADIANS: f64 = 1e-3;
 /// Two neighbouring axes coincide if their distance is below this limit \[m\] and the sine of the angle between them is
@@ -41,8 +41,8 @@ pub struct RobotCheck {
     pub facts: Vec<(&'static str, String)>,
     /// Probable mistakes with their remedies.
     pub suspicious: Vec<String>,
-    /// Names of two postures, each with points along the arm from base to flange \[m\]. All joints are at zero in the first
-    /// posture and in the middle of their ranges in the second.
+    /// Two postures, each with its name and points along the arm from base to flange \[m\]. All joints are at zero in the
+    /// first posture and in the middle of their ranges in the second.
     pub postures: [(&'static str, Vec<Vector3<f64>>); 2],
     /// Each axis with all joints at zero: type of the joint, a point on the axis \[m\], and its direction.
     pub axes: Vec<(JointKind, Vector3<f64>, Vector3<f64>)>,
@@ -86,7 +86,8 @@ pub fn check(robot: &RobotConfig) -> RobotCheck {
     }
 }
 
-/// Origins of the frames of all links. Between two origins follows the corner where the common normal meets the first axis.
+/// Origins of the frames of all links, base to flange. Between two origins is the corner where the common normal meets the
+/// first of the two axes.
 fn arm_points(chain: &Chain, joints: &[f64]) -> Vec<Vector3<f64>> {
     let mut frame = chain.root_from_base;
     let mut points = vec![Vector3::zeros(), frame.translation.vector];
@@ -154,9 +155,9 @@ fn facts(
     facts
 }
 
-/// Detects an angle that was probably converted from a rounded multiple of a right angle in radians. Returns the rounded
-/// number \[rad\] and the exact multiple \[deg\]. The angle must agree with the converted number to its last digit, which is
-/// improbable for a measured or calibrated angle.
+/// Detects an angle that was probably written in radians, rounded, and then converted to degrees, although it was meant as a
+/// multiple of a right angle. Returns the rounded number \[rad\] and the exact multiple \[deg\]. The angle must agree with
+/// the converted number to its last digit, which is improbable for a measured or calibrated angle.
 fn rounded_right_angle(degrees: f64) -> Option<(f64, f64)> {
     let exact_deg = (degrees / 90.0).round() * 90.0;
     if degrees == exact_deg {
@@ -191,7 +192,8 @@ fn suspicious(
              line, or more than three are parallel; check alpha_deg and a_m"
         ));
     }
-    // Distance and angle of neighbouring axes are the same at all postures, so they are checked at zero.
+    // Distance and angle of neighbouring axes are the same in all postures, so it is sufficient to check them with
+    // all joints at zero.
     for ((axis, next_axis), number) in axes.iter().zip(&axes[1..]).zip(1..) {
         let (kind, point, along) = axis;
         let (next_kind, next_point, next_along) = next_axis;

@@ -1,8 +1,8 @@
-//! Selects base and tip of the arm in a URDF, if the user does not.
+//! Selects base and tip of the arm in a URDF file, if the user does not.
 //!
-//! A file can contain a world before the arm, additional frames along it, and a gripper after it. The module lists the
-//! moving joints (axes) before each link. Links with the same axes are candidates for the same end of an arm. Among the
-//! candidates, the tip is the link with a standard name or the last link.
+//! Besides the arm, a file can contain a world before it, additional frames along it, and a gripper after it. For each link,
+//! the module lists the moving joints (axes) between the base and this link. Links with the same axes are candidates for the
+//! same end of an arm. Among the candidates, the tip is the link with a standard name or the last link.
 
 use std::cmp::Reverse;
 
@@ -11,9 +11,10 @@ use shared::output::named;
 use super::import::ImportError;
 use super::urdf::{Urdf, UrdfJoint};
 
-/// Names of a mechanical interface (ISO 9787), by decreasing priority. A link with such a name is the tip wherever it is.
+/// Names of a mechanical interface (ISO 9787), by decreasing priority. A link with such a name is the tip wherever it
+/// is in the file.
 const FLANGES: [&str; 2] = ["tool0", "flange"];
-/// Further names of a mechanical interface, which only apply to links that are fixed behind the last axis.
+/// Further names of a mechanical interface. They are used only for links that are fixed behind the last axis.
 const TOOLS: [&str; 5] = ["link8", "ee_link", "link_ee", "link_eef", "end_effector"];
 /// Names of a robot's base link, by decreasing priority.
 const BASES: [&str; 4] = ["base_link", "base", "link0", "link_0"];
@@ -33,7 +34,7 @@ pub(super) struct Ends<'a> {
 }
 
 impl<'a> Ends<'a> {
-    /// The requested base and tip. A missing one is replaced by its default.
+    /// Returns the requested base and tip. If `base` or `tip` is `None`, its default is used.
     pub(super) fn of(urdf: &'a Urdf, base: Option<&str>, tip: Option<&str>) -> Result<Self, ImportError> {
         for link in [base, tip].into_iter().flatten() {
             if !urdf.links.iter().any(|known| known == link) {
@@ -43,7 +44,7 @@ impl<'a> Ends<'a> {
                 });
             }
         }
-        // The tip, the joints from the root of the tree to the tip, and the base.
+        // Find the tip, the joints from the root of the tree to the tip, and the base.
         let mut left_out = Vec::new();
         let tip = match tip {
             Some(tip) => tip.to_owned(),
@@ -61,7 +62,7 @@ impl<'a> Ends<'a> {
             Some(base) => base.to_owned(),
             None => find_base(urdf, root, &joints, &mut left_out),
         };
-        // The joints before the base are removed.
+        // Remove the joints before the base.
         let begin = joints.iter().position(|joint| joint.parent == base);
         let Some(begin) = begin.or_else(|| (base == tip).then_some(joints.len())) else {
             let above: Vec<&String> = joints.iter().rev().map(|joint| &joint.parent).collect();
@@ -76,7 +77,7 @@ impl<'a> Ends<'a> {
     }
 }
 
-/// A link with the axes between the base and the link. If a gripper's joint is among them, the axes end before it.
+/// A link with the axes between the base and this link. If a gripper's joint is among these axes, the list ends before it.
 struct End<'a> {
     link: &'a str,
     axes: Vec<&'a UrdfJoint>,
@@ -95,16 +96,16 @@ impl<'a> End<'a> {
         Self { link, axes: axes.collect(), gripper }
     }
 
-    /// Whether the axes of `other` are the first axes of this end, so both are on one arm.
+    /// Whether the axes of `other` are the first axes of this end. Both links are then on the same arm.
     fn continues(&self, other: &Self) -> bool {
         let mut pairs = self.axes.iter().zip(&other.axes);
         self.axes.len() >= other.axes.len() && pairs.all(|(own, other)| own.name == other.name)
     }
 }
 
-/// Finds the default tip. A link with the name of a flange has priority. Otherwise all ends must be on one arm. Of the
-/// links behind its last axis, the tip is the link with the name of a tool, or else the only link that is not followed by
-/// another one of them.
+/// Finds the default tip. A link with the name of a flange has priority. Without such a link, all ends must be on one arm.
+/// The candidates are then the links behind the last axis of this arm. The tip is the candidate with the name of a tool, or
+/// else the only candidate that no other candidate follows.
 fn find_tip(urdf: &Urdf, base: Option<&str>, left_out: &mut Vec<String>) -> Result<String, ImportError> {
     // All links that have axes between the base and the link.
     let below_base = |link: &str| {
@@ -115,7 +116,7 @@ fn find_tip(urdf: &Urdf, base: Option<&str>, left_out: &mut Vec<String>) -> Resu
     let end = |link| Some(End::new(link, &below_base(link)?));
     let ends = urdf.links.iter().filter_map(|link| end(link.as_str()));
     let ends: Vec<End<'_>> = ends.filter(|end| !end.axes.is_empty()).collect();
-    // A link with the name of a flange.
+    // Use the link with the name of a flange, if there is exactly one.
     for name in FLANGES {
         let called: Vec<&End<'_>> = ends.iter().filter(|end| is_called(end.link, name)).collect();
         match called[..] {
@@ -139,8 +140,8 @@ fn find_tip(urdf: &Urdf, base: Option<&str>, left_out: &mut Vec<String>) -> Resu
     if !ends.iter().all(|end| arm.continues(end)) {
         return Err(several_tips(&ends.iter().filter(|end| !is_parent(end.link)).collect::<Vec<_>>()));
     }
-    // Links behind the last axis: `grippers`, and all others (`candidates`). `tips` are the candidates that
-    // no other candidate follows.
+    // Links behind the last axis: `grippers` belong to a gripper, `candidates` are all others. `tips` are the candidates
+    // that no other candidate follows.
     let after_last_axis = ends.iter().filter(|end| end.axes.len() == arm.axes.len());
     let (grippers, candidates): (Vec<&End<'_>>, Vec<_>) =
         after_last_axis.partition(|end| end.gripper.is_some());
@@ -150,7 +151,7 @@ fn find_tip(urdf: &Urdf, base: Option<&str>, left_out: &mut Vec<String>) -> Resu
     };
     let tips: Vec<&End<'_>> =
         candidates.iter().copied().filter(|end| !has_candidate_child(end.link)).collect();
-    // The links that are fixed to the last axis' link, without this link itself.
+    // The links that are fixed to the link of the last axis, without that link.
     let fixed_links = candidates
         .iter()
         .copied()
@@ -169,7 +170,7 @@ fn find_tip(urdf: &Urdf, base: Option<&str>, left_out: &mut Vec<String>) -> Resu
     Ok(tip.link.to_owned())
 }
 
-/// The default base: a link before the first axis with the name of a robot's base, or else the link that
+/// Finds the default base: a link before the first axis with the name of a robot's base, or else the link that
 /// carries the first axis.
 fn find_base(urdf: &Urdf, root: &str, joints: &[&UrdfJoint], left_out: &mut Vec<String>) -> String {
     let fixed_count = joints.iter().position(|joint| joint.moves()).unwrap_or(0);

@@ -1,6 +1,6 @@
-//! Imports a robot's configuration from a URDF. `urdf` reads the file, and `ends` selects base and tip of the arm. This
-//! module converts the joints between them to axis lines, computes Denavit-Hartenberg links along these lines, and writes
-//! the configuration as a file with comments.
+//! Imports a robot's configuration from a URDF file. `urdf` reads the file, and `ends` selects base and tip of the arm. This
+//! module converts the joints between base and tip to axis lines, computes Denavit-Hartenberg links along these lines, and
+//! writes the configuration as a file with comments.
 
 use std::collections::HashSet;
 use std::fmt::Write;
@@ -108,15 +108,16 @@ pub struct Imported {
     pub joints: Vec<String>,
     /// Assumptions for values that the file does not contain.
     pub assumed: Vec<String>,
-    /// Links before `base` and joints after `tip` that the default ends exclude, as sentences.
+    /// Sentences about links before `base` and joints after `tip` that were excluded by default.
     pub left_out: Vec<String>,
 }
 
-/// Imports the arm between links `base` and `tip`. The default of `base` is a link named as a robot's base, such as
-/// `base_link`, or else the link that carries the first axis. The default of `tip` is the link named `tool0` or `flange`, or
-/// else the only end of the longest chain of axes, without a gripper.
+/// Imports the arm between the links `base` and `tip`. The default of `base` is a link with the name of a robot's base, such
+/// as `base_link`, or else the link that carries the first axis. The default of `tip` is the link named `tool0` or `flange`,
+/// or else the only end of the longest chain of axes; grippers are excluded.
 ///
-/// The forward kinematics from `base` to `tip` are those of the file, except that rounded right angles become exact.
+/// The forward kinematics from `base` to `tip` are those of the file, except that rounded right angles are
+/// replaced by exact ones.
 ///
 /// # Errors
 /// [`ImportError`].
@@ -127,7 +128,7 @@ pub fn import(text: &str, base: Option<&str>, tip: Option<&str>) -> Result<Impor
     let mut assumed = Vec::new();
     let (mut axes, mut names) = (Vec::new(), Vec::new());
     let (mut limits_deg, mut limits_m) = (Vec::new(), Vec::new());
-    // The frame of the current joint, and after the loop the frame of the tip, with all joints at zero.
+    // With all joints at zero: the frame of the current joint. After the loop it is the frame of the tip.
     let mut base_from_joint = Pose::identity();
     for joint in joints {
         base_from_joint *= origin(joint, &mut assumed)?;
@@ -153,7 +154,7 @@ pub fn import(text: &str, base: Option<&str>, tip: Option<&str>) -> Result<Impor
             }
         }
     }
-    // The loop has converted the moving joints to axis lines and limits. The chain and the configuration follow from them.
+    // The loop has converted the moving joints to axis lines and limits. Compute the chain and the configuration from them.
     if !(AXES_MIN..=AXES_MAX).contains(&axes.len()) {
         return Err(ImportError::Axes { axes: axes.len(), base, tip });
     }
@@ -172,7 +173,7 @@ pub fn import(text: &str, base: Option<&str>, tip: Option<&str>) -> Result<Impor
     if config.counts_joint_3_from_horizontal() {
         assumed.push(couple_joint_3(&mut config, &axes));
     }
-    // A configuration that other commands would refuse is not returned.
+    // Refuse a configuration that other commands would refuse.
     config.validate().map_err(|Violation { key, problem, remedy }| {
         ImportError::Wrong(format!(
             "its links `{base}` to `{tip}` do not form a robot: {key}: {problem}, {remedy}"
@@ -181,11 +182,13 @@ pub fn import(text: &str, base: Option<&str>, tip: Option<&str>) -> Result<Impor
     Ok(Imported { config, base, tip, joints: names, assumed, left_out })
 }
 
-/// Couples joint 3 to J2 in the conversion of the log. Returns a description of this assumption.
+/// Couples joint 3 of the model to J2 of the controller, in the conversion of the log. Returns a
+/// description of this assumption.
 ///
-/// The controller measures J3 from the horizontal, so J3 does not change when joint 2 turns. A URDF measures joint 3 from
-/// the upper arm. ROS-Industrial models of FANUC have axes 2 and 3 in opposite directions, so joint 3 is J3 + J2. Models of
-/// ABB have both in the same direction, so joint 3 is J3 - J2. If the axes have other directions, no coupling is written.
+/// The controller measures J3 from the horizontal, so J3 does not change when joint 2 turns. A URDF file measures joint 3
+/// from the upper arm. In ROS-Industrial models of FANUC robots, axes 2 and 3 have opposite directions, so joint 3 is J3
+/// + J2. In models of ABB robots, both have the same direction, so joint 3 is J3 - J2. If the axes have other directions,
+/// no coupling is written.
 fn couple_joint_3(config: &mut RobotConfig, axes: &[AxisLine]) -> String {
     let (a_maker, factor, ros) = match config.maker() {
         Some(Maker::Fanuc) => ("a FANUC", 1.0, "has joint 3 already and"),
@@ -258,8 +261,8 @@ fn kind(joint: &UrdfJoint) -> Result<Option<JointKind>, ImportError> {
     }
 }
 
-/// Pose of a joint in its parent link with the joint at zero: `T(xyz) Rz(yaw) Ry(pitch) Rx(roll)`. If an angle with few
-/// decimals was replaced by the exact angle, a description is added to `assumed`.
+/// Pose of a joint in its parent link with the joint at zero: `T(xyz) Rz(yaw) Ry(pitch) Rx(roll)`. Angles with few decimals
+/// may be replaced by exact angles; a description is then added to `assumed`.
 fn origin(joint: &UrdfJoint, assumed: &mut Vec<String>) -> Result<Pose, ImportError> {
     let [xyz_m, rpy_rad] = joint.origin()?;
     let written = joint.value("origin", "rpy").unwrap_or_default().split_whitespace();
@@ -276,7 +279,7 @@ fn origin(joint: &UrdfJoint, assumed: &mut Vec<String>) -> Result<Pose, ImportEr
     Ok(Pose::from_parts(Vector3::from(xyz_m).into(), rotation))
 }
 
-/// Lower and upper limit in the unit of the configuration. If the file has no valid limits, they are `-default` and
+/// Lower and upper limit in the unit of the configuration. If the file has no valid limits, the limits are `-default` and
 /// `default`, and a description is added to `assumed`.
 fn limits(
     joint: &UrdfJoint,
@@ -285,7 +288,7 @@ fn limits(
     read: fn(&str) -> Option<f64>,
     assumed: &mut Vec<String>,
 ) -> [f64; 2] {
-    // A missing limit is zero, as in the URDF specification.
+    // A missing limit counts as zero, as in the URDF specification.
     let limit = |key| joint.value("limit", key).map_or(Some(0.0), read).unwrap_or(f64::NAN);
     // Rounding removes the errors of the conversion to degrees.
     let limits = ["lower", "upper"].map(|key| (limit(key) * 1e9).round() / 1e9);
@@ -300,7 +303,7 @@ fn limits(
     [-default, default]
 }
 
-/// A length \[m\] without rounding errors of the conversion.
+/// A length \[m\], from which rounding errors of the conversion are removed.
 fn length_m(length_m: f64) -> f64 {
     without_rounding(length_m, 1e-12)
 }
@@ -310,12 +313,13 @@ fn angle_deg(angle_rad: f64) -> f64 {
     without_rounding(angle_rad.to_degrees(), 1e-9)
 }
 
-/// Rounds to six decimals if this changes the value by less than `rounding`; otherwise rounds to a thousandth of `rounding`.
+/// Rounds to six decimals if this changes the value by less than `rounding`. Otherwise rounds
+/// to multiples of `rounding / 1000`.
 fn without_rounding(value: f64, rounding: f64) -> f64 {
     let round_to = |scale: f64| (value * scale).round() / scale;
     let six_decimals = round_to(1e6);
     let significant = round_to(1e3 / rounding);
-    // Adding zero turns -0 into 0.
+    // Adding zero converts -0 to 0.
     (if (value - six_decimals).abs() < rounding { six_decimals } else { significant }) + 0.0
 }
 

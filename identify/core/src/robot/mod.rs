@@ -1,4 +1,4 @@
-//! Prepares a robot's configuration before any measurement: imports it from a URDF, and checks it.
+//! Prepares a robot's configuration before any measurement: imports it from a URDF file, and checks it.
 
 mod check;
 mod ends;

@@ -1,6 +1,6 @@
-//! Reads the links and joints of a URDF. Shapes, materials, masses, transmissions and extensions of simulators are
-//! skipped without checks. Attributes remain text. Numbers are parsed only when they are requested, so only for the
-//! joints of the arm.
+//! Reads the links and joints of a URDF file. Shapes, materials, masses, transmissions and extensions of simulators are
+//! skipped without checks. Attributes are stored as text. A number is parsed only when it is requested, so errors in joints
+//! outside the arm do not matter.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -9,7 +9,7 @@ use quick_xml::{Reader, XmlVersion};
 
 use super::import::ImportError;
 
-/// The links and joints of a URDF, in the order and with the names of the file.
+/// The links and joints of a URDF file, with the file's order and names.
 pub(super) struct Urdf {
     pub(super) name: String,
     pub(super) links: Vec<String>,
@@ -30,7 +30,7 @@ pub(super) struct UrdfJoint {
 
 impl Urdf {
     pub(super) fn read(text: &str) -> Result<Self, ImportError> {
-        // A binary file contains control characters, which must not be printed on a terminal.
+        // A binary file contains control characters. They are escaped, because they must not be printed on a terminal.
         let not_urdf = |problem: String| ImportError::NotUrdf(problem.escape_debug().to_string());
         let mut is_begun = false;
         let mut urdf = Self { name: String::new(), links: Vec::new(), joints: Vec::new() };
@@ -66,7 +66,7 @@ impl Urdf {
         Ok(urdf)
     }
 
-    /// Stores a link, a joint, or a child element of a joint from its start tag. `open` has the names of the
+    /// Stores a link, a joint, or a child element of a joint, from its start tag. `open` contains the names of the
     /// enclosing elements, outermost first.
     fn add_element(&mut self, open: &[String], tag: &BytesStart<'_>) -> Result<(), ImportError> {
         let name = tag.name();
@@ -100,7 +100,7 @@ impl Urdf {
     /// The joints from the root of the tree to a link, root first.
     pub(super) fn joints_to(&self, link: &str) -> Vec<&UrdfJoint> {
         let (mut joints, mut link): (Vec<&UrdfJoint>, _) = (Vec::new(), link);
-        // If the links form a circle, the search never reaches a root. It then ends after as many joints as the file has.
+        // If the links form a circle, no root exists. The search then ends after as many joints as the file has.
         while let Some(joint) =
             self.joints.iter().find(|joint| joint.child == link).filter(|_| joints.len() < self.joints.len())
         {
@@ -123,13 +123,13 @@ impl UrdfJoint {
         self.kind != "fixed"
     }
 
-    /// Direction of the joint's axis, not normalised; along x if the file does not define it.
+    /// Direction of the joint's axis, not normalised. If the file does not define an axis, the direction is x.
     pub(super) fn axis(&self) -> Result<[f64; 3], ImportError> {
         let is_given = self.elements.iter().any(|(name, _)| name == "axis");
         self.numbers("axis", "xyz", (!is_given).then_some([1.0, 0.0, 0.0]), |text| text.parse().ok())
     }
 
-    /// The joint's origin in its parent link: position \[m\], then roll, pitch and yaw \[rad\] as read by [`angle_rad`].
+    /// The joint's origin in its parent link: position \[m\], then roll, pitch and yaw \[rad\], which [`angle_rad`] parses.
     pub(super) fn origin(&self) -> Result<[[f64; 3]; 2], ImportError> {
         let xyz_m = self.numbers("origin", "xyz", Some([0.0; 3]), |text| text.parse().ok())?;
         Ok([xyz_m, self.numbers("origin", "rpy", Some([0.0; 3]), angle_rad)?])
@@ -156,21 +156,22 @@ impl UrdfJoint {
     }
 }
 
-/// Number of decimals of a precisely written angle. If an angle with fewer decimals is replaced by the exact angle, the
-/// difference exceeds the repeatability of a robot.
+/// Angles with at least this number of decimals are written precisely. If an angle has fewer decimals, its replacement by
+/// the exact angle changes the pose by more than the repeatability of a robot.
 pub(super) const DECIMALS_FINE: usize = 4;
 
-/// Parses an angle \[rad\]. Files contain right angles rounded to a number of decimals, so the angle is compared with
-/// multiples of 90 degrees, or of 15 degrees if it has at least [`DECIMALS_FINE`] decimals. If it equals such a multiple to
-/// its last digit, the exact multiple is returned.
+/// Parses an angle \[rad\], and corrects angles that were rounded in the file. The angle is compared with the nearest
+/// multiple of 90 degrees, or of 15 degrees if it has at least [`DECIMALS_FINE`] decimals. If both agree in all digits of
+/// the file, the exact multiple is returned. With six or more decimals, the last digit may differ by less than two. Angles
+/// with fewer than two decimals are never corrected.
 pub(super) fn angle_rad(text: &str) -> Option<f64> {
-    /// More decimals are beyond the resolution of a double.
+    /// Decimals beyond this number exceed the resolution of a double.
     const DECIMALS_MAX: usize = 14;
     let written: f64 = text.parse().ok()?;
     let decimals = decimals(text).min(DECIMALS_MAX);
     let step = if decimals >= DECIMALS_FINE { PI / 12.0 } else { FRAC_PI_2 };
     let exact = (written / step).round() * step;
-    // The reciprocal of the value of the last digit.
+    // The inverse of the value of the last digit.
     let scale = 10f64.powi(decimals as i32);
     // Some files round angles, others truncate them. Many files contain 1.570796325, which is neither.
     let digits = [(exact * scale).round(), (exact * scale).trunc()];

@@ -2,8 +2,8 @@
 //! capsules (cylinders with round ends), boxes in the robot cell, and the floor.
 //!
 //! The constraints of paths and of moves between poses use the smallest distance, which `parry3d` computes. Links are
-//! capsules between the frames of the Denavit-Hartenberg table. All have one radius, because data sheets do not specify the
-//! radius of each link. Adjacent links always touch and are not compared.
+//! capsules between the frames of the Denavit-Hartenberg table. All links have the same radius, because data sheets do not
+//! specify the radius of each link. Adjacent links always touch and are not compared.
 
 use nalgebra::Vector3;
 use parry3d_f64::math::{Pose as Placement, Vector};
@@ -13,10 +13,11 @@ use shared::config::JointKind;
 
 use crate::kinematics::{Chain, DhLink, Joints, ROD_LINK};
 
-/// Number of links of the wrist. These links only rotate in place, so the plate and the end of the rod represent them.
+/// Number of links of the wrist. These links only rotate in place, so they are not bodies of their own; the plate and the
+/// end of the rod cover them.
 const WRIST_LINKS: usize = 2;
-/// Shortest step between two checked postures of a move \[m\]. Between two checked postures, the clearance can be smaller by
-/// at most half of this step.
+/// Shortest step between two checked postures of a move \[m\]. Between two checked postures, the clearance can be below the
+/// least clearance by at most half of this step.
 const ADVANCE_M_MIN: f64 = 5e-3;
 
 /// Sizes of the bodies, and their least clearance.
@@ -37,7 +38,8 @@ pub struct Bodies {
 /// Centre lines of an arm's links in one posture \[m\].
 #[derive(Debug, Clone, PartialEq)]
 pub struct Skeleton {
-    /// Start, corner and end of each link. The line from start to corner is along the link's joint axis.
+    /// Start, corner and end of each link. The line from start to corner is along the link's joint axis, the line from
+    /// corner to end along the common normal.
     pub links: Vec<[Vector3<f64>; 3]>,
     /// End of the plate.
     pub end: Vector3<f64>,
@@ -51,7 +53,8 @@ impl Skeleton {
         for (link, joint) in robot.links.iter().zip(robot_rad) {
             let before = frame.translation.vector;
             let moved_m = if link.joint == JointKind::Prismatic { *joint } else { 0.0 };
-            // The corner is the end of the translation along the joint's axis. The translation along the common normal follows.
+            // The corner is the end of the translation along the joint's axis. The translation along the common normal
+            // starts at the corner.
             let corner = before + frame.rotation * Vector3::z() * (link.d_m + moved_m);
             frame *= link.transform(*joint);
             links.push([before, corner, frame.translation.vector]);
@@ -61,9 +64,8 @@ impl Skeleton {
 }
 
 impl Bodies {
-    /// Default sizes for a robot of this reach. The diameter of its links is a tenth of the reach, as for the arms
-    /// in `config/robots`. Rod and plate have a radius of 20 mm, and the least clearance is 20 mm. There are no
-    /// boxes and no floor.
+    /// Default sizes for a robot of this reach. The diameter of links is a tenth of the reach, as in the arms of
+    /// `config/robots`. Rod and plate have a radius of 20 mm, and the least clearance is 20 mm. Boxes and floor are not set.
     pub fn for_reach(reach_m: f64) -> Self {
         Self {
             link_radius_m: 0.05 * reach_m,
@@ -78,7 +80,7 @@ impl Bodies {
     /// overlap. These bodies are compared:
     ///
     /// - the rod with the links before the wrist,
-    /// - the plate with the links before the wrist, except the last of these, the forearm,
+    /// - the plate with the links before the forearm (the forearm is the last link before the wrist),
     /// - boxes with the rod, the plate and all links except the first,
     /// - the floor with the plate and all links except the first.
     pub fn clearance_m(&self, robot: &Chain, bar: &Chain, robot_rad: &[f64]) -> f64 {
@@ -86,7 +88,8 @@ impl Bodies {
         let gimbal = bar.root_from_base.translation.vector;
         let plate = self.rod([links.last().map_or(end, |[_, corner, _]| *corner), end]);
         let rod = self.rod([gimbal, end]);
-        // The end of the rod is always near the plate, so a short segment of the rod there is not compared with the links.
+        // Near the plate, a short segment of the rod is not compared with the links, because the end of the rod is
+        // always near the plate.
         let length_m = bar.links.get(ROD_LINK).map_or(0.0, |rod| rod.d_m);
         let near_end = end + (gimbal - end) * (4.0 * self.rod_radius_m / length_m.max(1e-3)).min(0.5);
         let free_rod = self.rod([gimbal, near_end]);
@@ -110,7 +113,7 @@ impl Bodies {
         clearance_m.min(self.cell_clearance_m(&links, &[&plate, &rod], Some(&plate))).max(0.0)
     }
 
-    /// Whether an arm without the bar keeps the least clearance, both between its own links and to boxes and floor.
+    /// Whether an arm without the bar keeps the least clearance between its own links, to the boxes, and to the floor.
     pub fn is_clear(&self, arm: &Chain, robot_rad: &[f64]) -> bool {
         self.arm_clearance_m(arm, robot_rad) >= self.clearance_m_min
     }
@@ -120,11 +123,11 @@ impl Bodies {
         self.cell_clearance_m(&links, &[], None).min(self.own_clearance_m(&links))
     }
 
-    /// Whether [`Self::is_clear`] is true on the straight line in joint space between two postures. The clearance between
-    /// checked postures may be smaller than the least clearance by up to half of [`ADVANCE_M_MIN`].
+    /// Whether [`Self::is_clear`] is true on the straight line in joint space between two postures. Between checked
+    /// postures, the clearance may be below the least clearance by up to half of [`ADVANCE_M_MIN`].
     ///
-    /// No point of the arm moves further than `way_m` on this line. If the clearance of a posture exceeds the least
-    /// clearance, the arm can therefore move by the difference without a check (conservative advancement, Mirtich 1996).
+    /// Let `way_m` be the longest way of any point of the arm on this line. If the clearance of a posture exceeds the least
+    /// clearance, the arm can move by the difference without a further check (conservative advancement, Mirtich 1996).
     pub fn is_way_clear(&self, arm: &Chain, from: &Joints, to: &Joints) -> bool {
         let extended_m = |((link, from), to): ((&DhLink, &f64), &f64)| match link.joint {
             JointKind::Revolute => 0.0,
@@ -151,8 +154,8 @@ impl Bodies {
         }
     }
 
-    /// Smallest distance between two links \[m\]. Two links are compared only if the chain between them is longer than their
-    /// diameter plus the least clearance. Nearer links would always be too close to each other.
+    /// Smallest distance between two links \[m\]. Two links are compared only if the part of the chain between them is
+    /// longer than their diameter plus the least clearance. Otherwise they would always be too close to each other.
     fn own_clearance_m(&self, links: &[[Vector3<f64>; 3]]) -> f64 {
         let length_m =
             |[before, corner, after]: &[Vector3<f64>; 3]| (corner - before).norm() + (after - corner).norm();

@@ -1,5 +1,5 @@
-//! Constraints of a path: singular postures, joint limits, speed, acceleration, and collisions. All planners and the check of
-//! a path use these constraints. The robot's joints at each posture of the bar are computed by inverse kinematics.
+//! Constraints of a path: singular postures, joint limits, speed, acceleration, and collisions. All planners and the check
+//! of a path use these constraints. For each posture of the bar, inverse kinematics provides the robot's joints.
 
 mod bodies;
 
@@ -68,7 +68,7 @@ pub struct Constraints<'a> {
     pub bar: &'a Chain,
     /// Joint limits of the robot \[rad, m\].
     pub limits: Vec<[f64; 2]>,
-    /// Joint limits of the robot, reduced by the design's margin \[rad, m\].
+    /// Joint limits of the robot after subtraction of the design's margin \[rad, m\].
     limits_with_margin: Vec<[f64; 2]>,
     /// Ranges, margins and highest speeds of the motion.
     pub design: &'a Design,
@@ -79,7 +79,7 @@ pub struct Constraints<'a> {
 }
 
 impl<'a> Constraints<'a> {
-    /// Constraints from the margins and speeds of a design, without bodies and without a limit of acceleration. The base of
+    /// Constraints from the margins and speeds of a design. They include no bodies and no limit of acceleration. The base of
     /// `bar` is at the design's position.
     pub fn new(robot: &'a Chain, bar: &'a Chain, limits: &[[f64; 2]], design: &'a Design) -> Self {
         Self {
@@ -100,8 +100,8 @@ impl<'a> Constraints<'a> {
         Self { bodies, acceleration_rad_s2, ..self }
     }
 
-    /// The robot's joints at a bar posture, if bar and robot satisfy the constraints. Of several solutions, the one nearest
-    /// to `near_rad` is used.
+    /// The robot's joints at a bar posture, if bar and robot satisfy the constraints. If several solutions exist, the one
+    /// nearest to `near_rad` is returned.
     ///
     /// # Errors
     /// The constraint that is violated first, in the order of the checks.
@@ -113,8 +113,8 @@ impl<'a> Constraints<'a> {
         self.robot_is_comfortable(&robot).map(|()| robot)
     }
 
-    /// The robot's joints at a pose of its end. Of several solutions, the one nearest to `near_rad` is returned. If the arm
-    /// has more axes than a pose needs, the solution nearest to the middle of its limits is returned instead.
+    /// The robot's joints at a pose of its end. If several solutions exist, the one nearest to `near_rad` is returned. If
+    /// the arm has more axes than a pose needs, the solution nearest to the middle of its limits is returned instead.
     ///
     /// # Errors
     /// Errors of the inverse kinematics.
@@ -145,10 +145,10 @@ impl<'a> Constraints<'a> {
         }
     }
 
-    /// Configuration of wrist, elbow and shoulder of an arm with six axes, as three signs. They are the sign of joint 5, the
-    /// side of the upper arm on which the wrist is, and the sign of the Jacobian's determinant. The determinant changes its
-    /// sign with each of the three configurations. On a path that avoids singular postures, no sign changes. For other arms,
-    /// the result is always the same.
+    /// Configuration of wrist, elbow and shoulder of an arm with six axes, as three signs: the sign of joint 5, the side of
+    /// the upper arm on which the wrist is, and the sign of the Jacobian's determinant. The determinant changes its sign
+    /// when one of the three configurations changes. On a path that avoids singular postures, all three signs stay the same.
+    /// For arms with another number of axes, the result is always the same.
     pub(super) fn bent(&self, robot_rad: &[f64]) -> [bool; 3] {
         let &[_, _, _, _, wrist, _] = robot_rad else { return [true; 3] };
         let mut trace = Trace::default();
