@@ -1,5 +1,5 @@
 //! A robot with random errors that moves a point of its flange to a given position, from above and within its joint limits.
-//! The simulations of contacts and touches use it.
+//! The simulations of contacts (`contact`) and touches (`touch`) use it.
 
 use std::f64::consts::TAU;
 
@@ -18,7 +18,7 @@ use crate::statistics::largest_size;
 /// Smallest cosine of the angle between the stem and the downward vertical. The stem is the line from the
 /// flange to the point.
 const STEM_COSINE_MIN: f64 = 0.4;
-/// Fraction of the joints' travel from which postures are drawn.
+/// Postures are drawn from this fraction of the joints' travel.
 const TRAVEL: f64 = 0.9;
 
 /// Errors of a simulated robot.
@@ -28,9 +28,10 @@ pub struct ArmErrors {
     pub errors_mm_mrad: f64,
     /// Standard deviation of the white noise of each joint \[urad|um\].
     pub robot_noise_urad: f64,
-    /// Amplitude of the error with two periods per turn of each drive's output, as of an eccentric gear \[urad\].
+    /// Amplitude of the gear errors \[urad\]. The error has two periods per turn of each drive's output, as
+    /// from an eccentric gear.
     pub gear_sine_urad: f64,
-    /// Seed of the robot's errors. Set-ups with the same value have the same robot.
+    /// Seed of the robot's errors. Experiments with the same seed have the same robot.
     pub robot_seed: u64,
 }
 
@@ -93,8 +94,8 @@ impl Arm {
         }
     }
 
-    /// Joints that the controller reports at these true joints. `noise(s)` returns a random number with standard deviation
-    /// `s` \[urad|um\], in rad or m.
+    /// Joints that the controller reports at the joints `true_joints`. `noise(s)` returns a random number with the standard
+    /// deviation `s`; `s` is in urad or um, the result in rad or m.
     pub(super) fn reported(&self, true_joints: &Joints, mut noise: impl FnMut(f64) -> f64) -> Joints {
         let mut joints = Joints::from_fn(true_joints.len(), |joint| {
             true_joints[joint] + noise(self.errors.robot_noise_urad)
@@ -136,8 +137,9 @@ impl Arm {
         (trace.position_m() + stem, -stem.z > STEM_COSINE_MIN * stem.norm())
     }
 
-    /// Finds joints near `start` that move the point to `there_m`, by Newton steps of least norm, `J^T (J J^T)^-1 miss`.
-    /// `None` if the steps do not converge, or if the result is outside the limits or not from above.
+    /// Finds joints near `start` that move the point to `there_m`. Newton steps of least norm are used:
+    /// `J^T (J J^T)^-1 miss`, where `miss` is the remaining distance. `None` if the steps do not converge, if the result is
+    /// outside the limits, or if the stem does not approach from above.
     fn joints_near(&self, start: Joints, there_m: Vector3<f64>) -> Option<Joints> {
         const STEPS: usize = 60;
         /// Largest change of a joint in one step \[rad, m\].
@@ -162,13 +164,14 @@ impl Arm {
         None
     }
 
-    /// Positions of the point in random postures from above, by decreasing number of neighbours. Also
-    /// returns the largest reach.
+    /// Positions of the point in random postures from above, sorted by decreasing number of neighbours, and the largest
+    /// reach of the arm.
     pub(super) fn places(&self, random: &mut ChaCha8Rng) -> (Vec<Vector3<f64>>, f64) {
         const POSTURES: usize = 600;
         /// Positions within this distance are neighbours \[fraction of the reach\].
         const NEAR: f64 = 0.2;
-        /// Positions closer to the first axis are excluded, because the robot itself is there \[fraction of the reach\].
+        /// Positions within this distance of the first axis are excluded, because the robot itself is there
+        /// \[fraction of the reach\].
         const BESIDE: f64 = 0.45;
         let mut trace = Trace::default();
         let points: Vec<(Vector3<f64>, bool)> =

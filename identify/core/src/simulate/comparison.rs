@@ -19,7 +19,7 @@ use crate::statistics::{largest_size, quantile};
 pub struct ComparedParameter {
     /// Identifier of the compared parameter.
     pub id: ParameterId,
-    /// True value, SI. Whole turns are added to an angle to bring it within half a turn of the identified value.
+    /// True value, SI. To an angle, whole turns are added until it is within half a turn of the identified value.
     pub truth: f64,
     /// Identified value, SI.
     pub identified: f64,
@@ -90,8 +90,8 @@ impl Comparison {
     }
 }
 
-/// The model `found`, with the true links and joint errors of the robot. `truth` has the true values by name \[m|rad\];
-/// parameters that it does not have are nominal.
+/// The model `found`, with the robot's links and joint errors set to their true values. `truth` contains the true values by
+/// name \[m|rad\]; parameters that are missing in it are nominal.
 pub fn true_model(found: &Model, truth: &BTreeMap<String, f64>) -> Model {
     let mut model = found.clone().with(truth.keys().filter_map(|name| name.parse().ok()));
     for id in model.ids().into_iter().filter(|id| id.owner() == Owner::Robot) {
@@ -102,18 +102,18 @@ pub fn true_model(found: &Model, truth: &BTreeMap<String, f64>) -> Model {
     model
 }
 
-/// Position errors of the identified robot: mean and 95 % quantile \[m\]. An error is the distance between a point of the
-/// identified robot and the same point of the true robot at equal reported joints. Each robot has its own joint errors. The
-/// postures are distributed over the joint limits.
+/// Position errors of the identified robot: mean and 95 % quantile \[m\]. The postures are distributed over the joint
+/// limits. At each posture, identified robot and true robot have the same reported joints, and each robot corrects them by
+/// its own joint errors. The error is the distance between the positions of the same point on both robots.
 ///
-/// `points_m` is the position of the point in the last frame, first of the identified robot, then of the true robot.
+/// `points_m` is the position of this point in the last frame, first of the identified robot, then of the true robot.
 pub fn position_errors_m(
     found: &Model,
     truth: &Truth,
     robot: &RobotConfig,
     points_m: [Vector3<f64>; 2],
 ) -> (f64, f64) {
-    /// Number of steps of each joint. The numbers are coprime, so that the combinations do not repeat.
+    /// Number of steps of each joint. The numbers are coprime, so combinations of joint values do not repeat.
     const STEPS: [usize; 8] = [7, 11, 13, 17, 19, 23, 29, 31];
     const POSTURES: usize = 2000;
     let [identified, truth] =
@@ -135,10 +135,9 @@ pub fn position_errors_m(
     (distances_m.iter().sum::<f64>() / POSTURES as f64, quantile(&mut distances_m, 0.95))
 }
 
-/// Correction of the true value of an offset along parallel axes \[m\]; zero for other parameters. Data determine only
-/// the sum of the offsets along parallel axes. The last offset therefore absorbs the errors (true minus fixed value)
-/// of the offsets before it that the calibration fixed. This function returns the sum of these errors, in the
-/// direction of the last axis.
+/// Correction of the true value of an offset along parallel axes \[m\]; zero for other parameters. Data determine only the
+/// sum of the offsets along parallel axes. If the calibration fixed some of these offsets, the last offset absorbs their
+/// errors (true minus fixed value). This function returns the sum of these errors, in the direction of the last axis.
 fn carried_offset_m(found: &Model, truth: &Truth, id: ParameterId) -> f64 {
     let robot = found.geometry(&[]).robot;
     let Some(group) = inseparable_offsets(&robot).into_iter().find(|group| group.last() == Some(&id)) else {
@@ -162,7 +161,7 @@ fn carried_offset_m(found: &Model, truth: &Truth, id: ParameterId) -> f64 {
 }
 
 /// The true value of a parameter, comparable with the identified value. For `btheta` it includes the encoder's unknown
-/// offset, as the identified value does. Whole turns are added to angles to bring them next to the identified value.
+/// offset, as the identified value does. To an angle, whole turns are added until it is near the identified value.
 fn true_value(truth: &Truth, id: ParameterId, identified: f64) -> f64 {
     let named = truth.parameters.get(&id.to_string()).copied().unwrap_or(0.0);
     let offset = match id {

@@ -23,13 +23,13 @@ const SIDE: f64 = 0.2;
 pub struct ContactExperiment<'a> {
     /// Configuration of the nominal robot.
     pub robot: &'a RobotConfig,
-    /// Nominal positions of the sockets; `None` for six sockets at three heights, scaled to the robot. The true positions
-    /// differ from them by random errors of the table's uncertainty.
+    /// Nominal positions of the sockets; `None` for six sockets on several levels, scaled to the robot. The true positions
+    /// differ from the nominal ones by random errors, with the standard deviation in the table.
     pub sockets: Option<SocketTable>,
-    /// Position of the plate's frame in the robot's base frame \[m\]. If `None`, the plate is near the positions that the
-    /// robot reaches in most postures.
+    /// Position of the plate's frame in the robot's base frame \[m\]. If `None`, the plate is placed where the robot reaches
+    /// it in most postures.
     pub place_m: Option<[f64; 3]>,
-    /// Whether the resulting table has the distances between the sockets instead of their positions.
+    /// Whether the resulting table contains the distances between the sockets instead of their positions.
     pub distances: bool,
     /// Number of simulated rows.
     pub rows: usize,
@@ -60,7 +60,7 @@ impl<'a> ContactExperiment<'a> {
 /// Result of a simulated experiment.
 pub type SimulatedContacts = SimulatedRows<SocketTable>;
 
-/// Six sockets: the corners of a square, and two above it at different heights.
+/// Six sockets: four at the corners of a square, and two above the square at different heights.
 fn usual_sockets(size_mm: f64) -> SocketTable {
     let places = [
         ("A", [0.0, 0.0, 0.0]),

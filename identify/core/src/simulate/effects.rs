@@ -1,6 +1,6 @@
-//! Converts true angles to the readings of the robot's log and the bar's encoders. Adds errors of real measurements
-//! that are not errors of the geometry: harmonics of gears and gratings, backlash, resolution and noise. Each
-//! effect has one key.
+//! Converts true angles to the readings of the robot's log and the bar's encoders. Adds errors of real measurements that
+//! are not errors of the geometry: harmonics of gears and gratings, backlash, resolution and noise. Each of these
+//! effects has a key.
 
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
@@ -42,10 +42,10 @@ pub struct Effects {
     pub base_tilt_urad: f64,
 }
 
-/// Periods of the gear error per turn of the gear's output.
+/// Number of periods of the gear error per turn of the gear's output.
 pub(super) const GEAR_PERIODS: f64 = 2.0;
-/// Index of the first harmonic of a cycloid gear in [`ReadingErrors::harmonics`]. A calibration names this term `c`,
-/// although other terms have their number of periods in the name.
+/// Index of the first harmonic of a cycloid gear in [`ReadingErrors::harmonics`]. In a calibration, the name of this term
+/// contains `c`; the names of other terms contain their number of periods.
 const CYCLOID: usize = 1;
 /// Amplitude of the second harmonic of a cycloid gear, relative to the first.
 const CYCLOID_SECOND: f64 = 0.25;
@@ -136,9 +136,9 @@ impl Wave {
         self.amplitude_rad * (self.periods * angle_rad + self.phase_rad).sin()
     }
 
-    /// Parameters of a calibration that cancel this error in the reading of a drive. They are the coefficients of
-    /// `sin(periods q)` and `cos(periods q)` in `-amplitude sin(periods q + phase)` \[rad\]. Their names contain `order` and
-    /// the number of the drive, counted from 1; the argument `drive` counts from 0.
+    /// Names and values of calibration parameters that cancel this error in the reading of a drive. The values are the
+    /// coefficients of `sin(periods q)` and `cos(periods q)` in `-amplitude sin(periods q + phase)` \[rad\]. The names
+    /// contain `order` and the number of the drive, counted from 1; the argument `drive` counts from 0.
     pub fn terms(&self, order: &str, drive: usize) -> [(String, f64); 2] {
         let (sin, cos) = self.phase_rad.sin_cos();
         [("sin", cos), ("cos", sin)]
@@ -146,8 +146,8 @@ impl Wave {
     }
 }
 
-/// One harmonic for each angle, with the angle's number of `periods` per turn and a random phase. The amplitude is zero if
-/// the number of periods is zero.
+/// One harmonic for each angle, with a random phase. `periods` contains the number of periods per turn for each angle; if it
+/// is zero, the amplitude of this angle is zero.
 fn harmonics(amplitude_urad: f64, periods: &[f64], random: &mut ChaCha8Rng) -> Vec<Wave> {
     let wave = |&periods: &f64| Wave {
         amplitude_rad: if periods > 0.0 { amplitude_urad * 1e-6 } else { 0.0 },
@@ -166,7 +166,7 @@ struct ReadingErrors {
 }
 
 impl ReadingErrors {
-    /// Sum of the harmonics, and noise, for each angle \[rad\].
+    /// The sum of the harmonics and the noise, separately, for each angle \[rad\].
     fn errors_and_noise_rad(&mut self, angles_rad: &[f64]) -> Vec<(f64, f64)> {
         let error =
             |(i, rad): (usize, &f64)| self.harmonics.iter().map(|order| order[i].at(*rad)).sum::<f64>();
@@ -186,7 +186,8 @@ pub(super) struct BarEncoders {
 }
 
 impl BarEncoders {
-    /// `random` generates the phases of the encoders' harmonics. It also generates the noise, unless `noise` is given.
+    /// `random` generates the phases of the encoders' harmonics. `noise` generates the noise; if it
+    /// is `None`, `random` does.
     pub fn new(effects: &Effects, mut random: ChaCha8Rng, noise: Option<ChaCha8Rng>) -> Self {
         let harmonics = vec![
             harmonics(effects.encoder_eccentricity_urad, &[1.0; 5], &mut random),
@@ -219,12 +220,12 @@ pub(super) struct RobotReading {
     gears_from_joints: DMatrix<f64>,
     /// Half of the backlash \[rad\].
     play_rad: f64,
-    /// Angle of each motor, converted to its gear's output \[rad\]; `None` before the first reading.
+    /// Angle of each motor, divided by its gear ratio \[rad\]; `None` before the first reading.
     motors_rad: Option<Vec<f64>>,
 }
 
 impl RobotReading {
-    /// `random` generates the phases of the gears' harmonics. It also generates the noise, unless `noise` is given.
+    /// `random` generates the phases of the gears' harmonics. `noise` generates the noise; if it is `None`, `random` does.
     pub fn new(
         robot: &RobotConfig,
         effects: &Effects,
@@ -232,8 +233,9 @@ impl RobotReading {
         noise: Option<ChaCha8Rng>,
     ) -> Self {
         let (table, axes) = (&robot.log.raw_to_joint, robot.axes());
-        // The table converts motor angles to joints. Divided by the diagonal entry of its row, it converts gear angles to
-        // joints: a gear's own joint turns by the gear's angle, and the other entries of the row are coupled joints.
+        // The table `raw_to_joint` converts motor angles to joints. If each row is divided by its diagonal entry, the table
+        // converts gear angles to joints. The diagonal entries are then one, because each gear turns its own joint by the
+        // gear's angle. The other entries are coupled joints.
         let joints_from_gears = DMatrix::from_fn(axes, axes, |i, j| table[i][j] / table[i][i]);
         let inverse = joints_from_gears.clone().try_inverse();
         let usable = inverse.filter(|inverse| inverse.iter().all(|x| x.is_finite()));
@@ -255,7 +257,7 @@ impl RobotReading {
         Self { angle_errors, joints_from_gears, gears_from_joints, play_rad, motors_rad: None }
     }
 
-    /// Parameters of a calibration that cancel the errors of the gears, by name \[rad\].
+    /// Names and values of calibration parameters that cancel the errors of the gears \[rad\].
     pub fn terms(&self) -> BTreeMap<String, f64> {
         let mut terms = BTreeMap::new();
         for (kind, harmonics) in self.angle_errors.harmonics.iter().enumerate() {
@@ -267,7 +269,7 @@ impl RobotReading {
         terms
     }
 
-    /// Readings of the joints at the true joints `true_rad` \[rad\]. Because of backlash, they also depend
+    /// Readings of the joints at the true joints `true_rad` \[rad\]. Because of backlash, the readings also depend
     /// on the previous call.
     pub fn of(&mut self, true_rad: &Joints) -> Joints {
         let gears = RowDVector::from_row_slice(true_rad) * &self.gears_from_joints;

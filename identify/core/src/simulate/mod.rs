@@ -1,11 +1,12 @@
 //! Simulates experiments with known true parameters. Results are the readings of the bar's encoders and the robot's log.
 //!
-//! A path is defined by the bar's joints ([`crate::plan`]), so the robot's end is always on the bar's sphere. The robot's
-//! joints follow from the inverse kinematics of its *true* chain. Encoder counts and robot log are then sampled from this
-//! motion, each on its own clock. [`Effects`] adds errors that no estimator models.
+//! 1. A path is defined by the bar's joints ([`crate::plan`]), so the robot's end is always on the bar's sphere.
+//! 2. The robot's joints follow from the inverse kinematics of its *true* chain.
+//! 3. Encoder counts and robot log are sampled from this motion, each on its own clock.
+//! 4. [`Effects`] adds errors that no estimator models.
 //!
-//! Simulation and estimator share only the kinematics and the names of parameters. If they shared more, a simulation would
-//! only prove that a model inverts itself.
+//! Simulation and estimator share only the kinematics and the names of parameters. If they shared more, an error in the
+//! shared code would cancel in a simulation and remain undetected.
 
 mod arm;
 mod comparison;
@@ -59,7 +60,7 @@ pub struct Clocks {
 }
 
 impl Default for Clocks {
-    /// A run in 2026. The controller was started 1.03 hours earlier, and its clock is 25 ppm fast.
+    /// A run in 2026. The robot's controller was started 1.03 hours before the run, and its clock is 25 ppm fast.
     fn default() -> Self {
         Self {
             bar_start: UtcNs(1_780_000_000_000_000_000),
@@ -78,7 +79,7 @@ pub struct Experiment<'a> {
     pub bar: &'a BallBarConfig,
     /// Position of the bar and limits of the motion.
     pub design: Design,
-    /// Errors of the true parameters relative to the nominal ones.
+    /// Errors of the true parameters, relative to the nominal parameters.
     pub errors: StaticErrors,
     /// Additional errors of single parameters by name \[mm|mrad\].
     pub added_errors: BTreeMap<String, f64>,
@@ -92,13 +93,13 @@ pub struct Experiment<'a> {
     pub path: Option<PlannedPath>,
     /// Seed of path, encoder offsets and noise.
     pub seed: u64,
-    /// Seed of the phases of gear and encoder harmonics, if it differs from `seed`. With the same `robot_seed` and another
-    /// `seed`, the experiment is another run of the same robot and bar.
+    /// Seed of the phases of gear and encoder harmonics; `None` to use `seed`. Two experiments with the same `robot_seed`
+    /// and different values of `seed` are two runs of the same robot and bar.
     pub robot_seed: Option<u64>,
 }
 
 impl<'a> Experiment<'a> {
-    /// The default experiment with this robot and bar. It has only the static errors of the thesis.
+    /// The default experiment with this robot and bar. It includes only the static errors of the thesis.
     pub fn new(robot: &'a RobotConfig, bar: &'a BallBarConfig) -> Self {
         Self {
             robot,
@@ -193,7 +194,7 @@ fn is_size(value: f64) -> bool {
     value.is_finite() && value >= 0.0
 }
 
-/// Independent streams of random numbers. An additional number drawn from one stream does not change the others.
+/// Independent streams of random numbers. Drawing more numbers from one stream does not change the others.
 #[derive(Debug, Clone, Copy)]
 enum RandomStream {
     Path = 1,
@@ -284,7 +285,7 @@ impl Experiment<'_> {
     }
 
     /// Random generators for the readings of robot or encoders. The first generates the phases of harmonics. The second
-    /// generates the noise; it is `None` if the first generates the noise too, because `robot_seed` and `seed` are equal.
+    /// generates the noise. It is `None` if `robot_seed` and `seed` are equal; the first then generates the noise as well.
     fn phases_and_noise(&self, stream: RandomStream) -> (ChaCha8Rng, Option<ChaCha8Rng>) {
         let robot_seed = self.robot_seed.unwrap_or(self.seed);
         (random(robot_seed, stream), (robot_seed != self.seed).then(|| random(self.seed, stream)))

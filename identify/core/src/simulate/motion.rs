@@ -1,4 +1,4 @@
-//! Motion of the true bar and of the true robot, which follows the bar. The force of the robot on the bar changes the bar's
+//! Motion of the true bar, and of the true robot, which follows the bar. The robot's force on the bar changes the bar's
 //! length (TFRT-6017 section 5.3).
 
 use std::f64::consts::TAU;
@@ -86,7 +86,7 @@ impl<P: BarPath> Motion<P> {
     }
 
     /// Joints of the true robot at `t_s` \[rad, m\]: the solution nearest to `near_rad`. If the arm has more axes than a
-    /// pose needs, the solution nearest to the middle of the limits, as in planning.
+    /// pose needs, the solution nearest to the middle of the limits is used instead, as in planning.
     ///
     /// # Errors
     /// The errors of the inverse kinematics.
@@ -104,7 +104,8 @@ pub struct BarLoad {
     pub force_n: f64,
     /// Elongation of the bar per newton of tension \[um/N\]. The thesis computes 0.055 and measures 0.17.
     pub compliance_um_per_n: f64,
-    /// Half of the play of the bar's joints \[um\]. Tension of any size makes the bar longer by this, compression shorter.
+    /// Half of the play of the bar's joints \[um\]. The bar is longer by this value under any tension, and
+    /// shorter under any compression.
     pub play_um: f64,
     /// Standard deviation of the white noise of the force in the log \[N\].
     pub noise_n: f64,
@@ -122,10 +123,10 @@ impl BarLoad {
     }
 }
 
-/// Fraction of the force that depends on the posture, like the force due to errors of the robot's geometry. The remaining
-/// fraction depends on time, like the force due to following errors of the drives.
+/// Fraction of the force that depends on the posture, like a force due to errors of the robot's geometry. The remaining
+/// force depends on time, like a force due to following errors of the drives.
 const BY_POSTURE: f64 = 0.6;
-/// Period of the fraction that depends on time \[s\].
+/// Period of the force that depends on time \[s\].
 const PERIOD_S: f64 = 7.3;
 
 /// The force on the bar as a function of posture and time, with random phases.

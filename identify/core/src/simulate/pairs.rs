@@ -1,11 +1,10 @@
-//! Simulates simultaneous angles of robot and bar, without clocks and counters. The simulations of the thesis
-//! are of this form.
+//! Simulates simultaneous angles of robot and bar, without clocks and counters, as in the simulations of the thesis.
 
 use super::{BarPath, Experiment, SimulateError, Truth};
 use crate::kinematics::{BAR_JOINTS, Joints};
 
-/// Number of additional rows of the robot before the first pair and after the last one. With these rows, the robot's motion
-/// can be interpolated at both ends.
+/// Number of additional rows of the robot before the first pair and after the last pair. They are needed to interpolate the
+/// robot's motion at both ends.
 pub const LEAD_ROWS: usize = 4;
 
 /// Simultaneous readings of robot and bar.
@@ -13,7 +12,7 @@ pub const LEAD_ROWS: usize = 4;
 pub struct Pairs {
     /// Time of each row of the robot \[s\], evenly spaced. The path starts at 0.
     pub t_s: Vec<f64>,
-    /// The robot's joints \[rad\]. There are [`LEAD_ROWS`] more rows than pairs at each end.
+    /// The robot's joints \[rad\]. At each end there are [`LEAD_ROWS`] rows that belong to no pair.
     pub robot_rad: Vec<Joints>,
     /// The bar's joints, one row for each pair \[rad\].
     pub bar_rad: Vec<[f64; BAR_JOINTS]>,
@@ -21,7 +20,7 @@ pub struct Pairs {
     pub truth: Truth,
 }
 
-/// Simulates `count` pairs, evenly spaced in time along a path. `start_rad` are the robot's joints near the start of the
+/// Simulates `count` pairs, evenly spaced in time along a path. `start_rad` are joints of the robot near the start of the
 /// path. The bar is sampled later than the robot by `time_difference_s`.
 ///
 /// # Errors

@@ -1,6 +1,6 @@
-//! Code shared by the simulations of a ball in sockets (`contact`) and of a touch probe (`touch`). A robot with known
-//! errors moves its ball to points of an object. This module places the object within the robot's reach, computes joints at
-//! its points, and generates the random numbers of poses and noise.
+//! Code shared by the simulations of a ball in sockets (`contact`) and of a touch probe (`touch`). In both, a robot with
+//! known errors moves the ball on its flange to points of an object. This module places the object within the robot's reach,
+//! computes the robot's joints at the points, and generates the random numbers of poses and noise.
 
 use nalgebra::{Rotation3, Vector3};
 use rand::Rng;
@@ -45,12 +45,13 @@ impl Probing {
         Self { arm, reach_m, turn, random: pose_random, places_m, noise }
     }
 
-    /// Finds a pose of the object in the robot's base frame at which the robot reaches all `points_m`. These have names and
-    /// are in the object's frame \[m\]. The object's origin is at `place_m`, if it is given. Otherwise the object's centre
-    /// (`centre_mm` in its frame) is tried at the positions that the robot reaches, in order.
+    /// Finds a pose of the object in the robot's base frame at which the robot reaches all `points_m`. `points_m` are names
+    /// and positions of points in the object's frame \[m\]. If `place_m` is given, the object's origin is there. Otherwise
+    /// the object's centre (`centre_mm` in its frame) is placed at the positions that the robot reaches, one after the
+    /// other, until all points are reached.
     ///
     /// # Errors
-    /// Name of the point that the robot did not reach at the last position tried.
+    /// Name of a point that the robot did not reach at the last tried position.
     pub(super) fn place<'n>(
         &mut self,
         place_m: Option<[f64; 3]>,
@@ -81,7 +82,7 @@ impl Probing {
         self.arm.joints_at(there_m, tries, &mut self.random)
     }
 
-    /// Joints that the controller reports at these true joints.
+    /// Joints that the controller reports when the robot is at `true_joints`.
     pub(super) fn reported(&mut self, true_joints: &Joints) -> Joints {
         let Self { arm, noise, .. } = self;
         arm.reported(true_joints, |sigma| normal(noise, sigma))

@@ -1,4 +1,4 @@
-//! Results, true values, errors and files of simulated contacts (a ball in sockets) and touches (a touch probe).
+//! Results of simulated contacts (a ball in sockets) and touches (a touch probe): rows, true values, errors, and files.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -112,7 +112,7 @@ pub enum RowSimulationError {
     },
 }
 
-/// Checks that the sizes of an experiment are finite and not negative. Errors report them by the names of their options.
+/// Checks that all sizes of errors are finite and not negative. An error contains the name of the option.
 pub(super) fn check_sizes(
     errors: &ArmErrors,
     others: &[(&'static str, f64)],
@@ -121,8 +121,8 @@ pub(super) fn check_sizes(
     wrong.map_or(Ok(()), |(name, value)| Err(RowSimulationError::Size { name, value }))
 }
 
-/// Text of a file of simulated rows. The first line names `command` as the origin. Each row has the joints in the units of
-/// the columns `joints`, then the text that `cells` returns for the further `columns`.
+/// Text of a file with simulated rows. The first line names `command` as the origin of the file. Each row contains the
+/// joints, in the units of `joints`, and then the text that `cells` returns for the columns `columns`.
 pub(super) fn rows_csv(
     command: &str,
     (joints, columns): (&[JointColumn], &str),

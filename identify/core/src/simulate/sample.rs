@@ -1,5 +1,5 @@
-//! Samples a motion: computes the rows of the robot's log and the cycles of the bar's recording, each on its own clock,
-//! with the effects of the experiment.
+//! Samples a motion: computes the rows of the robot's log and the cycles of the bar's recording, each on its own clock, with
+//! the effects of the experiment.
 
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
@@ -99,12 +99,12 @@ pub(super) fn recording(
     (records, encoders, truth)
 }
 
-/// True offset of an encoder whose counter reads `first_count` at the first sample. It can be any of the 2^32 counts, as a
-/// signed number like in [`EncoderScale::unwrapper`].
+/// True offset of an encoder whose counter reads `first_count` at the first sample. `first_count` can be any of the 2^32
+/// counts. It is a signed number, as in [`EncoderScale::unwrapper`].
 fn encoder_truth(encoder: &EncoderInfo, first_rad: f64, first_count: i32) -> EncoderTruth {
     let zero_counts = i64::from(first_count) - encoder.scale.rad_to_counts(first_rad);
     let EncoderScale { direction, .. } = encoder.scale;
-    // Whole turns are removed in integers, so that no rounding errors are added to the angle.
+    // Whole turns are removed in integer arithmetic, so that no rounding errors are added to the angle.
     let turns = (direction.sign() * zero_counts).rem_euclid(encoder.scale.counts_per_revolution());
     let offset_rad = -(turns as f64) * encoder.scale.rad_per_count();
     let offset_rad =

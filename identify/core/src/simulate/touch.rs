@@ -19,9 +19,9 @@ use crate::model::{Face, Model, Owner};
 
 /// Diameter of the ball at the tip \[mm\]. Its centre is at [`BALL_M`].
 const TIP_DIAMETER_MM: f64 = 4.0;
-/// Edges of the block that are tried in this order, as fractions of the robot's reach.
+/// Edges of the block that are tried one after the other, as fractions of the robot's reach.
 const EDGES: [f64; 3] = [0.15, 0.1, 0.07];
-/// Number of positions on a face that are tried for one row.
+/// Number of positions on a face that are tried for one touch.
 const PLACES: usize = 20;
 /// Faces of the block with their outward normals. The sixth face is the bottom, which is not touched.
 const FACES: [(&str, [f64; 3]); 5] = [
@@ -39,10 +39,10 @@ pub struct TouchExperiment<'a> {
     pub robot: &'a RobotConfig,
     /// Edge of the block \[mm\]; `None` for an edge scaled to the robot.
     pub block_mm: Option<f64>,
-    /// Centre of the block in the robot's base frame \[m\]. If `None`, the block is at a position that the robot
-    /// reaches in most postures.
+    /// Centre of the block in the robot's base frame \[m\]. If `None`, the block is placed where the robot reaches
+    /// it in most postures.
     pub place_m: Option<[f64; 3]>,
-    /// Whether the resulting table has known distances and angles of the block.
+    /// Whether the resulting table contains known distances and angles of the block.
     pub known: bool,
     /// Number of touches to simulate.
     pub rows: usize,
@@ -118,7 +118,7 @@ pub fn run(experiment: &TouchExperiment<'_>) -> Result<SimulatedTouches, RowSimu
     let block = TouchBlock::new(pose, block_mm, &table, &mut probing);
     let row = |row: usize| -> Result<TipRow, RowSimulationError> {
         let part = row % FACES.len();
-        // The error of a touch: a probe triggers too late or too early, and a gauge reads too much or too little.
+        // The error of a touch: a probe triggers too late or too early, or a gauge reads too much or too little.
         let error_m = probing.noise(touch_um);
         let [out_m, reading_m] = if gauge_mm > 0.0 {
             let pushed_m = 1e-3 * probing.random.random_range(0.0..gauge_mm);
@@ -126,7 +126,8 @@ pub fn run(experiment: &TouchExperiment<'_>) -> Result<SimulatedTouches, RowSimu
         } else {
             [error_m, 0.0]
         };
-        // The robot may not reach every position on a face whose centre it reaches, so several positions are tried.
+        // The robot may not reach every position on a face, even if it reaches the centre. Several
+        // positions are therefore tried.
         let joints = (0..PLACES).find_map(|_| {
             let tip_m = block.random_tip_m(part, out_m, &mut probing.random);
             probing.joints_at(tip_m, TRIES_FEW)
@@ -156,8 +157,7 @@ fn unreachable(face: &str) -> RowSimulationError {
     RowSimulationError::Unreachable { place: format!("face `{face}`"), size: "--block-mm" }
 }
 
-/// Edge of the block \[mm\] and pose of the block in the robot's base frame, at which the robot reaches the
-/// centres of all faces.
+/// Edge of the block \[mm\], and pose of the block in the robot's base frame. The robot reaches the centres of all faces.
 fn place(experiment: &TouchExperiment<'_>, probing: &mut Probing) -> Result<(f64, Pose), RowSimulationError> {
     let scaled_mm = |edge: f64| (edge * probing.reach_m * 1e3).round();
     let edges_mm =
@@ -186,7 +186,8 @@ impl TouchBlock {
     fn new(pose: Pose, block_mm: f64, table: &FaceTable, probing: &mut Probing) -> Self {
         let half_m = 0.5e-3 * block_mm;
         let radius_m = 0.5e-3 * TIP_DIAMETER_MM;
-        // The table states the uncertainty of a distance or angle between two faces. Each face has half of its variance.
+        // The table contains the uncertainty of a distance or angle between two faces. Half of its variance is
+        // assigned to each face.
         let sigma_part = 0.5_f64.sqrt();
         let face = |(_, normal): (&str, [f64; 3])| {
             let tilt = Vector3::from_fn(|_, _| probing.noise(sigma_part * table.u_urad));
@@ -198,8 +199,8 @@ impl TouchBlock {
         Self { pose, half_m, faces }
     }
 
-    /// A random position of the tip's centre in front of a face \[m\]. It is within nine tenths of the face, and `out_m`
-    /// outside the position at which the tip touches the face.
+    /// A random position of the tip's centre in front of a face \[m\]. It is within nine tenths of the face. `out_m` is its
+    /// distance, outwards, from the position at which the tip touches the face.
     fn random_tip_m(&self, face: usize, out_m: f64, random: &mut ChaCha8Rng) -> Vector3<f64> {
         let ((_, outward), face) = (FACES[face], self.faces[face]);
         let place = Vector3::from_fn(|axis, _| {

@@ -1,5 +1,5 @@
 //! The true parameters of simulated experiments: the nominal parameters plus static errors. They are written to
-//! `truth.toml`. `comparison` compares the result of a calibration with them.
+//! `truth.toml`. The module `comparison` compares them with the result of a calibration.
 
 use std::collections::BTreeMap;
 
@@ -45,7 +45,7 @@ pub const THESIS_ERRORS: [(&str, f64); 28] = [
     ("rtheta6", -0.22),
 ];
 
-/// Errors of the true parameters relative to the nominal ones.
+/// Errors of the true parameters, relative to the nominal parameters.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum StaticErrors {
@@ -54,8 +54,8 @@ pub enum StaticErrors {
     /// Table 3.1 of the thesis.
     #[default]
     Thesis,
-    /// Normally distributed errors with a standard deviation of 1 mm or 1 mrad, on each parameter that the thesis
-    /// estimates. With six axes there are 38 of them.
+    /// Normally distributed errors with a standard deviation of 1 mm or 1 mrad, on each parameter that the thesis estimates.
+    /// With six axes there are 38 such parameters.
     Drawn {
         /// Seed of the random numbers.
         seed: u64,
@@ -73,7 +73,7 @@ impl StaticErrors {
             Self::Drawn { seed } => {
                 let mut random = random(seed, RandomStream::StaticErrors);
                 let fixed = thesis_fixed(axes).map(|id| id.to_string());
-                // The tilt of the base (`orx` and `ory`) is excluded, because `Effects` has it.
+                // The tilt of the base (`orx` and `ory`) is excluded, because it is an effect (`Effects`).
                 parameter_names(axes)
                     .into_iter()
                     .filter(|name| !fixed.contains(name) && !name.starts_with("or"))
@@ -120,8 +120,8 @@ impl ClockTruth {
     }
 }
 
-/// The true offset of an encoder: `joint = sign * rad_per_count * counts + offset_rad`. Counts are unwrapped, starting
-/// with the first count.
+/// The true offset of an encoder: `joint = sign * rad_per_count * counts + offset_rad`. `counts` are unwrapped, starting at
+/// the first count of the recording.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct EncoderTruth {
     /// Bar joint, 1 to 5.
@@ -230,8 +230,8 @@ impl Truth {
         Chain { root_from_base, ..self.with_errors(nominal, 'b') }
     }
 
-    /// The nominal chain plus the errors of its parameters. Their names begin with `chain`: `r` for the robot,
-    /// `b` for the bar.
+    /// The nominal chain plus the errors of its parameters. `chain` is the first letter of the parameters' names: `r` for
+    /// the robot, `b` for the bar.
     fn with_errors(&self, nominal: &Chain, chain: char) -> Chain {
         let mut moved = nominal.clone();
         for (index, link) in moved.links.iter_mut().enumerate() {

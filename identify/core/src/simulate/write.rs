@@ -1,4 +1,4 @@
-//! Writes a simulated experiment to files in the formats of a real one, and the true parameters to another file
+//! Writes a simulated experiment to files in the formats of a real experiment, and the true parameters to another file
 //! in the same directory.
 
 use std::path::{Path, PathBuf};

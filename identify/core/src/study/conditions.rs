@@ -1,5 +1,6 @@
-//! The conditions of one experiment: errors, noise, number of points, and encoders. They are computed from a series in the
-//! study's file and a size `x`. Values under `with` are used as they are; values under `vary` are multiplied by `x`.
+//! The conditions of one experiment: errors, noise, number of points, and encoders. They are computed from a series
+//! in the study's file and a size `x`. Values in the section `with` are used unchanged; values in the section `vary`
+//! are multiplied by `x`.
 
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
@@ -141,7 +142,7 @@ impl Conditions {
             ("wire_rows", _) => self.wire_rows = value.round() as usize,
             ("wire_noise_um", _) => self.wire_noise_m = value * 1e-6,
             ("encoder_bits", _) => self.effects.encoder_step_urad = TAU / value.exp2() * 1e6,
-            // The effect of play depends on the sign of the force, not on its size. So any force above zero can be used.
+            // The effect of play depends only on the sign of the force, so any force above zero can be used.
             ("bar_play_um", _) => self.load = BarLoad { force_n: 1.0, play_um: value, ..self.load },
             _ => return self.set_effect_or_parameter(key, value),
         }

@@ -1,5 +1,5 @@
-//! A study with all its inputs: study file, robot, bar and path. The definition is stored with the results, so results from
-//! several machines can be checked and merged without the original files.
+//! A study with all its inputs: study file, robot, bar and path. The definition is stored with the results. Results from
+//! several machines can therefore be checked and merged without the original files.
 
 use std::path::{Path, PathBuf};
 

@@ -1,6 +1,6 @@
-//! The file of a study and its validation. A study has figures, estimators, and questions about the result. A figure has
-//! one or more series of varied conditions. Each size of a series is one point of a curve, with as many experiments as
-//! the study has seeds.
+//! The file of a study and its validation. A study consists of figures, estimators, and questions about the result. A figure
+//! has one or more series. A series varies some conditions by several sizes. Each size is one point of a curve. For each
+//! point, there are as many experiments as the study has seeds.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -25,7 +25,7 @@ pub struct StudyFile {
     pub robot: PathBuf,
     /// Path of the bar's configuration, relative to the study's file.
     pub bar: PathBuf,
-    /// Source of the path of the experiments. If absent, each seed has its own random path.
+    /// Source of the path of the experiments. If absent, there is a separate random path for each seed.
     #[serde(default)]
     pub path: PathChoice,
     /// Number of experiments at each point of a curve.
@@ -63,11 +63,11 @@ pub struct PathChoice {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Estimator {
-    /// Name by which figures select it.
+    /// Name by which figures select the estimator.
     pub name: String,
     /// Name for display in reports.
     pub label: String,
-    /// Instrument that it uses.
+    /// Instrument that the estimator uses.
     #[serde(default)]
     pub instrument: StudyInstrument,
     /// Configuration as in `config/identify.toml`. A draw-wire uses the default configuration.
@@ -90,12 +90,13 @@ pub enum StudyInstrument {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FigureKind {
-    /// Curves of the error over the size of the varied conditions, one for each estimator of each series.
+    /// Curves of the error over the size of the varied conditions. There is one curve for each combination
+    /// of series and estimator.
     #[default]
     Curves,
     /// A table with the median and largest errors of each estimator.
     Levels,
-    /// A table of the parameters whose median error is above 0.05 mm|mrad.
+    /// A table of the parameters with a median error above 0.05 mm|mrad.
     Affected,
     /// A table with the error of each parameter in the first experiment.
     Errors,
@@ -192,10 +193,10 @@ pub struct CurveChoice {
     pub measure: Measure,
 }
 
-/// A question about a curve, or a claim if the result has bounds. The result is one of three numbers:
+/// A question about a curve. If the result has bounds, it is a claim instead. The result is one of three numbers:
 ///
 /// - By default, it is the geometric mean of the curve's medians.
-/// - With `against`, it is the ratio of the curve's medians to those of another curve.
+/// - With `against`, it is the ratio of the curve's medians to the medians of another curve.
 /// - With `reaches_limit`, it is the size at which the curve reaches the study's limit.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -204,7 +205,7 @@ pub struct Statement {
     pub text: String,
     /// Curve from which the result is computed.
     pub of: CurveChoice,
-    /// Curve by whose medians the result is divided.
+    /// Curve for comparison: the result is divided by the medians of this curve.
     pub against: Option<CurveChoice>,
     /// Whether the result is the size at which the curve reaches the study's limit.
     #[serde(default)]
@@ -232,7 +233,7 @@ impl StudyFile {
         self.estimators.iter().find(|estimator| estimator.name == name)
     }
 
-    /// Keeps the figures with these numbers, and the statements about kept figures only. If `ids`
+    /// Keeps only the figures with these numbers, and the statements that use only such figures. If `ids`
     /// is empty, keeps everything.
     ///
     /// # Errors

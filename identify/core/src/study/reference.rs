@@ -1,5 +1,5 @@
 //! The path of the experiments, before errors are added. It is random, planned, or computed from the log of a real robot
-//! that was connected to the bar. From a log, the longest section is used in which the end of the nominal robot is on a
+//! that was connected to the bar. In a log, the longest section is used in which the end of the nominal robot stays on a
 //! sphere. The joints of the bar along this section follow from inverse kinematics.
 
 use nalgebra::{Translation3, Vector3};
@@ -15,7 +15,7 @@ use crate::plan::PlannedPath;
 use crate::prepare::fit_sphere;
 use crate::simulate::{BarPath, Experiment, SimulateError};
 
-/// Least time between two rows of a log; rows in between are skipped \[s\].
+/// Least time between two rows of a log that are used \[s\]. Rows in between are skipped.
 const ROW_S: f64 = 0.02;
 /// A position is on the sphere if its distance from the sphere is below this \[m\].
 const ON_SPHERE_M: f64 = 0.02;
@@ -55,7 +55,7 @@ pub enum ReferenceError {
     Inverse(#[from] InverseError),
 }
 
-/// The path of a real robot, as joints of the bar. They are computed with the nominal robot.
+/// The path of a real robot, as joints of the bar. These joints are computed from the pose of the nominal robot.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Driven {
@@ -70,8 +70,8 @@ pub struct Driven {
 }
 
 impl Driven {
-    /// Finds the longest section of a log in which the end of the nominal robot is on a sphere. Computes the joints of a
-    /// bar whose base is at the centre of this sphere.
+    /// Finds the longest section of a log in which the end of the nominal robot stays on a sphere, and computes the joints
+    /// of a bar whose base is at the centre of this sphere.
     ///
     /// # Errors
     /// [`ReferenceError`].
@@ -111,8 +111,8 @@ impl Driven {
     }
 }
 
-/// Joints of the bar at each pose of its end \[rad\]. Of the four configurations and their whole turns, the solution
-/// nearest to that of the previous pose is used.
+/// Joints of the bar at each pose of its end \[rad\]. Of all solutions (four configurations, and whole turns of joints), the
+/// one nearest to the solution for the previous pose is used.
 fn bar_joints(
     bar: &Chain,
     poses: impl Iterator<Item = Pose>,

@@ -1,8 +1,9 @@
-//! Reads, writes and merges the file `trials.jsonl`. Its first line is the study's definition. Each further line has the
-//! results of one experiment ([`TrialRows`]), in any order.
+//! Reads, writes and merges the file `trials.jsonl`. Its first line is the study's definition. Each further line contains
+//! the results of one experiment ([`TrialRows`]), in any order.
 //!
-//! Lines are only appended while a study runs, so a process that is killed loses at most the line that it is writing. At
-//! the end the lines are sorted by number. The file is then the same whichever machines computed the experiments.
+//! While a study runs, lines are only appended, so a process that is killed loses at most the line that it is
+//! writing. At the end the lines are sorted by number. The final file therefore does not depend on which
+//! machines computed the experiments.
 
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
@@ -39,7 +40,7 @@ pub enum ResultsError {
         /// Why it cannot be read.
         reason: String,
     },
-    /// The file has the results of another study, or of another version of the program.
+    /// The file contains the results of another study, or of another version of the program.
     #[error("{} has the results of another study or version of this program; give another --out", path.display())]
     OtherStudy {
         /// Path of the file.
@@ -101,7 +102,7 @@ pub struct ResultRow {
 }
 
 impl ResultRow {
-    /// A row without an estimate, for this reason.
+    /// A row without an estimate, with this reason.
     pub fn failed(reason: String) -> Self {
         Self { failed: Some(reason), ..Self::default() }
     }
@@ -126,7 +127,8 @@ pub struct TrialRows {
     pub rows: Vec<ResultRow>,
 }
 
-/// One of `count` shards of a study. Shard `number` (from 1) contains every `count`-th experiment.
+/// One of `count` shards of a study. The shards divide the experiments: shard `number` (from 1)
+/// contains every `count`-th experiment.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Shard {
     number: usize,
@@ -240,7 +242,7 @@ impl Results {
     }
 }
 
-/// A row with the experiment and the estimator to which it belongs.
+/// A row together with the experiment and the estimator to which it belongs.
 pub(super) struct PlacedRow<'a> {
     pub(super) trial: Trial<'a>,
     pub(super) estimator: &'a str,
@@ -258,8 +260,8 @@ impl Results {
     }
 }
 
-/// Merges the results in the directories `shards` with those in `out`. All must be of one study. Returns the study's
-/// definition and all results. [`Results::put_in_order`] writes the merged results.
+/// Merges the results in the directories `shards` with those in `out`. All results must belong to one study. Returns the
+/// study's definition and all results. To write the merged results, call [`Results::put_in_order`].
 ///
 /// # Errors
 /// [`ResultsError`], for example if the directories have results of different studies.

@@ -1,6 +1,6 @@
-//! Summarises a study's results for the page and the terminal. A point of a curve has the quantiles of the errors over the
-//! seeds of one size. The answer to a statement is a mean or a ratio of medians, or the size at which a curve reaches the
-//! limit. Tables have the format of those in the thesis.
+//! Summarises a study's results for the page and the terminal. A point of a curve consists of quantiles of the errors of all
+//! experiments with one size. The answer to a statement is a mean or a ratio of medians, or the size at which a curve
+//! reaches the limit. Tables have the format of those in the thesis.
 
 use std::collections::BTreeMap;
 
@@ -10,7 +10,7 @@ use super::results::PlacedRow;
 use super::{CurveChoice, Definition, Figure, FigureKind, Measure, ResultRow, Results, Statement};
 use crate::statistics::quantile;
 
-/// A parameter counts as affected if its median error is larger (thesis 3.3) \[mm|mrad\].
+/// A parameter counts as affected if its median error is above this (thesis 3.3) \[mm|mrad\].
 const AFFECTED_MM_MRAD: f64 = 0.05;
 /// Number of parameters in a row of table B.1 of the thesis.
 const LARGEST: usize = 5;
@@ -36,16 +36,16 @@ impl ErrorQuantiles {
     }
 }
 
-/// Summary of the experiments of one size.
+/// Summary of the experiments with one size.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct CurvePoint {
     /// Size of the varied conditions.
     pub x: f64,
-    /// Number of experiments of this size.
+    /// Number of experiments with this size.
     pub experiments: usize,
     /// Number of experiments without an estimate.
     pub failed: usize,
-    /// Quantiles of the errors of the experiments with an estimate, by measure. Empty if half of the experiments or
+    /// Quantiles of the errors, by measure, over the experiments with an estimate. Empty if half of the experiments or
     /// more have no estimate.
     pub errors: BTreeMap<Measure, ErrorQuantiles>,
 }
@@ -71,12 +71,12 @@ pub struct ErrorCurve {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Reach {
-    /// At this size. It is interpolated between two sizes of the curve: in logarithms, or linearly if a
-    /// number is not positive.
+    /// The curve reaches the limit at this size. The size is interpolated between two sizes of the curve, in logarithms, or
+    /// linearly if a number is not positive.
     At(f64),
-    /// Above this size, the largest of the curve. All errors are below the limit.
+    /// All errors are below the limit. The curve would reach the limit above this size, the largest of the curve.
     BetterUpTo(f64),
-    /// Below this size, the smallest of the curve. All errors are above the limit.
+    /// All errors are above the limit. The curve would reach the limit below this size, the smallest of the curve.
     WorseDownTo(f64),
     /// The curve has no points.
     Unknown,
@@ -278,7 +278,8 @@ fn points_of<'a>(curves: &'a [ErrorCurve], choice: &CurveChoice) -> Vec<Point<'a
     curves.iter().filter(is_chosen).flat_map(points).collect()
 }
 
-/// The size at which the medians reach the limit: as a number, if the curve crosses the limit, and as a sentence.
+/// The size at which the medians reach the limit, as a number and as a sentence. The number is `None` if the curve does
+/// not cross the limit.
 fn size_at_limit(points: &[Point<'_>], limit: f64) -> (Option<f64>, Option<String>) {
     let medians: Vec<(f64, f64)> = points.iter().map(|point| (point.x, point.median)).collect();
     match reach(&medians, limit) {
@@ -289,10 +290,12 @@ fn size_at_limit(points: &[Point<'_>], limit: f64) -> (Option<f64>, Option<Strin
     }
 }
 
-/// Ratio of two selections of points. If both have the same range of sizes, this is the geometric mean of the ratios at
-/// equal sizes. If the ranges differ, it is the ratio of the geometric means.
+/// Ratio of two selections of points. If both choices have the same range of sizes, each point is compared with a
+/// point of equal size, and the result is the geometric mean of these ratios. If the ranges differ, it is the ratio
+/// of the geometric means.
 ///
-/// Points of equal size are compared within one series if both choices select the same series, otherwise across series.
+/// If both choices select the same series, a point is compared only with points of its own series, otherwise with
+/// points of any series.
 fn ratio(points: &[Point<'_>], against: &[Point<'_>], choices: [&CurveChoice; 2]) -> Option<f64> {
     let [choice, against_choice] = choices;
     if choice.between != against_choice.between {
@@ -325,7 +328,8 @@ fn geometric_mean(values: impl Iterator<Item = f64>) -> Option<f64> {
     (count > 0).then(|| (sum / count as f64).exp())
 }
 
-/// Formats a number with three significant digits. Numbers below 1e-4 and from 1e6 on have exponential notation.
+/// Formats a number with three significant digits. Numbers below 1e-4, and numbers of 1e6 or more, are
+/// written in exponential notation.
 pub fn short(value: f64) -> String {
     if value == 0.0 || !value.is_finite() {
         return format!("{value}");
@@ -379,7 +383,8 @@ fn levels_table(definition: &Definition, figure: &Figure, of_figure: &[&PlacedRo
 fn affected_table(of_figure: &[&PlacedRow<'_>]) -> FigureTable {
     /// Errors by parameter; one value for each seed.
     type ErrorsByParameter<'a> = BTreeMap<&'a str, Vec<f64>>;
-    // Pairs of series and estimator in order of appearance, and the errors of each pair at the same index.
+    // Pairs of series and estimator, in order of appearance. The errors of each pair are at the same index
+    // of the other list.
     let mut keys: Vec<(&str, &str)> = Vec::new();
     let mut errors_by_key: Vec<ErrorsByParameter<'_>> = Vec::new();
     for placed in of_figure {

@@ -1,5 +1,5 @@
-//! Writes the results of a study as tables, `points.csv` and `points.parquet`. A row has the errors of one estimator in one
-//! experiment. Both files have the same columns: first integers, then texts, then floating-point numbers.
+//! Writes the results of a study as tables, `points.csv` and `points.parquet`. Each row contains the errors of one estimator
+//! in one experiment. Both files have the same columns: first integers, then texts, then floating-point numbers.
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -13,7 +13,7 @@ use parquet::schema::parser::parse_message_type;
 use super::results::{PlacedRow, refused};
 use super::{Definition, ResultRow, Results, ResultsError, Trial};
 
-/// Number of columns with texts, and with floating-point numbers (`NUMBERS`).
+/// Number of text columns. The next constant, `NUMBERS`, is the number of floating-point columns.
 const TEXTS: usize = 4;
 const NUMBERS: usize = 5;
 

@@ -49,7 +49,8 @@ pub fn trials(definition: &Definition) -> impl Iterator<Item = Trial<'_>> {
     unnumbered.enumerate().map(|(number, trial)| Trial { number, ..trial })
 }
 
-/// Simulates one experiment and solves it with all of its estimators. If an estimator fails, its row has the reason.
+/// Simulates one experiment, and solves it with all estimators of its series. If an estimator fails, its
+/// row contains the reason.
 pub fn run(definition: &Definition, trial: &Trial<'_>) -> TrialRows {
     let names = definition.study.estimators_of(trial.figure, trial.series);
     let rows = solve_all(definition, trial, names);
@@ -57,7 +58,7 @@ pub fn run(definition: &Definition, trial: &Trial<'_>) -> TrialRows {
     TrialRows { trial: trial.number, rows }
 }
 
-/// A row for each of the named estimators; an error if the experiment cannot be simulated.
+/// One row for each of the named estimators. An error if the experiment cannot be simulated.
 fn solve_all(definition: &Definition, trial: &Trial<'_>, names: &[String]) -> Result<Vec<ResultRow>, String> {
     let study = &definition.study;
     let conditions = Conditions::of(study, trial.series, trial.x).map_err(|error| error.to_string())?;
@@ -112,7 +113,7 @@ fn simulate(
     for station in 0..conditions.stations {
         let mut experiment = experiment(definition, seed, conditions);
         if station > 0 {
-            // A further station has the same robot and bar, but another path and independent noise.
+            // The second station has the same robot and bar, but another path and independent noise.
             experiment.robot_seed = Some(experiment.seed);
             experiment.seed += (station as u64) << 32;
             experiment.design.base_m = definition.study.second_base_m.unwrap_or(experiment.design.base_m);
@@ -126,9 +127,9 @@ fn simulate(
     Ok(SimulatedStations { stations, truth: truth.ok_or(SimulateError::Empty)? })
 }
 
-/// Converts pairs of angles to samples that need no preparation: robot and bar have one clock, encoder angles
-/// are referenced, the links are near the nominal ones, and the bar is at `base_m`. `measured` lists which bar
-/// joints have an encoder.
+/// Converts pairs of angles to samples that need no preparation: robot and bar have one clock, encoder angles are
+/// referenced, the links are near the nominal ones, and the bar is at `base_m`. `measured` is true for each bar
+/// joint with an encoder.
 ///
 /// # Errors
 /// [`SimulateError::Empty`] if there are too few pairs to interpolate.
@@ -143,14 +144,14 @@ pub fn prepared(pairs: &Pairs, measured: [bool; 5], base_m: [f64; 3]) -> Result<
         measured,
         ..Observation::bar(t_s - middle_s, *bar_rad)
     };
-    // `t_s` has the times of the robot's rows. The first `LEAD_ROWS` rows have no pair.
+    // `t_s` contains the times of the robot's rows. The first `LEAD_ROWS` rows belong to no pair.
     let observations = pairs.t_s.iter().skip(LEAD_ROWS).zip(&pairs.bar_rad).map(observation).collect();
     let motion = AlignedLog::new(motion, middle_s - first_s);
     Ok(Prepared::aligned(UtcNs(0), observations, motion, measured, base_m.into()))
 }
 
-/// Calibrates with the bar from simulated readings, and returns the errors. The row has the errors of
-/// single parameters if `with_errors`.
+/// Calibrates with the bar from simulated readings, and returns the errors. If `with_errors` is set, the row contains the
+/// errors of single parameters as well.
 fn solve_bar(
     definition: &Definition,
     simulated: &SimulatedStations,
@@ -186,8 +187,8 @@ fn solve_wire(definition: &Definition, seed: u32, conditions: &Conditions) -> Re
     Ok(position_errors(model, &truth, definition, [estimated_m, ATTACHMENT_M.into()]))
 }
 
-/// A row with the position errors of a point on the flange. `points_m` are the estimated and the true position of this
-/// point in the flange frame.
+/// A row with the position errors of a point on the flange. `points_m` are the estimated position and the true position of
+/// this point in the flange frame.
 fn position_errors(
     found: &Model,
     truth: &Truth,
