@@ -77,9 +77,9 @@ impl Placement {
         *self.coordinate_mut(coordinate)
     }
 
-    /// Angular velocity per unit rate of one component of the rotation vector, in the parent frame of the placement. It is a
-    /// column of the left Jacobian `1 + (1 - cos t)/t^2 [w] + (t - sin t)/t^3 [w]^2`, with the rotation vector `w` and
-    /// `t = |w|`.
+    /// Angular velocity per unit rate of one component of the rotation vector, in the parent frame of the placement.
+    /// It is a column of the left Jacobian `1 + (1 - cos t)/t^2 [w] + (t - sin t)/t^3 [w]^2`, with the rotation
+    /// vector `w` and `t = |w|`.
     pub fn turning(&self, axis: Axis) -> Vector3<f64> {
         let w = self.rotation_rad;
         let squared = w.norm_squared();

@@ -1,21 +1,35 @@
-//! Detects a change during a run: parameters with a step at an unknown instant, or with a drift over the run. The input is the
-//! residuals and the Jacobian at a solution; the result is the best significant change, if any. Used by `calibrate/change.rs`.
+//! Detects a change during a run: parameters with a step at an unknown instant, or with a drift over the run.
+//! Inputs are the residuals and the Jacobian at a solution. The result is the best significant change, if there is
+//! one. Used by `calibrate/change.rs`.
 //!
-//! A change adds columns to the problem. Each is the column of a parameter that changes, multiplied by a course in time. The
-//! course is a step (zero before an instant, one from this instant on) or a ramp (from -1/2 to 1/2 over the samples).
-//! Notation: `C` the added columns, `J` the columns of the estimated parameters, `r` the residuals, and `N = J'J` and
-//! `g = J'r`, both with the priors. The extended problem has the score `q = C'r - (J'C)' N^-1 g` and the information
-//! `S = C'C - (J'C)' N^-1 J'C` (a Schur complement). The solution for the change is `b = -S^-1 q`, which lowers the sum of
-//! squares by `q' S^-1 q` (score test, Rao 1948). The other parameters are estimated again together with the change. An
-//! uneven motion or a solve that ended early is therefore not mistaken for a change.
+//! A change adds columns to the problem. Each added column is the column of a parameter that changes, multiplied by a
+//! course in time. The course is a step (zero before an instant, one from this instant on) or a ramp (from -1/2 to
+//! 1/2 over the samples).
 //!
-//! A change is significant relative to its own uncertainty. Residuals are not independent, because errors of gears and encoders
-//! are correlated over seconds. The scatter of `q` is therefore estimated from sums over blocks of the run, in two ways:
-//! - `pooled`: the ratio of the scatter of the blocks' scores to the scatter for independent noise,
+//! Stages, for each alternative (a set of columns that change together):
+//! 1. `WeightedRun::courses` finds the best step, first among evenly spaced instants, then among all samples near the best
+//!    of them. The other course to test is the drift.
+//! 2. `ChangeTest` tests whether the change is significant.
+//! 3. Of all significant changes, the one with the smallest Bayesian information criterion is returned.
+//!
+//! Notation:
+//! - `C` are the added columns, `J` the columns of the estimated parameters, and `r` the residuals.
+//! - `N = J'J` and `g = J'r`, both including the priors.
+//! - `q = C'r - (J'C)' N^-1 g` is the score of the extended problem.
+//! - `S = C'C - (J'C)' N^-1 J'C` is the information about the change (a Schur complement).
+//!
+//! The solution for the change is `b = -S^-1 q`, which lowers the sum of squares by `q' S^-1 q` (score test, Rao 1948). The
+//! other parameters are estimated again together with the change. An uneven motion or a solve that ended early is therefore
+//! not mistaken for a change.
+//!
+//! A change is significant relative to its own uncertainty. Residuals are not independent, because errors of gears
+//! and encoders are correlated over seconds. The scatter of `q` is therefore estimated from sums over blocks of the
+//! run, in two ways:
+//! - `pooled`: the scatter of the blocks' scores, divided by the scatter for independent noise, and
 //!   averaged over all blocks.
-//! - `clustered`: the scatter of the blocks' contributions to this change (Liang and Zeger 1986), where the influence of
-//!   each block on the fit is removed (Bell and McCaffrey 2002). The degrees of freedom are the effective number of
-//!   contributing blocks less one. This estimate is also valid if the noise varies along the run.
+//! - `clustered`: the scatter of the blocks' contributions to this change (Liang and Zeger 1986). The influence of each
+//!   block on the fit is removed (Bell and McCaffrey 2002). The degrees of freedom are the effective number of contributing
+//!   blocks less one. This estimate is also valid if the noise varies along the run.
 //!
 //! Both are computed for single blocks and for groups of neighbouring blocks, to cover longer correlations. The least
 //! significant of these results is used (Student's t, or Hotelling's T squared for a change of several parameters). Because
@@ -35,8 +49,8 @@ const BLOCKS: usize = 128;
 const SAMPLES_PER_BLOCK_MIN: usize = 2;
 /// Number of evenly spaced instants for the first search of a step. A second search tries every sample near the best instant.
 const INSTANTS: usize = 32;
-/// Numbers of neighbouring blocks that form a group, first for `pooled`, then for `clustered`. Larger groups cover longer
-/// correlations, but leave fewer degrees of freedom.
+/// Numbers of neighbouring blocks that form a group. The first list is for `pooled`, the second for `clustered`. Larger
+/// groups cover longer correlations, but leave fewer degrees of freedom.
 const POOLED_SIZES: [usize; 4] = [1, 2, 4, 8];
 const CLUSTERED_SIZES: [usize; 2] = [1, 2];
 /// Smallest number of groups. The mean over fewer groups is too uncertain.
@@ -49,7 +63,7 @@ const INDEPENDENT_MIN: f64 = 1e-4;
 /// Course of a change in time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Course {
-    /// A step. The value is the index of the first sample after the step, among the given samples.
+    /// A step. The value is the index of the first sample after the step. It is an index in the list of given samples.
     Step(usize),
     /// A ramp over the whole run.
     Drift,
@@ -58,21 +72,23 @@ pub enum Course {
 /// A significant change of some columns.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Change {
-    /// Index of the alternative.
+    /// Index of the alternative, in the list of given alternatives.
     pub alternative: usize,
     /// Course of the change in time: a step with its instant, or a drift.
     pub course: Course,
-    /// Change of each column, in the unit of its parameter: the height of the step, or the change from begin to end of a drift.
+    /// Change of each column, in the unit of its parameter. It is the height of the step, or the change from begin to
+    /// end of the drift.
     pub by: Vec<f64>,
     /// Fraction by which the change reduces the squared residuals of the solution without a change.
     pub explained: f64,
 }
 
-/// Searches for a change in the given `samples` of `problem`, which are in the order of time. `x` is the solution for
-/// the columns `estimated`. An alternative is a column, or a set of columns that change together. A change is
-/// significant if a run without changes shows an equally large one with probability `false_alarms` at most. Of all
-/// significant changes, the one with the smallest Bayesian information criterion is returned. `None` if no change is
-/// significant, or if there are too few samples.
+/// Searches for a change in the given `samples` of `problem`, which are in the order of time. `x` is the solution for the
+/// columns `estimated`. An alternative is a column, or a set of columns that change together.
+///
+/// A change is significant if a run without changes would show an equally large one with a probability of at most
+/// `false_alarms`. Of all significant changes, the one with the smallest Bayesian information criterion is returned. `None`
+/// if no change is significant, or if there are too few samples.
 pub fn change_point(
     problem: &dyn LeastSquares,
     x: &[f64],
@@ -114,7 +130,7 @@ struct WeightedRun {
     jacobian: DMatrix<f64>,
     /// Jacobian `J` of the estimated columns.
     j: DMatrix<f64>,
-    /// First row of each given sample, and the row after the last of them. Rows of prior knowledge follow.
+    /// First row of each given sample, and the row after the last given sample. Rows of prior knowledge follow after these.
     first_rows: Vec<usize>,
     /// Row range of each block.
     blocks: Vec<Range<usize>>,
@@ -175,12 +191,12 @@ impl WeightedRun {
         Some(Self { r, jacobian, j, first_rows, blocks, n_factor, n_inverse_g, squared })
     }
 
-    /// Courses to test for these columns: the best step, unless other columns explain every step, and the drift.
+    /// Courses to test for these columns: the best step and the drift. There is no step if other columns explain every step.
     fn courses(&self, columns: &[usize]) -> impl Iterator<Item = Course> {
         let samples = self.first_rows.len() - 1;
         let evenly_spaced: Vec<usize> = (1..INSTANTS).map(|part| part * samples / INSTANTS).collect();
         let spacing = samples.div_ceil(INSTANTS);
-        // The second search is needed because samples between a wrong instant and the right one would increase the scatter.
+        // The second search is needed because the samples between the found and the true instant would increase the scatter.
         let near = |instant: usize| -> Vec<usize> {
             (instant.saturating_sub(spacing).max(1)..(instant + spacing).min(samples)).collect()
         };
@@ -189,8 +205,9 @@ impl WeightedRun {
         step.map(Course::Step).into_iter().chain([Course::Drift])
     }
 
-    /// Bayesian information criterion of the solution with a change (Schwarz 1978). Groups of blocks count as independent
-    /// observations. The instant of a step counts as one more parameter.
+    /// Bayesian information criterion of the solution with a change (Schwarz 1978). The number of observations is
+    /// the number of groups of blocks, because single residuals are not independent. The instant of a step counts
+    /// as one more parameter.
     fn criterion(&self, test: &ChangeTest, course: Course) -> f64 {
         let groups = (self.blocks.len() / POOLED_SIZES[POOLED_SIZES.len() - 1]) as f64;
         let parameters = test.b.len() as f64 + if course == Course::Drift { 0.0 } else { 1.0 };
@@ -216,11 +233,12 @@ impl WeightedRun {
         c
     }
 
-    /// The instant at which a step reduces the sum of squares most; `instants` ascend. `None` if other
+    /// The instant at which a step reduces the sum of squares most. `instants` are in ascending order. `None` if other
     /// columns explain every step.
     fn best_step(&self, columns: &[usize], instants: &[usize]) -> Option<usize> {
-        // For a step, `C` contains the changing columns in the rows after the instant and zeros before. From the last
-        // instant to the first, each step therefore adds rows to the sums of the step before.
+        // For a step, `C` contains the changing columns in the rows after the instant, and zeros in the rows
+        // before it. The loop goes from the last instant to the first, so each iteration only adds rows to the
+        // sums of the previous iteration.
         let c = self.changing_columns(columns, Course::Step(0));
         let mut sums = ChangeSums::zeros(self.j.ncols(), columns.len());
         let mut end = *self.first_rows.last()?;
@@ -305,9 +323,10 @@ struct ChangeTest {
     b: DVector<f64>,
     reduction: f64,
     information: DMatrix<f64>,
-    /// For each block, the sums of the changing columns without the component that `J` explains: `C - J N^-1 J'C`.
+    /// For each block, the sums for `C - J N^-1 J'C`: the changing columns without the component that `J` explains.
     of_change: Vec<BlockSums>,
-    /// For each block, the sums of the same columns without the course in time and with the component that `J` explains.
+    /// For each block, the sums for the changing columns themselves: without the course in time, and with the
+    /// component that `J` explains.
     of_columns: Vec<BlockSums>,
 }
 
@@ -331,8 +350,8 @@ impl ChangeTest {
         Some(Self { b, reduction, information, of_change, of_columns })
     }
 
-    /// Probability that a run without changes shows a change at least this large at this instant. It is the largest result
-    /// of `pooled` and `clustered` for all group sizes.
+    /// Probability that a run without changes shows a change of at least this size at this instant. It is the largest result
+    /// of `pooled` and `clustered` over all group sizes.
     fn chance(&self) -> f64 {
         let pooled = POOLED_SIZES.iter().filter_map(|group_size| self.pooled(*group_size));
         let largest = pooled.reduce(f64::max).unwrap_or(1.0);
@@ -341,8 +360,8 @@ impl ChangeTest {
         clustered.fold(largest, f64::max)
     }
 
-    /// Significance from the ratio of the groups' scatter to that of independent noise (`pooled` in the module
-    /// documentation). Groups that do not determine all changing columns are left out: two positions, for example, do not
+    /// Significance from `pooled` in the module documentation: the scatter of the groups is compared with that of
+    /// independent noise. Groups that do not determine all changing columns are left out. For example, two positions do not
     /// determine the rotation of an instrument. `None` if too few groups remain.
     fn pooled(&self, group_size: usize) -> Option<f64> {
         let scatter: Vec<f64> = sum_groups(&self.of_columns, group_size)
@@ -356,12 +375,13 @@ impl ChangeTest {
             return None;
         }
         let count = scatter.len() as f64;
-        // Equal to one for independent noise of variance one.
+        // The ratio is one for independent noise of variance one.
         let overdispersion = scatter.iter().sum::<f64>() / ((count - 1.0) * self.b.len() as f64);
         Some(hotelling_tail(self.reduction / overdispersion, self.b.len(), count - 1.0))
     }
 
-    /// Significance from the scatter of the groups' contributions to this change (`clustered` in the module documentation).
+    /// Significance from `clustered` in the module documentation: from the scatter of the groups'
+    /// contributions to this change.
     fn clustered(&self, group_size: usize) -> f64 {
         let Some(inverse) = ScaledCholesky::new(self.information.clone()).map(|factor| factor.inverse())
         else {
@@ -375,7 +395,7 @@ impl ChangeTest {
             scatter.ger((1.0 - share).max(INDEPENDENT_MIN).powi(-2), score, score, 1.0);
             (shares, squared_shares) = (shares + share, squared_shares + share * share);
         }
-        // The score with the opposite sign, `-q`. `q' scatter^-1 q` is Hotelling's T squared.
+        // `score` is `-q`; the sign does not matter here. `q' scatter^-1 q` is Hotelling's T squared.
         let score = &self.information * &self.b;
         let Some(factor) = ScaledCholesky::new(scatter) else { return 1.0 };
         let effective_groups = shares * shares / squared_shares;
@@ -392,7 +412,9 @@ fn sum_groups(blocks: &[BlockSums], group_size: usize) -> Vec<BlockSums> {
     blocks.chunks(group_size).map(sum).collect()
 }
 
-/// Probability that Hotelling's T squared for this number of variables exceeds `squared`, from its F distribution.
+/// Probability that Hotelling's T squared exceeds `squared`, for this number of variables and these degrees of freedom. It
+/// is computed from the F distribution: `T^2 (f - p + 1) / (f p)` has an F distribution with `p` and `f - p + 1` degrees of
+/// freedom, where `p` is the number of variables and `f` is `freedom`.
 fn hotelling_tail(squared: f64, variables: usize, freedom: f64) -> f64 {
     let variables = variables as f64;
     let f_freedom = freedom - variables + 1.0;
