@@ -1,8 +1,8 @@
 //! Converts counts of a SinCos terminal to radians and back.
 //!
-//! An EL5021 counts signal periods (lines) and divides each into `2^N` steps by interpolation. Its counter is the low 32
-//! bits of `periods << N | fraction`. It wraps without any message. With the 3600 lines of the ERN 1080 and N = 12, one
-//! revolution has 14 745 600 counts, and the counter wraps after 291.27 revolutions.
+//! An EL5021 counts signal periods (lines) and divides each period into `2^N` steps by interpolation. Its counter consists
+//! of the low 32 bits of `periods << N | fraction`, and wraps without any message. Example: the ERN 1080 has 3600 lines.
+//! With N = 12, one revolution has 14 745 600 counts, and the counter wraps after 291.27 revolutions.
 //!
 //! In this file, a *counter* is the wrapped 32-bit value, and *counts* are unwrapped: 64 bits, continuous over wraps.
 
@@ -31,7 +31,7 @@ impl Direction {
     }
 }
 
-/// Interpolation that an EL5021 offers, from smallest to largest, bits per signal period (object 0x8001:11).
+/// Interpolation that an EL5021 offers (object 0x8001:11), from smallest to largest \[bits per signal period\].
 pub const INTERPOLATION_BITS: std::ops::RangeInclusive<u8> = 8..=13;
 
 /// Relation between the counts of an encoder and its joint's angle:
@@ -46,8 +46,8 @@ pub struct EncoderScale {
     pub direction: Direction,
     /// Joint angle at `reference_counts` \[rad\].
     pub offset_rad: f64,
-    /// Count at the reference mark, latched on C, see [`HomingConfig`](crate::config::HomingConfig). 0 if no mark is known;
-    /// angles then begin at an arbitrary count of this power cycle.
+    /// Count at the reference mark, latched on input C, see [`HomingConfig`](crate::config::HomingConfig). 0 if no mark is
+    /// known. In that case, angles begin at an arbitrary count of this power cycle.
     pub reference_counts: u32,
 }
 
@@ -80,7 +80,7 @@ impl EncoderScale {
     /// The counts must come from [`EncoderScale::unwrapper`], which starts at the reference mark.
     pub fn counts_to_rad(&self, counts: i64) -> f64 {
         let from_reference = counts - i64::from(self.reference_counts);
-        // Exact for any number of revolutions, because the product is formed in integers.
+        // This is exact for any number of revolutions, because the product is an integer.
         (self.direction.sign() * from_reference) as f64 * self.rad_per_count() + self.offset_rad
     }
 
@@ -168,7 +168,7 @@ mod tests {
     fn the_reference_mark_reads_the_offset() {
         let scale = EncoderScale { reference_counts: 777, offset_rad: 0.25, ..EncoderScale::default() };
         assert_eq!(scale.counts_to_rad(777), 0.25);
-        // Also when the counter wraps between the mark and the first count.
+        // The result is also correct if the counter wraps between the mark and the first count.
         let near_wrap = EncoderScale { reference_counts: u32::MAX - 2, ..scale };
         let turned_rad = near_wrap.counts_to_rad(near_wrap.unwrapper().next(3)) - 0.25;
         assert!((turned_rad - 6.0 * scale.rad_per_count()).abs() < 1e-15);

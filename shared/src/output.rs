@@ -1,4 +1,5 @@
-//! Prints to standard output, for both programs. The output of a thread can be captured instead, see [`captured`].
+//! Prints to standard output, for both programs. The output of a thread can also be captured
+//! instead of printed, see [`captured`].
 
 use std::cell::RefCell;
 use std::error::Error;
@@ -6,7 +7,7 @@ use std::fmt::{self, Write as _};
 use std::io::{self, Write as _};
 
 thread_local! {
-    /// Output of this thread while it is captured. `None` if output is printed.
+    /// Captured output of this thread. `None` if output is printed and not captured.
     static CAPTURED: RefCell<Option<String>> = const { RefCell::new(None) };
 }
 
@@ -37,7 +38,7 @@ pub fn show(text: impl fmt::Display) -> io::Result<()> {
     unless_gone(write!(io::stdout().lock(), "{text}"))
 }
 
-/// Ignores the error of a closed pipe: the program that reads the output may end first, such as `head`.
+/// Ignores the error of a closed pipe. The pipe closes when the program that reads the output ends first, such as `head`.
 ///
 /// # Errors
 /// Any other error, with a text that names standard output.
@@ -48,7 +49,7 @@ pub fn unless_gone(written: io::Result<()>) -> io::Result<()> {
     })
 }
 
-/// The first `most` names, separated by commas, and the number of the remaining ones.
+/// The first `most` names, separated by commas, followed by the number of the remaining names.
 pub fn named(things: &[impl fmt::Display], most: usize) -> String {
     let shown = things.iter().take(most).map(ToString::to_string).collect::<Vec<_>>().join(", ");
     match things.len().checked_sub(most) {
@@ -57,8 +58,8 @@ pub fn named(things: &[impl fmt::Display], most: usize) -> String {
     }
 }
 
-/// The text of an error and of its causes. A cause is left out if the text already contains it, which is the case
-/// for most of our errors.
+/// The text of an error, followed by the texts of its causes. A cause is omitted if the text already contains it. This is
+/// the case for most of our errors.
 pub fn explained(error: &(dyn Error + 'static)) -> String {
     let (mut text, mut next) = (error.to_string(), error.source());
     while let Some(error) = next {

@@ -10,7 +10,8 @@ use serde::{Deserialize, Serialize};
 /// Nanoseconds in one second.
 pub const NS_PER_S: i64 = 1_000_000_000;
 
-/// Parses a duration that a person typed. A number without unit is in seconds: `90` equals `90s`; `2m` are minutes.
+/// Parses a duration that a person typed. A number without a unit is in seconds: `90` means `90s`. Example with a
+/// unit: `2m` is two minutes.
 ///
 /// # Errors
 /// If the text is not a duration. The message lists the units.
@@ -37,7 +38,7 @@ macro_rules! clock_instant {
                 self.0.wrapping_sub(earlier.0)
             }
 
-            /// This instant moved by `ns` (may be negative).
+            /// This instant shifted by `ns`, which may be negative.
             pub const fn plus_ns(self, ns: i64) -> Self {
                 Self(self.0.wrapping_add(ns))
             }

@@ -1,16 +1,17 @@
-//! Version of both programs, with the commit that they were built from.
+//! Version of both programs, with the commit from which they were built.
 
 use std::sync::LazyLock;
 
 use chrono::DateTime;
 
-/// Number of digits of a commit's hash in the version. Enough even for a repository with a thousand times as many commits.
+/// Number of digits of the commit's hash in the version. It would be enough for a repository with a
+/// thousand times as many commits.
 const HASH_DIGITS: usize = 10;
 /// Value of `BUILD_STATE`, set by `build.rs`, for a build that is not a release.
 const DEBUG_BUILD: &str = "debug build";
 
-/// The version with commit and date, such as `0.1.0 (56eed98a1b 2026-11-26)`. The parentheses also mention a debug build,
-/// and a checkout with modified files.
+/// The version with commit and date, such as `0.1.0 (56eed98a1b 2026-11-26)`. If the program is a debug build, or was built
+/// from modified files, the parentheses also contain this.
 pub fn version() -> &'static str {
     static VERSION: LazyLock<String> = LazyLock::new(|| {
         described(env!("CARGO_PKG_VERSION"), env!("COMMIT_HASH"), env!("COMMIT_TIME_S"), env!("BUILD_STATE"))
@@ -27,7 +28,7 @@ fn described(version: &str, hash: &str, time_s: &str, state: &str) -> String {
     let date = time_s.parse().ok().and_then(|seconds| DateTime::from_timestamp(seconds, 0));
     let date = date.map(|date| date.format("%Y-%m-%d").to_string());
     let commit = [hash.get(..HASH_DIGITS).unwrap_or(hash), date.as_deref().unwrap_or("")].join(" ");
-    // `build.rs` does not run again after each commit for a debug build. The code may therefore be newer than the commit.
+    // In a debug build, `build.rs` does not run again after each commit, so the code may be newer than the commit.
     let state = if state == DEBUG_BUILD && !hash.is_empty() { "or later, debug build" } else { state };
     let details: Vec<&str> = [commit.trim(), state].into_iter().filter(|part| !part.is_empty()).collect();
     if details.is_empty() { version.to_owned() } else { format!("{version} ({})", details.join(", ")) }

@@ -34,8 +34,8 @@ pub struct EncoderConfig {
     pub interpolation_bits: u8,
     /// Whether counts rise or fall when the joint turns in its positive direction.
     pub direction: Direction,
-    /// Approximate joint angle at the reference mark, from an earlier calibration \[deg\]. Together with homing it shows the
-    /// operator how close the bar is to a singular pose. It does not change any recorded angle.
+    /// Approximate joint angle at the reference mark, from an earlier calibration \[deg\]. After homing, the operator can be
+    /// shown how close the bar is to a singular pose. The value does not change any recorded angle.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mark_deg: Option<f64>,
 }
@@ -47,7 +47,8 @@ impl EncoderConfig {
         Self { joint, lines, interpolation_bits, direction, mark_deg: None }
     }
 
-    /// The conversion from counts to an angle. Offset and reference mark are 0, because they are determined later.
+    /// The conversion from counts to an angle. Offset and reference mark are 0 at first;
+    /// calibration and homing determine them.
     pub fn scale(&self) -> EncoderScale {
         EncoderScale {
             lines: self.lines,
@@ -64,21 +65,21 @@ impl EncoderConfig {
 pub struct BallBarConfig {
     /// Name of the bar and its rod.
     pub name: String,
-    /// Distance from the centre of the gimbal to the centre of the cardan \[m\]. It is `d` of link 3.
+    /// Distance from the centre of the gimbal to the centre of the cardan \[m\]. It is the parameter `d` of link 3.
     pub length_m: f64,
     /// Standard uncertainty of `length_m` \[um\]. If absent, the length is estimated from the run alone.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub length_u_um: Option<f64>,
-    /// Distance from the last axis of the robot to axis 5 of the bar, along the offset plate \[m\]. It is added to `a` of
-    /// the robot's last link, and determines the scale of the result.
+    /// Distance from the last axis of the robot to axis 5 of the bar, along the offset plate \[m\]. It is added to the
+    /// parameter `a` of the robot's last link, and determines the scale of the result.
     pub plate_m: f64,
     /// Standard uncertainty of `plate_m` \[um\]. With 0, the plate is taken as exact.
     #[serde(default = "plate_u_um")]
     pub plate_u_um: f64,
     /// Distance from the face of the robot's flange to the centre of the cardan, along the last axis \[m\]. It includes the
-    /// tool changer, adapters, part of the plate and the cardan, and is added to `d` of the robot's last link.
+    /// tool changer, adapters, part of the plate and the cardan. It is added to the parameter `d` of the robot's last link.
     pub tool_m: f64,
-    /// Links 1 to 5. The length of the bar is not repeated here, it is in `length_m`.
+    /// Links 1 to 5. The length of the bar is not among their values; `length_m` contains it.
     pub links: Vec<LinkConfig>,
     /// Encoders in bus order: the first is on the first EL5021 after the coupler.
     pub encoders: Vec<EncoderConfig>,
@@ -89,7 +90,7 @@ const fn plate_u_um() -> f64 {
 }
 
 impl BallBarConfig {
-    /// Standard uncertainty of `plate_m` if the file has none: that of a calliper \[um\].
+    /// Standard uncertainty of `plate_m` if the file contains none \[um\]. It is the uncertainty of a calliper.
     pub const PLATE_U_UM: f64 = 50.0;
 
     fn validate_encoder(&self, index: usize, encoder: &EncoderConfig) -> Result<(), Violation> {

@@ -11,8 +11,8 @@ use super::{Kind, Validate, Violation};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RealtimeConfig {
-    /// CPU core on which the thread runs alone; isolate it on the kernel's command line. If absent, the thread
-    /// may run on any core.
+    /// CPU core on which the thread runs alone. The core must be isolated on the kernel's command line. If absent, the
+    /// thread may run on any core.
     pub core: Option<usize>,
     /// Priority under SCHED_FIFO, 1 to 99.
     pub fifo_priority: i32,
@@ -24,23 +24,24 @@ pub struct RealtimeConfig {
 pub struct DaemonConfig {
     /// Cycles per second \[Hz\]. At least 10: at a lower rate a terminal times out before its first SYNC0.
     pub rate_hz: u32,
-    /// Whether encoders are sampled on SYNC0 of the distributed clocks. All encoders are then sampled at the same instant,
-    /// which is known to microseconds.
+    /// Whether encoders are sampled on SYNC0 of the distributed clocks. If so, all encoders are sampled at the same instant,
+    /// and this instant is known to microseconds.
     pub distributed_clocks: bool,
     /// How long to wait for the reply to a cyclic frame \[us\]. If absent, the time is 4/10 of a cycle, at most 4 ms.
     pub reply_timeout_us: Option<u32>,
-    /// Capacity of the ring between bus and disk, as time \[s\]. Cycles are lost if the disk blocks for longer. See
+    /// Capacity of the ring buffer between bus and disk, as time \[s\]. If the disk blocks for longer, cycles are lost. See
     /// [`DaemonConfig::ring_cycles`].
     pub ring_s: u32,
-    /// How often the recording is written and synchronised to disk \[ms\]. A kill of the program loses at most the cycles of
-    /// one period, and those of the time that the disk keeps a write waiting. A power cut loses all cycles that are not
-    /// synchronised yet. At least 100, because cycles wait up to 20 ms in the ring before they are written.
+    /// How often the recording is written and synchronised to disk \[ms\]. If the program is killed, at most the
+    /// cycles of one period are lost, plus the cycles of the time for which the disk delays a write. A power cut loses
+    /// all cycles that are not synchronised yet. The value is at least 100, because cycles wait up to 20 ms in the
+    /// ring before they are written.
     pub sync_period_ms: u32,
-    /// Free space that recordings leave on their file system \[MB\]. With less free space no run starts,
-    /// and a running one ends.
+    /// Free space that recordings leave on their file system \[MB\]. With less free space, no run starts,
+    /// and the current run ends.
     #[serde(default = "default_disk_floor_mb")]
     pub disk_floor_mb: u32,
-    /// A run ends if no encoder delivers a valid sample for this time \[s\]. Its file is finished.
+    /// A run ends if no encoder delivers a valid sample for this time \[s\]. The file of the run is then completed as usual.
     #[serde(default = "default_full_fault_s")]
     pub full_fault_s: u32,
     /// Port of the service on 127.0.0.1.
@@ -48,14 +49,15 @@ pub struct DaemonConfig {
     pub port: u16,
     /// Directory of the recordings. A relative path is relative to the working directory.
     pub directory: PathBuf,
-    /// Directory in which a run continues if its own directory or disk is lost or refuses writes. Best on another disk.
+    /// Directory in which a run continues if its own directory or disk is lost or refuses writes. It
+    /// should be on another disk.
     #[serde(default = "default_spare_directory")]
     pub spare_directory: PathBuf,
     /// Scheduling of the thread that runs the bus cycle.
     pub realtime: RealtimeConfig,
 }
 
-/// Minimum capacity of the ring \[cycles\]. On a slow bus, `ring_s` seconds may have too few cycles.
+/// Minimum capacity of the ring \[cycles\]. On a bus with a low rate, `ring_s` seconds could otherwise be too few cycles.
 const RING_CYCLES_MIN: usize = 64;
 
 const fn default_disk_floor_mb() -> u32 {
@@ -70,13 +72,13 @@ const fn default_port() -> u16 {
     7311
 }
 
-/// A directory that survives a restart and in which users may write.
+/// The default of `spare_directory`. Its files survive a restart of the machine, and all users may write there.
 fn default_spare_directory() -> PathBuf {
     "/var/tmp/ballbard".into()
 }
 
 impl DaemonConfig {
-    /// The directories that may contain recordings: the service's own and the spare one.
+    /// The two directories that may contain recordings: `directory` and `spare_directory`.
     pub fn directories(&self) -> [PathBuf; 2] {
         [&self.directory, &self.spare_directory].map(PathBuf::clone)
     }

@@ -1,4 +1,4 @@
-//! Finds a configuration. It is given by the path of a file or by a name. A name is searched in the usual directories
+//! Finds a configuration, given by the path of a file or by a name. A name is searched first in the usual directories
 //! ([`PLACES`]), then among the configurations that are built into the programs.
 
 use std::borrow::Cow;
@@ -6,13 +6,15 @@ use std::path::{Component, Path, PathBuf};
 
 use super::ConfigError;
 
-/// Directories that are searched for a name, in this order: one relative to the working directory, one of the machine.
+/// Directories that are searched for a name, in this order. The first is relative to the working directory, the second
+/// applies to the whole machine.
 pub const PLACES: [&str; 2] = ["config", "/etc/ballbard"];
 /// Subdirectory of each of [`PLACES`] that contains the robots.
 const ROBOTS: &str = "robots";
 const ENDING: &str = "toml";
 
-/// The kinds of configuration that can be found by name. A default of each is built into the programs.
+/// The kinds of configuration that can be found by name. For each kind, at least one configuration
+/// is built into the programs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
     /// `robots/*.toml`.
@@ -34,7 +36,7 @@ pub enum Kind {
 }
 
 /// For each kind, in the order of [`Kind`]: its name in messages, the option that accepts it, and the keys that identify it.
-/// A file is of this kind if it has all these keys; no file of another kind has all of them.
+/// A text is a configuration of a kind if it contains all keys of that kind. No other kind has all of these keys.
 const KINDS: [(Kind, &str, &str, &[&str]); 8] = [
     (Kind::Robot, "robot", "--robot", &["links", "log"]),
     (Kind::BallBar, "ball-bar", "--bar", &["links", "encoders"]),
@@ -76,14 +78,17 @@ const BUILT_IN: [(Kind, &str, &str); 11] = [
 pub enum Source {
     /// A file with this path.
     File(PathBuf),
-    /// Built into the program: its name and text.
+    /// A configuration that is built into the program: its name and its text.
     BuiltIn(&'static str, &'static str),
 }
 
 impl Source {
-    /// The file at the given path if it exists. Otherwise the configuration of that name ([`Source::named`]). If there is
-    /// none either, the path itself, which then fails when it is read. A file name with the ending `.toml` never selects a
-    /// built-in configuration, because the lengths of the wrong bar would scale all results.
+    /// Searches a configuration in this order:
+    /// - the file at the given path
+    /// - the configuration with the given name ([`Source::named`])
+    ///
+    /// If neither exists, the given path is returned, and reading it fails later. A file name with the ending `.toml` never
+    /// selects a built-in configuration, because the lengths of the wrong bar would scale all results.
     pub fn find(given: &Path) -> Self {
         let is_file_name = given.extension().is_some_and(|ending| ending == ENDING);
         let is_meant = |found: &Self| !is_file_name || matches!(found, Self::File(_));
@@ -92,7 +97,8 @@ impl Source {
         found.unwrap_or_else(|| Self::File(given.to_owned()))
     }
 
-    /// The first configuration of a name, given without `.toml`. [`PLACES`] are searched before the built-in configurations.
+    /// The first configuration with this name. The name has no ending. [`PLACES`] are
+    /// searched before the built-in configurations.
     pub fn named(name: &str) -> Option<Self> {
         let file = format!("{name}.{ENDING}");
         let below = |place| [Path::new(place).join(&file), Path::new(place).join(ROBOTS).join(&file)];
@@ -104,16 +110,16 @@ impl Source {
         in_directory.or_else(built_in)
     }
 
-    /// Resolves a path that is written in a file of `directory`. The path is relative to `directory`, unless it does not
-    /// exist there and is a name that [`Source::find`] finds elsewhere.
+    /// Resolves a path that is written in a file of `directory`. The path is relative to `directory`. If no file exists
+    /// there, but [`Source::find`] finds a configuration with this name elsewhere, that configuration is used.
     pub fn beside(directory: &Path, given: &Path) -> PathBuf {
         let beside = directory.join(given);
         let is_elsewhere = !beside.exists() && Self::find(given) != Self::File(given.to_owned());
         if is_elsewhere { given.to_owned() } else { beside }
     }
 
-    /// All robots that can be found by name, in the order of [`PLACES`], then the built-in ones. Of robots with the same
-    /// name only the first is returned.
+    /// All robots that can be found by name: first those in [`PLACES`], in that order, then the built-in ones. If several
+    /// robots have the same name, only the first is returned.
     pub fn robots() -> Vec<(String, Self)> {
         let mut robots: Vec<(String, Self)> = Vec::new();
         for place in PLACES {
@@ -171,7 +177,8 @@ fn not_utf8(path: &Path, bytes: &[u8], valid_to: usize) -> ConfigError {
     ConfigError::Malformed { path: path.to_owned(), line: line.filter(|_| !bytes.contains(&0)), message }
 }
 
-/// The configuration's name, if `given` has a single component and so can be a name. The ending `.toml` is removed.
+/// The name of a configuration, without the ending `.toml`. `None` if `given` has several components, because then it can
+/// only be a path.
 fn name(given: &Path) -> Option<&str> {
     let is_name = matches!(given.components().collect::<Vec<_>>()[..], [Component::Normal(_)]);
     let name = given.to_str().filter(|_| is_name)?;
@@ -184,7 +191,8 @@ impl Kind {
         BUILT_IN.iter().filter(|(kind, ..)| *kind == self).map(|&(_, name, _)| name).collect()
     }
 
-    /// The text of a built-in configuration. Files of the machine are not searched. Empty for an unknown name.
+    /// The text of a built-in configuration. The directories [`PLACES`] are not searched. The text is empty
+    /// if the name is unknown.
     pub fn built_in(self, name: &str) -> &'static str {
         BUILT_IN.iter().find(|(kind, other, _)| *kind == self && *other == name).map_or("", |(.., text)| text)
     }

@@ -1,13 +1,13 @@
-//! `homing.toml` contains, for each encoder, the count of its reference mark on its terminal. `ballbard home` writes
-//! it into the state directory.
+//! `homing.toml` contains, for each encoder, the count of its reference mark on its terminal. `ballbard home` writes this
+//! file into the state directory.
 //!
 //! A terminal's counter restarts when the terminal loses power, but the mark on the encoder's disc is fixed. Angles are
-//! therefore counted from the mark. The offset that a calibration estimates stays valid as long as the encoder is not
-//! removed from its joint. Homing determines the count of the mark in the current power cycle.
+//! therefore counted from the mark. Homing determines the count of the mark in the current power cycle. The offset that a
+//! calibration estimates thus stays valid until the encoder is removed from its joint.
 //!
-//! The terminal latches its counter at the mark. As long as the latch still shows the count in this file, the terminal has
-//! had power since homing, so the mark is valid. Otherwise the mark is not used, and angles begin at an arbitrary count. It
-//! does not matter in which revolution the mark was passed: angles then differ by whole turns only.
+//! At the mark, the terminal latches its counter. If the latch still contains the count in this file, the terminal has had
+//! power ever since homing, so the mark is valid. Otherwise the mark is not used, and angles begin at an arbitrary count.
+//! The revolution in which the mark was passed does not matter, because angles then differ only by whole turns.
 
 use serde::{Deserialize, Serialize};
 
@@ -25,8 +25,8 @@ pub struct HomedEncoder {
     pub joint: u8,
     /// Signal periods per revolution, as configured at the time of homing.
     pub lines: u32,
-    /// Interpolation as configured at the time of homing \[bits per signal period\]. With another interpolation
-    /// the counts do not apply.
+    /// Interpolation as configured at the time of homing \[bits per signal period\]. The counts are not
+    /// valid with any other interpolation.
     pub interpolation_bits: u8,
     /// Count at the reference mark, latched by the terminal.
     pub reference_counts: u32,
@@ -36,7 +36,7 @@ pub struct HomedEncoder {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct HomingConfig {
-    /// Time of homing, UTC in RFC 3339. It is not used by the programs.
+    /// Time of homing, UTC in RFC 3339. It is information for people; the programs do not use it.
     pub homed: String,
     /// The encoders in bus order.
     pub encoders: Vec<HomedEncoder>,
@@ -46,7 +46,7 @@ impl HomingConfig {
     /// Name of the file in the state directory.
     pub const FILE_NAME: &'static str = "homing.toml";
 
-    /// The reference marks that were found at `homed`. `reference_counts` are in the order of `encoders`.
+    /// Builds the content of the file for a homing at the time `homed`. `reference_counts` are in the order of `encoders`.
     pub fn new(homed: UtcNs, encoders: &[EncoderConfig], reference_counts: &[u32]) -> Self {
         let homed_encoder = |(encoder, counts): (&EncoderConfig, &u32)| HomedEncoder {
             joint: encoder.joint,
@@ -61,8 +61,8 @@ impl HomingConfig {
     }
 
     /// Copies the reference marks that are still valid into the encoders of a run. A mark is valid if joint and settings of
-    /// the encoder are unchanged, and the terminal's latch still shows the count of the mark. `latches` are the present
-    /// latches, in bus order. Returns the joints whose mark is not valid any more.
+    /// the encoder are unchanged, and the terminal's latch still contains the count of the mark. `latches` are the latched
+    /// counts now, in bus order. Returns the joints whose marks are no longer valid.
     pub fn apply(&self, encoders: &mut [EncoderInfo], latches: &[u32]) -> Vec<u8> {
         let mut stale = Vec::new();
         for (index, info) in encoders.iter_mut().enumerate() {

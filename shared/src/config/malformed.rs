@@ -1,17 +1,19 @@
-//! Messages about keys that cannot be parsed, and line numbers of keys. The input is a message of serde or of the TOML
-//! parser. The output is a message that names the key, a suggestion, and the allowed keys or values.
+//! Writes error messages for configurations that cannot be parsed. The input is a message of serde or of the TOML parser.
+//! The output is a sentence that names the key, a similar known name, and the allowed keys or values. This module also finds
+//! the line number of a key.
 
 use toml::de::{DeTable, DeValue};
 
-/// Smallest similarity of a wrong name to a known one at which a typing error is assumed (Jaro-Winkler; 1 for equal names).
+/// Minimum similarity (Jaro-Winkler, 1 for equal names) of a wrong name and a known name. At this similarity or above, the
+/// wrong name is treated as a typing error.
 const ALIKE: f64 = 0.8;
 
-/// Line number of a position in a text, from 1. `place` is the position \[bytes\].
+/// Number of the line, from 1, that contains the byte at the offset `place` of a text.
 fn line_at(text: &str, place: usize) -> Option<usize> {
     Some(text.get(..place)?.matches('\n').count() + 1)
 }
 
-/// Number of the line at which a text stops being valid TOML, from 1.
+/// Number of the line, from 1, at which a text stops being valid TOML.
 pub(super) fn line_of_syntax(text: &str, error: &toml::de::Error) -> Option<usize> {
     line_at(text, error.span()?.start)
 }
@@ -19,7 +21,7 @@ pub(super) fn line_of_syntax(text: &str, error: &toml::de::Error) -> Option<usiz
 /// The message about a text that is not valid TOML. `line` is the number of the line with the error, from 1.
 pub(super) fn syntax_message(text: &str, line: Option<usize>, error: &toml::de::Error) -> String {
     let value = || Some(text.lines().nth(line?.checked_sub(1)?)?.split_once('=')?.1.trim_start());
-    // An unquoted value that starts like a name or path, such as arm or ../run.mcap.
+    // Whether the value lacks its quotes: it begins like a name or path, such as arm or ../run.mcap.
     let is_unquoted =
         value().is_some_and(|value| value.starts_with(|c: char| c.is_alphabetic() || "./~".contains(c)));
     let hint = if text.trim_start().starts_with('<') {
@@ -32,8 +34,8 @@ pub(super) fn syntax_message(text: &str, line: Option<usize>, error: &toml::de::
     format!("this is not TOML: {}{hint}", error.message().trim_end())
 }
 
-/// Number of the line that a message of serde about `key` refers to, from 1. For an unknown key, this is the line of the
-/// unknown key; for a missing key, that of its table. `None` if the message refers to the whole file.
+/// Number of the line, from 1, that a message of serde about `key` refers to. If the key is unknown, it is the line of this
+/// key; if a key is missing, the line of its table. `None` if the message refers to the whole file.
 pub(super) fn line(text: &str, key: &str, original: &str) -> Option<usize> {
     match names(original)[..] {
         [wrong, ..] if original.starts_with("unknown field") => line_of(text, &in_table(key, wrong)),
@@ -41,13 +43,14 @@ pub(super) fn line(text: &str, key: &str, original: &str) -> Option<usize> {
     }
 }
 
-/// The names between backquotes in a message of serde: first the wrong or missing name, then the allowed names.
+/// The names between backquotes in a message of serde. The first is the wrong or missing name, the
+/// others are the allowed names.
 fn names(original: &str) -> Vec<&str> {
     original.split('`').skip(1).step_by(2).collect()
 }
 
-/// The dotted path of a name in a message about `key`. `key` is either the table that contains the name,
-/// or the name's own path.
+/// The dotted path of `name`, which a message about `key` contains. `key` is either the path of the table that contains the
+/// name, or already the path of the name.
 fn in_table(key: &str, name: &str) -> String {
     match key.rsplit_once('.') {
         Some((table, last)) if last == name => format!("{table}.{name}"),
@@ -56,8 +59,8 @@ fn in_table(key: &str, name: &str) -> String {
     }
 }
 
-/// Line number of a key given by its dotted path, from 1. If the path exists only in part, the line of its last existing
-/// key; `None` if not even the first exists.
+/// Number of the line, from 1, of the key with this dotted path. If only the beginning of the path exists, it is the line of
+/// the last key that exists. `None` if not even the first key exists.
 pub(super) fn line_of(text: &str, key: &str) -> Option<usize> {
     let root = DeValue::Table(DeTable::parse(text).ok()?.into_inner());
     let (mut value, mut place) = (&root, None);
@@ -79,7 +82,7 @@ pub(super) fn line_of(text: &str, key: &str) -> Option<usize> {
     line_at(text, place?)
 }
 
-/// The known name that is most similar to a wrong one, if it is similar enough for a typing error.
+/// The known name that is most similar to a wrong name. `None` if the similarity is too low for a typing error.
 pub fn nearest<'a>(wrong: &str, known: impl Iterator<Item = &'a str>) -> Option<&'a str> {
     let wrong = wrong.to_lowercase();
     let similarities = known.map(|name| (strsim::jaro_winkler(&wrong, &name.to_lowercase()), name));
@@ -87,8 +90,8 @@ pub fn nearest<'a>(wrong: &str, known: impl Iterator<Item = &'a str>) -> Option<
     nearest.filter(|(similarity, _)| *similarity >= ALIKE).map(|(_, name)| name)
 }
 
-/// Converts a message of serde or toml into a sentence about `key`, a dotted path. Those
-/// messages put names between backquotes.
+/// Converts a message of serde or toml into a sentence about `key`, a dotted path. The original
+/// message contains names between backquotes.
 pub(super) fn message(key: &str, original: &str) -> String {
     let meant = |wrong: &str, known: &[&str]| super::did_you_mean(wrong, known.iter().copied());
     match names(original).as_slice() {

@@ -1,7 +1,7 @@
 //! Reads configuration from TOML files. An error names the file, the line, the key, what is wrong and what to do.
 //!
-//! A file is parsed into a type with serde, then its values are checked ([`Validate`]). [`load`] also accepts the name of a
-//! configuration instead of a path, if its type has a [`Kind`].
+//! A file is parsed into a type with serde, then its values are checked ([`Validate`]). [`load`] accepts a path. It also
+//! accepts the name of a configuration if the type has a [`Kind`].
 
 mod ball_bar;
 mod daemon;
@@ -38,14 +38,14 @@ pub enum ConfigError {
         /// Error of the system call.
         source: std::io::Error,
     },
-    /// The path is not that of a file, and no configuration has this name.
+    /// No file exists at the path, and no configuration has this name.
     #[error("there is no file {} and no {} of that name{nearest} Known by name: {known}", path.display(), kind.noun())]
     Unknown {
         /// The path or name that was given.
         path: PathBuf,
         /// Kind of configuration that is needed.
         kind: Kind,
-        /// End of the message's sentence: a suggestion of the known name that is most similar, or a full stop.
+        /// End of the message: a suggestion of the most similar known name, or a full stop.
         nearest: String,
         /// Names of all configurations of this kind.
         known: String,
@@ -81,7 +81,7 @@ fn place(path: &Path, line: Option<usize>) -> String {
     format!("{}{line}", path.display())
 }
 
-/// A value that breaks a rule. It is identified by its key; [`load`] adds path and line of the file.
+/// The value of a key breaks a rule. [`load`] adds the path of the file and the line of the key.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Violation {
     /// Dotted path of the key.
@@ -98,7 +98,7 @@ impl Violation {
         Self { key: key.into(), problem: problem.into(), remedy: remedy.into() }
     }
 
-    /// Returns a violation of `key` unless `holds` is true.
+    /// Returns a violation of `key` if `holds` is false.
     pub fn unless(
         holds: bool,
         key: impl Into<String>,
@@ -108,7 +108,7 @@ impl Violation {
         if holds { Ok(()) } else { Err(Self::new(key, problem, remedy)) }
     }
 
-    /// Returns a violation of `key` unless its value is from `low` to `high`, both included.
+    /// Returns a violation of `key` if its value is outside the range from `low` to `high`. Both limits are allowed values.
     pub fn unless_within<N: PartialOrd + fmt::Display>(
         key: impl Into<String>,
         value: N,
@@ -125,7 +125,7 @@ pub trait Validate {
     /// The kind of this configuration, if it may be given by name. `None` if only a path is accepted.
     const KIND: Option<Kind> = None;
 
-    /// Checks all rules, and returns the first that is broken.
+    /// Checks all rules. Returns a violation of the first rule that is broken.
     fn validate(&self) -> Result<(), Violation>;
 }
 
@@ -182,8 +182,8 @@ pub fn parse<T: DeserializeOwned + Validate>(text: &str, path: &Path) -> Result<
     Ok(value)
 }
 
-/// A deserializer for a TOML text. Its type is the same for all configurations, so that it is compiled once. It stores the
-/// path of the current key in `keys`.
+/// A deserializer for a TOML text. It records the path of the current key in `keys`. Its type is the same for all
+/// configurations, so the compiler builds it only once.
 fn reader<'a>(
     text: &'a str,
     path: &Path,
@@ -194,14 +194,14 @@ fn reader<'a>(
         let message = malformed::syntax_message(text, line, &error);
         ConfigError::Malformed { path: path.to_owned(), line, message }
     })?;
-    // Only the table is passed on. If the deserializer had the text, too, its errors would quote the text.
+    // The deserializer receives only the parsed table. If it received the text as well, its errors would quote the text.
     let toml = toml::Deserializer::from(table);
     let tracked = serde_path_to_error::Deserializer::new(toml, keys);
     Ok(Box::new(<dyn erased_serde::Deserializer>::erase(tracked)))
 }
 
-/// The error for a text that could not be parsed at `key`. If the text is a configuration of another kind than `kind`, the
-/// message names that kind.
+/// The error for a text that cannot be parsed at `key` as a configuration of the kind `kind`. If the text is a configuration
+/// of another kind, the message names the other kind.
 fn malformed(
     text: &str,
     path: &Path,
@@ -209,7 +209,7 @@ fn malformed(
     key: &str,
     error: &erased_serde::Error,
 ) -> ConfigError {
-    // The first line has the reason, the other lines repeat the keys.
+    // The first line contains the reason. The other lines only repeat the keys.
     let error = error.to_string();
     let original = error.lines().next().unwrap_or_default();
     let (line, message) = match Kind::recognise(text).filter(|other| kind != Some(*other)) {
@@ -222,7 +222,7 @@ fn malformed(
     ConfigError::Malformed { path: path.to_owned(), line, message }
 }
 
-/// Converts a value to the text of a TOML file. Not generic, so that the serializer is compiled once.
+/// Converts a value to the text of a TOML file. The function is not generic, so the serializer is compiled only once.
 ///
 /// # Errors
 /// If the value has a form that TOML cannot represent.

@@ -54,12 +54,10 @@ impl JointKind {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Convention {
-    /// `Rz(theta) Tz(d) Tx(a) Rx(alpha)`: the row starts with the motion of the axis and ends with the
-    /// transform to the next axis.
+    /// `Rz(theta) Tz(d) Tx(a) Rx(alpha)`: the motion of the axis comes first, then the fixed transform to the next axis.
     #[default]
     Standard,
-    /// `Rx(alpha) Tx(a) Rz(theta) Tz(d)` (Craig): the row starts with the transform from the axis before
-    /// and ends with the motion.
+    /// `Rx(alpha) Tx(a) Rz(theta) Tz(d)` (Craig): the fixed transform from the previous axis comes first, then the motion.
     Modified,
 }
 
@@ -128,7 +126,7 @@ pub enum AngleUnit {
 }
 
 impl AngleUnit {
-    /// Number of radians in this unit.
+    /// Size of the unit in radians.
     pub fn to_rad(self) -> f64 {
         match self {
             Self::Rad => 1.0,
@@ -149,7 +147,7 @@ impl AngleUnit {
 /// `q = (raw * unit - raw_offset_rad) * raw_to_joint`, with row vectors.
 ///
 /// It covers logs of motor angles, with gear ratios and wrist coupling, and logs of joint angles with other signs. It also
-/// covers robots with a parallel rod between joints 2 and 3.
+/// covers robots in which a parallel rod couples joints 2 and 3.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LogConversion {
@@ -199,8 +197,8 @@ impl LogConversion {
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DrivesConfig {
-    /// Number of lobes of the cycloid gear of each axis, which is the number of periods of its error in one turn. 0 if the
-    /// axis has no such gear, or if the number is unknown.
+    /// Number of lobes of the cycloid gear of each axis. It is also the number of periods of the gear's error in one turn. 0
+    /// if the axis has no such gear, or if the number is unknown.
     pub cycloid_lobes: Vec<f64>,
     /// Turns of the motor for one turn of each axis, 0 if unknown. Not needed if the log contains motor angles.
     pub motor_turns: Vec<f64>,
@@ -243,7 +241,7 @@ impl DrivesConfig {
     }
 }
 
-/// Robot makers whose controllers differ in their programming language and in their definition of joint angles.
+/// Robot makers for which the programs differ: in the robot's programming language, or in the definition of joint angles.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Maker {
     /// ABB: RAPID.
@@ -324,9 +322,9 @@ impl RobotConfig {
         Maker::in_name(&self.name)
     }
 
-    /// Whether the controller measures joint 3 from the horizontal. Its value then does not change when joint 2 alone turns.
-    /// This is the case for FANUC, and for some ABB arms, whose parallel rod keeps the direction of the forearm. Decided by
-    /// the robot's name.
+    /// Whether the controller measures joint 3 from the horizontal. The value of joint 3 then stays constant when only joint
+    /// 2 turns. FANUC controllers do this. So do some ABB arms, in which a parallel rod keeps the direction of the forearm.
+    /// The robot's name decides.
     pub fn counts_joint_3_from_horizontal(&self) -> bool {
         const WITH_PARALLEL_ROD: [&str; 7] = ["1400", "1410", "2400", "4400", "6400", "6660", "8700"];
         match self.maker() {
@@ -414,7 +412,7 @@ pub(super) fn validate_links(key: &str, links: &[LinkConfig]) -> Result<(), Viol
     Ok(())
 }
 
-/// Determinant by elimination with row pivoting. Used only to test whether it is zero.
+/// Determinant by elimination with row pivoting. The result is used only to detect singular matrices.
 fn determinant(matrix: &[Vec<f64>]) -> f64 {
     let mut m = matrix.to_vec();
     let mut determinant = 1.0;

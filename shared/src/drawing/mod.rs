@@ -1,14 +1,17 @@
-//! Draws the double ball-bar as an SVG. Lengths are to scale, joints are drawn as symbols of fixed size. The book, the
+//! Draws the double ball-bar as an SVG. Lengths are to scale, but joints are symbols of fixed size. The book, the
 //! technician's page and the report contain the drawing.
+//!
+//! Coordinates: the centre of the gimbal is the origin. `x` points to the robot, `y` away from the observer, `z` upward. The
+//! bar consists of base, gimbal (joints 1 and 2), rod (joint 3), cardan (joints 4 and 5) and offset plate.
 
 mod pen;
 
 use self::pen::{Pen, Vector};
 use crate::config::BallBarConfig;
 
-/// Horizontal extent of rod and plate together \[px\].
+/// Horizontal extent of rod and plate together; it determines the scale of the drawing \[px\].
 const WIDTH_PX: f64 = 560.0;
-/// Angle of the rod from the axis of its base \[deg\].
+/// Angle of the rod from the vertical axis of the base \[deg\].
 const TILT_DEG: f64 = 60.0;
 /// Azimuth and elevation of the observer \[deg\].
 const OBSERVER_DEG: [f64; 2] = [-22.0, 22.0];
@@ -32,20 +35,20 @@ const STYLE: &str = "<style>
 </style>
 ";
 
-/// Colours for a drawing in a file of its own.
+/// Style that defines these colours, for a drawing in a file of its own.
 const COLOURS: &str = "<style>
 svg{--ink:#1b2430;--paper:#fff;--accent:#9cc3e6;background:var(--paper)}
 @media(prefers-color-scheme:dark){svg{--ink:#e6eaef;--paper:#1b1f24;--accent:#2f6ea8}}
 </style>
 ";
 
-/// The drawing for a page that defines the colours `--ink`, `--paper` and `--accent`. Joint `n` is the SVG element with the
-/// identifier `bar-joint-n` and the class `bar-joint`.
+/// Draws the bar for a page that defines the colours `--ink`, `--paper` and `--accent`. Joint `n` is the SVG element with
+/// the identifier `bar-joint-n` and the class `bar-joint`.
 pub fn ball_bar(bar: &BallBarConfig) -> String {
     svg(bar, STYLE)
 }
 
-/// The drawing as an SVG file with colours of its own.
+/// Draws the bar as an SVG file that defines its own colours.
 pub fn ball_bar_file(bar: &BallBarConfig) -> String {
     svg(bar, &[COLOURS, STYLE].concat())
 }
@@ -64,23 +67,22 @@ fn svg(bar: &BallBarConfig, style: &str) -> String {
     pen.finish("class=\"bar-drawing\" role=\"img\" aria-labelledby=\"bar-title bar-desc\"", &head)
 }
 
-/// Text of a length for people \[mm\], rounded to a micrometre.
+/// A length as text for people, in mm, rounded to a micrometre.
 fn mm(length_m: f64) -> String {
     format!("{} mm", (length_m * 1e6).round() / 1e3)
 }
 
-/// Draws all components from back to front. The rod is tilted towards the robot, whose flange faces down. Constants are the
-/// sizes of symbols \[px\].
+/// Draws all components from back to front. The rod is tilted towards the robot, whose flange faces down. The numbers in the
+/// code are sizes of symbols \[px\].
 fn draw(pen: &mut Pen, bar: &BallBarConfig) {
     let (sin, cos) = TILT_DEG.to_radians().sin_cos();
     let px_per_m = WIDTH_PX / (bar.length_m * sin + bar.plate_m);
     let [length, plate, tool] = [bar.length_m, bar.plate_m, bar.tool_m].map(|length_m| length_m * px_per_m);
-    // Unit vectors along the rod, and across it in the plane of rod and plate.
+    // Unit vectors: along the rod, and perpendicular to the rod in the plane of rod and plate.
     let (rod, across) = (X * sin + Z * cos, Z * sin - X * cos);
     let (gimbal, cardan) = (Vector([0.0; 3]), rod * length);
     let axis6 = cardan + X * plate;
-    // The twist of links 1 to 3 is a quarter turn to either side. Its sign determines the positive direction
-    // of axes 2 and 4.
+    // The twist of links 1 to 3 is +90 or -90 degrees. Its sign determines the positive direction of axes 2 and 4.
     let twist = |link: usize| bar.links.get(link).map_or(1.0, |link| link.alpha_deg.signum());
     let axes = [Z, Y * -twist(0), rod, Y * (twist(0) * twist(1) * twist(2)), -Z];
     // Draws a joint: its encoder if it has one, an arrow for its positive direction, and its name.

@@ -1,4 +1,4 @@
-//! Projects solids, arrows and dimensions in parallel and writes them as elements of an SVG.
+//! Projects solids, arrows and dimensions onto a plane (parallel projection), and writes them as elements of an SVG.
 
 use std::fmt::Write;
 use std::ops::{Add, Mul, Neg, Sub};
@@ -66,7 +66,7 @@ fn unit(from: PointPx, to: PointPx) -> PointPx {
     [x, y].map(|part| part / x.hypot(y).max(f64::MIN_POSITIVE))
 }
 
-/// Collects the elements of a drawing from back to front: each element covers those before it.
+/// Collects the elements of a drawing from back to front. Each element covers the elements before it.
 #[derive(Debug)]
 pub struct Pen {
     right: Vector,
@@ -79,8 +79,8 @@ pub struct Pen {
 }
 
 impl Pen {
-    /// A pen for an observer looking along `+y`. The observer is first turned about z by the azimuth, then raised by the
-    /// elevation \[deg\].
+    /// A pen for an observer who looks along `+y`. The position of the observer is first rotated about z by the azimuth,
+    /// then raised by the elevation \[deg\].
     pub fn new([azimuth_deg, elevation_deg]: [f64; 2]) -> Self {
         let (sin, cos) = azimuth_deg.to_radians().sin_cos();
         let (sin_elevation, cos_elevation) = elevation_deg.to_radians().sin_cos();
@@ -105,14 +105,14 @@ impl Pen {
         _ = writeln!(self.elements, "<path class=\"{class}\" d=\"{data}\"/>");
     }
 
-    /// A path along corners. It is closed if `end` is `Z`, open if `end` is empty.
+    /// Adds a path through corners. The path is closed if `end` is `Z`, and open if `end` is empty.
     fn corners(&mut self, class: &str, corners: &[PointPx], end: &str) {
         corners.iter().for_each(|corner| self.include(*corner));
         let points: Vec<String> = corners.iter().map(|[x, y]| format!("{} {}", px(*x), px(*y))).collect();
         self.path(class, &format!("M{}{end}", points.join("L")));
     }
 
-    /// The tip of an arrow that points from `from` to `to`; the tip is at `to`.
+    /// Adds the tip of an arrow from `from` to `to`. The tip is at `to`.
     fn tip(&mut self, from: PointPx, to: PointPx) {
         let [x, y] = unit(from, to);
         let side = |half: f64| [to[0] - 10.0 * x - half * y, to[1] - 10.0 * y + half * x];
@@ -134,8 +134,8 @@ impl Pen {
 
     /// A cylinder, given by the centres of its ends. First its outline is drawn, then the end that faces the observer.
     pub fn cylinder(&mut self, class: &str, ends: [Vector; 2], radius: f64) {
-        // The ends appear as ellipses. `ratio` is that of minor to major axis; it is negative if the
-        // first end faces the observer.
+        // The ends of the cylinder appear as ellipses. `ratio` is the minor axis divided by the major axis. It is negative
+        // if the first end faces the observer.
         let ratio = (ends[1] - ends[0]).unit().dot(self.towards);
         let [near, far] = if ratio < 0.0 { ends } else { [ends[1], ends[0]] }.map(|end| self.project(end));
         let [x, y] = unit(far, near).map(|part| part * radius);
@@ -152,7 +152,7 @@ impl Pen {
 
     /// A block, given by its centre and three half edges.
     pub fn block(&mut self, class: &str, centre: Vector, halves: [Vector; 3]) {
-        // The observer sees three faces: the nearer one of each opposite pair.
+        // The observer sees three of the six faces. Of two opposite faces, the nearer one is visible.
         for turn in 0..3 {
             let [normal, a, b] = [0, 1, 2].map(|i| halves[(turn + i) % 3]);
             let face_centre = centre + normal * normal.dot(self.towards).signum();
@@ -181,8 +181,8 @@ impl Pen {
         self.tip(self.project(point_at(100)), self.project(point_at(116)));
     }
 
-    /// A dimension line parallel to the line between two points, at the distance `beside`. `ends` are in order from left to
-    /// right. `text` is written above the line.
+    /// A dimension line, parallel to the line between the points `ends` and displaced from it by `beside`. `ends` are in
+    /// order from left to right. `text` is written above the line.
     pub fn dimension(&mut self, ends: [Vector; 2], beside: Vector, text: &str) {
         for end in ends {
             self.line("thin", &[end, end + beside + beside.unit() * 6.0]);
@@ -201,7 +201,8 @@ impl Pen {
         );
     }
 
-    /// A text next to a point. If `beside` points right, the text begins there; otherwise it ends there.
+    /// A text next to a point, displaced by `beside`. If `beside` points right, the text begins
+    /// there; otherwise it ends there.
     pub fn label(&mut self, point: Vector, beside: PointPx, text: &str) {
         /// Width of a character and height of a line \[px\].
         const CHARACTER_PX: PointPx = [7.5, 14.0];

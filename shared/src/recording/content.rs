@@ -1,8 +1,8 @@
-//! Converts MCAP records to the content of a recording ([`Item`]): metadata, cycles, events. Reader and recovery use the
-//! [`Decoder`] for this; the writer builds its metadata records here. Our metadata records have a checksum of their own.
+//! Converts MCAP records to the content of a recording ([`Item`]): metadata, cycles and events. The reader and the recovery
+//! use the [`Decoder`] for this purpose. The writer builds its metadata records here, and adds a checksum to each of them.
 //!
-//! Counts of an encoder are relative to an *origin*, which changes when the counter restarts. Files of older programs only
-//! flag the first cycle of a new origin; new files have a number in each cycle ([`CycleLayout`]).
+//! Counts of an encoder are relative to an *origin*, which changes when the counter restarts. In new files, each cycle
+//! contains the number of its origin. Files of older programs only mark the first cycle after a change ([`CycleLayout`]).
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -19,7 +19,7 @@ use crate::encoder::{EncoderScale, INTERPOLATION_BITS};
 /// Name of the library in the MCAP header of a recording. The version follows it.
 pub(super) const LIBRARY_NAME: &str = "ballbard ";
 
-/// Channel numbers of the cycles and the events. They are the first two that the writer adds.
+/// Channel numbers of the cycles and of the events. The writer adds these two channels first.
 pub(super) const USUAL_CHANNELS: [u16; 2] = [1, 2];
 
 /// Names of the metadata records at the beginning and at the end of a run.
@@ -31,10 +31,10 @@ pub(super) const TIMING_METADATA: &str = "ballbard.timing";
 /// Names of all metadata records that have a checksum of their own.
 pub(super) const OUR_METADATA: [&str; 3] = [RUN_METADATA, END_METADATA, TIMING_METADATA];
 
-/// Key of the content in those metadata records. The content is JSON.
+/// Key of the content (JSON) in the metadata records that have a checksum.
 const CONTENT_KEY: &str = "json";
-/// Key of the CRC-32 of that JSON, in hexadecimal. MCAP itself protects metadata only by a checksum at the end of the file,
-/// and the file of an interrupted run has no such end.
+/// Key of the checksum: CRC-32 of the JSON text, in hexadecimal. MCAP protects metadata only by a checksum at the end of the
+/// file, which the file of an interrupted run does not have.
 const CHECKSUM_KEY: &str = "crc32";
 
 /// Builds a metadata record from `content`, with its checksum.
@@ -50,8 +50,8 @@ pub(super) fn metadata_of(name: &str, content: &impl Serialize) -> Result<Metada
 struct StoredRun<Run> {
     #[serde(flatten)]
     run: Run,
-    /// Whether each cycle contains the number of its origin. The schema has the same information, but a damaged
-    /// file may have lost it.
+    /// Whether each cycle contains the number of its origin. The schema contains the same information, but the schema may be
+    /// lost if the file is damaged.
     #[serde(default)]
     origin_numbers: bool,
     /// The value of [`RunMetadata::is_simulated`], for other programs that read the file.
@@ -71,7 +71,7 @@ pub(super) fn run_of(metadata: &Metadata) -> Result<(RunMetadata, CycleLayout), 
     Ok((run, if origin_numbers { CycleLayout::OriginNumber } else { CycleLayout::OriginFlag }))
 }
 
-/// Parses the content of a metadata record. Fails if its checksum is wrong or missing.
+/// Parses the content of a metadata record. Fails if the checksum is wrong or missing.
 pub(super) fn content_of<T: DeserializeOwned>(
     name: &'static str,
     metadata: &Metadata,
@@ -120,7 +120,7 @@ pub(super) enum Item {
     End(RunEnd),
 }
 
-/// A channel whose messages are decoded. Our other channels only repeat their content for other programs.
+/// A channel whose messages are decoded. Our other channels only repeat these messages in the formats of other programs.
 #[derive(Debug, Clone, Copy)]
 enum OurChannel {
     Cycles(CycleLayout),
@@ -130,7 +130,7 @@ enum OurChannel {
 /// Decodes the records of one recording. They must be passed in the order of the file.
 #[derive(Default)]
 pub(super) struct Decoder {
-    /// For each schema, by its number: its name, and how its cycles mark a new origin.
+    /// For each schema, by its number: the name of the schema, and how cycles mark a new origin.
     schemas: HashMap<u16, (String, CycleLayout)>,
     /// All declared channels, by number. The value is `None` for channels whose messages are not decoded.
     channels: HashMap<u16, Option<OurChannel>>,
@@ -140,8 +140,8 @@ pub(super) struct Decoder {
 }
 
 impl Decoder {
-    /// A decoder for files whose beginning may be lost. An undeclared channel is assumed to have the number that
-    /// [`RecordingWriter`](super::RecordingWriter) assigns to it.
+    /// A decoder for files whose beginning may be lost. Channel numbers that are not declared are assumed to
+    /// be those that [`RecordingWriter`](super::RecordingWriter) assigns.
     pub fn with_usual_channels(layout: CycleLayout) -> Self {
         let [cycles, events] = USUAL_CHANNELS;
         let channels =
@@ -149,7 +149,7 @@ impl Decoder {
         Self { channels, beginning_may_be_lost: true, ..Self::default() }
     }
 
-    /// Decodes a record. `None` if the record is not ours, or only declares a schema or channel.
+    /// Decodes a record. `None` if another program wrote the record, or if the record only declares a schema or channel.
     pub fn decode(&mut self, record: Record<'_>) -> Result<Option<Item>, ReadErrorKind> {
         Ok(match record {
             Record::Metadata(metadata) if metadata.name == RUN_METADATA => {
@@ -176,7 +176,7 @@ impl Decoder {
         })
     }
 
-    /// Stores a channel and whether it is one of our channels.
+    /// Stores a channel, and whether its messages must be decoded.
     fn take_channel(&mut self, channel: &Channel) {
         let ours = self.schemas.get(&channel.schema_id).and_then(|(name, layout)| {
             let is = |topic: &messages::Topic| channel.topic == topic.topic && name == topic.schema_name;
@@ -218,14 +218,14 @@ impl Decoder {
     }
 }
 
-/// Numbers the origins of a file that only flags the first record of each. If a record was lost, it may have had
-/// that flag. Therefore the records after it get a new origin. An unnecessary origin costs a few parameters, a
-/// missed one corrupts the calibration.
+/// Numbers the origins in files of older programs, in which only the first record of each origin has a flag. If records were
+/// lost, one of them may have had the flag, so the records after the loss get a new origin. An unnecessary origin adds a few
+/// parameters to the calibration, but a missed origin would corrupt it.
 #[derive(Default)]
 struct FlaggedOrigins {
     origin: u32,
     next_cycle: u64,
-    /// Whether a record was lost since the last record that is not lost.
+    /// Whether a record was lost since the last record that is whole.
     is_after_loss: bool,
 }
 

@@ -1,5 +1,5 @@
-//! Collects the summary that is stored at the end of a recording: its markers, and its invalid cycles with their reasons.
-//! With it, hundreds of recordings can be listed without reading any of them completely.
+//! Collects a summary of a run: its markers, and its invalid cycles with their reasons. The summary is stored at the end of
+//! the recording. Hundreds of recordings can therefore be listed without reading them completely.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::schema::{CycleRecord, EncoderSample, Event, EventKind, flags};
 use crate::time::UtcNs;
 
-/// Largest number of markers in the summary. All markers are among the recording's events.
+/// Largest number of markers in the summary. The events of the recording contain all markers.
 const MARKS_MAX: usize = 50;
 /// Longest text of a marker in the summary \[characters\]. Longer texts are cut.
 const MARK_CHARS_MAX: usize = 300;
@@ -40,7 +40,7 @@ pub struct Flagged {
 #[derive(Debug, Default)]
 pub(super) struct Digest {
     marks: Vec<RunMark>,
-    /// Each entry with the number of its last cycle.
+    /// Each entry, with the number of the last cycle that it includes.
     flagged: Vec<(Flagged, u64)>,
 }
 
@@ -70,7 +70,7 @@ impl Digest {
     }
 
     fn count(&mut self, joint: Option<u8>, reason: &str, cycle: u64) {
-        // Whether an entry has this joint and this reason.
+        // Whether an entry of `flagged` has this joint and this reason.
         let same = |(flagged, _): &&mut (Flagged, u64)| flagged.joint == joint && flagged.reason == reason;
         if let Some((flagged, last)) = self.flagged.iter_mut().find(same) {
             flagged.periods += u64::from(cycle > *last + 1);
@@ -91,11 +91,11 @@ impl Digest {
     }
 }
 
-/// Bits of an EL5021's status word (Beckhoff, index 0x6000) with their meaning. They are more specific than
+/// Bits of an EL5021's status word (Beckhoff, index 0x6000), with their meaning. They are more specific than
 /// the flags of a cycle.
 const STATUS_REASONS: [(u16, &str); 2] = [(1 << 4, "signal too low"), (1 << 3, "turned too fast")];
 
-/// Flags of a cycle with their meaning, in order of precedence as the reason of an invalid sample.
+/// Flags of a cycle with their meaning. If a cycle has several flags, the first of them in this list is the reason.
 const FLAG_REASONS: [(u32, &str); 9] = [
     (flags::LOST, "lost before the file"),
     (flags::BUS_DOWN, "bus down"),
@@ -111,8 +111,8 @@ const FLAG_REASONS: [(u32, &str); 9] = [
 /// In cycles with one of these flags, the status words may be old, because the bus did not reply.
 const NO_STATUS: u32 = flags::LOST | flags::BUS_DOWN | flags::NO_REPLY;
 
-/// The reason why a sample is not valid. The status word of the terminal is used first, unless it may be old; then
-/// the flags of the cycle.
+/// The reason why a sample is invalid. The terminal's status word determines it, unless the word may be old or contains no
+/// reason. Then the flags of the cycle determine it.
 fn reason(encoder: Option<&EncoderSample>, flags: u32) -> &'static str {
     let status = encoder.filter(|_| flags & NO_STATUS == 0).map_or(0, |encoder| encoder.status);
     let by_status = STATUS_REASONS.iter().find(|(bit, _)| status & bit != 0).map(|(_, reason)| *reason);

@@ -1,6 +1,8 @@
-//! Every call to the disk: for recordings, their recovery and lists, claims, reference marks and the log.
+//! All calls to the disk go through this module: for recordings, their recovery and lists, claims of directories, reference
+//! marks and the log.
 //!
-//! The default methods of [`Disk`] call the operating system. A test overrides them to refuse, delay or cut short any call.
+//! The default methods of [`Disk`] call the operating system. Tests override them, so that a call fails, is delayed or
+//! writes only some of its bytes.
 
 use std::fmt::{self, Debug};
 use std::fs::{File, Metadata, OpenOptions};
@@ -43,8 +45,8 @@ impl fmt::Display for FileId {
 pub struct Space {
     /// Bytes that this user may still write.
     pub free_bytes: u64,
-    /// Whether files can be created there: the path is a directory, this user may write, and its file system is not
-    /// read-only.
+    /// Whether files can be created there. This requires that the path is a directory, that this user may write there, and
+    /// that the file system is not read-only.
     pub is_writable: bool,
 }
 
@@ -75,7 +77,7 @@ pub trait Disk: Debug + Send + Sync {
         Flock::lock(file, FlockArg::LockExclusiveNonblock).map_err(|(_, error)| error.into())
     }
 
-    /// Whether another process has locked the file with [`lock`](Self::lock). Several processes may test
+    /// Whether another process has locked the file with [`lock`](Self::lock). Several processes may check
     /// this at the same time.
     fn is_locked(&self, file: File) -> io::Result<bool> {
         match Flock::lock(file, FlockArg::LockSharedNonblock) {
@@ -85,22 +87,22 @@ pub trait Disk: Debug + Send + Sync {
         }
     }
 
-    /// Renames a file, and fails if a file with the new name exists.
+    /// Renames a file. Fails if a file with the new name exists.
     fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {
         match renameat2(AT_FDCWD, from, AT_FDCWD, to, RenameFlags::RENAME_NOREPLACE) {
-            // Some file systems do not support this flag. The name is then tested just before the rename; it was
-            // free when the run began.
+            // Some file systems do not support the flag that forbids replacement. In this case the name is checked just
+            // before the rename. The name was free when the run began.
             Err(Errno::EINVAL | Errno::ENOSYS) if !to.exists() => std::fs::rename(from, to),
             result => result.map_err(io::Error::from),
         }
     }
 
-    /// Renames a file, and replaces any file with the new name.
+    /// Renames a file. An existing file with the new name is replaced.
     fn replace(&self, from: &Path, to: &Path) -> io::Result<()> {
         std::fs::rename(from, to)
     }
 
-    /// Gives a file a second name, and fails if a file with that name exists.
+    /// Adds a second name to a file. Fails if a file with that name exists.
     fn link(&self, path: &Path, name: &Path) -> io::Result<()> {
         std::fs::hard_link(path, name)
     }
@@ -136,7 +138,7 @@ pub trait Disk: Debug + Send + Sync {
         file.metadata().map(|found| found.len())
     }
 
-    /// Appends to a stream, such as that of the log. Returns the number of bytes that were written.
+    /// Appends to a stream, such as the output of the log. Returns the number of bytes that were written.
     fn append(&self, stream: BorrowedFd<'_>, bytes: &[u8]) -> io::Result<usize> {
         Ok(write(stream, bytes)?)
     }
@@ -162,7 +164,7 @@ pub trait Disk: Debug + Send + Sync {
 
     /// Free space of the file system of a directory. The directory may be missing if it will be created later.
     fn space(&self, directory: &Path) -> io::Result<Space> {
-        // A missing directory will be created on the file system of its nearest existing parent.
+        // A missing directory will be created on the file system of its nearest parent that exists.
         let existing = directory.ancestors().find(|path| path.exists()).unwrap_or(Path::new("."));
         let existing = if existing.as_os_str().is_empty() { Path::new(".") } else { existing };
         let system = statvfs(existing)?;
@@ -178,7 +180,7 @@ pub fn is_absent(error: &io::Error) -> bool {
     matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory)
 }
 
-/// Reads and writes an open file sequentially, starting at its beginning. Each call is passed to the disk.
+/// Reads and writes an open file sequentially from its beginning. All calls go through a [`Disk`].
 #[derive(Debug)]
 pub struct OpenFile<'a> {
     disk: &'a dyn Disk,

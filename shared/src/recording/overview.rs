@@ -1,5 +1,5 @@
-//! Overview of a finished recording. Only its beginning and end are read, so that a list of
-//! many recordings is built quickly.
+//! Reads the overview of a finished recording. Only the beginning and the end of the file are read, so that a list of many
+//! recordings is built quickly.
 //!
 //! The end of an MCAP file is a summary, followed by a footer. The footer contains the offset of the summary. The summary
 //! contains the offsets of the metadata records.
@@ -23,7 +23,7 @@ const FOOTER_BYTES: usize = PREFIX_BYTES + 20;
 /// Length of the checksum at the end of the footer \[bytes\].
 const CHECKSUM_BYTES: usize = 4;
 
-/// Metadata from the beginning and the end of a finished recording. The data in between are not checked.
+/// Metadata from the beginning and the end of a finished recording. The data between them are not checked.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RunOverview {
     /// Names and settings of the run.
@@ -54,7 +54,7 @@ impl RunOverview {
 }
 
 /// Offsets and lengths of the metadata records, from the summary. The summary is parsed here and not by the MCAP library,
-/// because the library checks lengths too late (see [`parse_record`]).
+/// because the library checks lengths only after it has allocated memory (see [`parse_record`]).
 fn metadata_indexes(file: &mut OpenFile<'_>) -> Result<Vec<MetadataIndex>, ReadErrorKind> {
     let summary = summary_of(file)?;
     let mut rest = &summary[..];
@@ -104,7 +104,7 @@ fn summary_of(file: &mut OpenFile<'_>) -> Result<Vec<u8>, ReadErrorKind> {
     Ok(summary)
 }
 
-/// Reads the metadata record with this name at the offset given by the summary.
+/// Reads the metadata record with this name. The summary contains its offset.
 fn metadata(
     file: &mut OpenFile<'_>,
     indexes: &[MetadataIndex],

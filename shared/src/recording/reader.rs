@@ -1,8 +1,9 @@
-//! Reads a complete recording, or returns why it cannot be read.
+//! Reads a complete recording, or returns an error that states why the file cannot be read.
 //!
-//! A damaged file must never yield a wrong number. Therefore checksums are tested before a chunk is unpacked. Record lengths
-//! are limited, because a flipped bit in a length could otherwise request the whole address space. The checksum over the
-//! data section and the consecutive cycle numbers prove that no data are missing.
+//! A damaged file must never yield a wrong number. The reader therefore makes three checks:
+//! - The checksum of a chunk is checked before the chunk is unpacked.
+//! - Record lengths are limited, because a flipped bit in a length could otherwise request the whole address space.
+//! - The checksum over the data section and the consecutive cycle numbers prove that no data are missing.
 
 use std::io::{self, BufReader, Read};
 use std::path::{Path, PathBuf};
@@ -40,7 +41,7 @@ pub enum ReadErrorKind {
         "damaged: a chunk without a checksum; if a run was cut short, run `ballbard recover` on the file"
     )]
     NoChecksum,
-    /// A record is at a position in the file where it is not allowed.
+    /// A record is at a position in the file at which the format does not allow it.
     #[error("damaged: {0}; if a run was cut short, run `ballbard recover` on the file")]
     Misplaced(String),
     /// A message cannot be decoded although the checksum of its chunk is correct.
@@ -71,10 +72,10 @@ pub enum ReadErrorKind {
     Hole {
         /// Number of the next cycle.
         expected: u64,
-        /// Number that the file has instead.
+        /// The number that the file contains instead.
         found: u64,
     },
-    /// The end record contains another number of cycles than the file.
+    /// The number of cycles in the end record differs from the number of cycles in the file.
     #[error("{read} cycles, but the run's end counts {counted}; run `ballbard recover` on the file")]
     CycleCount {
         /// Number of cycles in the file.
@@ -104,8 +105,8 @@ impl Recording {
     /// Whether the first bytes of a file are those of a recording. The recording may be damaged, cut short or still being
     /// written. Other MCAP files, such as ROS 2 bags, are not recordings.
     pub fn is_begun_by(beginning: &[u8]) -> bool {
-        // The name of the library is near the metadata of the run, so that one of both is found even
-        // if the other is damaged.
+        // The name of the library and the metadata of the run are both near the beginning. If one of them is damaged, the
+        // other still identifies the recording.
         let has = |name: &[u8]| beginning.windows(name.len()).any(|window| window == name);
         beginning.starts_with(mcap::MAGIC) && (has(LIBRARY_NAME.as_bytes()) || has(RUN_METADATA.as_bytes()))
     }
@@ -134,8 +135,8 @@ impl Recording {
     }
 }
 
-/// A complete recording without its cycles. They are passed on one by one while reading, so that memory does
-/// not grow with the run.
+/// A complete recording without its cycles. The cycles are passed on one by one while the file is read. Memory therefore
+/// does not grow with the length of the run.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Outline {
     /// As in [`Recording`].
@@ -149,8 +150,8 @@ pub struct Outline {
 }
 
 impl Outline {
-    /// Reads a finished recording from any source of bytes, and passes each cycle to `take`, consecutively. The caller must
-    /// not rely on the cycles before this returns `Ok`, because only then is the recording known to be complete.
+    /// Reads a finished recording from any source of bytes, and passes each cycle to `take`, in order. Until this function
+    /// returns `Ok`, the caller must not rely on these cycles, because the recording may turn out to be incomplete.
     pub fn read<E: From<ReadErrorKind>>(
         source: impl Read,
         take: &mut dyn FnMut(CycleRecord) -> Result<(), E>,
@@ -170,7 +171,7 @@ pub(super) fn check_count(end: &RunEnd, read: u64) -> Result<(), ReadErrorKind> 
     if counted == read { Ok(()) } else { Err(ReadErrorKind::CycleCount { read, counted }) }
 }
 
-/// Stores the metadata of the run. A file contains them twice, and both copies must be equal.
+/// Stores the metadata of the run. A file contains two copies of them, and both must be equal.
 pub(super) fn take_run(known: &mut Option<RunMetadata>, run: RunMetadata) -> Result<(), ReadErrorKind> {
     match known {
         Some(known) if *known != run => {

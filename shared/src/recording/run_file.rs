@@ -1,5 +1,9 @@
-//! The file of a run on disk. It is created under a temporary name and locked before it gets its name. At the end of the run
-//! it is renamed to its final name. No step replaces an existing file.
+//! The file of a run on disk. Its steps are:
+//! 1. Create the file under a hidden temporary name and lock it.
+//! 2. Rename it to `<name>.mcap.active`, and write the run.
+//! 3. At the end of the run, rename it to `<name>.mcap`.
+//!
+//! None of these steps replaces an existing file.
 
 use std::fs::File;
 use std::io::{self, Write};
@@ -20,12 +24,12 @@ pub const ACTIVE_ENDING: &str = "mcap.active";
 /// Ending of the original of a recovered recording. The original is kept if some of its bytes could not be recovered.
 pub const TORN_ENDING: &str = "mcap.torn";
 
-/// Longest name of a run \[bytes\]. With the longest ending, the file name fits into 143 bytes, the limit of encrypted file
-/// systems (others allow 255).
+/// Longest name of a run \[bytes\]. The name with the longest ending then fits into 143 bytes, the limit of encrypted file
+/// systems. Other file systems allow 255 bytes.
 const NAME_BYTES_MAX: usize = 120;
 /// Number of bytes that are copied at a time.
 const COPY_BYTES: usize = 1 << 20;
-/// If a run continues in another directory where its name is taken, a number below this is added to the name.
+/// A run may continue in another directory in which its name is taken. A number below this limit is then added to the name.
 const COPY_NAMES: u32 = 100;
 
 /// The file of a run on disk, with the ending `.mcap.active` until it is complete. The process that writes the file holds a
@@ -70,7 +74,7 @@ impl RunFile {
         let file = create_locked(&*disk, directory, &path)?;
         let named = disk.sync_directory(directory).and_then(|()| disk.id_of(&file));
         let id = named.map_err(|source| {
-            // The file is empty. The caller gets the original error, not that of the removal.
+            // The file is empty and is removed. The caller gets the original error, even if the removal fails, too.
             let _ = disk.remove(&path);
             io_error(directory)(source)
         })?;
@@ -93,8 +97,9 @@ impl RunFile {
         RunSync { place: self.place.clone(), file: Arc::clone(&self.file) }
     }
 
-    /// Copies the file into `directory` and continues to write the copy. If its name is taken there, a number is added. The
-    /// old file is removed if it still exists, because the copy is complete. After an error nothing is changed.
+    /// Copies the file into `directory` and continues to write the copy. If the name is taken in that directory, a
+    /// number is added to it. Then the old file is removed if it still exists, because the copy is complete. After
+    /// an error nothing is changed.
     pub fn move_to(&mut self, directory: &Path) -> Result<(), WriteError> {
         let stem = self.finished.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
         let numbered = (2..COPY_NAMES).map(|number| format!("{stem}-{number}"));
@@ -117,7 +122,7 @@ impl RunFile {
         Ok(())
     }
 
-    /// Copies the content of another file into this one, and checks the copy against the checksum of what was written.
+    /// Copies the content of another file into this one. Compares the copy with the checksum of the bytes that were written.
     fn take_over(&mut self, other: &Self) -> Result<(), WriteError> {
         let disk = Arc::clone(&self.place.disk);
         let unreadable = io_error(&other.place.path);
@@ -137,14 +142,14 @@ impl RunFile {
         disk.sync(&self.file).map_err(io_error(&self.place.path))
     }
 
-    /// Gives the file its final name, and fails if a file with that name exists. When this returns, the file is on disk
+    /// Gives the file its final name. Fails if a file with that name exists. When this function returns, the file is on disk
     /// under the returned path.
     pub fn publish(&mut self) -> Result<PathBuf, WriteError> {
         let disk = Arc::clone(&self.place.disk);
         disk.sync(&self.file).map_err(io_error(&self.place.path))?;
         self.place.check()?;
         disk.rename(&self.place.path, &self.finished).map_err(exists_or_io(&self.finished))?;
-        // From now on the file is known under its final name; `move_to` needs the current path to remove the old file.
+        // `move_to` needs the current path to remove the old file, so the new path is stored at once.
         self.place.path.clone_from(&self.finished);
         sync_parent(&*disk, &self.finished)?;
         self.place.check()?;
@@ -158,8 +163,8 @@ impl RunPlace {
         &self.path
     }
 
-    /// Whether both refer to the same file under the same path. Paths alone are not enough: another run, or a copy,
-    /// may have got the path.
+    /// Whether both values are the same file under the same path. Comparing the paths is not enough, because another run or
+    /// a copy may have got the path.
     pub fn is_same(&self, other: &Self) -> bool {
         self.path == other.path && self.id == other.id
     }
@@ -181,8 +186,7 @@ impl RunPlace {
 
     /// Removes the file, whose content is not needed.
     pub(super) fn remove(&self) {
-        // The reason for the removal is reported elsewhere. If the removal fails, too, an unused file stays
-        // behind, which does no harm.
+        // The caller reports why the file is removed. If the removal fails, too, an unused file remains, which does no harm.
         let _ = self.disk.remove(&self.path);
     }
 }
@@ -194,7 +198,7 @@ impl RunSync {
     }
 }
 
-/// Endings that mark the state of a file. A run's name must not contain them.
+/// Endings that show the state of a file. A run's name must not contain them.
 const RESERVED_ENDINGS: [&str; 4] = [FINISHED_ENDING, "active", "torn", "recovering"];
 
 fn is_plain(c: char) -> bool {
@@ -204,7 +208,7 @@ fn is_plain(c: char) -> bool {
 /// Turns typed text into a valid name for a run. Letters, digits, `-`, `_`, `+` and `.` are kept, other characters become
 /// `-`. `None` if the result has no letter or digit.
 pub fn run_name(typed: &str) -> Option<String> {
-    // Combining characters: some keyboards send accents separately from their letters.
+    // Combining characters: some keyboards send accents separately from the letters.
     let is_accent = |c: &char| ('\u{300}'..='\u{36f}').contains(c);
     let mut plain = String::new();
     for c in typed.trim().chars().filter(|c| !is_accent(c)) {
@@ -228,8 +232,8 @@ pub fn run_name(typed: &str) -> Option<String> {
     (has_content && check_name(name).is_ok()).then(|| name.to_owned())
 }
 
-/// Refuses a name that is not a plain file name. Also refuses a name that a command line would read as an option, and one
-/// that contains an ending for the state of a file.
+/// Refuses a name that is not a plain file name. Also refuses two kinds of names: names that a command line would read as an
+/// option, and names that contain one of [`RESERVED_ENDINGS`].
 fn check_name(name: &str) -> Result<(), WriteError> {
     let has_ending = name.split('.').skip(1).any(|part| RESERVED_ENDINGS.contains(&part));
     if name.is_empty()
@@ -243,8 +247,8 @@ fn check_name(name: &str) -> Result<(), WriteError> {
     Ok(())
 }
 
-/// Creates a file under a hidden name, locks it, and only then gives it its name. Otherwise another process could take the
-/// file, not locked yet, for one that a crash left.
+/// Creates a file under a hidden name, locks it, and only then gives it its name. If the file had its name before it is
+/// locked, another process could consider it a file that a crash left behind.
 fn create_locked(disk: &dyn Disk, directory: &Path, active: &Path) -> Result<Flock<File>, WriteError> {
     static NUMBER: AtomicU32 = AtomicU32::new(0);
     let number = NUMBER.fetch_add(1, Ordering::Relaxed);
@@ -255,22 +259,22 @@ fn create_locked(disk: &dyn Disk, directory: &Path, active: &Path) -> Result<Flo
         Ok(file)
     });
     if named.is_err() {
-        // The file is empty. The caller gets the original error, not that of the removal.
+        // The file is empty and is removed. The caller gets the original error, even if the removal fails, too.
         let _ = disk.remove(&hidden);
     }
     named
 }
 
-/// Ending of a file that is not locked yet and therefore does not have its name. The temporary name begins with a dot.
+/// Ending of the temporary name, which a file has until it is locked. The temporary name begins with a dot.
 pub(super) const UNNAMED_ENDING: &str = ".new";
 
-/// Renames a file and fails if the new name exists. When this returns, the new name survives a power cut.
+/// Renames a file. Fails if a file with the new name exists. When this function returns, the new name survives a power cut.
 pub(super) fn rename(disk: &dyn Disk, from: &Path, to: &Path) -> Result<(), WriteError> {
     disk.rename(from, to).map_err(exists_or_io(to))?;
     sync_parent(disk, to)
 }
 
-/// Synchronises the directory of `path`, so that its name survives a power cut.
+/// Synchronises the directory of `path`, so that the name of the file survives a power cut.
 pub(super) fn sync_parent(disk: &dyn Disk, path: &Path) -> Result<(), WriteError> {
     let directory = path.parent().unwrap_or(Path::new("."));
     disk.sync_directory(directory).map_err(io_error(directory))

@@ -17,7 +17,7 @@ pub const MAX_ENCODERS: usize = 5;
 pub struct EncoderSample {
     /// Bar joint of the encoder, 1 to 5.
     pub joint: u8,
-    /// Whether the count is new, the terminal in operation, and the terminal without errors.
+    /// Whether the sample can be used: the count is new, and the terminal is in operation and reports no error.
     pub valid: bool,
     /// Status word in the terminal's TxPDO, unchanged.
     pub status: u16,
@@ -35,20 +35,23 @@ pub mod flags {
     pub const WORKING_COUNTER: u32 = 1 << 1;
     /// A device is not in OP.
     pub const NOT_OPERATIONAL: u32 = 1 << 2;
-    /// A terminal's toggle bit did not change: its input is that of an earlier cycle.
+    /// The toggle bit of a terminal did not change, so its input is from an earlier cycle.
     pub const STALE_INPUT: u32 = 1 << 3;
     /// A terminal reports frequency, amplitude or synchronisation error.
     pub const TERMINAL_ERROR: u32 = 1 << 4;
-    /// The frame of the cycle was so late that the terminals had overwritten the cycle's sample, or had begun to.
+    /// The frame of the cycle was too late. The terminals had already overwritten the sample of the cycle, or
+    /// had begun to do so.
     pub const DEADLINE_MISSED: u32 = 1 << 5;
     /// The bus is down, and must be brought up again.
     pub const BUS_DOWN: u32 = 1 << 6;
-    /// Without a distributed clock, only bounds of the sample time are known.
+    /// There is no distributed clock, so only bounds of the sample time are known.
     pub const NO_DC: u32 = 1 << 7;
-    /// The cycle was lost, by an overflow of the ring between bus and file, or in a damaged file. Only its number is known.
+    /// The cycle was lost, because the ring between bus and file overflowed, or because the file was damaged. Only the
+    /// number of the cycle is known.
     pub const LOST: u32 = 1 << 8;
-    /// The counters may have a new origin since the cycle before. Used in exported tables, and in files of older programs,
-    /// whose records have no origin number. A decoded [`CycleRecord`](super::CycleRecord) never has this flag.
+    /// The counters may have another origin than in the previous cycle. This flag is used in exported tables, and
+    /// in files of older programs, whose records have no origin number. A decoded
+    /// [`CycleRecord`](super::CycleRecord) never has this flag.
     pub const ORIGIN_CHANGED: u32 = 1 << 9;
 
     /// Each flag with its name in reports and exports.
@@ -83,9 +86,9 @@ pub struct CycleRecord {
     pub receive_time: MonoNs,
     /// Working counter of the process data datagram.
     pub working_counter: u16,
-    /// Expected working counter, if every device takes part.
+    /// Working counter that is expected if every device processes the frame.
     pub working_counter_expected: u16,
-    /// Why the cycle cannot be used, see [`flags`]. 0 if there is no such reason.
+    /// Why the cycle, or some of its encoders, cannot be used, see [`flags`]. 0 if all encoders can be used.
     pub flags: u32,
     /// Number of the counters' origin in this run. Counts of two cycles can be subtracted only if their origins are equal.
     pub origin: u32,
@@ -96,8 +99,8 @@ pub struct CycleRecord {
 }
 
 impl CycleRecord {
-    /// The record for a cycle that was lost. Only its number and approximate time are known. Joints and origin are copied
-    /// from `near`, another record of the same run.
+    /// The record for a lost cycle. Only the number and the approximate time of the cycle are known. Joints and origin are
+    /// copied from `near`, another record of the same run.
     pub fn lost(cycle: u64, sample_time: UtcNs, near: &Self) -> Self {
         let mut record = Self {
             cycle,
@@ -150,7 +153,7 @@ impl EventKind {
             .find(|kind| *kind as u8 == number)
     }
 
-    /// Word before the text of an event, so that no spreadsheet reads one as a formula.
+    /// Word before the text of an event. Because of this word, no spreadsheet reads the text as a formula.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Marker => "mark",
@@ -173,7 +176,7 @@ pub struct Event {
     pub kind: EventKind,
     /// Description in words for people.
     pub text: String,
-    /// Stable code of the problem, the same as in status and log. Empty for a marker, and in files of older programs.
+    /// Stable code of the problem. Status and log use the same code. Empty for a marker, and in files of older programs.
     pub code: String,
 }
 
@@ -191,7 +194,7 @@ pub struct EncoderInfo {
 pub struct DeviceInfo {
     /// Position on the bus, the coupler is 0.
     pub position: u16,
-    /// Name from its EEPROM.
+    /// Name in the device's EEPROM.
     pub name: String,
     /// Number of the EtherCAT vendor.
     pub vendor_id: u32,
@@ -199,7 +202,7 @@ pub struct DeviceInfo {
     pub product_code: u32,
     /// Revision number of the device.
     pub revision: u32,
-    /// Serial number, 0 if the maker assigns none.
+    /// Serial number. 0 if the manufacturer assigns none.
     pub serial: u32,
 }
 
@@ -213,7 +216,7 @@ impl DeviceInfo {
 /// Names and settings of a run, written into the file before the first cycle.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RunMetadata {
-    /// Name of the run; the file's name without its ending.
+    /// Name of the run, which is the name of its file without the ending.
     pub name: String,
     /// Person who made the recording.
     pub operator: String,
@@ -238,9 +241,9 @@ pub struct RunMetadata {
     pub replay_of: Option<ReplayOrigin>,
     /// Time between two cycles \[ns\].
     pub cycle_period_ns: u64,
-    /// Whether the terminals sample on distributed clocks. Otherwise a sample may be as old as one period.
+    /// Whether the terminals sample on distributed clocks. If they do not, a sample may be up to one period old.
     pub distributed_clocks: bool,
-    /// Difference `UTC - CLOCK_MONOTONIC` \[ns\]. It is constant for the whole run, so that time stamps never decrease.
+    /// Difference `UTC - CLOCK_MONOTONIC` \[ns\]. It is constant during the run, so that time stamps never decrease.
     pub utc_minus_monotonic_ns: i64,
     /// Encoders in bus order.
     pub encoders: Vec<EncoderInfo>,
@@ -279,7 +282,7 @@ pub struct Provenance {
 }
 
 impl Provenance {
-    /// Provenance of a run on `bus`. A replay has the provenance of the recording that it plays.
+    /// Provenance of a run on `bus`. For a replay, `replay_of` is the recording that is played.
     pub fn new(bus: &str, replay_of: Option<ReplayOrigin>) -> Self {
         let simulated = replay_of.as_ref().map_or(bus, |origin| &origin.bus) == SIMULATED_BUS;
         Self { simulated, replay_of }
@@ -304,8 +307,8 @@ impl fmt::Display for Provenance {
 }
 
 impl RunMetadata {
-    /// Whether the encoder counts were simulated. For a replay, the bus of the original recording decides. A replay by an
-    /// older program has no stored origin, so its own bus decides.
+    /// Whether the encoder counts were simulated. For a replay, the bus of the original recording decides. Replays by older
+    /// programs do not contain the original recording. For them, their own bus decides.
     pub fn is_simulated(&self) -> bool {
         self.provenance().simulated
     }
@@ -315,7 +318,8 @@ impl RunMetadata {
         Provenance::new(&self.bus, self.replay_of.clone())
     }
 
-    /// Identifies this recording as the origin of a replay. If it is a replay itself, the first origin is returned.
+    /// Identifies this recording as the origin of a replay. If this recording is itself a replay,
+    /// the original recording is returned.
     pub fn origin(&self) -> ReplayOrigin {
         let Self { name, started, bus, .. } = self;
         let this = || ReplayOrigin { name: name.clone(), started: *started, bus: bus.clone() };
@@ -345,10 +349,10 @@ impl PortCounts {
     }
 }
 
-/// How a run ended. It is written into the file after the last cycle.
+/// How a run ended. This record is written into the file after the last cycle.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RunEnd {
-    /// Why it ended, in words.
+    /// Why the run ended, in words.
     pub cause: String,
     /// End of the run, UTC.
     pub ended: UtcNs,
@@ -356,13 +360,14 @@ pub struct RunEnd {
     pub cycles: u64,
     /// Cycles in which every encoder is valid.
     pub cycles_valid: u64,
-    /// Number of lost cycles, of which only the number in the run is known: [`flags::LOST`].
+    /// Number of lost cycles ([`flags::LOST`]). Of a lost cycle, only its number in the run is known.
     pub cycles_lost: u64,
-    /// Whether the recording was recovered: the run was cut short or its file damaged, and the undamaged cycles were kept.
+    /// Whether the recording was recovered. If so, the run was cut short or its file was damaged, and
+    /// the undamaged cycles were kept.
     #[serde(default)]
     pub recovered: bool,
-    /// Travel of each encoder in bus order \[deg\]: the largest range of its angle while its counter kept one origin. Empty
-    /// in files of older programs.
+    /// Travel of each encoder, in bus order \[deg\]: the largest range of its angle during which the counter had the same
+    /// origin. Empty in files of older programs.
     #[serde(default)]
     pub turned_deg: Vec<f64>,
     /// The first markers of the run. Empty in files of older programs.
@@ -374,9 +379,10 @@ pub struct RunEnd {
 }
 
 /// Minimum duration of a run, and minimum travel of each measured joint, for `identify calibrate` with default settings. The
-/// recorder grades runs by the same limits.
+/// daemon grades runs by the same limits.
 pub mod required {
-    /// Minimum overlap of robot log and recording \[s\]. A shorter motion can match at several time offsets.
+    /// Minimum overlap of robot log and recording \[s\]. If the motion is shorter, it can match the
+    /// log at several time offsets.
     pub const OVERLAP_MIN_S: f64 = 10.0;
     /// Minimum travel of a joint \[deg\]. With less travel, the encoder's offset cannot be
     /// separated from the robot's geometry.

@@ -1,6 +1,8 @@
-//! Derives messages for other programs from the records of a run. For each cycle, counts are converted to joint angles and
-//! velocities for plots. Once per second, diagnostics summarise valid cycles, flags and errors of ports. The travel of each
-//! joint is also determined here, for the end record.
+//! Derives messages for other programs from the records of a run:
+//! - joint states, for each cycle: the counts converted to joint angles and velocities, for plots
+//! - diagnostics, once per second: number of valid cycles, flags, and errors of ports
+//!
+//! The travel of each joint is also determined here, for the end record.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -87,8 +89,8 @@ impl Shown {
     }
 
     /// Velocity of each joint \[rad/s\]: difference of the counts since the last cycle, divided by the time between the two
-    /// samples. The time is taken from the clock of the bus, which is accurate to some ns. NaN without that clock, after a
-    /// missing cycle, and if the origin has changed.
+    /// samples. This time is measured by the clock of the bus, which is accurate to some ns. The velocity is NaN without a
+    /// distributed clock, after a missing cycle, and if the origin has changed.
     fn velocities_rad_s(&self, record: &CycleRecord) -> Vec<f64> {
         let before = self.last.as_ref().filter(|last| {
             last.cycle + 1 == record.cycle && last.origin == record.origin && last.dc_time.0 != 0
@@ -106,13 +108,13 @@ impl Shown {
         self.encoders.iter().zip(record.encoders()).enumerate().map(velocity_rad_s).collect()
     }
 
-    /// Travel of each joint \[deg\], see `RunEnd`.
+    /// Travel of each joint \[deg\], as defined in `RunEnd`.
     pub fn turned_deg(&self) -> Vec<f64> {
         self.travels.iter().map(|travel| travel.widest_rad.to_degrees()).collect()
     }
 
-    /// The diagnostics, as CDR, after the last cycle of each second; otherwise `None`. They contain the number of valid
-    /// cycles and samples, and the number of cycles with each flag.
+    /// After the last cycle of each second, the diagnostics of that second as CDR; otherwise `None`. They contain the number
+    /// of valid cycles and samples, and the number of cycles with each flag.
     pub fn diagnostics(&mut self, record: &CycleRecord) -> Option<Result<Vec<u8>, MessageError>> {
         self.second.take(record);
         if self.second.cycles < self.cycles_per_second {
@@ -185,7 +187,7 @@ impl Shown {
     }
 }
 
-/// Range of a joint's angle in the present origin, and the widest range of all origins.
+/// Range of a joint's angle: that since the present origin began, and the widest range of all origins so far.
 #[derive(Debug, Clone, Default)]
 struct Travel {
     /// Number of the present origin, with the lowest and highest angle since it began \[rad\].

@@ -58,11 +58,11 @@ pub struct TimingSummary {
 }
 
 impl Bin {
-    /// Upper limit of the bin that contains a duration \[ns\]. The limits are 1, 1.5, 2, 3, 4, 6, 8, 12 ..
-    /// us, two for each octave.
+    /// Upper limit of the bin that contains a duration \[ns\]. The limits are 1, 1.5, 2, 3, 4, 6, 8, 12, ... us; there are
+    /// two limits for each factor of two.
     pub fn limit_of(duration_ns: u64) -> u64 {
         let octave_ns = |shift: u32| 1000u64.checked_shl(shift).unwrap_or(u64::MAX);
-        // A 64-bit number of ns has 54 octaves above one microsecond.
+        // A 64-bit number of ns is less than 2^54 us, so 54 factors of two are enough.
         (0..54)
             .flat_map(|shift| [octave_ns(shift), octave_ns(shift) / 2 * 3])
             .find(|limit_ns| duration_ns <= *limit_ns)
@@ -93,7 +93,7 @@ impl fmt::Display for DiskTiming {
 }
 
 impl fmt::Display for TimingSummary {
-    /// Writes percentiles, then the times of the disk, then the three histograms side by side.
+    /// Writes a table of percentiles, then the times of the disk, then the three histograms side by side.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { cycles, lateness, round_trip, duration, disk } = self;
         writeln!(f, "{:15} {:>10} {:>10} {:>10} {:>10}", "time [us]", "p50", "p99", "p99.9", "max")?;

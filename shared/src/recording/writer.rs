@@ -1,12 +1,13 @@
-//! Writes a recording. A kill of the process loses at most the data since the last [`RecordingWriter::cut`], a power cut at
-//! most those since the last [`RecordingWriter::sync`].
+//! Writes a recording. If the process is killed, at most the data since the last [`RecordingWriter::cut`] are lost. A power
+//! cut loses at most the data since the last [`RecordingWriter::sync`].
 //!
-//! Messages are collected in a chunk, the unit of MCAP that is compressed and has a checksum. To *cut* a chunk is to end it
-//! and begin a new one. Each chunk is built in memory and appended with its final header (`disable_seeking`). An interrupted
-//! file therefore ends after a chunk or within one, and never has a header with a wrong length.
+//! Messages are collected in a chunk, the unit of MCAP that is compressed and has a checksum. To *cut* a chunk is
+//! to end it and begin a new one. Each chunk is built in memory, and appended to the file only when its header is
+//! final (`disable_seeking`). An interrupted file therefore ends after a chunk or within one, and never contains a
+//! header with a wrong length.
 //!
-//! Bytes that the sink refuses stay in memory. When the sink has been repaired or replaced, the
-//! recording continues without a gap.
+//! The writer passes the bytes to a *sink*, usually the [`RunFile`]. Bytes that the sink refuses stay in memory. When the
+//! sink has been repaired or replaced, the recording continues without a gap.
 
 use std::collections::BTreeMap;
 use std::io::{self, Write};
@@ -51,7 +52,7 @@ pub enum WriteError {
     /// The run's file was removed, replaced or moved, or its file system is gone.
     #[error("{}: the run's file is not there any more; it was removed or moved, or its disk is gone", .0.display())]
     Lost(PathBuf),
-    /// The sink refused bytes. They are kept and written before all later ones.
+    /// The sink refused bytes. They are kept in memory, and will be written before all later bytes.
     #[error("cannot write the recording: {0}; check free space and permissions")]
     Sink(#[from] io::Error),
     /// The MCAP layer refused a record.
@@ -65,8 +66,8 @@ pub enum WriteError {
     Metadata(#[from] serde_json::Error),
 }
 
-/// Called with each message that is written: topic, log time \[ns since 1970\], CDR bytes. Blocks
-/// the recording until it returns.
+/// A function that receives each message that is written: topic, log time \[ns since 1970\], CDR bytes. Writing continues
+/// only when the function has returned.
 pub type Tap = Box<dyn FnMut(&'static Topic, u64, &[u8]) + Send>;
 
 /// A topic with the number of its channel in this file.
@@ -97,9 +98,9 @@ impl Write for Spool {
     }
 }
 
-/// Writes one run. Calls block on the disk, so the real-time thread must not use it.
+/// Writes one run. Calls wait for the disk, so the real-time thread must not make them.
 ///
-/// A record is accepted even if the call returns [`WriteError::Sink`]. When the sink has been repaired or replaced,
+/// If a call returns [`WriteError::Sink`], its record was still accepted. When the sink has been repaired or replaced,
 /// [`RecordingWriter::write_out`] continues with the first byte that was not accepted.
 pub struct RecordingWriter<W: Write> {
     writer: Writer<NoSeek<Spool>>,
@@ -145,7 +146,7 @@ impl RecordingWriter<RunFile> {
 }
 
 impl<W: Write> RecordingWriter<W> {
-    /// Begins a run on any sink. How much [`RecordingWriter::sync`] protects depends on the sink's `flush`.
+    /// Begins a run on any sink. The `flush` of the sink determines what [`RecordingWriter::sync`] protects against.
     pub fn begin(sink: W, run: &RunMetadata) -> Result<Self, WriteError> {
         let spool = Spool::default();
         let mut writer = WriteOptions::new()
@@ -178,7 +179,7 @@ impl<W: Write> RecordingWriter<W> {
             run_copy: Some(run_metadata),
             tap: None,
         };
-        // The first chunk contains schemas and channels. Without it no later chunk can be decoded.
+        // The first chunk contains schemas and channels. No later chunk can be decoded without it.
         recording.sync()?;
         Ok(recording)
     }
@@ -200,7 +201,7 @@ impl<W: Write> RecordingWriter<W> {
         self.write_out()
     }
 
-    /// From now on, passes each message to `tap`, too.
+    /// Sets a function that receives each later message, too.
     pub fn set_tap(&mut self, tap: Tap) {
         self.tap = Some(tap);
     }
@@ -243,7 +244,7 @@ impl<W: Write> RecordingWriter<W> {
         Ok(self.sink.flush()?)
     }
 
-    /// Passes all bytes to the sink that it has not accepted yet.
+    /// Passes all bytes that the sink has not accepted yet to the sink.
     pub fn write_out(&mut self) -> Result<(), WriteError> {
         let mut bytes = self.spool.bytes();
         while !bytes.is_empty() {
@@ -262,13 +263,13 @@ impl<W: Write> RecordingWriter<W> {
         &self.sink
     }
 
-    /// The sink, for a repair or replacement.
+    /// The sink, so that it can be repaired or replaced.
     pub fn sink_mut(&mut self) -> &mut W {
         &mut self.sink
     }
 
-    /// Writes the second copy of the run's metadata, at the first call only, after the first cycles. The copies are at
-    /// different places, so one segment of damage cannot destroy both, unless it also destroys the cycles between them.
+    /// Writes the second copy of the run's metadata after the first cycles. Later calls do nothing. One contiguous segment
+    /// of damage can destroy both copies only if it also destroys the cycles between them.
     fn repeat_run(&mut self) -> Result<(), WriteError> {
         Ok(self.run_copy.take().map_or(Ok(()), |run| self.writer.write_metadata(&run))?)
     }
@@ -288,13 +289,14 @@ impl<W: Write> RecordingWriter<W> {
         self.digest.flagged()
     }
 
-    /// Ends the run on any sink: writes the end record, the summary and the footer. Returns the sink.
+    /// Ends the run: writes the end record, the summary and the footer. Returns the sink.
     pub fn end(mut self, cause: &str, ended: UtcNs) -> Result<W, WriteError> {
         self.close(cause, ended)?;
         Ok(self.sink)
     }
 
-    /// As [`end`](Self::end), for a sink that may refuse bytes until it is repaired. Nothing can be appended afterwards.
+    /// Like [`end`](Self::end), but can be used with a sink that refuses bytes until it is repaired.
+    /// Nothing can be appended afterwards.
     pub fn close(&mut self, cause: &str, ended: UtcNs) -> Result<(), WriteError> {
         let end = self.end_record(cause, ended);
         self.close_with(&end)
@@ -345,7 +347,7 @@ impl<W: Write> RecordingWriter<W> {
     }
 }
 
-/// Attaches the configuration of the run as files. Any reader of MCAP can extract them.
+/// Attaches the configuration of the run as files. Any MCAP program can extract them.
 fn attach_configuration(writer: &mut Writer<NoSeek<Spool>>, run: &RunMetadata) -> Result<(), WriteError> {
     let time = run.started.0.max(0) as u64;
     for (name, text) in [("daemon.toml", &run.daemon_config), ("ball_bar.toml", &run.ball_bar_config)] {

@@ -1,7 +1,8 @@
-//! Encodes and decodes the messages of a recording: values in CDR, types in the schema language ros2msg.
+//! Encodes and decodes the messages of a recording. Values are encoded in CDR, types are defined
+//! in the schema language ros2msg.
 //!
-//! CDR is OMG XCDR1 in little endian, after an encapsulation header of 4 bytes. The schema texts
-//! follow the MCAP registry, "ros2msg".
+//! CDR is OMG XCDR1 in little endian, after an encapsulation header of 4 bytes. The texts of the schemas follow the
+//! definition of "ros2msg" in the MCAP registry.
 
 use byteorder::LittleEndian;
 use serde::de::DeserializeOwned;
@@ -51,7 +52,7 @@ pub(super) static LOG: Topic = Topic {
     schema_text: include_str!("log.ros2msg"),
 };
 
-/// This topic has its usual name in ROS, so that other programs find it.
+/// The diagnostics, on the topic that other ROS programs expect.
 pub(super) static DIAGNOSTICS: Topic = Topic {
     topic: "/diagnostics",
     schema_name: "diagnostic_msgs/msg/DiagnosticArray",
@@ -108,7 +109,7 @@ impl Header {
     }
 }
 
-/// `ballbard_msgs/BusCycle`. The type `Origin` is `u32`, or [`Absent`] for files of older programs.
+/// `ballbard_msgs/BusCycle`. The type `Origin` is `u32`, or [`Absent`] in files of older programs.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct CycleMessage<Origin> {
     header: Header,
@@ -124,7 +125,7 @@ struct CycleMessage<Origin> {
     encoders: Vec<EncoderSample>,
 }
 
-/// A field that does not exist in messages of older programs. It takes no bytes.
+/// Represents a field that messages of older programs do not have. It takes no bytes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct Absent;
 

@@ -1,10 +1,17 @@
 //! Checks the length fields inside an MCAP record before the MCAP library parses the record.
 //!
-//! The library allocates memory for a text according to its length field, and only then checks whether that many bytes
-//! exist. One flipped bit could request 4 GB, which ends a process whose memory is locked or limited. The library also does
-//! not check whether the records of an uncompressed chunk fill the chunk exactly.
+//! The library allocates memory for a text according to the text's length field. Only then does it check whether the record
+//! contains that many bytes. One flipped bit could therefore request 4 GB, which ends a process whose memory is locked or
+//! limited. The library also does not check whether the records of an uncompressed chunk fill the chunk exactly.
 //!
-//! A record consists of a prefix (opcode and length) and its content. The content is described as a sequence of `Part`s.
+//! A record consists of a prefix (opcode and length) and its content. This module describes the content as a sequence of
+//! `Part`s. Example, a chunk, in bytes:
+//!
+//! ```text
+//! bytes:     1        8        28          4 + n         8                   n
+//! content:   opcode | length | fields    | length + name | length of records | records
+//! part:      (prefix)        | Fixed(28) | Block         | (not described)
+//! ```
 
 use mcap::McapError;
 use mcap::records::{ChunkHeader, Record, op};
@@ -12,13 +19,14 @@ use mcap::records::{ChunkHeader, Record, op};
 /// Length of the prefix of a record: opcode and length of the content.
 pub(in crate::recording) const PREFIX_BYTES: usize = 9;
 
-/// Splits `bytes`, which begin with a record, into opcode, length of the record's content, and the bytes after the prefix.
+/// Splits `bytes`, which begin with a record. Returns the opcode, the length of the record's content, and
+/// the bytes after the prefix.
 pub(in crate::recording) fn split_prefix(bytes: &[u8]) -> Option<(u8, usize, &[u8])> {
     let (&[opcode, ref length @ ..], behind) = bytes.split_first_chunk::<PREFIX_BYTES>()?;
     Some((opcode, usize::try_from(u64::from_le_bytes(*length)).unwrap_or(usize::MAX), behind))
 }
 
-/// A part of a record's content. Only the parts up to the last length field are described.
+/// A part of a record's content. Parts after the last length field are not described.
 enum Part {
     /// This number of bytes.
     Fixed(usize),
@@ -37,14 +45,14 @@ pub fn parse_record(opcode: u8, data: &[u8]) -> Result<Record<'_>, McapError> {
     mcap::parse_record(opcode, data)
 }
 
-/// Whether a record ends exactly where the block of its last length field ends. If so, the length in its prefix is correct,
-/// too. False for records that have more content after that block.
+/// Whether the content of a record ends exactly where its described parts end. If so, the length in the record's prefix is
+/// correct, too. False for records with more content after the described parts.
 pub(in crate::recording) fn ends_with_its_content(opcode: u8, data: &[u8]) -> bool {
     after_parts(data, layout(opcode)).is_some_and(<[u8]>::is_empty)
 }
 
-/// Whether the records of an uncompressed chunk fill the chunk exactly. Otherwise the library would read beyond the chunk.
-/// True for a compressed chunk, because the library checks it.
+/// Whether the records of an uncompressed chunk fill the chunk exactly. If they did not, the library would read beyond the
+/// chunk. True for a compressed chunk, because the library checks these chunks.
 pub(super) fn chunk_is_whole(header: &ChunkHeader, records: &[u8]) -> bool {
     let mut rest = if header.compression.is_empty() { records } else { &[] };
     while let Some((_, length, behind)) = split_prefix(rest) {
@@ -54,8 +62,8 @@ pub(super) fn chunk_is_whole(header: &ChunkHeader, records: &[u8]) -> bool {
     rest.is_empty()
 }
 
-/// The beginning of an MCAP file, up to the first chunk that is incomplete or whose records do not fill it exactly. The
-/// whole file if there is no such chunk.
+/// The beginning of an MCAP file, up to the first broken chunk. A chunk is broken if it is incomplete, or if its records do
+/// not fill it exactly. Without a broken chunk, the whole file is returned.
 pub fn up_to_broken_chunk(file: &[u8]) -> &[u8] {
     const MAGIC_BYTES: usize = 8;
     let mut rest = file.get(MAGIC_BYTES..).unwrap_or_default();
@@ -74,7 +82,7 @@ pub fn up_to_broken_chunk(file: &[u8]) -> &[u8] {
     file
 }
 
-/// The parts of a record's content, up to its last length field (MCAP specification, "Records").
+/// The parts of a record's content up to its last length field, as the MCAP specification defines them ("Records").
 const fn layout(opcode: u8) -> &'static [Part] {
     match opcode {
         op::HEADER => &[Part::Block, Part::Block],
@@ -82,8 +90,8 @@ const fn layout(opcode: u8) -> &'static [Part] {
         op::CHANNEL => &[Part::Fixed(4), Part::Block, Part::Block, Part::Texts],
         op::CHUNK => &[Part::Fixed(28), Part::Block],
         op::CHUNK_INDEX => &[Part::Fixed(32), Part::Block, Part::Fixed(8), Part::Block],
-        // After the texts of an attachment follow a length of 8 bytes and a checksum of 4 bytes. The
-        // library assumes that they exist.
+        // The texts of an attachment are followed by a length (8 bytes) and a checksum (4 bytes). The
+        // library assumes that both exist.
         op::ATTACHMENT => &[Part::Fixed(16), Part::Block, Part::Block, Part::Fixed(8 + 4)],
         op::ATTACHMENT_INDEX => &[Part::Fixed(40), Part::Block, Part::Block],
         op::METADATA => &[Part::Block, Part::Texts],

@@ -1,6 +1,6 @@
-//! The MCAP layer: reads a file and passes on each of its records, or returns the first error.
+//! The MCAP layer: reads a file and passes each of its records to a function. Stops at the first error.
 //!
-//! Chunks are unpacked here and not by the MCAP library. The library accepts a chunk whose checksum field is zero, and a
+//! Chunks are unpacked here and not by the MCAP library, because the library accepts a chunk whose checksum field is zero. A
 //! power cut can leave zeros in a file.
 
 pub(super) mod lengths;
@@ -14,10 +14,10 @@ use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use super::reader::ReadErrorKind;
 use lengths::{PREFIX_BYTES, chunk_is_whole, parse_record};
 
-/// Longest record that is accepted. Far longer than a second of cycles at 1 kHz, and far smaller than the memory.
+/// Longest record that is accepted. It is far longer than one second of cycles at 1 kHz, and far smaller than the memory.
 pub(super) const RECORD_LENGTH_BYTES_MAX: usize = 64 << 20;
 
-/// Passes every record of the file to `sink`. A chunk is unpacked, and its records are passed on instead of the chunk.
+/// Passes every record of the file to `sink`. For a chunk, the records in the chunk are passed on, and not the chunk itself.
 pub(super) fn for_each_record<E: From<ReadErrorKind>>(
     source: impl Read,
     sink: &mut dyn FnMut(Record<'_>) -> Result<(), E>,
@@ -38,7 +38,7 @@ fn options() -> LinearReaderOptions {
     LinearReaderOptions::default().with_record_length_limit(RECORD_LENGTH_BYTES_MAX)
 }
 
-/// Checks a whole chunk, then passes its records to `sink`.
+/// Checks a complete chunk, then passes its records to `sink`.
 pub(super) fn open_chunk<E: From<ReadErrorKind>>(
     chunk: &[u8],
     sink: &mut dyn FnMut(Record<'_>) -> Result<(), E>,
@@ -54,7 +54,7 @@ pub(super) fn open_chunk<E: From<ReadErrorKind>>(
     let reader = LinearReader::new_with_options(
         options().with_skip_start_magic(true).with_skip_end_magic(true).with_prevalidate_chunk_crcs(true),
     );
-    // The reader expects the chunk's prefix (opcode and length) before its content, as in a file.
+    // The reader expects the prefix (opcode and length) before the content of the chunk, as in a file.
     let mut prefix = [0; PREFIX_BYTES];
     prefix[0] = op::CHUNK;
     prefix[1..].copy_from_slice(&(chunk.len() as u64).to_le_bytes());

@@ -1,9 +1,10 @@
-//! Recovers files that a crash, a kill or a power cut left incomplete, and damaged files.
+//! Recovers damaged files, and files that are incomplete after a crash, a kill or a power cut. The steps for a file are:
+//! 1. Lock and read the file. If it is undamaged, give it its final name; this is the last step.
+//! 2. Otherwise write its undamaged records into a new file (`.mcap.recovering`), and read that file back.
+//! 3. Give the new file the final name.
+//! 4. Remove the original. If some of its bytes could not be used, rename it to `.mcap.torn` instead.
 //!
-//! The steps: the file is locked and read. If it is undamaged, it only gets its final name. Otherwise its undamaged records
-//! are written into a new file, which is read back, and which then gets the final name. Only then is the original removed;
-//! it is kept as `.mcap.torn` if some of its bytes could not be used. At every moment, at least one of the two files exists,
-//! and its name states whether it is complete.
+//! At every moment, at least one of the two files exists. The name of each file shows whether the file is complete.
 
 use std::fs::File;
 use std::io::{self, BufReader, BufWriter};
@@ -23,10 +24,10 @@ use crate::recording::writer::WriteError;
 
 /// Ending of a recovered file that has not been read back yet.
 const RECOVERING_ENDING: &str = "mcap.recovering";
-/// Largest number of `.mcap.torn` files with the same name; they are numbered.
+/// Largest number of `.mcap.torn` files of the same run. A number in their names distinguishes them.
 const TORN_MAX: u32 = 1000;
-/// Number of attempts to lock a file. An attempt fails if [`is_in_use`] of another thread or process holds a shared lock on
-/// the file, for a few microseconds.
+/// Number of attempts to lock a file. An attempt can fail because another thread or process runs [`is_in_use`], which holds
+/// a shared lock on the file for a few microseconds.
 const LOCK_TRIES: u32 = 100;
 const LOCK_PAUSE: Duration = Duration::from_millis(1);
 
@@ -49,7 +50,7 @@ pub enum Recovery {
     Recovered {
         /// Path of the finished recording.
         file: PathBuf,
-        /// Path of the original, if it was kept because some of its bytes could not be used.
+        /// Path of the original under its new name `.mcap.torn`. `None` if the original was removed.
         torn: Option<PathBuf>,
         /// Content of the finished recording.
         content: Box<Salvaged>,
@@ -81,7 +82,7 @@ pub enum RecoverError {
         /// Why it cannot be salvaged.
         source: SalvageError,
     },
-    /// A file could not be renamed, or the recovered file could not be written.
+    /// A file could not be renamed, or the new file could not be written.
     #[error(transparent)]
     Write(#[from] WriteError),
 }
@@ -95,7 +96,7 @@ pub struct Leftover {
     pub outcome: Result<Recovery, RecoverError>,
 }
 
-/// Recovers a damaged or incomplete file: its undamaged records become a finished recording.
+/// Recovers a damaged or incomplete file. Its undamaged records become a finished recording.
 pub fn recover_file(path: &Path) -> Result<Recovery, RecoverError> {
     recover_file_on(&SystemDisk, path)
 }
@@ -113,7 +114,7 @@ pub fn recover_file_on(disk: &dyn Disk, path: &Path) -> Result<Recovery, Recover
     })?;
     let finished = path.with_file_name(format!("{stem}.{FINISHED_ENDING}"));
     let salvage = |source| RecoverError::Salvage { path: path.to_owned(), source };
-    // An undamaged file needs at most its final name.
+    // If the file is undamaged, at most its name must be changed.
     if let Ok(content) = recover::check(BufReader::new(OpenFile::new(disk, &original))) {
         let content = Box::new(content);
         if active.is_none() {
@@ -123,7 +124,7 @@ pub fn recover_file_on(disk: &dyn Disk, path: &Path) -> Result<Recovery, Recover
         rename(disk, path, &finished)?;
         return Ok(Recovery::Renamed { file: finished, content });
     }
-    // A finished file with the final name may be the result of an earlier recovery.
+    // If a finished file with the final name exists, it may be the result of an earlier recovery.
     if active.is_some() && disk.has(&finished).map_err(io)? {
         let (run, _) = recover::find_run(OpenFile::new(disk, &original)).map_err(salvage)?;
         return keep_existing(disk, path, finished, &run);
@@ -133,8 +134,8 @@ pub fn recover_file_on(disk: &dyn Disk, path: &Path) -> Result<Recovery, Recover
     replace(disk, path, &recovering, &finished, content)
 }
 
-/// Recovers every file of a directory that a crash left incomplete. Files of running processes are skipped. A file without
-/// anything to recover is renamed, so that it is not tried again. An empty file is removed.
+/// Recovers every file of a directory that a crash left incomplete. Files of running processes are skipped. If nothing can
+/// be recovered from a file, the file is renamed, so that later calls ignore it. Empty files are removed.
 pub fn recover_leftovers(directory: &Path) -> Vec<Leftover> {
     recover_leftovers_on(&SystemDisk, directory)
 }
@@ -143,7 +144,7 @@ pub fn recover_leftovers(directory: &Path) -> Vec<Leftover> {
 pub fn recover_leftovers_on(disk: &dyn Disk, directory: &Path) -> Vec<Leftover> {
     let mut files = match disk.list(directory) {
         Ok(files) => files,
-        // The directory does not exist yet: nothing was ever recorded there.
+        // If the directory does not exist yet, it contains no recordings.
         Err(error) if is_absent(&error) => return Vec::new(),
         Err(source) => {
             let file = directory.to_owned();
@@ -159,16 +160,16 @@ pub fn recover_leftovers_on(disk: &dyn Disk, directory: &Path) -> Vec<Leftover> 
         .inspect(|leftover| {
             if let Err(RecoverError::Salvage { source: SalvageError::NothingWhole(_), .. }) = leftover.outcome
             {
-                // Removed if it is empty, which the disk may not have reported before; renamed otherwise. If both fail, the
-                // next start of the daemon tries again.
+                // Remove the file if it is empty. The disk may not have reported this before. Otherwise rename the file. If
+                // both fail, the next start of the daemon tries again.
                 let _ = remove_if_empty(disk, &leftover.file) || set_aside(disk, &leftover.file).is_ok();
             }
         })
         .collect()
 }
 
-/// Whether the name is one that a crash leaves: that of an unfinished run, or the temporary name of a file that was just
-/// created. The process that created the temporary file must have ended.
+/// Whether a crash can have left a file with this name. The name is either that of an unfinished run, or the temporary name
+/// of a new file. A temporary name only counts if the process that created the file has ended.
 fn is_left_over(path: &Path) -> bool {
     let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
     let is_active = !name.starts_with('.') && name.ends_with(&format!(".{ACTIVE_ENDING}"));
@@ -179,7 +180,7 @@ fn is_unnamed(path: &Path) -> bool {
     unnamed_by(path).is_some()
 }
 
-/// Process that created this file under a temporary name; the name contains the process number.
+/// Number of the process that created a file under a temporary name. The name contains this number.
 fn unnamed_by(path: &Path) -> Option<&str> {
     let name = path.file_name()?.to_str()?.strip_prefix('.')?.strip_suffix(UNNAMED_ENDING)?;
     name.split_once('-').map(|(process, _)| process)
@@ -192,7 +193,7 @@ fn remove_if_empty(disk: &dyn Disk, path: &Path) -> bool {
     unused.is_some_and(|unused| is_empty(&unused) && disk.remove(path).is_ok())
 }
 
-/// Writes the undamaged records into the file `recovering`, and reads it back.
+/// Writes the undamaged records of `original` into the file `recovering`, and reads that file back.
 fn rewrite(disk: &dyn Disk, original: &File, recovering: &Path) -> Result<Salvaged, SalvageError> {
     let created = disk.create(recovering).map_err(io_error(recovering));
     let outcome = created.map_err(SalvageError::from).and_then(|file| {
@@ -204,14 +205,14 @@ fn rewrite(disk: &dyn Disk, original: &File, recovering: &Path) -> Result<Salvag
         Ok(content)
     });
     if outcome.is_err() {
-        // The original is unchanged. The incomplete copy is useless.
+        // The original is unchanged, so the incomplete copy is not needed.
         let _ = disk.remove(recovering);
     }
     outcome
 }
 
-/// Gives the recovered file its final name. Then removes the original, or keeps it as `.mcap.torn` if some of
-/// its bytes were not used.
+/// Gives the recovered file its final name. Then removes the original. If some of its bytes were not used, the
+/// original is kept as `.mcap.torn`.
 fn replace(
     disk: &dyn Disk,
     path: &Path,
@@ -227,7 +228,7 @@ fn replace(
         Some(torn)
     } else {
         rename(disk, recovering, finished)?;
-        // A run with an end record that is not whole has lost something, even if no byte was skipped.
+        // If a damaged file has an end record, something was lost, even if no byte was skipped.
         if content.damage.is_some() || content.end.is_some() {
             Some(set_aside(disk, path)?)
         } else {
@@ -239,8 +240,8 @@ fn replace(
     Ok(Recovery::Recovered { file: finished.to_owned(), torn, content: Box::new(content) })
 }
 
-/// Handles an unfinished file beside a finished one with its name, as a crash during an earlier recovery leaves them. The
-/// finished file is kept if it is undamaged and of the same run.
+/// Handles the case that an unfinished and a finished file of the same name exist, as after a crash during an earlier
+/// recovery. The finished file is kept if it is undamaged and of the same run.
 fn keep_existing(
     disk: &dyn Disk,
     path: &Path,
@@ -278,14 +279,14 @@ fn free_torn_name(disk: &dyn Disk, path: &Path) -> Result<PathBuf, WriteError> {
     Err(WriteError::Exists(first))
 }
 
-/// Whether a running process writes the file. Tested with a shared lock for a moment, so that several
-/// processes can test at once.
+/// Whether a running process writes the file. The test holds a shared lock for a moment, so several processes can
+/// test at the same time.
 pub fn is_in_use(disk: &dyn Disk, path: &Path) -> io::Result<bool> {
     disk.open(path).and_then(|file| disk.is_locked(file))
 }
 
-/// Locks a file. Fails with `WouldBlock` if a process writes the file. Waits while [`is_in_use`]
-/// elsewhere holds a shared lock.
+/// Locks a file. Fails with `WouldBlock` if a process writes the file. If only [`is_in_use`] of another thread or process
+/// holds a shared lock, waits until that lock is released.
 fn lock_left_behind(disk: &dyn Disk, path: &Path) -> io::Result<Flock<File>> {
     for _ in 0..LOCK_TRIES {
         match disk.lock(disk.open(path)?) {

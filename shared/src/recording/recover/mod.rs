@@ -1,8 +1,9 @@
 //! Writes the undamaged records of a damaged or interrupted recording into a new, finished recording.
 //!
-//! All records with a correct checksum (*proven* records, see `resync`) are kept, wherever they are in the file. Missing
-//! cycles between them are written as lost, so that cycle numbers stay consecutive and no value is invented. This module
-//! works on any source and sink; `leftover` applies it to files. A cycle is called *whole* here if it is not lost.
+//! A record is *proven* if its checksum is correct (see `resync`). All proven records are kept, wherever they are in the
+//! file. Missing cycles between them are written as lost. Cycle numbers thus stay consecutive, and no value is invented.
+//! This module reads from any source and writes to any sink; `leftover` applies it to files. A cycle is called *whole*
+//! if it is not lost.
 
 mod leftover;
 mod resync;
@@ -28,17 +29,17 @@ pub use leftover::{
 pub use resync::Damage;
 use resync::{Refused, for_each_proven_record};
 
-/// Smallest number of bytes that a cycle takes in a file: its entry in the index of its chunk.
+/// Smallest number of bytes that a cycle needs in a file. Each cycle has an entry of this length in the index of its chunk.
 const CYCLE_BYTES_MIN: u64 = 16;
-/// Code of the event for lost cycles whose part of the file was damaged.
+/// Code of the event that reports cycles lost by damage of the file.
 const DAMAGED_CODE: &str = "file_damaged";
-/// Largest number of cycles that may be missing without any damaged byte. A write that never reached
-/// the disk leaves no trace.
+/// Largest number of cycles that may be missing although no byte is damaged. This happens if a write never reached the disk.
 const UNTRACED_CYCLES_MAX: u64 = 100_000;
-/// Largest deviation of a cycle's sample time, behind a gap, from the time predicted from its number and the period \[ns\].
-/// A fraction of the time since the last whole cycle is added. This rejects old disk blocks of another run's file.
+/// Tolerance for the sample time of the first cycle after a gap \[ns\]. The expected time follows from the number of cycles
+/// in the gap and from the period. The tolerance also contains a fraction ([`TIME_SLACK_PARTS`]) of the time since the last
+/// whole cycle. Cycles outside the tolerance may be from an old disk block of another run's file, and are rejected.
 const TIME_SLACK_NS: i128 = 10 * NS_PER_S as i128;
-/// Divisor of that fraction: it is 1 in 1000. The rates of two crystals differ by less.
+/// Divisor of this fraction: the tolerance grows by 1 in 1000 of the time. The rates of two crystals differ by less.
 const TIME_SLACK_PARTS: i128 = 1000;
 
 /// Content of a recovered recording.
@@ -50,7 +51,7 @@ pub struct Salvaged {
     pub cycles: u64,
     /// Number of cycles in which every encoder is valid.
     pub cycles_valid: u64,
-    /// Number of lost cycles, of which only the number in the run is known.
+    /// Number of lost cycles. Of a lost cycle, only its number in the run is known.
     pub cycles_lost: u64,
     /// Sample time of the last whole cycle. `None` if no cycle is whole.
     pub last_good: Option<UtcNs>,
@@ -58,14 +59,15 @@ pub struct Salvaged {
     pub timing: Option<TimingSummary>,
     /// How the run ended. `None` if the run was cut short.
     pub end: Option<RunEnd>,
-    /// The damaged bytes. `None` if there are none, for example if the file was only cut off between two records.
+    /// The damaged bytes. `None` if no byte is damaged, for example if the file was only cut off between two records.
     pub damage: Option<Damage>,
     /// CRC-32 over all encoded cycles and events.
     checksum: u32,
 }
 
 impl Salvaged {
-    /// Text for the cause in the new end record: damage, number of whole cycles, and the cause in the original end record.
+    /// Text of the cause in the new end record. It contains the damage, the number of whole cycles, and the cause
+    /// in the original end record.
     fn cause(&self) -> String {
         let cut = if self.end.is_none() { ": the run was cut short" } else { "" };
         let damage = self.damage.map_or(String::new(), |damage| format!("; {damage}"));
@@ -95,7 +97,7 @@ pub enum SalvageError {
     /// The finished recording cannot be written.
     #[error(transparent)]
     Write(#[from] WriteError),
-    /// The new file does not have the content that was written.
+    /// The new file does not contain what was written to it.
     #[error(
         "the recovered file does not read back as it was written ({0}); check the disk, then recover again"
     )]
@@ -170,7 +172,7 @@ pub fn verify(source: impl Read, salvaged: &Salvaged) -> Result<(), SalvageError
     Ok(())
 }
 
-/// Reads a whole file without keeping its cycles. Returns an error unless the file is finished and undamaged.
+/// Reads a whole file, but does not keep its cycles. Returns an error if the file is unfinished or damaged.
 pub(super) fn check(source: impl Read) -> Result<Salvaged, ReadErrorKind> {
     let (mut decoder, mut seen) = (Decoder::default(), OrderedContent::default());
     for_each_record(source, &mut |record| {
@@ -183,12 +185,12 @@ pub(super) fn check(source: impl Read) -> Result<Salvaged, ReadErrorKind> {
 /// Writes undamaged items into the new file.
 struct Rewriting<W: Write + Seek> {
     writer: RecordingWriter<W>,
-    /// Content of the new file so far. Items that are not allowed after it are refused.
+    /// Content of the new file so far. It determines which items are allowed next; other items are refused.
     seen: OrderedContent,
     run: RunMetadata,
     /// The last whole cycle that was written.
     last: Option<CycleRecord>,
-    /// Number of damaged bytes before that cycle.
+    /// Number of damaged bytes before the cycle `last`.
     damaged_bytes: u64,
 }
 
@@ -218,7 +220,7 @@ impl<W: Write + Seek> Rewriting<W> {
         if next.cycle == first && damage.bytes == self.damaged_bytes {
             return Ok(());
         }
-        // The number is out of order. The cycle was written twice, or belongs to another run that
+        // The number of the cycle does not fit. The cycle was written twice, or belongs to another run that
         // used these disk blocks before.
         if next.cycle < first || next.cycle - first > self.hole_cycles_max(damage) {
             return Err(Refused::Damage);
@@ -235,7 +237,8 @@ impl<W: Write + Seek> Rewriting<W> {
         if next.cycle == first {
             return Ok(());
         }
-        // Sample times of lost cycles are interpolated. Before the first whole cycle, they are computed from the period.
+        // Sample times of lost cycles are interpolated. If there is no whole cycle before them, they
+        // are computed from the period.
         let period_ns = self.cycles_ns(1);
         let time_ns = |cycle: u64| match last {
             Some(_) => {
@@ -247,7 +250,7 @@ impl<W: Write + Seek> Rewriting<W> {
         self.fill(first..next.cycle, last.as_ref().unwrap_or(next), time_ns)
     }
 
-    /// Writes the missing cycles after the last whole one as lost, up to the number in the end record.
+    /// Writes the missing cycles after the last whole cycle as lost, up to the number of cycles in the end record.
     fn fill_to_end(&mut self, damage: &Damage) -> Result<(), Refused<SalvageError>> {
         let (Some(last), Some(end)) = (self.last, &self.seen.end) else { return Ok(()) };
         let missing = self.seen.cycles..end.cycles;
@@ -255,7 +258,7 @@ impl<W: Write + Seek> Rewriting<W> {
             return Ok(());
         }
         let period_ns = self.cycles_ns(1);
-        // `seen` accepts no cycle after the end record. It is removed for this time and put back afterwards.
+        // `seen` accepts no cycle after the end record. The end record is therefore removed here, and put back afterwards.
         let end = self.seen.end.take();
         let filled = self.fill(missing, &last, |cycle| {
             i128::from(last.sample_time.0) + period_ns * i128::from(cycle - last.cycle)
@@ -264,8 +267,8 @@ impl<W: Write + Seek> Rewriting<W> {
         filled
     }
 
-    /// Writes the cycles `missing` as lost, and an event with their number. Encoders are copied from the cycle `near`.
-    /// `time_ns` returns the sample time of a cycle \[ns since 1970\].
+    /// Writes the cycles with the numbers `missing` as lost, and an event with their number. The joints and the origin of
+    /// these cycles are copied from the cycle `near`. `time_ns` returns the sample time of a cycle \[ns since 1970\].
     fn fill(
         &mut self,
         missing: std::ops::Range<u64>,
@@ -282,7 +285,8 @@ impl<W: Write + Seek> Rewriting<W> {
         self.put(Item::Event(Event { time, cycle, kind: EventKind::Gap, text, code }))
     }
 
-    /// Largest number of cycles that the damaged bytes since the last whole cycle can have contained.
+    /// Largest number of cycles that can be missing: the number that fits into the damaged bytes since the last whole cycle,
+    /// but at least [`UNTRACED_CYCLES_MAX`].
     fn hole_cycles_max(&self, damage: &Damage) -> u64 {
         UNTRACED_CYCLES_MAX.max((damage.bytes - self.damaged_bytes) / CYCLE_BYTES_MIN)
     }
@@ -294,7 +298,7 @@ impl<W: Write + Seek> Rewriting<W> {
     fn finish(mut self, damage: Damage) -> Result<(Salvaged, W), SalvageError> {
         match self.fill_to_end(&damage) {
             Err(Refused::Stop(error)) => return Err(error),
-            // If the missing cycles are not plausible, they are left out at the end.
+            // If the number of missing cycles is not plausible, they are not added, and the recording ends earlier.
             Err(Refused::Damage) | Ok(()) => {}
         }
         let Self { writer, seen, run, .. } = self;

@@ -1,9 +1,11 @@
 //! Finds the undamaged records of an MCAP file, for [`salvage`](super::salvage).
 //!
 //! Chunks, attachments and our metadata records have their own checksums. Such a record is *proven* if its checksum is
-//! correct, wherever in the file it is. All other records, such as indexes, have no checksum. They contain nothing that is
-//! needed, and are skipped if they look exactly as our writer writes them. At any other content, the file is damaged: the
-//! next record with a checksum is searched byte by byte. Memory is limited by the longest allowed record.
+//! correct, wherever in the file it is. All other records, such as indexes, have no checksum and contain nothing that is
+//! needed. They are skipped if they look exactly as our writer writes them.
+//!
+//! All other content is damage. After damage, the file is searched byte by byte for the next record with a checksum. Memory
+//! is limited by the longest allowed record.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -17,17 +19,17 @@ use crate::recording::reader::ReadErrorKind;
 use crate::recording::records::lengths::{PREFIX_BYTES, ends_with_its_content, parse_record, split_prefix};
 use crate::recording::records::{RECORD_LENGTH_BYTES_MAX, open_chunk};
 
-/// Opcodes that the search behind damage stops at.
+/// Opcodes at which the search after damage stops. Records with a checksum, or the end of the data section, begin with them.
 const BEGINNINGS: [u8; 4] = [op::CHUNK, op::METADATA, op::ATTACHMENT, op::DATA_END];
-/// Number of bytes from which a record's lengths can be compared with each other.
+/// Number of bytes that are enough to compare the lengths at the beginning of a record with each other.
 const HEAD_BYTES: usize = 64;
 /// Number of bytes that are read from the source at a time.
 const READ_BYTES: usize = 256 << 10;
-/// Length of a disk sector, the unit in which reading fails \[bytes\].
+/// Length of a disk sector \[bytes\]. If the disk cannot read a sector, all of its bytes are lost.
 const SECTOR_BYTES: u64 = 4096;
-/// Length of a chunk's fields before the name of its compression: times, size and checksum.
+/// Length of the fields of a chunk before the name of its compression: times, size and checksum \[bytes\].
 const CHUNK_FIXED_BYTES: usize = 28;
-/// Longest name of a compression.
+/// Longest name of a compression method \[bytes\].
 const COMPRESSION_NAME_BYTES_MAX: usize = 4;
 
 /// The bytes of a file that could not be used.
@@ -51,7 +53,7 @@ impl fmt::Display for Damage {
 
 /// Why the content of a chunk or a metadata record was not used.
 pub(super) enum Refused<E> {
-    /// The content is not possible at this position, and counts as damage.
+    /// The content is not possible at this position. It counts as damage.
     Damage,
     /// Reading must stop with this error.
     Stop(E),
@@ -66,7 +68,8 @@ impl<E> From<ReadErrorKind> for Refused<E> {
 /// Receives a record, and the damage that was found before it.
 type RecordSink<'a, E> = dyn FnMut(Record<'_>, &Damage) -> Result<(), Refused<E>> + 'a;
 
-/// Passes every proven record of the data section to `sink`, and returns the damage. Chunks are unpacked.
+/// Passes every proven record of the data section to `sink`, and returns the damage. Chunks are unpacked: `sink` receives
+/// the records in the chunk.
 pub(super) fn for_each_proven_record<E: From<io::Error>>(
     source: impl Read + Seek,
     sink: &mut RecordSink<'_, E>,
@@ -76,7 +79,7 @@ pub(super) fn for_each_proven_record<E: From<io::Error>>(
     let mut damage = Damage::default();
     let mut damaged_until = None;
     while !file.peek(1)?.is_empty() {
-        // A record with a correct checksum is passed to `sink`; another record of our writer is skipped.
+        // A proven record is passed to `sink`. A record without a checksum is skipped if our writer can have written it.
         let proven = match proven_length(file.peek(HEAD_BYTES)?) {
             Some(length) => take_proven(file.peek(length)?, length, &mut around, &damage, sink)?,
             None => None,
@@ -89,7 +92,7 @@ pub(super) fn for_each_proven_record<E: From<io::Error>>(
             file.skip(length);
             continue;
         }
-        // Anything else is damage. It extends to the next byte that may begin a record with a checksum.
+        // All other bytes are damage. The damage extends to the next byte that may begin a record with a checksum.
         if damaged_until != Some(file.at) {
             damage.first_at = if damage.places == 0 { file.at } else { damage.first_at };
             damage.places += 1;
@@ -104,7 +107,7 @@ pub(super) fn for_each_proven_record<E: From<io::Error>>(
     Ok(damage)
 }
 
-/// If the bytes look like the beginning of a record with a checksum: length of that record with its prefix.
+/// Length of a record including its prefix. `None` unless the bytes look like the beginning of a record with a checksum.
 fn proven_length(head: &[u8]) -> Option<usize> {
     let (opcode, length, content) = split_prefix(head)?;
     let seems = length <= RECORD_LENGTH_BYTES_MAX
@@ -180,17 +183,19 @@ fn attachment<E>(content: &[u8]) -> Result<(), Refused<E>> {
     if whole { Ok(()) } else { Err(Refused::Damage) }
 }
 
-/// State of the search. It determines which records without a checksum are possible at the current position.
+/// State of the search. It determines which records without a checksum may be at the current position.
 #[derive(Default)]
 struct Surroundings {
-    /// Number of messages of each channel in the last chunk. Channels whose index has followed are removed.
+    /// For each channel, number of messages in the last chunk that no index record has listed yet. The index records of a
+    /// chunk follow the chunk; each removes its channel from this map.
     unlisted: BTreeMap<u16, usize>,
     in_summary: bool,
     after_footer: bool,
 }
 
 impl Surroundings {
-    /// Length of a record without a checksum, if it is possible here and looks exactly as our writer writes it.
+    /// Length of a record without a checksum. `None` unless such a record is possible here and looks exactly
+    /// as our writer writes it.
     fn unproven_length<R: Read + Seek>(&mut self, file: &mut Window<R>) -> io::Result<Option<usize>> {
         if (file.at == 0 || self.after_footer) && file.peek(MAGIC.len())? == MAGIC {
             return Ok(Some(MAGIC.len()));
@@ -221,13 +226,13 @@ impl Surroundings {
         }
     }
 
-    /// Whether a record is possible at this position. In the data section its length must equal the length of its content.
-    /// Otherwise one wrong bit in the length could hide the records after it.
+    /// Whether a record is possible at this position. In the data section, the length in its prefix must equal the length of
+    /// its content. Otherwise one wrong bit in the length could hide the records after this one.
     fn expects(&mut self, record: &Record<'_>, content: &[u8]) -> bool {
         match record {
             Record::Header(_) => ends_with_its_content(op::HEADER, content),
-            // One flipped bit turns the opcode of a chunk into that of a message index. The index must
-            // therefore match the last chunk.
+            // One flipped bit turns the opcode of a chunk into the opcode of a message index. The index is therefore
+            // accepted only if it matches the last chunk.
             Record::MessageIndex(index) => {
                 let listed = index.records.len();
                 content.len() == size_of::<u16>() + size_of::<u32>() + listed * 2 * size_of::<u64>()
@@ -246,7 +251,8 @@ impl Surroundings {
     }
 }
 
-/// A window of the source. Its bytes stay in memory as long as they may be read again.
+/// A window of the source. Bytes remain in memory as long as they may be read again. `start` in the buffer and `at` in the
+/// source are the same position.
 struct Window<R> {
     source: R,
     /// Length of the source.
@@ -267,7 +273,7 @@ impl<R: Read + Seek> Window<R> {
         Ok(Self { source, source_bytes, buffer: Vec::new(), start: 0, at: 0, refused_at: None })
     }
 
-    /// The next `bytes` bytes of the source, or fewer at its end. They are not skipped.
+    /// The next `bytes` bytes of the source, or fewer at its end. The position does not change.
     fn peek(&mut self, bytes: usize) -> io::Result<&[u8]> {
         while self.buffer.len() - self.start < bytes {
             if self.start > READ_BYTES {
@@ -292,9 +298,9 @@ impl<R: Read + Seek> Window<R> {
         Ok(&self.buffer[self.start..end])
     }
 
-    /// Handles a read error of the disk. At the first error at a position, only repeats the read, because a disk
-    /// may fail once and then succeed. At the second, replaces the rest of the sector by zeros. Returns false at
-    /// the end of the source.
+    /// Handles a read error of the disk. After the first error at a position, the read is only repeated, because a disk may
+    /// fail once and then succeed. After the second error, the rest of the sector is replaced by zeros. Returns false at the
+    /// end of the source.
     fn pass_bad_sector(&mut self) -> io::Result<bool> {
         let at = self.at + (self.buffer.len() - self.start) as u64;
         if self.refused_at.replace(at) != Some(at) {
