@@ -1,4 +1,5 @@
-//! Reads and changes EtherCAT frames and datagrams in place, within an Ethernet frame (ETG.1000.4 section 5.3 and 5.4).
+//! Reads EtherCAT frames and datagrams within an Ethernet frame, and changes them in place
+//! (ETG.1000.4 sections 5.3 and 5.4).
 
 use std::ops::Range;
 
@@ -8,7 +9,7 @@ const ETHERNET_HEADER_LEN: usize = 14;
 const ETHERTYPE: Range<usize> = 12..14;
 /// Position of the first byte of the source address.
 const SOURCE_MAC: usize = 6;
-/// Bit in that byte, "locally administered". The first slave controller sets it.
+/// Bit of this byte that means "locally administered". The first slave controller sets it.
 const LOCALLY_ADMINISTERED: u8 = 0x02;
 /// Ethernet type of EtherCAT, big-endian on the wire.
 const ETHERCAT: [u8; 2] = [0x88, 0xa4];
@@ -40,7 +41,7 @@ pub fn datagrams(frame: &[u8]) -> Option<Range<usize>> {
     Some(start..frame.len().min(start + usize::from(header & LENGTH_MASK)))
 }
 
-/// Marks a frame as processed by a slave controller. A master drops frames that have its own source address unchanged.
+/// Marks a frame as processed by a slave controller. A master drops a frame whose source address is still the master's own.
 pub fn mark_processed(frame: &mut [u8]) {
     if let Some(byte) = frame.get_mut(SOURCE_MAC) {
         *byte |= LOCALLY_ADMINISTERED;
@@ -72,12 +73,13 @@ impl<'a> Datagram<'a> {
         self.header[0]
     }
 
-    /// Address of the device: its position or its station address.
+    /// Address of the device, which is a position or a station address.
     pub fn device_address(&self) -> u16 {
         u16::from_le_bytes([self.header[2], self.header[3]])
     }
 
-    /// Increments the address field. Commands by position and broadcast commands do so at every device.
+    /// Increments the address field. Commands that address devices by position and broadcast commands
+    /// do this at every device.
     pub fn increment_device_address(&mut self) {
         let next = self.device_address().wrapping_add(1).to_le_bytes();
         [self.header[2], self.header[3]] = next;

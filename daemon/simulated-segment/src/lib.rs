@@ -1,15 +1,16 @@
 //! A bus without hardware: one EK1100 coupler and up to 16 EL5021 terminals. They answer the frames
 //! of an unmodified EtherCAT MainDevice.
 //!
-//! The parts of a real bus are separate modules: the chip in every EtherCAT device (`chip`), the wiring (`wiring`), and the
+//! Each part of a real bus is a separate module: the chip in every EtherCAT device (`chip`), the wiring (`wiring`), and the
 //! behaviour of each device (`devices`). The segment depends only on the frames and times that
-//! [`SimulatedSegment::exchange`] receives. It has no clock and no thread, so it runs in real time as well as on a virtual
-//! clock. Events between two frames are computed when the second frame arrives. A *true* time is the simulation's own time,
-//! without the errors of any device's clock.
+//! [`SimulatedSegment::exchange`] receives. It has no clock and no thread, so it runs in real time as well as in virtual
+//! time. Events between two frames are computed when the second frame arrives. A *true* time is the time of the simulation
+//! itself. It has no error, unlike the clocks of the devices.
 //!
-//! Faults of devices are set here, between two frames. Faults of frames are simulated by [`faults`], which wraps `exchange`.
+//! Faults of devices are set in the devices, between two frames. Faults of frames are simulated
+//! by [`faults`], which wraps `exchange`.
 //!
-//! This crate does not depend on the acquisition. No decoder can therefore share code with the emulation that tests it.
+//! This crate does not depend on the acquisition, so the emulation cannot share code with the decoder that it tests.
 
 mod chip;
 mod devices;
@@ -38,10 +39,10 @@ use wiring::Wiring;
 pub const FRAME_BYTES_MAX: usize = 1518;
 /// Number of encoders on the bar.
 const TERMINALS: usize = 5;
-/// Largest number of terminals. The coupler cannot supply this many.
+/// Largest number of terminals. A real coupler cannot supply this many.
 pub const TERMINALS_MAX: u8 = 16;
-/// Longest time from the power-up of a device to the first frame \[ns\]. Port times have 32 bits of the local time and wrap
-/// 4.3 s after power-up. With this limit they do not wrap during a bring-up that begins at once.
+/// Longest time from the power-up of a device to the first frame \[ns\]. Port times are the low 32 bits of the local time,
+/// and wrap 4.3 s after power-up. With this limit, they do not wrap during a bring-up that begins at once.
 const POWERED_UP_NS: i64 = 1_500_000_000;
 
 /// Composition of the simulated bus.
@@ -49,7 +50,7 @@ const POWERED_UP_NS: i64 = 1_500_000_000;
 pub struct SegmentConfig {
     /// Number of EL5021 terminals after the coupler.
     pub terminals: usize,
-    /// Seed of all random properties: drift and start of each device's clock, and small differences in delay.
+    /// Seed of all random properties: the drift and the start of each device's clock, and small differences in delay.
     pub seed: u64,
     /// Largest rate error of each device's clock \[ppm\].
     pub drift_ppm: f64,
@@ -69,14 +70,14 @@ pub struct SimulatedSegment {
     wiring: Wiring,
     /// Devices with power. The first frame powers them up, because it provides the time.
     nodes: Vec<Node>,
-    /// Devices before the first frame. Empty afterwards.
+    /// Devices that the first frame will power up. Empty after that frame.
     unpowered: Vec<Unpowered>,
     /// Number of devices that frames reach, beginning with the coupler.
     reach: usize,
     source: Box<dyn EncoderSource>,
 }
 
-/// A device before the first frame, which powers it up.
+/// A device that has no power, because the first frame has not arrived yet.
 struct Unpowered {
     device: Box<dyn Device>,
     /// Time since its power-up \[ns\]. Its local clock starts at this value.
@@ -103,7 +104,8 @@ impl SimulatedSegment {
         Self { wiring, nodes: Vec::with_capacity(reach), unpowered: unpowered.collect(), reach, source }
     }
 
-    /// Passes an Ethernet frame through all devices. The frame enters at true time `now_ns`, which must not decrease.
+    /// Passes an Ethernet frame through all devices. The frame enters at true time `now_ns`, which must not
+    /// decrease from call to call.
     ///
     /// Writes the returning frame into `reply` and returns its length, which is that of `frame`. In the returning
     /// frame, data are exchanged, working counters are incremented, and bit 0x02 is set in the first byte of the
@@ -137,7 +139,7 @@ impl SimulatedSegment {
         self.wiring.round_trip_ns(frame_len)
     }
 
-    /// Cuts off the devices from `position` on: they lose power or their cable. With 0 the coupler is cut off, too.
+    /// Cuts off the devices from `position` on, because they lose their power or their cable. Position 0 is the coupler.
     pub(crate) fn cut_from(&mut self, position: usize) {
         if let Some(before) = position.checked_sub(1).filter(|_| position < self.reach) {
             self.change(before, |node| node.esc.count_lost_link());
@@ -174,7 +176,7 @@ impl SimulatedSegment {
         }
     }
 
-    /// Advances each device to the time at which the frame arrives there, which computes all events before that time.
+    /// Advances each device to the time at which the frame arrives there. This computes all events before that time.
     fn advance(&mut self, now_ns: i64) {
         for (position, node) in self.nodes.iter_mut().take(self.reach).enumerate() {
             let arrival_ns = now_ns.saturating_add(self.wiring.delay_ns(position));

@@ -10,7 +10,7 @@ use super::source::EncoderSource;
 /// Largest length of the outputs of any device \[bytes\].
 const OUTPUTS_MAX: usize = 16;
 
-/// Data for a device at a sync event, which starts a conversion.
+/// Input and output of a device at a sync event, which starts a conversion.
 pub struct SyncStep<'a> {
     /// State of the application layer: SAFE-OP or OP.
     pub state: AlState,
@@ -49,7 +49,7 @@ pub trait Device: Send {
 pub enum SignalFault {
     /// The signal has no amplitude, because a cable is disconnected.
     Lost,
-    /// The signal has a frequency that no terminal can follow, for example because of disturbances.
+    /// The signal has a frequency that is too high for any terminal, for example because of disturbances.
     TooFast,
 }
 
@@ -72,7 +72,7 @@ pub struct Node {
     pub device: Box<dyn Device>,
     /// The current fault of the mailbox.
     pub mailbox_fault: Option<MailboxFault>,
-    /// An answer that is sent after the master has read the emergency message before it.
+    /// An answer that is delayed by an emergency message. It is sent when the master has read that message.
     held_answer: Option<([u8; MAILBOX_MAX], usize)>,
 }
 
@@ -91,8 +91,8 @@ impl Node {
         self.held_answer = None;
     }
 
-    /// Advances chip and device to the arrival of a frame at `now_ns`. At `back_ns` the frame returns from
-    /// the devices after this one.
+    /// Advances chip and device to `now_ns`, when a frame arrives. `back_ns` is the time at which the frame returns from the
+    /// devices after this one.
     pub fn advance(&mut self, now_ns: i64, back_ns: Option<i64>, source: &mut dyn EncoderSource) {
         self.esc.advance(now_ns, back_ns);
         self.device.synchronise(self.esc.sync_mode());

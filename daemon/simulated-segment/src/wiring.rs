@@ -1,4 +1,4 @@
-//! Wiring of the bus: the devices are in a line after the coupler, and a frame is delayed from each device to the next.
+//! Wiring of the bus. The devices are in a line after the coupler. From each device to the next, a frame is delayed.
 
 use rand::{Rng, rngs::StdRng};
 
@@ -9,7 +9,7 @@ const FRAME_MIN: usize = 60;
 const FRAME_OVERHEAD: usize = 8 + 4;
 /// Smallest delay from one device to the next.
 const HOP_DELAY_NS: i64 = 145;
-/// Range of the random addition to that delay.
+/// Range of the random addition to the delay from one device to the next.
 const HOP_SPREAD_NS: i64 = 10;
 
 /// The line of devices. The first device is the coupler.
@@ -35,19 +35,19 @@ impl Wiring {
         self.delays_ns.get(position).copied().unwrap_or(0)
     }
 
-    /// Time from the moment at which a frame passes the device at `position` outwards until it returns from the last of
-    /// `reach` devices \[ns\]. `None` for that last device.
+    /// Time from the moment at which a frame passes the device at `position` outwards until the frame returns to this device
+    /// \[ns\]. Frames reach the first `reach` devices. `None` if the device is the last of them.
     pub fn loop_ns(&self, position: usize, reach: usize) -> Option<i64> {
         let last = self.delays_ns.get(..reach)?.last()?;
         (position + 1 < reach).then(|| 2 * (last - self.delay_ns(position)))
     }
 
-    /// Register DL status (0x0110) of the device at `position`: ports with a link and closed
-    /// ports. Frames reach `reach` devices.
+    /// Value of register DL status (0x0110) of the device at `position`. It shows which ports have a link and which are
+    /// closed. Frames reach `reach` devices.
     pub fn dl_status(&self, position: usize, reach: usize) -> u16 {
         let watchdog_ok = if position == 0 { 0 } else { 0x0002 };
-        // Bit 0: EEPROM loaded. Bits 4 to 7: link of ports 0 to 3. From bit 8 on, two bits for each port: closed, in
-        // communication. Ports 2 and 3 are always closed, port 1 only on the last device.
+        // Bit 0: EEPROM loaded. Bits 4 to 7: link of ports 0 to 3. From bit 8 on, each port has two bits: closed, and in
+        // communication. Ports 2 and 3 are always closed; port 1 is closed only on the last device.
         let links = if position + 1 < reach { 0x5a31 } else { 0x5611 };
         links | watchdog_ok
     }

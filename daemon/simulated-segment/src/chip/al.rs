@@ -1,6 +1,6 @@
-//! State machine of the application layer (AL) of a chip (ETG.1000.6 section 6.4.1). Its states are INIT,
-//! PRE-OP, SAFE-OP and OP. The master requests a state. Some time later the chip enters or refuses it, depending
-//! on the [`Readiness`] of its units.
+//! State machine of the application layer (AL) of a chip (ETG.1000.6 section 6.4.1). Its states are INIT, PRE-OP, SAFE-OP
+//! and OP. The master requests a state. After about 2 ms, the chip enters or refuses this state. The decision depends on the
+//! [`Readiness`] of the chip's units.
 
 /// State of the application layer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -19,7 +19,7 @@ pub enum AlState {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u16)]
 pub enum AlStatusCode {
-    /// There is no such transition.
+    /// The state machine has no transition from the current state to the requested one.
     InvalidRequestedStateChange = 0x0011,
     /// The requested state does not exist.
     UnknownRequestedState = 0x0012,
@@ -33,7 +33,7 @@ pub enum AlStatusCode {
     InvalidOutputConfiguration = 0x001d,
     /// Sync manager 3 has wrong settings.
     InvalidInputConfiguration = 0x001e,
-    /// The sync signals are unsuitable for the device.
+    /// The device cannot use the settings of the sync signals.
     FatalSyncError = 0x002c,
     /// No sync signal arrived.
     NoSyncError = 0x002d,
@@ -44,11 +44,11 @@ pub enum AlStatusCode {
 /// State of the sync signals SYNC0 and SYNC1 of the distributed clock.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SyncReadiness {
-    /// Not activated. Frames start the conversions of the device.
+    /// SYNC0 is not activated, so frames start the conversions of the device.
     Off,
     /// Activated with settings that the device cannot use.
     Invalid,
-    /// The cycle of SYNC1 is not shorter than that of SYNC0, or it is zero.
+    /// The cycle of SYNC1 is zero, or is not shorter than the cycle of SYNC0.
     WrongSync1,
     /// Activated, but there has been no pulse yet.
     Waiting,
@@ -56,7 +56,7 @@ pub enum SyncReadiness {
     Running,
 }
 
-/// Conditions of a transition.
+/// State of the units on which a transition depends.
 #[derive(Debug, Clone, Copy)]
 pub struct Readiness {
     /// Whether both mailbox sync managers have the expected settings.
@@ -74,7 +74,7 @@ pub struct Readiness {
 const STATE_MASK: u8 = 0x0f;
 const ERROR: u8 = 0x10;
 const BOOTSTRAP: u8 = 3;
-/// Approximate time that a device's firmware needs for a transition.
+/// Approximate time that the firmware of a device needs for a transition.
 const TRANSITION_NS: i64 = 2_000_000;
 /// Time for which a device waits for outputs and sync pulses before it refuses OP.
 const PATIENCE_NS: i64 = 2_000_000_000;
@@ -83,7 +83,7 @@ const PATIENCE_NS: i64 = 2_000_000_000;
 #[derive(Clone, Copy)]
 struct AlRequest {
     target: AlState,
-    /// Time of the first decision.
+    /// Time at which the transition is first decided.
     due_ns: i64,
     /// Time at which the transition is refused if its conditions are still not met.
     deadline_ns: i64,
@@ -91,15 +91,15 @@ struct AlRequest {
 
 enum AlDecision {
     Enter,
-    /// The conditions are not met yet. After the time limit the transition is refused with this code.
+    /// The conditions are not met yet. If they are still not met at the deadline, the transition is refused with this code.
     Wait(AlStatusCode),
     Refuse(AlStatusCode),
 }
 
 /// State machine of one chip.
 pub struct AlMachine {
-    /// AL status of a chip without a processor: it repeats the requested status (AL control). `None` for
-    /// a chip with a processor.
+    /// AL status of a chip without a processor, which is always the last status that the master requested (AL control).
+    /// `None` for a chip with a processor.
     emulated: Option<u8>,
     state: AlState,
     /// AL status code. `None` if the error bit is not set.
@@ -152,14 +152,15 @@ impl AlMachine {
         }
     }
 
-    /// Changes the state from OP to SAFE-OP, with this AL status code. No effect in other states or without firmware.
+    /// Changes the state from OP to SAFE-OP with this AL status code. Has no effect in other states, or on
+    /// a chip without a processor.
     pub fn fall_to_safe_op(&mut self, code: u16) {
         if self.emulated.is_none() && self.state == AlState::Op {
             (self.state, self.error, self.pending) = (AlState::SafeOp, Some(code), None);
         }
     }
 
-    /// Whether a requested transition can be decided at `now_ns`.
+    /// Whether a requested transition is waiting to be decided at `now_ns`.
     pub fn is_due(&self, now_ns: i64) -> bool {
         self.pending.is_some_and(|pending| pending.due_ns <= now_ns)
     }
@@ -203,7 +204,7 @@ fn decision(from: AlState, to: AlState, readiness: &Readiness) -> AlDecision {
     }
 }
 
-/// Enters the state if all conditions are met. Otherwise refuses with the code of the first condition that is not met.
+/// Enters the state if all conditions are met. Otherwise refuses it with the code of the first condition that is not met.
 fn require(conditions: &[(bool, AlStatusCode)]) -> AlDecision {
     let failed = conditions.iter().find(|(holds, _)| !holds);
     failed.map_or(AlDecision::Enter, |(_, code)| AlDecision::Refuse(*code))

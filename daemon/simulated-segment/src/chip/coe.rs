@@ -1,6 +1,6 @@
-//! The mailbox protocol CANopen over EtherCAT (CoE, ETG.1000.6 section 5.6): from a request to its answer. With
-//! a service data object (SDO) the master reads (upload) or writes (download) an object of the device. It can
-//! also request lists of objects.
+//! The mailbox protocol CANopen over EtherCAT (CoE, ETG.1000.6 section 5.6). The input is a mailbox request, the output is
+//! the answer. With a service data object (SDO), the master reads (upload) or writes (download) an object of the device. The
+//! master can also request lists of objects.
 
 /// Why an SDO access was refused (ETG.1000.6 table 41).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -16,7 +16,7 @@ pub enum Abort {
     ReadOnly = 0x0601_0002,
     /// The object does not exist.
     NoObject = 0x0602_0000,
-    /// The value has another length than the object.
+    /// The length of the value differs from the length of the object.
     WrongLength = 0x0607_0010,
     /// The subindex does not exist.
     NoSubindex = 0x0609_0011,
@@ -32,7 +32,7 @@ pub enum ObjectList {
     RxMappable,
     /// Objects that can be mapped to inputs.
     TxMappable,
-    /// Objects whose values must be stored for a replacement of the device.
+    /// Objects whose values must be stored, so that they can be written to a replacement of the device.
     Stored,
     /// Objects that are set at start-up.
     Startup,
@@ -83,7 +83,7 @@ const LIST_REQUEST: u8 = 1;
 const LIST_RESPONSE: u8 = 2;
 const INFORMATION_ERROR: u8 = 7;
 
-/// An answer under construction. The mailbox header, at the beginning of `mailbox`, is written last.
+/// An answer while it is built. The mailbox header is at the beginning of `mailbox`, but is written last.
 struct CoeResponse<'a> {
     mailbox: &'a mut [u8; MAILBOX_MAX],
     len: usize,
@@ -105,7 +105,7 @@ impl CoeResponse<'_> {
         self.push(&[0, service << 4]);
     }
 
-    /// Writes the mailbox header. Its counter is copied from the request. Returns the length of the answer.
+    /// Writes the mailbox header. The counter in this header is copied from the request. Returns the length of the answer.
     fn finish(self, kind: u8, request: &[u8]) -> usize {
         let length = (self.len - MAILBOX_HEADER_LEN) as u16;
         let counter = request.get(5).copied().unwrap_or(0) & 0x70;
@@ -149,8 +149,8 @@ pub fn abort_with(request: &[u8], mailbox: &mut [u8; MAILBOX_MAX], code: u32) ->
     Some(answer.finish(TYPE_COE, request))
 }
 
-/// Writes an emergency message (ETG.1000.6 section 5.6.4): error code, error register, no data. Devices
-/// send it without a request.
+/// Writes an emergency message (ETG.1000.6 section 5.6.4) with error code and error register, and without data. A device
+/// sends such a message without a request.
 pub fn emergency(mailbox: &mut [u8; MAILBOX_MAX], code: u16) -> usize {
     let mut answer = CoeResponse { mailbox, len: MAILBOX_HEADER_LEN };
     answer.begin(SERVICE_EMERGENCY);
@@ -188,7 +188,7 @@ fn sdo(content: &[u8], answer: &mut CoeResponse<'_>, objects: &mut dyn ObjectDic
 }
 
 fn abort(answer: &mut CoeResponse<'_>, [i0, i1, subindex]: [u8; 3], code: u32) {
-    // Either side sends an abort with the service of a request.
+    // An abort is always sent with the service "SDO request", by either side.
     answer.begin(SERVICE_SDO_REQUEST);
     answer.push(&[ABORT, i0, i1, subindex]);
     answer.push(&code.to_le_bytes());
@@ -216,7 +216,7 @@ fn upload(
     if fits { Ok(()) } else { Err(Abort::OutOfMemory) }
 }
 
-/// The value of a download request. Up to four bytes are in the header; longer values follow their length.
+/// The value in a download request. A value of up to four bytes is in the header. A longer value follows its length.
 fn downloaded(command: u8, data: &[u8]) -> Result<&[u8], Abort> {
     let (inline, rest) = data.split_at_checked(4).ok_or(Abort::WrongLength)?;
     if command & EXPEDITED == 0 {
@@ -245,7 +245,7 @@ fn information(content: &[u8], answer: &mut CoeResponse<'_>, objects: &dyn Objec
     }
 }
 
-/// Appends a list of indices. List 0 contains the lengths of the five other lists.
+/// Appends a list of indices. List 0 contains the lengths of the other five lists.
 fn list_objects(kind: u16, answer: &mut CoeResponse<'_>, objects: &dyn ObjectDictionary) {
     match usize::from(kind).checked_sub(1).and_then(|index| LISTS.get(index)) {
         None => {

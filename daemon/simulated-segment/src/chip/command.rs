@@ -1,8 +1,8 @@
 //! Executes EtherCAT commands at a slave controller and increments their working counters (ETG.1000.4 section 5.4).
 //!
 //! The first letters of a command are its kind of address: by position (AP), by station address (FP), to all devices (B), or
-//! logical (L). The last letters are the access: read (RD), write (WR) or both (RW). ARMW and FRMW read from the addressed
-//! device and write to all others.
+//! logical (L). The last letters are the access: read (RD), write (WR) or both (RW). With ARMW and FRMW, the addressed
+//! device is read, and all other devices are written.
 
 use super::esc::{Esc, ReadMode};
 use crate::frame::Datagram;
@@ -41,7 +41,7 @@ pub fn execute(esc: &mut Esc, datagram: &mut Datagram<'_>, now_ns: i64) {
     datagram.count(increment);
 }
 
-/// Executes a logical read and write. The outputs are taken from the passing datagram before the inputs replace them.
+/// Executes a logical read and write. The outputs are copied from the datagram before the inputs replace them.
 fn exchange_logical(esc: &mut Esc, datagram: &mut Datagram<'_>, now_ns: i64) -> u16 {
     let address = datagram.logical_address();
     let written = esc.write_logical(address, datagram.data, now_ns);

@@ -1,13 +1,13 @@
-//! The distributed clock of a chip (ETG.1000.4 section 6.8). A local clock drifts. The chip's copy of the system
-//! time is local time plus an offset. A PI control loop makes this copy follow the reference clock. SYNC0 pulses
+//! The distributed clock of a chip (ETG.1000.4 section 6.8). The chip has a local clock, which drifts. Its copy of the
+//! system time is the local time plus an offset. A PI control loop makes this copy follow the reference clock. SYNC0 pulses
 //! occur at programmed system times.
 
 use super::al::SyncReadiness;
 
-/// A local clock: a crystal with a rate error of some ppm, corrected by the control loop of the chip.
+/// A local clock: a crystal with a rate error of some ppm. The control loop of the chip corrects the rate.
 #[derive(Debug, Clone, Default)]
 pub struct LocalClock {
-    /// Time of the last adjustment, as true time; the next field has the same instant as local time.
+    /// Time of the last adjustment, as true time. The next field is the same instant as local time.
     base_true_ns: i64,
     base_local_ns: i64,
     /// Fraction of a nanosecond beyond `base_local_ns`.
@@ -19,7 +19,7 @@ pub struct LocalClock {
 }
 
 impl LocalClock {
-    /// A clock that reads `start_ns` at true time `now_ns` and gains `drift_ppm`.
+    /// A clock that has the local time `start_ns` at true time `now_ns`. It gains `drift_ppm` on true time.
     pub fn new(now_ns: i64, start_ns: i64, drift_ppm: f64) -> Self {
         Self { base_true_ns: now_ns, base_local_ns: start_ns, drift: drift_ppm * 1e-6, ..Self::default() }
     }
@@ -39,7 +39,7 @@ impl LocalClock {
         self.base_true_ns.wrapping_add(elapsed).wrapping_sub(excess.floor() as i64)
     }
 
-    /// Steps the clock by `step_ns` at true time `now_ns`. From then on its rate is corrected by `correction`.
+    /// Steps the clock by `step_ns` at true time `now_ns`, and sets the correction of its rate to `correction`.
     fn adjust(&mut self, now_ns: i64, step_ns: f64, correction: f64) {
         let elapsed = now_ns.wrapping_sub(self.base_true_ns);
         let fraction = elapsed as f64 * self.gain() + self.base_fraction_ns + step_ns;
@@ -61,12 +61,12 @@ impl LocalClock {
     }
 }
 
-/// Gains of the control loop. Each received time steps the clock by `-PROPORTIONAL * deviation`, and changes its rate by
-/// `-INTEGRAL * deviation / time since the last received time`. With `INTEGRAL = PROPORTIONAL^2 / 4` damping is critical.
-/// Real chips count in steps of 9 or 11 ns instead; after some thousand frames the result is the same.
+/// Gains of the control loop. Each received time steps the clock by `-PROPORTIONAL * deviation`. It also changes the rate of
+/// the clock by `-INTEGRAL * deviation / time since the last received time`. With `INTEGRAL = PROPORTIONAL^2 / 4`, the loop
+/// is critically damped. A real chip counts in steps of 9 or 11 ns instead, with the same result after some thousand frames.
 const PROPORTIONAL: f64 = 1.0 / 16.0;
 const INTEGRAL: f64 = PROPORTIONAL * PROPORTIONAL / 4.0;
-/// Limit of the deviation that is corrected by one received time. A chip slews its clock instead of stepping it.
+/// Largest deviation that one received time corrects. A chip with a larger deviation slews its clock instead of stepping it.
 const DEVIATION_LIMIT_NS: f64 = 10_000.0;
 /// Largest relative correction of the rate.
 const CORRECTION_LIMIT: f64 = 200e-6;
@@ -93,15 +93,15 @@ pub struct DistributedClock {
     pub offset_ns: i64,
     /// Delay of a frame from the reference clock to this chip (0x0928).
     pub delay_ns: u32,
-    /// Filter depth of the mean deviation: the logarithm to base 2 of the number of averaged deviations.
+    /// Filter depth of the mean deviation: about `2^filter_depth` deviations are averaged.
     filter_depth: u8,
-    /// Mean deviation from the reference clock (0x092C). Positive if this clock is ahead.
+    /// Mean deviation from the reference clock (register 0x092C). It is positive if this clock is ahead.
     difference_ns: f64,
     /// True time of the last correction.
     last_follow_ns: Option<i64>,
-    /// For each port, local time at which the frame that latches the times arrived there (0x0900).
+    /// Local time at which the latching frame arrived at each port (register 0x0900).
     pub port_times: [u32; 4],
-    /// Local time at which the chip processed the frame that latches the times (0x0918).
+    /// Local time at which the chip processed the latching frame (register 0x0918).
     pub receive_time: u64,
     activation: u8,
     start_ns: i64,
@@ -124,7 +124,7 @@ impl DistributedClock {
         self.clock.local_ns(now_ns).wrapping_add(self.offset_ns)
     }
 
-    /// Steps the clock. Only a fault does this, a working chip never does.
+    /// Steps the clock. This only happens as a simulated fault; a working chip never steps its clock.
     pub fn step(&mut self, now_ns: i64, step_ns: i64) {
         self.clock.adjust(now_ns, step_ns as f64, self.clock.correction);
     }
@@ -134,8 +134,8 @@ impl DistributedClock {
         self.clock.restarted(now_ns)
     }
 
-    /// Latches the times of the frame that arrived at `now_ns`. At `back_ns` it returns to port 1 from
-    /// the devices after this one.
+    /// Latches the local times at which the current frame passes the ports. The frame arrives at port 0 at `now_ns`. At
+    /// `back_ns` it returns to port 1 from the devices after this one.
     pub fn latch(&mut self, now_ns: i64, back_ns: Option<i64>) {
         let local = self.clock.local_ns(now_ns);
         self.receive_time = local as u64;
@@ -145,26 +145,27 @@ impl DistributedClock {
         }
     }
 
-    /// Register 0x092C, the difference from the system time: magnitude, and bit 31 if this clock is behind.
+    /// Value of register 0x092C, the mean deviation: the magnitude, with bit 31 set if this clock is behind.
     pub fn difference(&self) -> u32 {
         let magnitude = self.difference_ns.abs().round().min(f64::from(0x7fff_ffff_u32)) as u32;
         if self.difference_ns < 0.0 { magnitude | 0x8000_0000 } else { magnitude }
     }
 
-    /// Sets the filter depth, when a master has written register 0x0934.
+    /// Sets the filter depth. Called when a master has written register 0x0934.
     pub fn set_filter_depth(&mut self, depth: u8) {
         self.filter_depth = depth & 0x0f;
     }
 
-    /// Restarts the control loop, when a master has written the start of the speed counter, register 0x0930.
+    /// Restarts the control loop. Called when a master has written register 0x0930, the start of the speed counter.
     pub fn reset_loop(&mut self, now_ns: i64) {
         self.clock.adjust(now_ns, 0.0, 0.0);
         self.difference_ns = 0.0;
         self.last_follow_ns = None;
     }
 
-    /// Follows the reference clock, whose system time was received by a write to 0x0910. The deviation is own time - delay -
-    /// received time. If only four bytes were written, they are the low half of the time.
+    /// Follows the reference clock. A write to register 0x0910 contains the system time of the reference clock. The
+    /// deviation is the own time, minus the delay, minus the received time. If only four bytes were written, they are the
+    /// low half of the time.
     pub fn follow(&mut self, received: &[u8], now_ns: i64) {
         let own_ns = self.system_ns(now_ns).wrapping_sub(i64::from(self.delay_ns));
         let deviation_ns = match (received.first_chunk::<8>(), received.first_chunk::<4>()) {
@@ -174,7 +175,7 @@ impl DistributedClock {
         };
         self.difference_ns += (deviation_ns - self.difference_ns) / f64::from(1u32 << self.filter_depth);
         let mut correction = self.clock.correction;
-        // While the clock is slewing, the change of its deviation does not show its rate.
+        // While the clock is slewing, its deviation also changes because of the slew, so it does not show the rate error.
         if let Some(last_ns) = self.last_follow_ns.filter(|_| deviation_ns.abs() < DEVIATION_LIMIT_NS) {
             let elapsed_ns = now_ns.saturating_sub(last_ns).max(1) as f64;
             correction -= INTEGRAL * deviation_ns / elapsed_ns;
@@ -185,13 +186,14 @@ impl DistributedClock {
         self.clock.adjust(now_ns, -PROPORTIONAL * deviation_ns, correction);
     }
 
-    /// Sets start time and cycle times, when a master has written registers 0x0990 to 0x09A7.
+    /// Sets start time and cycle times. Called when a master has written registers 0x0990 to 0x09A7.
     pub fn set_cycle(&mut self, start_ns: i64, sync0_cycle_ns: u32, sync1_cycle_ns: u32) {
         (self.start_ns, self.sync0_cycle_ns, self.sync1_cycle_ns) =
             (start_ns, sync0_cycle_ns, sync1_cycle_ns);
     }
 
-    /// Activates SYNC0, when a master has written register 0x0981. If the start time is in the past, SYNC0 never pulses.
+    /// Activates SYNC0. Called when a master has written register 0x0981. If the start time is in
+    /// the past, SYNC0 never pulses.
     pub fn activate(&mut self, activation: u8, now_ns: i64) {
         let started = activation & !self.activation & SYNC_ENABLE != 0;
         self.activation = activation;
@@ -202,7 +204,7 @@ impl DistributedClock {
         }
     }
 
-    /// Whether conversions of the device are started by SYNC0.
+    /// Whether SYNC0 starts the conversions of the device.
     pub fn is_active(&self) -> bool {
         self.activation & SYNC_ENABLE != 0
     }
@@ -223,7 +225,7 @@ impl DistributedClock {
         }
     }
 
-    /// Takes all SYNC0 pulses that are at least `age_ns` old. The computing time does not depend on their number.
+    /// Takes all SYNC0 pulses that are at least `age_ns` old. The computing time does not depend on the number of pulses.
     pub fn take_pulses(&mut self, now_ns: i64, age_ns: i64) -> Option<Pulses> {
         let first_ns = self.next_sync0_ns?;
         let passed_ns = self.system_ns(now_ns).saturating_sub(age_ns).saturating_sub(first_ns);
@@ -259,7 +261,8 @@ mod tests {
         for elapsed_ns in [0, 1, 999, 1_000_000_007, 86_400_000_000_000, 63_000_000_000_000_000] {
             let true_ns = 1_700_000_000_000_000_000 + elapsed_ns;
             let back_ns = clock.true_ns(clock.local_ns(true_ns));
-            // One part in 2^53 of what the clock gained in two years is a few ns.
+            // The tolerance is the rounding error of floating point: one part in 2^53 of the clock's gain over two
+            // years is a few ns.
             assert!((back_ns - true_ns).abs() <= 1 + elapsed_ns / 10_i64.pow(16), "{elapsed_ns}");
         }
     }
@@ -299,7 +302,7 @@ mod tests {
         assert_eq!(clock.take_pulses(20 * MS + 20_000, 28_000), None);
         let first = clock.take_pulses(20 * MS + 29_000, 28_000).unwrap();
         assert_eq!((first.count, first.system_ns), (1, 20 * MS));
-        // The local clock gains 20 ppm, so its 20 ms end 400 ns early.
+        // The local clock gains 20 ppm. It therefore reaches 20 ms already 400 ns early.
         assert!((first.true_ns - (20 * MS - 400)).abs() <= 1);
         assert_eq!(clock.take_pulses(29 * MS, 28_000), None);
     }

@@ -1,6 +1,6 @@
-//! Builds the content of a device's EEPROM, the slave information (SII, ETG.2010). It consists of a header
-//! and of categories, which are lists of bytes. From them the master reads identity, mailbox, sync managers
-//! and PDOs (process data objects).
+//! Builds the content of a device's EEPROM, the slave information (SII, ETG.2010). The content consists of a header and of
+//! categories. A category is a list of bytes with a type. From the EEPROM, the master reads identity, mailbox, sync managers
+//! and process data objects (PDOs).
 
 use super::sync_manager::ExpectedSyncManager;
 
@@ -24,16 +24,16 @@ pub struct SiiHeader {
     pub vendor: u32,
     pub product: u32,
     pub revision: u32,
-    /// Mailbox out offset and size, mailbox in offset and size, protocols (words 0x18 to 0x1C).
+    /// Words 0x18 to 0x1C: offset and size of mailbox out, offset and size of mailbox in, protocols.
     pub mailbox: [u16; 5],
 }
 
 /// Content of the category "general".
 pub struct General {
     pub coe_details: u8,
-    /// E-bus current \[mA\]; negative for a device that feeds it.
+    /// Current that the device takes from the E-bus \[mA\]. Negative for a device that supplies the E-bus.
     pub e_bus_current_ma: i16,
-    /// Physical ports, four bits each: 1 MII, 3 E-bus.
+    /// Types of the four physical ports, four bits each: 1 is MII, 3 is E-bus.
     pub ports: u16,
 }
 
@@ -51,7 +51,8 @@ pub struct Image {
 }
 
 impl Image {
-    /// Begins an EEPROM with header and names: order code (string 1), long name (string 2), group (string 3).
+    /// Begins an EEPROM with a header and names. The names are: order code (string 1), long name
+    /// (string 2), group (string 3).
     pub fn new(header: &SiiHeader, names: [&'static str; 3], general: &General) -> Self {
         let mut image = Self { bytes: vec![0; CATEGORIES] };
         image.header(header);
@@ -77,14 +78,14 @@ impl Image {
         self.put(0x7e, &VERSION.to_le_bytes());
     }
 
-    /// Adds the use of each FMMU: 1 for outputs, 2 for inputs, 3 for the mailbox state.
+    /// Adds the use of each FMMU: 1 is outputs, 2 is inputs, 3 is the state of the mailbox.
     pub fn fmmus(mut self, uses: &[u8]) -> Self {
         self.category(CATEGORY_FMMU, uses);
         self
     }
 
-    /// Adds the sync managers. Fields of each: start, length, control, status (0), enable (1), and type (1 mailbox out, 2
-    /// mailbox in, 3 outputs, 4 inputs).
+    /// Adds the sync managers. Each has the fields start, length, control, status (0), enable (1) and type. The types are
+    /// mailbox out (1), mailbox in (2), outputs (3) and inputs (4).
     pub fn sync_managers(mut self, channels: &[ExpectedSyncManager; 4]) -> Self {
         let mut content = Vec::new();
         for (channel, kind) in channels.iter().zip(1..) {
@@ -118,7 +119,7 @@ impl Image {
         self
     }
 
-    /// Ends the list of categories. The remaining bytes are ones, as in an erased memory.
+    /// Ends the list of categories. The remaining bits are ones, as in an erased memory.
     pub fn finish(mut self) -> Vec<u8> {
         self.bytes.extend(CATEGORY_END.to_le_bytes());
         self.bytes.resize(SIZE, 0xff);
@@ -151,7 +152,7 @@ fn strings(strings: &[&str]) -> Vec<u8> {
 
 fn general_bytes(general: &General) -> [u8; 32] {
     let mut content = [0; 32];
-    // Numbers of the strings in [`Image::new`]. The category has two fields for the group.
+    // Numbers of the strings that [`Image::new`] adds. The category has two fields for the group.
     let (group, order, name) = (3, 1, 2);
     [content[0], content[2], content[3], content[5]] = [group, order, name, general.coe_details];
     content[12..14].copy_from_slice(&general.e_bus_current_ma.to_le_bytes());
@@ -160,7 +161,8 @@ fn general_bytes(general: &General) -> [u8; 32] {
     content
 }
 
-/// Code of the data type with this length (ETG.1020): bit, u16 or u32. PDOs of the simulated devices contain no other types.
+/// Code of the data type with this length (ETG.1020): bit, u16 or u32. The PDOs of the simulated
+/// devices contain only these types.
 fn data_type(bits: u8) -> u8 {
     match bits {
         1 => 0x01,
@@ -170,7 +172,7 @@ fn data_type(bits: u8) -> u8 {
     }
 }
 
-/// CRC-8 over `bytes`, which are the first seven words. Polynomial x^8 + x^2 + x + 1, initial value all ones.
+/// CRC-8 over `bytes`, the first seven words of the EEPROM. Polynomial x^8 + x^2 + x + 1, initial value all ones.
 fn checksum(bytes: &[u8]) -> u8 {
     bytes.iter().fold(0xff, |crc, byte| {
         (0..8).fold(crc ^ byte, |crc: u8, _| if crc & 0x80 == 0 { crc << 1 } else { crc << 1 ^ 0x07 })

@@ -1,6 +1,6 @@
-//! The slave controller chip: one memory, and units whose registers are at some addresses of the memory. The master reads
-//! and writes by device addresses, or by addresses of the logical process image. The device behind the chip takes sync
-//! events and mailbox requests from it, and writes inputs and answers to it.
+//! The slave controller chip consists of one memory and several units. The registers of each unit are at fixed addresses of
+//! the memory. The master reads and writes by device addresses, or by addresses of the logical process image. The device
+//! behind the chip takes sync events and mailbox requests from the chip, and returns inputs and answers.
 
 mod register_access;
 
@@ -53,12 +53,12 @@ pub enum SyncMode {
     DistributedClock,
 }
 
-/// An event that starts a conversion of the device.
+/// An event that starts a conversion of the device. Several events may have occurred since the last conversion was finished.
 #[derive(Debug, Clone, Copy)]
 pub struct SyncEvent {
     /// Number of events since the previous conversion. Only the last event is converted.
     pub count: u64,
-    /// Number of these events before which no new outputs had arrived.
+    /// Number of these events that were not preceded by new outputs.
     pub missed: u64,
     /// True time of the last event.
     pub true_ns: i64,
@@ -87,7 +87,7 @@ pub struct Esc {
     sii: Sii,
     /// Time at which the current mailbox request arrived.
     request_at_ns: Option<i64>,
-    /// Time at which outputs last arrived. `None` if their conversion has already started.
+    /// Time at which outputs arrived whose conversion is not finished. `None` if there are none.
     outputs_at_ns: Option<i64>,
     /// Whether outputs have arrived since the last SYNC0 pulse.
     outputs_since_sync: bool,
@@ -136,7 +136,7 @@ impl Esc {
         self.clock.step(now_ns, step_ns);
     }
 
-    /// The device changes from OP to SAFE-OP, with this AL status code.
+    /// Changes the state of the device from OP to SAFE-OP, with this AL status code.
     pub fn fall_to_safe_op(&mut self, code: u16) {
         self.al.fall_to_safe_op(code);
     }
@@ -172,8 +172,8 @@ impl Esc {
         self.put(reg::DL_STATUS, &dl_status.to_le_bytes());
     }
 
-    /// Decides on a requested AL state if it is time to. At `back_ns` the current frame returns from
-    /// the devices after this one.
+    /// Decides on a requested AL state, if the time for the decision has come. `back_ns` is the time at which the current
+    /// frame returns from the devices after this one.
     pub fn advance(&mut self, now_ns: i64, back_ns: Option<i64>) {
         self.back_ns = back_ns;
         if self.al.is_due(now_ns) {
@@ -197,7 +197,7 @@ impl Esc {
         if self.clock.is_active() { SyncMode::DistributedClock } else { SyncMode::SyncManager }
     }
 
-    /// Takes the event whose conversion is finished by `now_ns`, if there is one.
+    /// Takes the sync event whose conversion is finished at `now_ns`. `None` if no conversion is finished.
     pub fn take_sync_event(&mut self, now_ns: i64) -> Option<SyncEvent> {
         match self.sync_mode() {
             SyncMode::DistributedClock => {
@@ -230,7 +230,8 @@ impl Esc {
         self.memory.get_mut(span(&all[INPUTS])).unwrap_or_default()
     }
 
-    /// Takes a mailbox request for the device, if its answer is due and the last answer has been read. Returns the length.
+    /// Takes a mailbox request for the device and returns its length. `None` if its answer is not due yet, or if the master
+    /// has not read the last answer.
     pub fn take_request(&mut self, now_ns: i64, request: &mut [u8]) -> Option<usize> {
         let expected = self.expected?;
         if !self.sync_managers[MAILBOX_OUT].is_full() {
@@ -348,8 +349,8 @@ impl Esc {
         self.write(mapped.physical, &[bits.to_physical(*byte, in_device)], now_ns)
     }
 
-    /// Whether an FMMU may access these bytes. Either their sync manager must be active, or they
-    /// are registers and only read.
+    /// Whether an FMMU may access these bytes. Bytes of process memory need an active sync manager.
+    /// Registers may only be read.
     fn is_mappable(&self, physical: u16, len: usize, direction: Access) -> bool {
         let permit = sync_manager::permit(&self.sync_managers, physical, len, direction);
         let register = direction == Access::Read && physical < reg::PROCESS_MEMORY;
@@ -400,7 +401,7 @@ impl Esc {
         }
     }
 
-    /// Blocks the sync managers of the process data below SAFE-OP, and unblocks them from SAFE-OP on.
+    /// Blocks the sync managers of the process data in the states below SAFE-OP, and unblocks them in SAFE-OP and OP.
     fn block_process_data(&mut self) {
         let blocked = self.expected.is_some() && self.state() < AlState::SafeOp;
         for channel in [OUTPUTS, INPUTS] {

@@ -11,7 +11,8 @@ const READ: u8 = 0x01;
 const WRITE: u8 = 0x02;
 const ENABLE: u8 = 0x01;
 
-/// Registers of one unit. It maps `length` bytes at the logical address `logical` to the device's address `physical`.
+/// Registers of one unit. The unit maps `length` bytes from the logical address `logical`
+/// to the device's address `physical`.
 #[derive(Clone, Copy, Default)]
 pub struct Fmmu {
     logical: u32,
@@ -31,7 +32,7 @@ pub struct Mapped {
     pub data: Range<usize>,
     /// Address of the first byte in the device.
     pub physical: u16,
-    /// The mapped bits, if the unit maps single bits of one byte. `None` if it maps whole bytes.
+    /// The mapped bits, if the unit maps only some bits of one byte. `None` if it maps whole bytes.
     pub bits: Option<Bits>,
 }
 
@@ -55,7 +56,7 @@ impl Bits {
     }
 }
 
-/// Replaces `count` bits of `target`, beginning at bit `shift`, by the lowest bits of `source`.
+/// Replaces `count` bits of `target`, beginning at bit `shift`, with the lowest bits of `source`.
 fn insert(source: u8, target: u8, shift: u8, count: u8) -> u8 {
     let mask = (((1u16 << count) - 1) << shift) as u8;
     (target & !mask) | ((source << shift) & mask)
@@ -77,8 +78,8 @@ impl Fmmu {
         };
     }
 
-    /// The bytes that this unit maps, of `len` bytes at the address `logical`, for an access by
-    /// the master in this direction.
+    /// The bytes that this unit maps for an access to `len` bytes at the address `logical`. `None` if it maps none of them.
+    /// The `direction` is that of the master's access.
     pub fn map(&self, logical: u32, len: usize, direction: Access) -> Option<Mapped> {
         let kind = if direction == Access::Read { READ } else { WRITE };
         if self.enable & ENABLE == 0 || self.kind & kind == 0 {
@@ -95,8 +96,8 @@ impl Fmmu {
         Some(Mapped { data: (start - from) as usize..(end - from) as usize, physical, bits: self.bits() })
     }
 
-    /// The mapped bits, if bits within one byte are mapped, such as status bits. All devices here align
-    /// longer process data to bytes.
+    /// The mapped bits, if the unit maps bits within one byte, such as status bits. Longer process data of the simulated
+    /// devices always consist of whole bytes.
     fn bits(&self) -> Option<Bits> {
         let whole = self.start_bit == 0 && self.end_bit == 7 && self.physical_bit == 0;
         if whole || self.length != 1 || self.end_bit < self.start_bit {

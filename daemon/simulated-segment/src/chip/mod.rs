@@ -7,7 +7,8 @@
 //! - the EEPROM interface, with the slave information (SII)
 //! - the mailbox, with CANopen over EtherCAT (CoE)
 //!
-//! Frames read and write the memory of the chip (`command`). The device behind the chip reads outputs and writes inputs there.
+//! Frames read and write the memory of the chip (`command`). The device behind the chip also uses this memory: it reads
+//! outputs and writes inputs there.
 
 pub mod al;
 pub mod coe;

@@ -63,7 +63,7 @@ const WRITABLE: [Range<u16>; 19] = [
     0x0990..0x09a8, // start and cycle times
 ];
 
-/// Whether a master may write the register at `address`. Registers of FMMUs and sync managers are not considered.
+/// Whether a master may write the register at `address`. Registers of FMMUs and sync managers are not in this list.
 pub fn is_writable(address: u16) -> bool {
     WRITABLE.iter().any(|range| range.contains(&address))
 }

@@ -1,5 +1,5 @@
-//! The EEPROM interface of a chip. Through its registers, a master reads the slave information (SII)
-//! in pieces (ETG.1000.4 section 6.4).
+//! The EEPROM interface of a chip. Through its registers, a master reads the slave information (SII), four or eight bytes at
+//! a time (ETG.1000.4 section 6.4).
 
 use super::registers::{SII_ACCESS, SII_CONTROL};
 
@@ -14,7 +14,8 @@ const COMMAND_RELOAD: u16 = 0x0400;
 const COMMAND_ERROR: u16 = 0x2000;
 const WRITE_ENABLE_ERROR: u16 = 0x4000;
 const BUSY: u16 = 0x8000;
-/// Time for which the interface is busy after a command. Approximate time for address and four bytes on I2C at 400 kHz.
+/// Time for which the interface is busy after a command. It is about the time for an address and four bytes
+/// on I2C at 400 kHz.
 const BUSY_NS: i64 = 120_000;
 
 /// The interface, including the EEPROM.
@@ -30,7 +31,8 @@ pub struct Sii {
 }
 
 impl Sii {
-    /// An interface to the EEPROM content `image`. It reads eight bytes at a time if the chip supports this, otherwise four.
+    /// An interface to the EEPROM content `image`. It reads eight bytes at a time if
+    /// `eight_byte_reads` is set, otherwise four.
     pub fn new(image: Vec<u8>, eight_byte_reads: bool) -> Self {
         let capabilities = if eight_byte_reads { EIGHT_BYTE_READS } else { 0 };
         Self { image, access: 0, capabilities, errors: 0, address: 0, data: [0; 8], busy_until_ns: i64::MIN }
@@ -53,7 +55,7 @@ impl Sii {
         registers
     }
 
-    /// Handles a write of a master to `len` bytes at `address`. `registers` is the content of the registers after the write.
+    /// Handles a write of a master to `len` bytes at `address`. `registers` contains all registers after the write.
     pub fn write(&mut self, address: u16, len: usize, registers: &[u8; 16], now_ns: i64) {
         let touched = |register: u16| (address..address.saturating_add(len as u16)).contains(&register);
         if touched(SII_ACCESS) {

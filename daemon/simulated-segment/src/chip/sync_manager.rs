@@ -8,7 +8,7 @@ pub const CHANNELS_MAX: usize = 8;
 const MODE_MASK: u8 = 0x03;
 const MODE_MAILBOX: u8 = 0x02;
 const WRITTEN_BY_MASTER: u8 = 0x04;
-/// Mask of mode and direction. The other bits enable interrupts and do not matter for a correct configuration.
+/// Mask of mode and direction. The other bits enable interrupts, and may have any value.
 const FUNCTION_MASK: u8 = 0x0f;
 // Register 5, status.
 const STATUS_EVENT: u8 = 0x01;
@@ -28,15 +28,17 @@ pub enum Access {
 
 /// Result of the check of an access.
 pub enum Permit {
-    /// No active sync manager has these bytes: the memory is accessed directly.
+    /// The bytes are not in the area of an active sync manager, so the memory is accessed directly.
     Plain,
-    /// Refused: the direction is wrong, the mailbox is full or empty, or only some of the bytes are in the area.
+    /// The access is refused: its direction is wrong, the mailbox is full or empty, or only some of its
+    /// bytes are in the area.
     Denied,
     /// Permitted through this channel.
     Through(usize),
 }
 
-/// Effect of an access through a channel, after its last byte.
+/// Effect on the device of an access through a channel. Only an access that includes the last byte of
+/// the area has an effect.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Completion {
     /// The access has no effect, or its last byte is still missing.
@@ -83,7 +85,7 @@ impl SyncManager {
         if !self.is_enabled() {
             (self.full, self.event) = (false, false);
         } else if repeated && self.is_mailbox() && self.direction() == Access::Read {
-            // The master has lost the last answer and requests a repetition. The answer is still in memory.
+            // The master has lost the last answer and requests it again. The answer is still in memory.
             self.full = true;
         }
     }
@@ -92,7 +94,7 @@ impl SyncManager {
     pub fn status(&self) -> [u8; 3] {
         let event = if self.event { STATUS_EVENT } else { 0 };
         let full = if self.full { STATUS_FULL } else { 0 };
-        // The device acknowledges a request for repetition by setting its own repeat bit to the same value.
+        // The device acknowledges this request by setting its own repeat bit to the value of the master's repeat bit.
         let device_side = if self.blocked { PDI_DISABLED } else { 0 } | (self.activate & REPEAT);
         [event | full, self.activate, device_side]
     }
@@ -110,7 +112,7 @@ impl SyncManager {
         self.full
     }
 
-    /// Marks a mailbox as full or empty, on behalf of the device.
+    /// Marks a mailbox as full or empty. Called for the device.
     pub fn set_full(&mut self, full: bool) {
         (self.full, self.event) = (full, false);
     }
@@ -139,8 +141,8 @@ impl SyncManager {
         from < self.end() && usize::from(self.start) < to
     }
 
-    /// Whether the channel permits an access to the bytes from `from` up to but not including `to`. A mailbox
-    /// is accessed from its start.
+    /// Whether the channel permits an access to the bytes from `from` up to but not including `to`. An access to a mailbox
+    /// must begin at its start.
     fn admits(&self, from: usize, to: usize, direction: Access) -> bool {
         let inside = usize::from(self.start) <= from && to <= self.end();
         let at_start = usize::from(self.start) == from;
@@ -176,8 +178,8 @@ pub fn permit(channels: &[SyncManager], address: u16, len: usize, direction: Acc
     }
 }
 
-/// Handles the end of a permitted access. If it includes the last byte of the area, the access is complete, and its effect
-/// on the device is returned.
+/// Handles the end of a permitted access. An access that includes the last byte of the area is complete. Returns the effect
+/// of the access on the device.
 pub fn finish_access(channels: &mut [SyncManager], index: usize, address: u16, len: usize) -> Completion {
     match channels.get_mut(index) {
         Some(channel) if usize::from(address) + len == channel.end() => channel.complete(),

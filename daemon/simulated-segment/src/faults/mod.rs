@@ -1,8 +1,8 @@
-//! Faults of a bus, in frames and in devices. Frames are hit at random with a seed. Faults can be
-//! switched while the segment runs.
+//! Faults of a bus. Some faults concern frames, others concern devices. A random generator with a seed determines which
+//! frames are hit. Faults can be switched while the segment runs.
 //!
-//! A [`FaultySegment`] wraps a [`SimulatedSegment`]. Faults of frames are simulated here; faults of devices are set in the
-//! segment. Time is that given with each frame, so everything also works on a virtual clock.
+//! A [`FaultySegment`] wraps a [`SimulatedSegment`]. It simulates the faults of frames, and sets the faults of devices in
+//! the segment. The only clock is the time that is passed with each frame, so everything also works in virtual time.
 
 mod frame_damage;
 mod replies;
@@ -19,8 +19,8 @@ use crate::SimulatedSegment;
 use crate::node::{MailboxFault, SignalFault};
 use replies::Replies;
 
-/// A fault. Positions are those on the bus: the coupler has position 0, the terminals follow. A `share` is a probability for
-/// each frame, from 0 to 1.
+/// A fault. A `position` is the position of a device on the bus: the coupler has position 0, the terminals follow. A `share`
+/// is the probability that a frame is hit, from 0 to 1.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Fault {
     /// A frame is lost on its way to the devices or on its way back, at random.
@@ -40,8 +40,9 @@ pub enum Fault {
         /// Probability for each frame, 0 to 1.
         share: f64,
     },
-    /// Bits of a frame are inverted. If the check sequence detects this, the frame is dropped: by the devices on its way
-    /// out, by the network card on its way back. Otherwise headers or working counters are wrong, or the end is missing.
+    /// Bits of a frame are inverted. If the check sequence detects this on the way out, the devices drop the frame. If it
+    /// detects this on the way back, the network card drops the frame. Otherwise headers or working counters are wrong, or
+    /// the end is missing.
     FrameCorrupted {
         /// Probability for each frame, 0 to 1.
         share: f64,
@@ -50,22 +51,23 @@ pub enum Fault {
     NoisyCable {
         /// Position of the device that receives from the cable.
         position: usize,
-        /// Probability for each frame, 0 to 1, of an error in the pause before it.
+        /// Probability for each frame that an error occurs in the pause before the frame, 0 to 1.
         share: f64,
     },
     /// Logical datagrams return with a working counter that is too low, and with wrong inputs.
     WorkingCounterShort {
         /// Probability for each frame, 0 to 1.
         share: f64,
-        /// Amount by which the counter is too low: 1 for missing inputs, 3 for a whole terminal.
+        /// Amount by which the counter is too low. Missing inputs reduce it by 1, a missing terminal by 3.
         by: u16,
     },
-    /// The devices from a position on have no power. When the fault ends, they are powered up with reset counters.
+    /// The devices from a position on have no power. When the fault ends, they are powered up,
+    /// and their counters start anew.
     DevicesGone {
         /// First position without power.
         from: usize,
     },
-    /// A terminal changes from OP to SAFE-OP, once.
+    /// A terminal changes from OP to SAFE-OP. This happens once.
     FallToSafeOp {
         /// Position of the terminal.
         position: usize,
@@ -94,7 +96,7 @@ pub enum Fault {
         /// Position of the terminal.
         position: usize,
     },
-    /// A terminal sends an emergency message before its next answer, once.
+    /// A terminal sends an emergency message before its next answer. This happens once.
     MailboxEmergency {
         /// Position of the terminal.
         position: usize,
@@ -103,7 +105,7 @@ pub enum Fault {
     },
     /// The link is down: no frame can be sent, and no reply arrives.
     LinkDown,
-    /// The reference clock jumps, once.
+    /// The reference clock jumps. This happens once.
     ClockStep {
         /// Step \[ns\].
         by_ns: i64,
@@ -118,7 +120,8 @@ pub enum Fault {
 pub struct FaultBehind;
 
 impl Fault {
-    /// Whether the fault is at a position after the last of these terminals, where it has no effect.
+    /// Whether the fault is at a position after the last terminal, where it has no effect. `terminals`
+    /// is the number of terminals.
     pub fn is_behind(self, terminals: usize) -> bool {
         let position = match self {
             Self::DevicesGone { from } => from,
@@ -134,7 +137,7 @@ impl Fault {
         position > terminals
     }
 
-    /// The signal fault that this fault causes at the terminal at `position`, if any.
+    /// The signal fault that this fault causes at the terminal at `position`. `None` if it causes none there.
     fn signal_at(self, position: usize) -> Option<SignalFault> {
         match self {
             Self::SignalLost { position: at } if at == position => Some(SignalFault::Lost),
@@ -143,7 +146,8 @@ impl Fault {
         }
     }
 
-    /// The mailbox fault that this fault causes at the terminal at `position`, if any. Faults that happen once are excluded.
+    /// The mailbox fault that this fault causes at the terminal at `position`. `None` if it causes none there, or
+    /// if it happens only once.
     fn mailbox_at(self, position: usize) -> Option<MailboxFault> {
         match self {
             Self::MailboxAbort { position: at, code } if at == position => Some(MailboxFault::Abort(code)),
@@ -161,12 +165,12 @@ const SWITCHES_MAX: usize = 1024;
 pub struct FaultHandle(SyncSender<FaultSwitch>);
 
 impl FaultHandle {
-    /// Begins a fault with the next frame.
+    /// Begins a fault when the next frame is sent.
     pub fn begin(&self, fault: Fault) {
         let _ = self.0.try_send(FaultSwitch { fault, on: true });
     }
 
-    /// Ends a fault with the next frame. Has no effect on faults that happen once.
+    /// Ends a fault when the next frame is sent. Has no effect on faults that happen once.
     pub fn end(&self, fault: Fault) {
         let _ = self.0.try_send(FaultSwitch { fault, on: false });
     }
@@ -177,7 +181,8 @@ pub struct FaultySegment {
     segment: SimulatedSegment,
     random: StdRng,
     switches: Receiver<FaultSwitch>,
-    /// Scheduled switches by time since the first frame, in descending order: the next switch is the last element.
+    /// Scheduled switches, with their time since the first frame. They are sorted by descending time, so the next
+    /// switch is the last element.
     schedule: Vec<(i64, FaultSwitch)>,
     first_frame_ns: Option<i64>,
     active: Vec<Fault>,
@@ -238,8 +243,8 @@ impl FaultySegment {
         self.segment.round_trip_ns(frame_len)
     }
 
-    /// Passes a frame through the segment. It enters the coupler at `now_ns`. Its replies leave the coupler at that time,
-    /// later, or not at all. `back_ns` is the delay of a reply from the coupler to the receiver.
+    /// Passes a frame through the segment. The frame enters the coupler at `now_ns`. Its replies leave the coupler at the
+    /// same time or later, or get lost. `back_ns` is the delay of a reply from the coupler to the receiver.
     pub fn exchange(&mut self, now_ns: i64, back_ns: i64, frame: &[u8]) {
         if !self.has_link(now_ns) {
             return;
@@ -329,8 +334,8 @@ impl FaultySegment {
         }
     }
 
-    /// Begins or ends a fault. The state of a device is computed from all active faults, so the end of one
-    /// fault does not end another.
+    /// Begins or ends a fault. The state of a device is computed from all active faults. The end of one fault therefore does
+    /// not end another fault of the same device.
     fn apply(&mut self, FaultSwitch { fault, on }: FaultSwitch, now_ns: i64) {
         self.active.retain(|other| *other != fault);
         if on {

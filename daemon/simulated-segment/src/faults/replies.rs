@@ -12,15 +12,15 @@ struct OnTheWay {
     bytes: [u8; FRAME_BYTES_MAX],
 }
 
-/// Replies that have left the segment. They are taken in order of arrival; replies that arrive at the same time, in the
-/// order in which they left.
+/// Replies that have left the segment. They are taken in order of arrival. If several replies arrive at the same time, the
+/// reply that left first is taken first.
 pub struct Replies {
     on_the_way: Vec<OnTheWay>,
 }
 
 impl Replies {
     pub fn new() -> Self {
-        // Memory is allocated here, so that a cycle allocates none when the segment runs in its process.
+        // The memory is allocated here, so that a cycle allocates none when segment and daemon run in the same process.
         Self { on_the_way: Vec::with_capacity(REPLIES_MAX) }
     }
 

@@ -1,5 +1,5 @@
-//! Parses faults from text. Options of the command line have times (`lost:0.01`, `gone:3@10s-15s`, `safe-op:2,0x001a@5s`).
-//! Switches for a running segment have none (`on gone:3`, `off gone:3`).
+//! Parses faults from text. An option of the command line may contain times (`lost:0.01`, `gone:3@10s-15s`,
+//! `safe-op:2,0x001a@5s`). A command that switches a fault of a running segment contains none (`on gone:3`, `off gone:3`).
 
 use std::str::FromStr;
 use std::time::Duration;
@@ -37,7 +37,7 @@ pub struct FaultSwitch {
     pub on: bool,
 }
 
-/// The text is neither a fault nor a switch. It is quoted in the message.
+/// Error: the text is neither a fault nor a switch. The message quotes the text.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
     "`{0}` is not a fault; write one of lost:SHARE, late:SHARE,TIME, duplicated:SHARE, corrupted:SHARE, \

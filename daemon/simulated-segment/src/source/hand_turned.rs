@@ -1,4 +1,4 @@
-//! Simulates a person who stops the motion of the joints and turns one joint at a time by hand.
+//! Simulates a person who stops the motion of all joints, and turns one joint at a time by hand.
 
 use std::f64::consts::TAU;
 use std::sync::Arc;
@@ -6,16 +6,16 @@ use std::sync::atomic::{AtomicI64, Ordering};
 
 use super::{Conversion, EncoderSource, Periods, Signal, SmoothMotion};
 
-/// Speed of a joint turned by hand. The signal is then below 750 Hz (at 3600 lines and 12 bits), so
-/// interpolation has its full resolution.
+/// Speed of a joint that is turned by hand. With 3600 lines, the signal frequency is then below 750 Hz, the limit of full
+/// resolution at 12 bits.
 const SPEED_RAD_PER_S: f64 = 1.2;
-/// Values of the command in [`Hand`]. With `LET_GO` the motion continues, with `HOLD` all joints are held.
-/// Other values turn a channel.
+/// Values of the command in [`Hand`]. With `LET_GO` the motion continues, with `HOLD` all joints are held. Any
+/// other value turns a channel.
 const LET_GO: i64 = 0;
 const HOLD: i64 = i64::MAX;
 
-/// Controls the simulated person, from any thread. The shared number is the command: `LET_GO`, `HOLD`, or the number of the
-/// channel to turn plus one. A negative number means decreasing counts.
+/// Controls the simulated person, from any thread. The shared number is the command: `LET_GO`, `HOLD`, or the channel to
+/// turn, plus one. A negative number turns the channel with decreasing counts.
 #[derive(Debug, Clone, Default)]
 pub struct Hand(Arc<AtomicI64>);
 
@@ -47,14 +47,14 @@ impl Hand {
 
 #[derive(Debug, Clone, Copy, Default)]
 struct TurnedJoint {
-    /// Angle by which the joint was turned by hand in total.
+    /// Total angle by which the joint was turned by hand.
     by_hand: Periods,
     /// True time \[ns\] and position of the last conversion.
     last: Option<(i64, Periods)>,
 }
 
-/// A [`SmoothMotion`] that a [`Hand`] can stop, and whose joints it can turn. As long as the hand is not used, the signals
-/// are those of the motion.
+/// A [`SmoothMotion`] that a [`Hand`] can stop, and whose joints the hand can turn. Until the hand is used, the signals are
+/// those of the motion.
 #[derive(Debug, Clone)]
 pub struct HandTurned {
     motion: SmoothMotion,
@@ -73,8 +73,8 @@ impl HandTurned {
         (Self { motion, hand: hand.clone(), joints, stopped_ns: 0, held_since_ns: None }, hand)
     }
 
-    /// Time of the motion: the true time without the time for which the motion was held. `is_held` is
-    /// whether it is held now.
+    /// Time of the motion: the true time, minus the time for which the motion was held. `is_held` states whether
+    /// the motion is held now.
     fn motion_ns(&mut self, true_time_ns: i64, is_held: bool) -> i64 {
         if is_held {
             let since_ns = *self.held_since_ns.get_or_insert(true_time_ns);
@@ -152,7 +152,7 @@ mod tests {
         assert!((moved + 1.2 * 3600.0 / TAU).abs() < 1e-3, "{moved} periods in a second");
         hand.let_go();
         let continued = position(&mut turned, 0, 2001);
-        // At least one second without motion; the motion itself moves less than 230 periods a second.
+        // The motion was stopped for at least one second. It moves less than 230 periods in a second.
         assert!((continued.0 - start[0].0).abs() < 230 * Periods::ONE, "no jump");
     }
 }

@@ -1,5 +1,5 @@
-//! Sources of encoder signals: a built-in motion of the joints, or a recording. A terminal requests the signal at
-//! its input for each conversion.
+//! Sources of encoder signals: a built-in motion of the joints, or a recording. For each conversion, a terminal requests the
+//! signal at its input.
 
 mod hand_turned;
 mod reference_mark;
@@ -50,7 +50,7 @@ pub enum Signal {
         /// Whether the encoder is at the reference mark.
         on_reference_mark: bool,
     },
-    /// A recorded counter value. The terminal outputs it unchanged, whatever its settings are.
+    /// A recorded counter value. The terminal outputs this value unchanged, whatever its settings are.
     Recorded {
         /// Counter value of the terminal.
         count: u32,

@@ -17,10 +17,12 @@ impl ReferenceMark {
         Self { at, revolution: i64::from(lines).max(1) * Periods::ONE }
     }
 
-    /// Position of the mark between two positions, if there is one. The positions must be less than a revolution apart.
+    /// Position of the mark between two positions. `None` if no mark is between them. The positions must be
+    /// less than one revolution apart.
     pub fn between(&self, from: Periods, to: Periods) -> Option<Periods> {
         let turn = |position: Periods| position.0.wrapping_sub(self.at.0).div_euclid(self.revolution);
-        // A revolution begins at a mark. The mark between two revolutions is therefore at the beginning of the higher one.
+        // A revolution begins at a mark. If the positions are in two revolutions, the mark is at the
+        // beginning of the higher one.
         let upper = turn(from).max(turn(to));
         (turn(from) != turn(to)).then(|| Periods(self.at.0.wrapping_add(upper.wrapping_mul(self.revolution))))
     }

@@ -1,4 +1,4 @@
-//! Plays recorded counts. A *row* contains one count for each terminal; one row is played per bus cycle.
+//! Plays recorded counts. A *row* contains one count for each terminal. One row is played per bus cycle.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, AtomicUsize, Ordering};
@@ -24,9 +24,9 @@ pub enum ReplayError {
     Period(i64),
 }
 
-/// Value of the start time before the replay was started.
+/// Value of the start time while the replay is not started.
 const NOT_STARTED: i64 = i64::MAX;
-/// Value of the start time if the next conversion must start the replay.
+/// Value of the start time if the replay must start at the next conversion.
 const AT_NEXT: i64 = i64::MIN;
 
 #[derive(Debug)]
@@ -39,10 +39,10 @@ struct ReplayState {
 
 /// An encoder source that plays recorded counts.
 ///
-/// The row is selected by the nominal time of the SYNC0 pulse. Each cycle therefore plays exactly one row, whatever
-/// the rates of the devices' clocks are. If the clock of the bus is set during the replay, the true time of a pulse
-/// changes relative to its nominal time. Counts are then interpolated between two rows. Terminals without SYNC0 play
-/// the row nearest in true time.
+/// The nominal time of the SYNC0 pulse selects the row. Each cycle therefore plays exactly one row, even if the clocks of
+/// the devices have different rates. If the clock of the bus is set during the replay, the true time of a pulse changes
+/// relative to its nominal time. Counts are then interpolated between two rows. A terminal without SYNC0 plays the row that
+/// is nearest in true time.
 #[derive(Debug)]
 pub struct Replay {
     counts: Vec<u32>,
@@ -58,13 +58,13 @@ pub struct Replay {
 struct PulseTiming {
     /// True minus nominal time of the last pulse \[ns\].
     true_minus_nominal_ns: Option<i64>,
-    /// Sum of all changes of that difference that are larger than drift explains, because the clock of
-    /// the bus was set \[ns\].
+    /// Sum of the large changes of `true_minus_nominal_ns` \[ns\]. A change larger than drift can explain means that the
+    /// clock of the bus was set.
     delay_ns: i64,
 }
 
 impl PulseTiming {
-    /// Limit for the effect of drift between two pulses \[ns\]. A larger change means that the clock was set.
+    /// Largest change that drift can cause between two pulses \[ns\]. After a larger change, the clock of the bus was set.
     const SET_NS: i64 = 20_000;
 
     /// Updates the timing with the next pulse.
@@ -82,8 +82,8 @@ impl PulseTiming {
 pub struct ReplayHandle(Arc<ReplayState>);
 
 impl Replay {
-    /// Plays `counts`, which consist of rows of `channels` counts each. A new row is played every `period_ns`. Until the
-    /// replay is started through the handle, the first row is played.
+    /// Plays `counts`, which consist of rows of `channels` counts each. Every `period_ns`, the next row is played. Until the
+    /// handle starts the replay, the first row is played.
     ///
     /// # Errors
     /// If the counts are not at least one complete row, or the period is not positive.
@@ -124,8 +124,8 @@ impl Replay {
         Some(row.min(self.shared.rows - 1))
     }
 
-    /// Count of a channel at the time `after_ns` after that of a row, by linear interpolation. 0 for a terminal that
-    /// is not in the recording.
+    /// Count of a channel at the time `after_ns` after the time of a row, by linear interpolation. 0 for a terminal that is
+    /// not in the recording.
     fn count(&self, channel: usize, row: usize, after_ns: i64) -> u32 {
         let recorded = |row: usize| {
             let counts_of_row = self.counts.get(row * self.channels..)?.get(..self.channels)?;
@@ -162,9 +162,9 @@ impl EncoderSource for Replay {
 }
 
 impl ReplayHandle {
-    /// Sets the start of the replay: the conversion nearest to `time_ns` plays the first row. On a bus with
-    /// distributed clocks this is system time of the bus, preferably of a future SYNC0 pulse. Otherwise it is
-    /// true time of the simulation.
+    /// Sets the start of the replay: the conversion nearest to `time_ns` plays the first row. On a bus with distributed
+    /// clocks, `time_ns` is a system time of the bus, preferably that of a future SYNC0 pulse. On other buses it is a true
+    /// time of the simulation.
     pub fn start_at(&self, time_ns: i64) {
         for played in &self.0.played {
             played.store(0, Ordering::Release);

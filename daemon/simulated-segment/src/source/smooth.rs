@@ -16,7 +16,7 @@ const ANGLE_MAX_RAD: f64 = std::f64::consts::FRAC_PI_3;
 const SPEED_MAX_RAD_PER_S: f64 = 0.4;
 /// Range of the periods of the sines \[ns\].
 const PERIOD_NS: std::ops::Range<i64> = 11_000_000_000..37_000_000_000;
-/// Largest number of lines. Encoders with more lines do not exist.
+/// Largest number of lines. No encoder has more lines.
 const LINES_MAX: u32 = 1 << 20;
 /// Largest position at angle zero \[signal periods\]. A terminal counts from its power-up, so this position is arbitrary.
 const START_PERIODS_MAX: i64 = 10_000;
@@ -33,7 +33,7 @@ impl Sine {
         TAU / (self.period_ns as f64 * 1e-9)
     }
 
-    /// Argument of the sine \[rad\]. Whole periods are removed in integers, so it is exact at any time.
+    /// Argument of the sine \[rad\]. Whole periods are subtracted in integers, so the argument is accurate at any time.
     fn argument_rad(&self, true_time_ns: i64) -> f64 {
         TAU * true_time_ns.rem_euclid(self.period_ns) as f64 / self.period_ns as f64 + self.phase_rad
     }
@@ -58,8 +58,8 @@ pub struct SmoothMotion {
 }
 
 impl SmoothMotion {
-    /// Creates the joints with random sines. Their encoders have `lines` signal periods per
-    /// revolution; `seed` determines the motion.
+    /// Creates the joints with random sines. `seed` determines the motion. The encoders have
+    /// `lines` signal periods per revolution.
     pub fn new(joints: usize, lines: u32, seed: u64) -> Self {
         let mut random = StdRng::seed_from_u64(seed);
         let lines = lines.clamp(1, LINES_MAX);
@@ -78,7 +78,7 @@ impl SmoothMotion {
         self.joints.get(joint).map_or(Periods(0), |joint| joint.position(self.lines, true_time_ns))
     }
 
-    /// Position of the reference mark on a joint's encoder. It repeats every revolution.
+    /// Position of one reference mark on a joint's encoder. The mark repeats every revolution.
     pub fn reference_mark(&self, joint: usize) -> Option<Periods> {
         self.mark(joint).map(|mark| mark.at)
     }
@@ -111,7 +111,7 @@ impl SmoothJoint {
             sine.amplitude_rad *= scale;
         }
         let start = Periods(random.random_range(-START_PERIODS_MAX..START_PERIODS_MAX) * Periods::ONE);
-        // The mark is within 9 degrees of angle zero, so that the motion passes it.
+        // The mark is within 9 degrees of angle zero, so the motion passes it.
         let mark =
             Periods(start.0 + i64::from(lines) * random.random_range(-Periods::ONE / 40..Periods::ONE / 40));
         Self { sines, start, mark: ReferenceMark::new(mark, lines), last: None }

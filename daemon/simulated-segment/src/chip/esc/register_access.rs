@@ -1,4 +1,4 @@
-//! Accesses to registers that are connected to a unit: a read returns the unit's state, a write changes it.
+//! Accesses to registers that are connected to a unit. A read returns the state of the unit. A write changes the unit.
 
 use super::{Esc, reg};
 
@@ -68,7 +68,7 @@ impl Esc {
     }
 
     /// Passes a write on to the EEPROM interface. Registers outside the written range keep their values. The control
-    /// register is cleared first, so that a command is executed only if it was written.
+    /// register is cleared first, so a command is executed only if this write contains one.
     fn apply_sii(&mut self, address: u16, data: &[u8], now_ns: i64) {
         let mut registers = self.sii.registers(now_ns);
         registers[2..4].fill(0);

@@ -1,5 +1,6 @@
-//! The counter of the EL5021: counting of periods, interpolation, latch, reset, set, and errors at high speed. C is the
-//! input for the reference mark. Behaviour and limits follow the documentation of the terminal.
+//! The counter of the EL5021. It counts and interpolates signal periods, latches the count at the reference mark, can be
+//! reset and set, and reports errors at high speed. Input C is the reference mark. Behaviour and limits follow the
+//! documentation of the terminal.
 
 use super::mapping::{Inputs, Outputs};
 use crate::source::{Periods, Signal};
@@ -10,10 +11,10 @@ pub const BITS: std::ops::RangeInclusive<u8> = 8..=13;
 const FREQUENCY_MAX_HZ: [f64; 6] = [250e3, 250e3, 250e3, 170e3, 80e3, 40e3];
 /// Frequency above which the resolution decreases, for each interpolation in [`BITS`] \[Hz\].
 const REDUCTION_START_HZ: [f64; 6] = [9000.0, 4500.0, 2500.0, 1500.0, 750.0, 650.0];
-/// Number of bits of interpolation that remain at any frequency.
+/// Number of interpolated bits that remain valid at any frequency.
 const REMAINING_BITS: u8 = 6;
-/// Amplitude below which the terminal reports an error, as a fraction of 1 Vpp. An assumption, because
-/// the limit is not published.
+/// Amplitude below which the terminal reports an error, as a fraction of 1 Vpp. The value is an assumption, because the
+/// limit of the real terminal is not published.
 const AMPLITUDE_MIN: f64 = 0.5;
 
 /// Settings in the object dictionary, with index and subindex.
@@ -23,7 +24,7 @@ pub struct CounterSettings {
     pub reset_on_c: bool,
     /// 0x8000:0E, count backwards.
     pub reversed: bool,
-    /// 0x8000:0F, the frequency window is in ms instead of us.
+    /// 0x8000:0F, the frequency window is in ms; otherwise it is in us.
     pub window_in_ms: bool,
     /// 0x8000:11, frequency window.
     pub window: u16,
@@ -59,13 +60,13 @@ impl Default for CounterSettings {
 }
 
 impl CounterSettings {
-    /// Element for the present interpolation, of a table that has one element for each of [`BITS`].
+    /// The value in `table` for the present interpolation. The table contains one value for each interpolation in [`BITS`].
     fn for_bits(&self, table: [f64; 6]) -> f64 {
         table[usize::from(self.bits.clamp(*BITS.start(), *BITS.end()) - BITS.start())]
     }
 
-    /// Number of lowest bits that stay constant at a frequency: one bit where the reduction begins, and
-    /// one more for each octave.
+    /// Number of lowest bits that stay constant at a frequency. Where the reduction begins, it is one bit; each further
+    /// doubling of the frequency adds one bit.
     fn constant_bits(&self, frequency_hz: f64) -> u8 {
         let start_hz = self.for_bits(REDUCTION_START_HZ);
         if frequency_hz < start_hz {
@@ -75,7 +76,8 @@ impl CounterSettings {
         (octaves + 1).min(self.bits - REMAINING_BITS)
     }
 
-    /// Converts a position to a counter value. The upper bits are whole periods, the lower ones the interpolated fraction.
+    /// Converts a position to a counter value. The upper bits are the whole periods, the
+    /// lower bits the interpolated fraction.
     fn count(&self, position: Periods) -> u32 {
         (position.0 as u64 >> (32 - self.bits)) as u32
     }
@@ -90,9 +92,10 @@ impl CounterSettings {
 #[derive(Debug, Default)]
 pub struct Counter {
     pub settings: CounterSettings,
-    /// Added to the position of the encoder. Stored in periods, so that it stays valid if the interpolation changes.
+    /// Difference between the position that is counted and the position of the encoder. It is stored in periods, so it stays
+    /// correct if the interpolation changes.
     offset: Periods,
-    /// Whether the next conversion must set the number of whole periods to zero.
+    /// Whether the next conversion must set the number of whole periods to zero, because the terminal has been powered up.
     begins_at_zero: bool,
     latch_armed: bool,
     latch_was_enabled: bool,
@@ -105,7 +108,7 @@ impl Counter {
         Self { begins_at_zero: true, ..Self::default() }
     }
 
-    /// Performs one conversion: computes the inputs from the encoder's signal and the requests in the outputs.
+    /// Performs one conversion. The inputs are computed from the encoder's signal and from the requests in the outputs.
     pub fn convert(&mut self, signal: Signal, outputs: &Outputs, inputs: &mut Inputs) {
         match signal {
             Signal::Recorded { count } => inputs.counter = count,
@@ -113,7 +116,8 @@ impl Counter {
                 let frequency_hz = periods_per_s.abs();
                 let directed = self.directed(position);
                 if std::mem::take(&mut self.begins_at_zero) {
-                    // The signal determines the fraction of a period, but not the number of whole periods.
+                    // The signal determines the fraction of a period, but not the number of whole
+                    // periods, which starts at zero.
                     self.offset = Periods(directed.0.div_euclid(Periods::ONE).wrapping_mul(-Periods::ONE));
                 }
                 self.serve_set(directed, outputs, inputs);
@@ -123,7 +127,7 @@ impl Counter {
                 inputs.frequency_error =
                     settings.frequency_error && frequency_hz > settings.for_bits(FREQUENCY_MAX_HZ);
                 inputs.amplitude_error = settings.amplitude_error && amplitude < AMPLITUDE_MIN;
-                // At high frequencies the lowest bits keep their last value.
+                // At high frequencies, the lowest bits keep the value of the previous conversion.
                 let constant = (1 << settings.constant_bits(frequency_hz)) - 1;
                 let count = settings.count(self.shifted(directed));
                 inputs.counter = (count & !constant) | (inputs.counter & constant);
@@ -131,7 +135,7 @@ impl Counter {
         }
     }
 
-    /// The position as the terminal counts it, backwards if that is set.
+    /// The position in the counting direction of the terminal: its sign is reversed if the terminal counts backwards.
     fn directed(&self, position: Periods) -> Periods {
         if self.settings.reversed { Periods(position.0.wrapping_neg()) } else { position }
     }
@@ -140,12 +144,12 @@ impl Counter {
         Periods(position.0.wrapping_add(self.offset.0))
     }
 
-    /// Sets the offset such that `position` has this count.
+    /// Sets the offset so that the count at `position` is `count`.
     fn set(&mut self, position: Periods, count: u32) {
         self.offset = Periods(self.settings.position(count).0.wrapping_sub(position.0));
     }
 
-    /// Sets the counter on the rising edge of the request. `set_done` follows the request.
+    /// Sets the counter when `set_counter` changes from false to true. `set_done` always equals `set_counter`.
     fn serve_set(&mut self, position: Periods, outputs: &Outputs, inputs: &mut Inputs) {
         if outputs.set_counter && !self.set_was_requested {
             self.set(position, outputs.set_value);
@@ -154,8 +158,8 @@ impl Counter {
         inputs.set_done = outputs.set_counter;
     }
 
-    /// Latches the count at the reference mark, once after the latch is armed. Also sets the counter to zero
-    /// there if that is enabled.
+    /// Latches the count at the first reference mark after the latch was armed. If `reset_on_c` is set, every reference mark
+    /// also sets the counter to zero.
     fn serve_latch(&mut self, mark: Option<Periods>, outputs: &Outputs, inputs: &mut Inputs) {
         if outputs.enable_latch && !self.latch_was_enabled {
             self.latch_armed = true;

@@ -23,8 +23,8 @@ pub struct Outputs {
 }
 
 impl Outputs {
-    /// Decodes six bytes, which are a control word, and the value for the counter from the third byte
-    /// on. Missing bytes are zero.
+    /// Decodes six bytes. The first two are a control word. The value for the counter begins at the third byte. Missing
+    /// bytes count as zero.
     pub fn decode(bytes: &[u8]) -> Self {
         let control = bytes.first().copied().unwrap_or(0);
         let value = bytes.get(2..).and_then(|rest| rest.first_chunk()).copied().unwrap_or_default();
@@ -51,14 +51,14 @@ pub struct Inputs {
     pub level_c: bool,
     /// Whether a sync event without new outputs has occurred since the last conversion.
     pub sync_error: bool,
-    /// Inverted by each conversion, so that a master recognises new data.
+    /// Toggle bit. Each conversion inverts it, so that a master recognises new data.
     pub toggle: bool,
     pub counter: u32,
     pub latch: u32,
 }
 
 impl Inputs {
-    /// State of the TxPDO: whether there is any error of the input signal.
+    /// Bit "TxPDO state" of the status word: whether the input signal has any error.
     pub fn invalid(&self) -> bool {
         self.frequency_error || self.amplitude_error
     }

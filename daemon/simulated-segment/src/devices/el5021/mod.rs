@@ -17,7 +17,7 @@ use crate::source::{Conversion, EncoderSource, Signal};
 
 const PRODUCT: u32 = 0x139d_3052;
 /// Registers 0x0000 to 0x0009: chip type, its revision and build, 3 FMMUs, 4 sync managers, 4 kB, two E-bus ports, features
-/// 0x01FC. The features are a 64-bit distributed clock with SYNC signals.
+/// 0x01FC. These features mean a 64-bit distributed clock with SYNC signals.
 const INFORMATION: [u8; 10] = [0x11, 0x00, 0x02, 0x00, 3, 4, 4, 0x0a, 0xfc, 0x01];
 const CONFIGURATION: [u16; 4] = [0x0c05, 0x0c8c, 0x0000, 0x0000];
 /// The terminal supports SDO and SDO information. PDO assignment and PDO configuration are fixed.
@@ -28,8 +28,8 @@ const FMMU_USES: [u8; 3] = [1, 2, 3];
 
 const OUTPUTS_LEN: u16 = 6;
 const INPUTS_LEN: u16 = 10;
-/// Sync managers for mailbox out, mailbox in, outputs, inputs. Addresses and control bytes are those of other
-/// encoder terminals in this family.
+/// Sync managers for mailbox out, mailbox in, outputs and inputs. Addresses and control bytes were copied from other encoder
+/// terminals of the EL5xxx family.
 const SYNC_MANAGERS: [ExpectedSyncManager; 4] = [
     ExpectedSyncManager { start: 0x1000, length: 128, control: 0x26 },
     ExpectedSyncManager { start: 0x1080, length: 128, control: 0x22 },
@@ -39,19 +39,19 @@ const SYNC_MANAGERS: [ExpectedSyncManager; 4] = [
 /// Time for conversion, calculation and copy into the input buffer \[ns\].
 const DATA_READY_NS: i64 = 28_000;
 
-/// Frequency of the signal with the fault "too fast" \[Hz\]. Higher than any interpolation permits.
+/// Frequency of the signal during the fault "too fast" \[Hz\]. It is higher than the limit of any interpolation.
 const TOO_FAST_HZ: f64 = 400e3;
 
 /// Revisions of the terminal, as in the device description file.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Revision {
-    /// 0x00100000: some status bits are in other objects than 0x6000.
+    /// 0x00100000: sync error, TxPDO state and toggle are not in object 0x6000.
     R16,
     /// 0x00110000: like revision 16.
     R17,
     /// 0x00120000: like revision 16.
     R18,
-    /// 0x00130000: these status bits are in object 0x6000.
+    /// 0x00130000: sync error, TxPDO state and toggle are in object 0x6000.
     R19,
     /// 0x00140000: like revision 19.
     #[default]
@@ -83,7 +83,7 @@ impl Revision {
     }
 }
 
-/// Counts of events for diagnosis.
+/// Numbers of events, which the terminal reports for diagnosis.
 #[derive(Default)]
 struct Diagnosis {
     sync_missed: u16,
@@ -106,7 +106,7 @@ pub struct El5021 {
 }
 
 impl El5021 {
-    /// A terminal that was just powered up. `channel` is its number after the coupler, from 0.
+    /// A terminal that was just powered up. Terminals have the channels 0, 1, ... in order after the coupler.
     pub fn new(channel: usize, revision: Revision) -> Self {
         Self { channel, revision, ..Self::default() }
     }
@@ -164,7 +164,7 @@ impl Device for El5021 {
 
     fn step(&mut self, step: SyncStep<'_>, source: &mut dyn EncoderSource) {
         self.diagnose(&step);
-        // In SAFE-OP the outputs are replaced by safe ones, which contain no requests.
+        // In SAFE-OP, safe outputs replace the received ones. Safe outputs contain no requests.
         self.outputs = match step.state {
             AlState::Op => mapping::Outputs::decode(step.outputs),
             _ => mapping::Outputs::default(),
@@ -175,7 +175,8 @@ impl Device for El5021 {
         self.counter.convert(signal, &self.outputs, &mut self.inputs);
         self.count_errors(before);
         self.inputs.sync_error = self.diagnosis.sync_error;
-        // The toggle changes with every event, including those whose data were never read.
+        // Every event inverts the toggle bit. If several events occurred since the last conversion, the
+        // result depends on their number.
         self.inputs.toggle ^= step.event.count % 2 == 1;
         self.inputs.encode(step.inputs);
     }
@@ -190,7 +191,7 @@ impl Device for El5021 {
 
     fn power_cycle(&mut self) {
         let counter = Counter::after_power_cycle();
-        // A fault of the cable remains when the power is switched.
+        // A fault of the cable remains when the device is powered off and on.
         *self = Self { counter, signal_fault: self.signal_fault, ..Self::new(self.channel, self.revision) };
     }
 

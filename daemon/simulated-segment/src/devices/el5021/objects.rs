@@ -6,11 +6,11 @@ use crate::chip::SyncMode;
 use crate::chip::coe::{Abort, ObjectDictionary, ObjectList};
 use crate::chip::eeprom::PdoEntry;
 
-/// Module profile 511 in a device with CoE profile 5001. This value is reported by the EJ5021, the plug-in version.
+/// Device type: module profile 511 in a device with CoE profile 5001. The EJ5021, the plug-in version, reports this value.
 const DEVICE_TYPE: u32 = 0x01ff_1389;
 const NAME: &str = "EL5021";
 const HARDWARE: &str = "02";
-/// The text "load" as a number. Writing it restores the default settings.
+/// The text "load" as a number. A master writes it to restore the default settings.
 const RESTORE: u32 = 0x6461_6f6c;
 const SUPPORTED_SYNC_TYPES: u16 = 0xc007;
 const MINIMUM_CYCLE_NS: u32 = 100_000;
@@ -22,7 +22,7 @@ const OBJECTS: [u16; 22] = [
 ];
 /// Objects that exist only in revisions that measure frequency.
 const FREQUENCY_PDOS: [u16; 2] = [0x1a01, 0x1a02];
-/// Values for the type of synchronisation in objects 0x1C32 (outputs) and 0x1C33 (inputs).
+/// Values for the type of synchronisation in the objects 0x1C32 (outputs) and 0x1C33 (inputs).
 const BY_OUTPUTS: u16 = 0x01;
 const WITH_OUTPUTS: u16 = 0x22;
 const BY_SYNC0: u16 = 0x02;
@@ -53,8 +53,8 @@ impl ObjectValue {
     }
 }
 
-/// Object that describes the entries of a PDO. Subindex 0 is their number; each other subindex contains object, subindex and
-/// bits of one entry in one word.
+/// The object that describes the entries of a PDO. Subindex 0 is the number of entries. Each other subindex describes one
+/// entry as one word, which contains the index, subindex and bits of an object.
 fn mapped(entries: &[PdoEntry], subindex: u8) -> Option<ObjectValue> {
     let Some(position) = usize::from(subindex).checked_sub(1) else {
         return Some(ObjectValue::U8(entries.len() as u8));
@@ -88,11 +88,12 @@ impl El5021 {
                 let object = if index == 0x1a01 { (0x6000, 0x1b) } else { (0x6000, 0x13) };
                 return mapped(&[PdoEntry { object, bits: 32 }], subindex);
             }
-            // In old revisions, state and toggle of the inputs are in this object.
+            // In old revisions, this object contains state and toggle of the inputs.
             (0x1800, 0) => U8(9),
             (0x1800, 0x07) => Bit(inputs.invalid()),
             (0x1800, 0x09) => Bit(inputs.toggle),
-            // Use of each sync manager: mailbox out, mailbox in, outputs, inputs. Then the PDOs of outputs and inputs.
+            // Use of each sync manager: mailbox out, mailbox in, outputs, inputs. The next objects assign the
+            // PDOs of outputs and inputs.
             (0x1c00, 0) => U8(4),
             (0x1c00, 1..=4) => U8(subindex),
             (0x1c12 | 0x1c13, 0) => U8(1),
@@ -187,7 +188,7 @@ impl ObjectDictionary for El5021 {
     }
 
     fn download(&mut self, index: u16, subindex: u8, bytes: &[u8]) -> Result<(), Abort> {
-        // The length of the new value must be that of the present value.
+        // The length of the new value must equal the length of the present value.
         let present = self.value_or_abort(index, subindex)?;
         let mut value = [0; 4];
         if !matches!((index, subindex), (0x1011, 1) | (0x8000 | 0x8001, 1..)) {
