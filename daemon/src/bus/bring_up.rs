@@ -1,5 +1,8 @@
-//! Brings a segment from any state to OP, at the start and after an outage. The steps are: find the devices, check their
-//! identity, set the interpolation, synchronise the distributed clocks, then enter the states PRE-OP, SAFE-OP and OP.
+//! Brings a segment from any state to OP, at the start and after an outage. The steps are:
+//! 1. find the devices and check their identity
+//! 2. set the interpolation of the terminals
+//! 3. synchronise the distributed clocks
+//! 4. enter the states PRE-OP, SAFE-OP and OP
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::time::Duration;
@@ -19,15 +22,16 @@ use super::{
 use crate::devices::{DeviceKind, EK1100, EL5021, el5021};
 use crate::problem::Fact;
 
-/// Time from configuring SYNC0 to its first pulse. It is longer than configuring all terminals takes.
+/// Time between configuring SYNC0 and its first pulse. All terminals must be configured before this pulse.
 const SYNC_START_DELAY: Duration = Duration::from_millis(100);
-/// Number of synchronising frames, one per millisecond, after which the clocks are compared.
+/// Number of synchronising frames in a round, one frame per millisecond. After each round the clocks are compared.
 const CLOCK_SYNC_FRAMES: u32 = 50;
-/// Largest number of such rounds. Chips need some thousand frames, and a lost frame costs a time-out without a correction.
+/// Largest number of rounds. The clocks of the chips need some thousand frames. A frame that is lost corrects
+/// nothing and costs a time-out.
 const CLOCK_SYNC_ROUNDS_MAX: u32 = 100;
 const SYNCHRONISING: &str = "synchronising the clocks";
-/// Largest difference between the bus time and a clock that counts as synchronised \[ns\]. Three EL5021 differed by 2 to 8
-/// ns from each other (linuxcnc-ethercat's notes, read in 2026-11).
+/// Largest difference between a clock and the bus time at which the clock counts as synchronised \[ns\]. The clocks of three
+/// EL5021 differed by 2 to 8 ns from each other (linuxcnc-ethercat's notes, read in 2026-11).
 const CLOCK_DIFFERENCE_NS_MAX: i64 = 1_000;
 /// Time limit for the transition of the terminals from SAFE-OP to OP, while process data are exchanged \[ns\].
 const OPERATIONAL_TIMEOUT_NS: i64 = 5 * NS_PER_S;
@@ -35,11 +39,11 @@ const OPERATIONAL_TIMEOUT_NS: i64 = 5 * NS_PER_S;
 impl Bus {
     /// Brings the segment into operation, from any state.
     pub fn bring_up(&mut self, plan: &BusPlan) -> Result<Operational, BusError> {
-        // ethercrab 0.7.1 panics if a CoE emergency arrives during an SDO access, and if the topology is inconsistent. A
-        // defective terminal must not end the process.
+        // ethercrab 0.7.1 panics in two cases: if a CoE emergency arrives during an SDO access, and if the topology is
+        // inconsistent. Such a panic is caught, because a defective terminal must not end the process.
         let mut attempt = || {
             catch_unwind(AssertUnwindSafe(|| self.try_bring_up(plan))).unwrap_or_else(|panic| {
-                // The frames were released while the panic unwound their owners.
+                // The stack's frames are free again, because the panic has dropped their owners.
                 let (doing, error) = (
                     "bringing the bus up (an internal error of the EtherCAT stack)".into(),
                     panic_text(panic.as_ref()),
@@ -48,7 +52,7 @@ impl Bus {
             })
         };
         // If the reply of a mailbox access is lost, the stack reads the mailbox again, finds it empty, and reports an error.
-        // One lost frame must not end the bring-up, so it is attempted a second time.
+        // One lost frame must not end the bring-up, so the bring-up is repeated once.
         let outcome = match attempt() {
             Err(error) if error.may_be_a_lost_reply => attempt(),
             outcome => outcome,
@@ -156,7 +160,7 @@ impl Bus {
         Ok(())
     }
 
-    /// Synchronises the clocks of all terminals with the reference clock. Returns their remaining differences.
+    /// Synchronises the clocks of all terminals with the reference clock. Returns the remaining difference of each clock.
     fn synchronise_clocks(&mut self, group: &BusGroup<PreOpPdi, NoDc>) -> Result<Vec<DeviceClock>, BusError> {
         let mut rounds_left = CLOCK_SYNC_ROUNDS_MAX;
         loop {
@@ -173,8 +177,8 @@ impl Bus {
         }
     }
 
-    /// Distributes the time of the reference clock to all other clocks in one round of frames.
-    /// Checks that the time advances.
+    /// Sends one round of frames, which distribute the time of the reference clock to all other clocks.
+    /// Checks that this time advances.
     fn distribute_time(&mut self, group: &BusGroup<PreOpPdi, NoDc>) -> Result<(), BusError> {
         let mut times_ns = Vec::with_capacity(CLOCK_SYNC_FRAMES as usize);
         for _ in 0..CLOCK_SYNC_FRAMES {
@@ -238,8 +242,8 @@ impl Bus {
         Ok(())
     }
 
-    /// Runs cycles until every device is in OP, a state that devices reach only while they receive process data. SYNC0
-    /// pulses at multiples of the period on the bus time. Each frame follows a pulse by `sync0_shift`.
+    /// Runs cycles until every device is in OP. Devices reach OP only while they receive process data. SYNC0 pulses occur
+    /// when the bus time is a multiple of the period. Each frame is sent `sync0_shift` after a pulse.
     fn wait_operational(&mut self, operational: &Operational, plan: &BusPlan) -> Result<(), BusError> {
         let period_ns = plan.cycle_period.as_nanos() as i64;
         let deadline = self.clock.now().plus_ns(OPERATIONAL_TIMEOUT_NS);
@@ -261,8 +265,8 @@ impl Bus {
         self.refused_device(devices, wanted).unwrap_or_else(|| while_doing("changing state")(error))
     }
 
-    /// Returns the error of the first device that has an AL status code. ethercrab itself reports a
-    /// refusal only as a time-out.
+    /// Returns an error for the first device that has an AL status code. ethercrab itself reports only a time-out when a
+    /// device refuses a state.
     fn refused_device(&mut self, devices: usize, wanted: &'static str) -> Option<BusError> {
         (0..devices).find_map(|position| {
             let (state, code) = self.al_status(position).ok()?;
@@ -287,8 +291,8 @@ impl Bus {
     }
 }
 
-/// Writes the interpolation and reads it back. Object 0x8001:11 has one byte in all known revisions. If a firmware refuses
-/// one byte, two bytes are written.
+/// Writes the interpolation and reads it back. Object 0x8001:11 has one byte in all known revisions of the terminal. If a
+/// terminal refuses one byte, two bytes are written.
 async fn set_interpolation<T: std::ops::Deref<Target = ethercrab::SubDevice>>(
     terminal: &SubDeviceRef<'_, T>,
     encoder: &EncoderConfig,
@@ -305,7 +309,7 @@ async fn set_interpolation<T: std::ops::Deref<Target = ethercrab::SubDevice>>(
     }
 }
 
-/// First position at which a device differs from the expected one, is missing, or is not expected.
+/// First position at which the devices differ from the expected ones: another device, a missing one, or an additional one.
 fn first_difference(expected: &[&DeviceKind], found: &[DeviceInfo]) -> Option<usize> {
     let same =
         |(kind, device): (&&DeviceKind, &DeviceInfo)| kind.matches(device.vendor_id, device.product_code);
@@ -313,7 +317,8 @@ fn first_difference(expected: &[&DeviceKind], found: &[DeviceInfo]) -> Option<us
     (common < expected.len().max(found.len())).then_some(common)
 }
 
-/// Converts a register such as 0x092C, which contains a sign bit and a magnitude and not a two's complement number.
+/// Converts a register that consists of a sign bit and a magnitude, such as 0x092C. Such a register is
+/// not a two's complement number.
 fn sign_magnitude(register: u32) -> i64 {
     let magnitude = i64::from(register & 0x7fff_ffff);
     if register >> 31 == 1 { -magnitude } else { magnitude }

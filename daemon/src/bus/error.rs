@@ -11,8 +11,8 @@ use crate::problem::{Fact, Problem};
 #[derive(Debug)]
 pub struct BusError {
     fact: Box<Fact>,
-    /// Whether the error is that no device processed a frame. This happens if the previous reply of
-    /// the addressed device was lost.
+    /// Whether the error is that no device processed a frame. A lost reply can cause this error, because the stack then
+    /// reads the mailbox a second time and finds it empty.
     pub(super) may_be_a_lost_reply: bool,
 }
 
@@ -22,7 +22,7 @@ impl BusError {
         &self.fact
     }
 
-    /// An error of the stack. `describe` converts its text to the form in which it is reported.
+    /// Converts an error of the stack. `describe` converts the text of the error to the form in which it is reported.
     pub(super) fn of_stack(error: EtherCatError, describe: impl FnOnce(String) -> Fact) -> Self {
         let may_be_a_lost_reply = matches!(error, EtherCatError::WorkingCounter { .. });
         Self { fact: Box::new(describe(error.to_string())), may_be_a_lost_reply }
@@ -43,12 +43,12 @@ impl fmt::Display for BusError {
 
 impl std::error::Error for BusError {}
 
-/// For `map_err`: describes an error of the stack by the activity in which it occurred.
+/// For `map_err`: describes an error of the stack, with the activity `doing` during which it occurred.
 pub(super) fn while_doing(doing: &'static str) -> impl Fn(EtherCatError) -> BusError {
     move |error| BusError::of_stack(error, |error| Fact::BusStackFailed { doing: doing.into(), error })
 }
 
-/// The error for devices that differ from the expected ones. `position` is the first that differs.
+/// The error for devices that differ from the expected ones. `position` is the first position at which they differ.
 pub(super) fn wrong_devices(position: usize, expected: Vec<String>, found: Vec<String>) -> Fact {
     if position == found.len() {
         Fact::BusDeviceMissing { position, expected, found }
@@ -59,8 +59,8 @@ pub(super) fn wrong_devices(position: usize, expected: Vec<String>, found: Vec<S
     }
 }
 
-/// The error if only the first `answering` of `devices` answer on `bus`. All `devices` were in operation before. A number
-/// larger than that of `devices` means that devices were added.
+/// The error if the number `answering` of devices that answer on `bus` differs from that of `devices`, which were all in
+/// operation before. If fewer devices answer, the last ones are missing. If more answer, devices were added.
 pub fn absent(bus: &str, devices: &[DeviceInfo], answering: usize) -> Fact {
     let name = |device: &DeviceInfo| device.name.clone();
     let added = std::iter::repeat_n("another device".into(), answering.saturating_sub(devices.len()));

@@ -1,10 +1,14 @@
-//! Sends and receives frames for the EtherCAT stack, with ethercrab's `PduTx` and `PduRx`. All steps run on the thread that
-//! waits for the reply. It polls a future of the stack, sends the frames that the future produced, and passes the next reply
-//! to the stack. It repeats these steps until the future is ready.
+//! Sends and receives the frames of the EtherCAT stack, with ethercrab's `PduTx` and `PduRx`. The thread that waits for a
+//! reply does all steps itself:
+//! 1. poll a future of the stack
+//! 2. send the frames that the future has produced
+//! 3. pass the next reply to the stack
 //!
-//! The loops of ethercrab 0.7.1 are not used. They end permanently on a late or duplicated reply (issue 293), or stall
-//! after a lost one. Here a bad reply is counted and the next one is read. If the interface goes down, sending this frame
-//! fails, and the thread continues.
+//! The steps are repeated until the future is ready.
+//!
+//! The loops in ethercrab 0.7.1 are not used. A late or duplicated reply ends them permanently (issue 293), and a lost reply
+//! can block them. Here, a bad reply is counted, and the next reply is read. If the interface goes down, sending the current
+//! frame fails, and the thread continues.
 
 use std::future::Future;
 use std::pin::{Pin, pin};
@@ -39,7 +43,7 @@ pub struct WireCounters {
 }
 
 impl WireCounters {
-    /// Number of frames passed to the wire, including those that could not be sent.
+    /// Number of frames passed to the interface, including those that could not be sent.
     const fn handed_out(&self) -> u64 {
         self.sent + self.send_errors
     }
@@ -54,7 +58,7 @@ pub struct Exchange {
     buffer: Box<[u8; FRAME_BYTES_MAX]>,
     /// Counters of the wire so far.
     pub(super) counters: WireCounters,
-    /// Time of the last frame that was passed to the wire, and its length in the next field \[bytes\].
+    /// Time at which the last frame was passed to the wire.
     pub(super) sent_last: MonoNs,
     /// Length of that frame \[bytes\].
     pub(super) sent_bytes_last: usize,
@@ -64,7 +68,7 @@ pub struct Exchange {
 }
 
 impl Exchange {
-    /// An exchange from both halves of one `PduStorage`, with their wire.
+    /// An exchange that uses both halves of one `PduStorage`, and sends over `wire`.
     pub fn new(tx: PduTx<'static>, rx: PduRx<'static>, wire: Box<dyn FrameWire>, clock: Clock) -> Self {
         let now = clock.now();
         Self {
@@ -80,23 +84,23 @@ impl Exchange {
         }
     }
 
-    /// Sets the flag that ends [`run`](Self::run).
+    /// Sets the flag that ends [`run`](Self::run) when another thread sets it to true.
     pub fn interrupt_by(&mut self, interrupt: Arc<AtomicBool>) {
         self.interrupt = interrupt;
     }
 
-    /// Whether the flag is set that ends [`run`](Self::run).
+    /// Whether this flag is set, so that [`run`](Self::run) ends.
     pub fn is_interrupted(&self) -> bool {
         self.interrupt.load(Ordering::Acquire)
     }
 
-    /// Takes the halves out. After that, no frame is sent or received.
+    /// Takes the two halves of the storage out of the exchange. Afterwards no frame can be sent or received.
     pub fn release(&mut self) -> Option<(PduTx<'static>, PduRx<'static>)> {
         self.halves.take()
     }
 
-    /// Runs a future of the EtherCAT stack until it is ready, and exchanges its frames. Returns an internal error if the
-    /// flag of [`is_interrupted`](Self::is_interrupted) is set.
+    /// Runs a future of the EtherCAT stack until it is ready, and exchanges its frames. Ends with an internal
+    /// error if [`is_interrupted`](Self::is_interrupted) becomes true.
     pub fn run<T>(
         &mut self,
         future: impl Future<Output = Result<T, EtherCatError>>,
@@ -110,14 +114,15 @@ impl Exchange {
         Err(EtherCatError::Internal)
     }
 
-    /// Like [`run`](Self::run), but ends at `deadline` with `None`. A reply that arrives later is rejected. No frame is sent
-    /// again, because a copy would arrive a cycle late and look like a new sample.
+    /// Like [`run`](Self::run), but returns `None` if the future is not ready at `deadline`. A reply that arrives
+    /// later is rejected. No frame is sent a second time, because the copy would arrive one cycle late and would
+    /// look like a new sample.
     pub fn run_until<F: Future>(&mut self, future: F, deadline: MonoNs) -> Option<F::Output> {
         let mut future = pin!(future);
         let before = self.counters;
         loop {
-            // Frames are sent one after the other. While a frame waits for its reply, the stack can only
-            // offer the same frame again.
+            // Frames are sent one after the other. As long as a frame waits for its reply, any frame that the stack offers
+            // is a repetition of that frame, and is not sent.
             let is_answered =
                 self.counters.handed_out() - before.handed_out() <= self.counters.received - before.received;
             let output = self.poll_and_exchange(future.as_mut(), Some(deadline), is_answered);
@@ -127,8 +132,8 @@ impl Exchange {
         }
     }
 
-    /// Polls the future once. If it is not ready, sends pending frames if `sends` is set, and waits for one
-    /// reply or the next timer.
+    /// Polls the future once. If the future is not ready, waits for one reply or for the next timer. If `sends` is set,
+    /// pending frames are sent before this wait.
     fn poll_and_exchange<F: Future>(
         &mut self,
         future: Pin<&mut F>,
@@ -155,8 +160,8 @@ impl Exchange {
         let Some((tx, _)) = halves else { return };
         while let Some(frame) = tx.next_sendable_frame() {
             *sent_last = clock.now();
-            // A frame that cannot be sent is treated as sent and lost. It ends with its time-out like any other lost frame.
-            // Otherwise the stack would offer it again at once.
+            // If a frame cannot be sent, the stack still receives success. The frame then ends with its time-out, like any
+            // lost frame. If the stack received the error, it would offer the frame again at once.
             let _never_an_error = frame.send_blocking(|bytes| {
                 *sent_bytes_last = bytes.len();
                 match wire.send(bytes) {
@@ -182,8 +187,8 @@ impl Exchange {
             }
             Ok(None) => {}
             Err(_) => {
-                // An interface that is down returns an error at once. Without this pause, the loop would run
-                // without waiting until the time-out.
+                // An interface that is down returns an error at once. Without this sleep, the loop would use
+                // the processor until the time-out.
                 self.counters.receive_errors += 1;
                 self.clock.sleep_until(until);
             }

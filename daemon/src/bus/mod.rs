@@ -1,7 +1,7 @@
-//! The EtherCAT MainDevice. A [`Bus`] has a wire to the devices of a segment. [`Bus::bring_up`] brings the segment into
-//! operation and returns it as [`Operational`]. After that, each call of [`Bus::exchange`] sends one frame with the outputs.
-//! It returns the inputs, the working counter, the states of the devices and the time of the bus. After a fault, `recovery`
-//! restores a device or finds out which devices answer.
+//! The EtherCAT MainDevice. A [`Bus`] sends frames over a wire to the devices of a segment. [`Bus::bring_up`] brings the
+//! segment into operation and returns it as [`Operational`]. After that, each call of [`Bus::exchange`] sends one frame with
+//! the outputs. The call returns the inputs, the working counter, the states of the devices and the time of the bus. After a
+//! fault, `recovery` restores a terminal, or determines which devices still answer.
 
 mod bring_up;
 mod error;
@@ -34,13 +34,13 @@ use crate::devices::el5021::{self, Input, Output};
 use crate::segment::FrameWire;
 use stack::Stack;
 
-/// Largest number of devices. A ball-bar has fewer; ethercrab needs a power of two.
+/// Largest number of devices. A ball-bar has fewer devices, but ethercrab needs a power of two.
 pub const DEVICES_MAX: usize = 16;
 /// Station address that ethercrab assigns to the first device. The next devices get the next addresses.
 const STATION_ADDRESS_FIRST: u16 = 0x1000;
 /// Space for the process data of all terminals \[bytes\].
 const PDI_BYTES_MAX: usize = 256;
-/// Time to wait for a reply while the bus is brought up. It may be long, because this PC may be busy and no cycle is due.
+/// Time to wait for a reply during the bring-up. It may be long, because no cycle is due then, and the machine may be busy.
 const BRING_UP_REPLY_TIMEOUT: Duration = Duration::from_millis(20);
 const BRING_UP_RETRIES: usize = 5;
 /// Time on the wire for each byte at 100 Mbit/s.
@@ -59,13 +59,13 @@ type BusDevice<'a> = SubDeviceRef<'static, SubDevicePdi<'a, PDI_BYTES_MAX, ether
 pub struct BusPlan {
     /// Network interface, or `simulated`. Used in messages.
     pub name: String,
-    /// Encoders in bus order. Each has its own EL5021 after the EK1100.
+    /// Encoders in bus order. Each encoder has its own EL5021, and these terminals follow the EK1100.
     pub encoders: Vec<EncoderConfig>,
     /// Time between two cycles.
     pub cycle_period: Duration,
     /// Whether encoders are sampled on SYNC0 of the distributed clocks.
     pub distributed_clocks: bool,
-    /// Time from SYNC0 to the frame of the cycle. With half a period the margins in both directions are equal.
+    /// Time from SYNC0 to the frame of the cycle. Half a period leaves equal margins for frames that are early and late.
     pub sync0_shift: Duration,
     /// How long to wait for the reply to a cyclic frame.
     pub reply_timeout: Duration,
@@ -80,7 +80,7 @@ pub struct Bus {
     reply_timeout_ns: i64,
     /// Bus time minus the host's monotonic time \[ns\], to which the clock of the bus is set when the bus is brought up.
     bus_minus_monotonic_ns: i64,
-    /// Devices that have identified themselves, see [`Self::identified`].
+    /// Devices that have identified themselves during the last bring-up, see [`Self::identified`].
     identified: Vec<DeviceInfo>,
 }
 
@@ -89,9 +89,9 @@ pub struct Operational {
     group: OperationalGroup,
     /// Devices of the segment, as they identified themselves, in bus order.
     pub devices: Vec<DeviceInfo>,
-    /// Clocks of all devices except the first, which has the reference clock. Empty without distributed clocks.
+    /// Clocks of all devices except the first device, whose clock is the reference. Empty without distributed clocks.
     pub clocks: Vec<DeviceClock>,
-    /// Working counter of the process data if all devices process the frame.
+    /// Working counter of the process data that is expected if all devices process the frame.
     pub working_counter_expected: u16,
     encoder_count: usize,
 }
@@ -132,11 +132,11 @@ pub struct CyclicReply {
     pub working_counter: u16,
     /// Whether every device is in OP.
     pub all_operational: bool,
-    /// Positions of devices that are not in OP, one bit each.
+    /// Bit `n` is set if the device at position `n` is not in OP.
     pub not_operational: u32,
-    /// Positions without a state, because no device has their address any more. One bit each.
+    /// Bit `n` is set if the device at position `n` has not reported a state, because no device has its address any more.
     pub silent: u32,
-    /// System time of the bus at which the frame passed the reference clock. `None` without distributed clocks.
+    /// Time of the bus at which the frame passed the reference clock. `None` without distributed clocks.
     pub dc_time: Option<DcNs>,
     /// Inputs of the terminals in bus order. Elements beyond the number of encoders are not used.
     pub inputs: [Input; MAX_ENCODERS],
@@ -168,13 +168,13 @@ impl Bus {
         }
     }
 
-    /// Sets a flag that ends bringing the bus up. The error is then
+    /// Sets a flag that ends a bring-up when another thread sets it to true. The bring-up then returns
     /// [`Fact::BusInterrupted`](crate::problem::Fact::BusInterrupted).
     pub fn interrupt_by(&mut self, interrupt: Arc<AtomicBool>) {
         self.exchange.interrupt_by(interrupt);
     }
 
-    /// Devices that identified themselves when the bus was last brought up, even if that failed.
+    /// Devices that identified themselves during the last bring-up, even if the bring-up failed.
     pub fn identified(&self) -> &[DeviceInfo] {
         &self.identified
     }
@@ -190,7 +190,7 @@ impl Bus {
         bytes as i64 * WIRE_NS_PER_BYTE
     }
 
-    /// Sends one cyclic frame. Waits until its reply arrives or the time-out ends. Allocates nothing.
+    /// Sends one cyclic frame, and waits for its reply until the time-out. Allocates no memory.
     pub fn exchange(&mut self, operational: &Operational) -> CyclicExchange {
         let deadline = self.clock.now().plus_ns(self.reply_timeout_ns);
         let Self { exchange, main, .. } = self;
@@ -218,9 +218,10 @@ impl Bus {
         CyclicExchange { sent, received: self.exchange.received_last, reply: Some(reply) }
     }
 
-    /// Sets the outputs of one terminal from the next exchange on. `encoder` is its number in bus order, from 0.
+    /// Sets the outputs of one terminal from the next exchange on. `encoder` is the number of its encoder
+    /// in bus order, from 0.
     pub fn set_output(&self, operational: &Operational, encoder: usize, output: Output) {
-        // Position 0 is the coupler. The lengths of the process data were checked when the bus was brought up.
+        // Position 0 is the coupler. The bring-up has checked the lengths of the process data.
         let position = encoder + 1;
         if let Ok(terminal) = operational.group.device(self.main, position) {
             let mut pdo = terminal.outputs_raw_mut();
@@ -231,7 +232,7 @@ impl Bus {
     fn inputs(&self, operational: &Operational) -> [Input; MAX_ENCODERS] {
         let mut inputs = [Input::default(); MAX_ENCODERS];
         for (index, input) in inputs.iter_mut().enumerate().take(operational.encoder_count) {
-            // Position 0 is the coupler. The lengths of the process data were checked when the bus was brought up.
+            // Position 0 is the coupler. The bring-up has checked the lengths of the process data.
             let terminal = operational.group.device(self.main, index + 1).ok();
             *input = terminal.and_then(|terminal| Input::decode(&terminal.inputs_raw())).unwrap_or_default();
         }
@@ -247,7 +248,7 @@ impl Drop for Bus {
     }
 }
 
-/// Positions of devices that are not in OP, and of those devices that have no state at all. One bit each.
+/// Positions of devices that are not in OP, and positions of devices that have reported no state. One bit for each position.
 struct States {
     not_operational: u32,
     silent: u32,

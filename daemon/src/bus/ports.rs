@@ -1,4 +1,4 @@
-//! Error counters of the ports. They reveal a bad cable or plug before it causes the loss of a frame.
+//! Error counters of the ports. Errors at a port reveal a bad cable or plug before a frame is lost.
 
 use ethercrab::Command;
 use shared::time::MonoNs;
@@ -7,13 +7,13 @@ use super::{Bus, STATION_ADDRESS_FIRST};
 
 /// Number of ports of a slave controller.
 pub const PORTS: usize = 4;
-/// Registers with the error counters of a slave controller (ETG.1000.4; Beckhoff ESC data sheet, section II). They contain,
-/// for each port, invalid frames and receive errors. From 0x0308 on follow errors that an earlier device has already
-/// counted, from 0x0310 on lost links.
+/// First of the registers with the error counters of a slave controller (ETG.1000.4; Beckhoff ESC data sheet, section II).
+/// They contain, for each port, invalid frames and receive errors. From 0x0308 on, they contain errors that an earlier
+/// device has already counted; from 0x0310 on, lost links.
 const ERROR_COUNTERS: u16 = 0x0300;
 const ERROR_COUNTERS_BYTES: usize = 0x14;
 const LOST_LINKS_FROM: usize = 0x10;
-/// Value from which a device's counters are cleared. A counter stops at 255.
+/// If a counter of a device reaches this value, the device's counters are cleared. A counter does not count beyond 255.
 const CLEARED_FROM: u8 = 0x80;
 
 /// Error counts of one port since its device was powered up or its counters were cleared.
@@ -35,8 +35,8 @@ impl PortCounters {
 }
 
 impl Bus {
-    /// Reads the counters of all ports of a device. `None` if the device does not
-    /// answer before `deadline`. Allocates nothing.
+    /// Reads the counters of all ports of a device. `None` if the device does not answer
+    /// before `deadline`. Allocates no memory.
     pub fn port_counters(&mut self, position: usize, deadline: MonoNs) -> Option<[PortCounters; PORTS]> {
         let Self { exchange, main, .. } = self;
         let read = Command::fprd(STATION_ADDRESS_FIRST + position as u16, ERROR_COUNTERS);

@@ -1,8 +1,8 @@
 //! The EtherCAT stacks of this process.
 //!
-//! ethercrab splits a frame storage once and borrows it for the rest of the process, so a stack is never freed. When a
-//! [`Bus`](super::Bus) is dropped, its stack is kept for the next bus. However often buses are replaced, the number of
-//! stacks is the largest number of buses that existed at the same time.
+//! ethercrab borrows a frame storage for the rest of the process, so a stack cannot be freed. When a [`Bus`](super::Bus) is
+//! dropped, its stack is kept for the next bus. The number of stacks is therefore the largest number of buses that existed
+//! at the same time.
 
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
@@ -23,12 +23,12 @@ pub(super) struct Stack {
     pub tx: PduTx<'static>,
     pub rx: PduRx<'static>,
     pub main: &'static MainDevice<'static>,
-    /// Time to wait for a reply before the frame is sent again or counts as lost.
+    /// Time to wait for a reply. After this time the frame is sent again, or counts as lost.
     pub pdu_timeout: Duration,
 }
 
 impl Stack {
-    /// Takes an unused stack, or creates one. It waits at least `reply_timeout` for a reply.
+    /// Takes an unused stack, or creates one. The stack waits at least `reply_timeout` for a reply.
     pub fn take(reply_timeout: Duration) -> Self {
         let pdu_timeout = BRING_UP_REPLY_TIMEOUT.max(reply_timeout);
         let mut idle = IDLE.lock().unwrap_or_else(PoisonError::into_inner);
@@ -44,11 +44,11 @@ impl Stack {
     fn new(pdu_timeout: Duration) -> Self {
         let storage: &'static PduStorage<FRAMES_MAX, FRAME_DATA_BYTES> =
             Box::leak(Box::new(PduStorage::new()));
-        // Splitting fails only at the second attempt, and this storage was just created.
+        // The storage was just created, and splitting fails only when it is repeated.
         #[allow(clippy::expect_used, reason = "the storage was made one line above")]
         let (tx, rx, pdu_loop) = storage.try_split().expect("fresh storage");
-        // Retries are only for bringing the bus up, because `Exchange::run_until` sends none. EEPROM and mailbox are polled
-        // until they are ready. Their time-outs therefore include the retries of one poll.
+        // Frames are sent again only during the bring-up, because `Exchange::run_until` never repeats a frame. EEPROM and
+        // mailbox are polled until they are ready. Their time-outs therefore include the retries of one poll.
         let repeated = pdu_timeout * (BRING_UP_RETRIES as u32 + 1);
         let usual = Timeouts::default();
         let timeouts = Timeouts {
@@ -71,7 +71,7 @@ mod tests {
 
     #[test]
     fn a_stack_that_was_left_is_used_again() {
-        // Other tests take and leave stacks at the same time, but these are held here.
+        // Other tests may take and return stacks at the same time, but no test can take the stacks in `held`.
         let held: Vec<Stack> = (0..3).map(|_| Stack::take(Duration::ZERO)).collect();
         let places: Vec<*const MainDevice> =
             held.iter().map(|stack| std::ptr::from_ref(stack.main)).collect();

@@ -1,8 +1,8 @@
-//! Time-outs of the EtherCAT stack, measured on our clock.
+//! Time-outs of the EtherCAT stack, measured on the clock of this program.
 //!
-//! Without `std`, ethercrab uses the timers of embassy-time. These read the time from one driver per program. This driver
-//! returns the clock of the calling thread, and stores the earliest wake-up. The thread that polls a future also waits for
-//! its timers, so neither a timer thread nor a lock nor an allocation is needed.
+//! Without `std`, ethercrab uses the timers of embassy-time, which read the time from one driver for the whole program. This
+//! driver returns the time on the clock of the calling thread, and stores the earliest wake-up. The thread that polls a
+//! future also waits for its timers. Therefore no timer thread, no lock and no allocation is needed.
 
 use std::cell::{Cell, RefCell};
 use std::task::Waker;
@@ -43,8 +43,8 @@ pub(super) fn now() -> MonoNs {
     CLOCK.with_borrow(Clock::now)
 }
 
-/// Takes the earliest wake-up of all timers that were polled since the last call.
+/// Returns the earliest wake-up of all timers that were polled since the last call.
 pub(super) fn take_earliest_wake() -> Option<MonoNs> {
-    // Rounded up. A timer that is polled a fraction of a tick too early would not be ready.
+    // The time is rounded up, because a timer that is polled a fraction of a tick too early is not ready.
     EARLIEST_WAKE.take().map(|at| MonoNs((at as i64).saturating_add(1).saturating_mul(NS_PER_TICK)))
 }

@@ -1,16 +1,16 @@
-//! Converts time on the clock of the bus to time on the host's clock, by a filtered fit of pairs that
-//! are read once per cycle.
+//! Converts time on the clock of the bus to time on the host's clock. The input is one pair of times per cycle, to which a
+//! filter fits offset and drift between the two clocks.
 //!
-//! Each reply contains the bus time at which the start of the frame passed the reference clock. On the host's clock,
-//! this moment is after the frame was sent. It is also at least one frame duration before the reply was complete. These
-//! two limits are the *hard bound* of a reading, and the centre between them is the reading. A Kalman filter with two
-//! states estimates offset and drift between the clocks. A reply that took longer than the quickest one has a wider
-//! bound and therefore less weight.
+//! The pair of a cycle comes from its frame. The reply contains the bus time at which the start of the frame passed the
+//! reference clock. On the host's clock, this moment is later than the sending of the frame. It is also at least one frame
+//! duration earlier than the end of the reply. These two limits are the *hard bound* of a reading, and their centre is the
+//! *reading*. A Kalman filter with two states estimates offset and drift between the clocks. A reply that took longer than
+//! the quickest one has a wider bound, and therefore less weight.
 //!
 //! If a reading deviates from the prediction, either the frame was delayed or one of the clocks has changed. A delay is
-//! visible in the round trip. If no delay explains the deviation, the innovation gate (`innovation_gate`) keeps the reading
-//! from the filter until further readings classify it. If a clock stepped, the step is reported but not followed, because
-//! the terminals' clocks did not step. If the rate has changed, the filter follows it.
+//! visible in the round trip. If no delay explains the deviation, the innovation gate (`innovation_gate`) withholds the
+//! reading from the filter until further readings classify the deviation. If a clock has stepped, the step is reported. The
+//! fit does not follow it, because the terminals' clocks did not step. If a rate has changed, the filter follows the change.
 
 mod covariance;
 mod filter;
@@ -39,22 +39,22 @@ pub struct ClockPair {
 pub enum PairStatus {
     /// The pair agrees with the fit, or shows a changed rate. The fit was updated with it.
     Followed,
-    /// No delay explains the pair. It deviates by this value on the clock of the bus \[ns\]. The fit does not use it until
-    /// further pairs have classified the deviation.
+    /// No delay explains the pair. The value is its deviation, on the clock of the bus \[ns\]. The fit does not use the
+    /// pair; further pairs will classify the deviation.
     Gated(i64),
-    /// One of the clocks stepped. The clock of the bus is ahead by this value \[ns\]. The fit is unchanged;
-    /// [`ClockFit::restarted`] starts a new one.
+    /// One of the clocks stepped. Relative to the fit, the clock of the bus is now ahead by this value \[ns\]. The fit is
+    /// unchanged; [`ClockFit::restarted`] starts a new one.
     Stepped(i64),
 }
 
 /// Estimates `bus time - monotonic time`.
 #[derive(Debug, Clone, Default)]
 pub struct ClockFit {
-    /// `None` before the first pair.
+    /// `None` until the first pair.
     filter: Option<Filter>,
-    /// `None` while all pairs are explained.
+    /// State of the innovation gate. `None` while no pair is unexplained.
     gate: Option<InnovationGate>,
-    /// Estimate of the fit before a restart, for the same clocks and path. Used for the first pair.
+    /// Estimate of the fit before a restart. The clocks and the path are the same, so it is the prior for the first pair.
     known: Option<Filter>,
 }
 
@@ -83,8 +83,8 @@ impl ClockFit {
             self.filter = Some(Filter::first(&reading, self.known.as_ref()));
             return PairStatus::Followed;
         };
-        // Predict the offset at the time of the reading, classify the deviation, then correct the filter
-        // or hold the reading back.
+        // Predict the offset at the time of the reading and classify the deviation. Then either correct the filter, or
+        // withhold the reading from it.
         let dt_s = filter.predict(reading.at);
         let innovation = filter.innovation(&reading);
         let deviation_ns = innovation.by_ns;
@@ -105,7 +105,7 @@ impl ClockFit {
                 return PairStatus::Gated(deviation_ns.round() as i64);
             }
             Class::Stepped => {
-                // The fit is wrong by the step until it is restarted. The gate makes its uncertainty cover the step.
+                // Until the fit is restarted, its error is the step. The gate adds the step to the uncertainty of the fit.
                 self.gate = Some(InnovationGate::begin(innovation));
                 return PairStatus::Stepped(deviation_ns.round() as i64);
             }
@@ -124,8 +124,8 @@ impl ClockFit {
         self.filter.as_ref().map_or(MonoNs(dc.0), |filter| filter.monotonic_from_dc(dc))
     }
 
-    /// Standard deviation of the host time at bus time `dc` \[ns\]. It covers the uncertainty of the filter, a possible
-    /// asymmetry of the delay, and the largest unexplained deviation.
+    /// Standard deviation of the host time at bus time `dc` \[ns\]. It includes the uncertainty of the filter, a possible
+    /// asymmetry of the delay, and the largest deviation that is still unexplained.
     pub fn uncertainty_ns(&self, dc: DcNs) -> u32 {
         let Some(filter) = &self.filter else { return u32::MAX };
         let gated_ns = self.gate.as_ref().map_or(0.0, InnovationGate::largest_ns);

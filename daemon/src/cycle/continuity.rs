@@ -1,5 +1,5 @@
-//! Compares consecutive valid records to detect whether counts continue or have a new origin. A terminal that was without
-//! power counts from zero. All its later angles then have another offset.
+//! Compares each valid record with the last valid one before it, to detect a new origin of the counts. A terminal that was
+//! without power counts from zero again, so all its later angles have another offset.
 
 use shared::config::EncoderConfig;
 use shared::recording::schema::{CycleRecord, MAX_ENCODERS};
@@ -9,24 +9,24 @@ use super::events::Origin;
 
 /// Largest speed of a joint of the ball-bar while a robot is calibrated \[rev/s\]: 120 degrees per second.
 const SPEED_MAX_REV_PER_S: f64 = 1.0 / 3.0;
-/// Tolerance of a count \[counts\]: the low bits, which stay constant while a joint turns fast, and rounding.
+/// Tolerance of a count \[counts\]. It covers rounding, and the low bits, which stay constant while a joint turns fast.
 const SLACK_COUNTS: f64 = 256.0;
 
-/// Compares each valid record with the last valid one before it.
+/// Detects a new origin of the counts.
 #[derive(Debug, Clone)]
 pub struct Continuity {
     counts_per_rev: [f64; MAX_ENCODERS],
     last: Option<CycleRecord>,
     /// Whether a device was without power since the last valid record.
     powered_off: bool,
-    /// When the bus first went through INIT since the last valid record. `None` if it did not.
+    /// Time at which the bus first went through INIT since the last valid record. `None` if it did not.
     reset_at: Option<UtcNs>,
     /// Number of the origin in this run.
     origin: u32,
 }
 
 impl Continuity {
-    /// Encoders in bus order.
+    /// `encoders` are in bus order.
     pub fn new(encoders: &[EncoderConfig]) -> Self {
         let mut counts_per_rev = [f64::INFINITY; MAX_ENCODERS];
         for (counts, encoder) in counts_per_rev.iter_mut().zip(encoders) {
@@ -35,25 +35,26 @@ impl Continuity {
         Self { counts_per_rev, last: None, powered_off: false, reset_at: None, origin: 0 }
     }
 
-    /// Starts a run. Records before it are not compared with those of the run.
+    /// Starts a run. Records before the run are not compared with records of the run.
     pub fn begin_run(&mut self) {
         self.last = None;
         (self.powered_off, self.reset_at, self.origin) = (false, None, 0);
     }
 
-    /// A device was without power. Its counts from now on are unrelated to the earlier ones.
+    /// Reports that a device was without power. Its next counts are unrelated to its earlier counts.
     pub fn powered_off(&mut self) {
         self.powered_off = true;
     }
 
-    /// The bus goes through INIT at the time `at`. This may set counts to zero.
+    /// Reports that the bus goes through INIT at the time `at`. INIT may set counts to zero.
     pub fn bus_reset(&mut self, at: UtcNs) {
         self.reset_at.get_or_insert(at);
     }
 
-    /// Sets the origin number of a record. If the counts may have another origin, the first valid record gets a new number,
-    /// and the reason is returned. After a power loss or INIT the origin is unknown until that record, so earlier counts are
-    /// marked as invalid. Such counts exist if the bus came up without some of its terminals.
+    /// Sets the origin number of a record. If the counts may have a new origin, the first valid record gets a new
+    /// number, and the reason is returned. Between a power loss or INIT and this first valid record, the origin is
+    /// unknown. The counts of records in this period are marked as invalid. Such counts exist if the bus came up
+    /// without some of its terminals.
     pub fn check(&mut self, record: &mut CycleRecord) -> Option<Origin> {
         record.origin = self.origin;
         if !record.is_valid() {
@@ -76,9 +77,10 @@ impl Continuity {
         changed
     }
 
-    /// Decides whether a valid record has a new origin, from the last valid record. A terminal that restarts when the bus
-    /// comes up counts from zero. Close to zero, such a count cannot be distinguished from a count that continued. It is
-    /// treated as a new origin: an unnecessary origin costs a few parameters, a missed one corrupts the calibration.
+    /// Compares a valid record with the last valid one, and returns the reason if the counts may have a new origin. A
+    /// terminal that restarts when the bus comes up counts from zero. If a count is close to zero, the terminal may have
+    /// restarted, or the joint may really be there. Such a count is treated as a new origin. An unnecessary origin adds a
+    /// few parameters to the calibration, but a missed one would corrupt it.
     fn compare(&self, last: &CycleRecord, record: &CycleRecord, reset_at: Option<UtcNs>) -> Option<Origin> {
         let turns_since = |at: UtcNs| SPEED_MAX_REV_PER_S * record.sample_time.seconds_since(at).max(0.0);
         let turns = turns_since(last.sample_time);
@@ -138,12 +140,13 @@ mod tests {
         let mut jumped = record(20, [FAR, FAR + 200_000], true);
         assert_eq!(continuity.check(&mut jumped), Some(Origin::Jumped { joint: 2 }));
         assert_eq!(jumped.origin, 1);
-        // If a record of the new origin is lost, the next one has the same number.
+        // The first valid record of the new origin returned the reason. Later records keep its number, even if
+        // one of them is lost.
         for (ms, valid) in [(30, true), (40, false)] {
             let mut next = record(ms, [FAR, FAR + 201_000], valid);
             assert_eq!((continuity.check(&mut next), next.origin), (None, 1));
         }
-        // Within a second the joint can turn that far.
+        // Within a second, the joint can turn by this distance.
         assert_eq!(continuity.check(&mut record(1030, [FAR + 4_000_000, FAR], true)), None);
     }
 

@@ -1,5 +1,5 @@
-//! Events on the bus, in addition to the records. They are small and of fixed size, because they pass through a ring from
-//! the real-time thread. Their texts are written outside that thread.
+//! Events on the bus, which are reported in addition to the records. They are small and have a fixed size, because they pass
+//! through a ring from the real-time thread. Their texts are built outside that thread.
 
 use shared::recording::schema::{DeviceInfo, Event, EventKind, PortCounts, RunMetadata};
 use shared::time::UtcNs;
@@ -27,7 +27,7 @@ pub enum Happening {
         first: u64,
         /// Number of these cycles.
         cycles: u64,
-        /// Flags of the first of these cycles, see `schema::flags`. They are the cause of the gap.
+        /// Flags of the first of these cycles, see `schema::flags`. They show the cause of the gap.
         cause: u32,
         /// Flags that at least one of these cycles has.
         flags: u32,
@@ -39,7 +39,7 @@ pub enum Happening {
         /// First position on the bus that does not answer.
         position: u8,
     },
-    /// The bus was given up. It will be brought up again.
+    /// The bus was given up: its cycle has stopped, and it will be brought up again. The value is the reason.
     Down(Down),
     /// An attempt to bring the bus up failed.
     StaysDown {
@@ -51,7 +51,7 @@ pub enum Happening {
         /// Number of attempts to bring it up.
         attempts: u32,
     },
-    /// A terminal changed from OP to SAFE-OP. OP was requested again.
+    /// A terminal changed from OP to SAFE-OP. The daemon has requested OP again.
     FellToSafeOp {
         /// Position on the bus.
         position: u8,
@@ -69,7 +69,7 @@ pub enum Happening {
     LinkErrors {
         /// Error counts of the port since the run began.
         counts: PortCounts,
-        /// Whether the event is reported as text. If not, only the counts are stored.
+        /// Whether the event gets a text in recording and log. If not, only the counts are stored.
         is_news: bool,
     },
 }
@@ -108,12 +108,12 @@ pub enum Origin {
 }
 
 impl CycleEvent {
-    /// Whether the event is reported as text. If not, only its counts are stored.
+    /// Whether the event gets a text in recording and log. If not, only its counts are stored.
     pub fn is_news(&self) -> bool {
         !matches!(self.what, Happening::LinkErrors { is_news: false, .. })
     }
 
-    /// The error counts of a port, if the event has some.
+    /// The error counts of a port, if the event contains such counts.
     pub fn port_counts(&self) -> Option<PortCounts> {
         let Happening::LinkErrors { counts, .. } = self.what else { return None };
         Some(counts)
@@ -126,7 +126,8 @@ impl CycleEvent {
             Happening::ClockStep { .. } => EventKind::Clock,
             _ => EventKind::Bus,
         };
-        // The text is fixed, because the text of the error would have to be allocated in the real-time thread.
+        // The text is built from the code alone. The text of the original error would have to be
+        // allocated in the real-time thread.
         if let Happening::StaysDown { code } = self.what {
             let text = "an attempt to bring the bus up failed; the log has the details".into();
             return Event { time: self.time, cycle: self.cycle, kind, text, code: code.into() };
@@ -160,7 +161,7 @@ pub struct BusNames {
 }
 
 impl BusNames {
-    /// From the metadata of a run.
+    /// The names in the metadata of a run.
     pub fn new(run: &RunMetadata) -> Self {
         let joints = run.encoders.iter().map(|encoder| encoder.joint).collect();
         Self { bus: run.bus.clone(), devices: run.devices.clone(), joints }
@@ -176,7 +177,7 @@ impl Happening {
             }
             Self::Missing { position } => absent(bus, devices, position.into()),
             Self::Down(why) => why.fact(bus),
-            // Not used: `to_event` handles this event itself.
+            // This arm is never reached, because `to_event` handles this event itself.
             Self::StaysDown { .. } => Fact::BusStarting {},
             Self::Up { attempts } => Fact::BusRestored { attempts },
             Self::FellToSafeOp { position, code } => {

@@ -1,5 +1,5 @@
 //! Counts the errors at the ports of all devices since the run began. The devices are read one after the other, in the time
-//! that a good cycle leaves until the next one.
+//! between a good cycle and the next cycle.
 //!
 //! Four sets of numbers are kept for each port. `last` is the reading of the device's own counters. `errors` is the sum of
 //! their increases since the run began. `delivered` and `reported` are the values of `errors` when they were last passed to
@@ -51,7 +51,7 @@ impl Links {
         self.revision
     }
 
-    /// Position of the device to read in this cycle, if it is time to read one.
+    /// Position of the device to read in this cycle. `None` if no device is read in this cycle.
     fn due(&mut self, cycles_between: u64, devices: usize) -> Option<usize> {
         if self.cycles_to_next > 0 {
             self.cycles_to_next -= 1;
@@ -63,8 +63,8 @@ impl Links {
         Some(position)
     }
 
-    /// Adds the errors since the previous reading of a device. If a counter has decreased, it restarted at zero, because
-    /// the device was without power.
+    /// Adds the errors since the previous reading of a device. If a counter has decreased, the device was without power, and
+    /// the counter restarted at zero.
     fn take(&mut self, position: usize, now: &[PortCounters; PORTS]) {
         let Some(before) = self.last[position].replace(*now) else { return };
         for ((errors, before), now) in self.errors[position].iter_mut().zip(before).zip(now) {
@@ -77,9 +77,9 @@ impl Links {
         }
     }
 
-    /// Returns the counts of a port with errors that the recorder has not received. The second value is whether they
-    /// must be reported as text. This is the case if they have doubled since the last report, so that a bad cable
-    /// does not fill the log.
+    /// Returns the counts of a port whose errors have changed since the recorder last received them. The second value states
+    /// whether the counts must also be reported as text. This is the case if they have doubled since the last report. A bad
+    /// cable therefore does not fill the log.
     fn take_change(&mut self, position: usize) -> Option<(PortCounts, bool)> {
         let has_changed = |port: &usize| self.errors[position][*port] != self.delivered[position][*port];
         let port = (0..PORTS).find(has_changed)?;
@@ -95,12 +95,12 @@ impl Links {
 }
 
 impl Acquisition {
-    /// Error counts of the ports. They begin with the run, or before the first run when the bus comes up.
+    /// Error counts of the ports since the run began. Before the first run, they are counted since the bus came up.
     pub fn links(&self) -> &Links {
         &self.links
     }
 
-    /// Reads the counters of one device, if it is time to read one and all devices are in operation.
+    /// Reads the counters of one device, if a device must be read in this cycle and all devices are in operation.
     pub(super) fn read_links(&mut self, exchange: &CyclicExchange) {
         if exchange.reply.is_none_or(|reply| !reply.all_operational) {
             return;

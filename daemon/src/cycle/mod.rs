@@ -1,12 +1,15 @@
-//! The real-time cycle. Inputs are the time and the process image of the bus; the output is one record for each cycle.
+//! The real-time cycle. The inputs are the time and the process image of the bus. The output is one record for each cycle.
 //!
-//! [`Acquisition::next_cycle`] sleeps until the absolute deadline of the cycle, exchanges one frame, and passes one
-//! record to a sink for each cycle that was due. The sink is a bounded ring. The cycle allocates nothing, takes no lock
-//! and writes no file. Only while the bus is down it may do these things, because bringing up a bus takes long and no
-//! deadline can be missed then.
+//! [`Acquisition::next_cycle`] takes these steps:
+//! 1. sleep until the absolute deadline of the cycle
+//! 2. exchange one frame with the bus
+//! 3. pass one record to a sink, for each cycle that was due
 //!
-//! With distributed clocks, the terminals sample cycle `k` on their signal SYNC0, at `origin + k * period` on the clock of
-//! the bus. The frame of the cycle follows half a period later. The clock fit converts both times to host time.
+//! The sink is a bounded ring. The cycle allocates nothing, takes no lock and writes no file. While the bus is down, it may
+//! do these things, because no deadline can be missed then, and bringing up a bus takes long.
+//!
+//! With distributed clocks, the terminals sample cycle `k` on their signal SYNC0, when the clock of the bus shows `origin +
+//! k * period`. The frame of the cycle follows half a period later. The clock fit converts both times to host time.
 
 mod clock_fit;
 mod continuity;
@@ -39,15 +42,15 @@ use crate::clock::Clock;
 use crate::devices::el5021::{self, Output};
 use recovery::{Health, is_misread};
 
-/// Number of cycles before the first run, in which the fit of bus time to host time converges.
+/// Number of cycles before the first run. In this time the fit of bus time to host time converges.
 const CLOCK_FIT_CYCLES: u32 = 100;
-/// Number of cycles between the announcement of a run and its first sample.
+/// Number of cycles from the announcement of a run to its first sample.
 const CYCLES_AHEAD: u64 = 2;
 
 /// Largest number of events in the queue. One cycle never adds this many.
 const EVENTS_MAX: usize = 32;
 
-/// A bus in operation, or while it is brought up again, with its clocks.
+/// A bus with its clocks, which is in operation or is being brought up again.
 pub struct Acquisition {
     bus: Bus,
     plan: BusPlan,
@@ -62,19 +65,19 @@ pub struct Acquisition {
     distributed_clocks: bool,
     utc_minus_monotonic_ns: i64,
     fit: ClockFit,
-    /// Sum of the errors of setting the clock of the bus after outages \[ns\]: its lead over a
-    /// clock that was never interrupted.
+    /// Lead of the bus' clock over a clock without interruptions \[ns\]. Each time the clock of the bus is set after an
+    /// outage, a small error is made; the lead is the sum of these errors.
     bus_lead_ns: i64,
     sampler: Sampler,
     continuity: Continuity,
     health: Health,
     links: Links,
     events: VecDeque<CycleEvent>,
-    /// Sample time of cycle 0 on the clock of the bus. Without distributed clocks, time of its frame on
+    /// Sample time of cycle 0 on the clock of the bus. Without distributed clocks, it is the time of the frame of cycle 0 on
     /// the clock of the host.
     origin_ns: i64,
     next_cycle: u64,
-    /// When the last frame that got a reply was sent.
+    /// When the last frame with a reply was sent.
     replied_last: Option<MonoNs>,
     /// Sample time of the previous cycle.
     time_last: Option<UtcNs>,
@@ -89,7 +92,7 @@ impl Acquisition {
         Ok(Self::on(bus, operational, plan, clock))
     }
 
-    /// Takes a bus that is in operation, and cycles until the clock fit has converged. Must be called on the thread
+    /// Uses a bus that is already in operation. Runs cycles until the clock fit has converged. Must be called on the thread
     /// that will run the cycle.
     pub fn on(bus: Bus, operational: Operational, plan: &BusPlan, clock: Clock) -> Self {
         let joints = plan.encoders.iter().map(|encoder| encoder.joint);
@@ -131,7 +134,7 @@ impl Acquisition {
         &self.devices
     }
 
-    /// The difference `UTC - monotonic` in all sample times of this run \[ns\].
+    /// The difference `UTC - monotonic` that all sample times of this run contain \[ns\].
     pub fn utc_minus_monotonic_ns(&self) -> i64 {
         self.utc_minus_monotonic_ns
     }
@@ -159,7 +162,7 @@ impl Acquisition {
         self.events.pop_front()
     }
 
-    /// Chooses the sample time of cycle 0 in the next run. No effect on real time, where UTC is given by the host.
+    /// Sets the sample time of cycle 0 in the next run. Has no effect in real time, where the host determines UTC.
     pub fn set_first_sample_time(&mut self, utc: UtcNs) {
         if !self.clock.is_real() {
             self.utc_minus_monotonic_ns =
@@ -177,18 +180,18 @@ impl Acquisition {
         self.next_cycle(&mut |_| ());
     }
 
-    /// Cycles until the next cycle is number 0 of a run. Before that, `announce` receives the sample time of cycle 0 on
-    /// the clock of the bus.
+    /// Runs cycles until the next cycle is cycle 0 of a run. Before these cycles, `announce` receives the sample time of
+    /// cycle 0 on the clock of the bus.
     pub fn begin_run(&mut self, announce: impl FnOnce(DcNs)) {
         let first = self.next_cycle + CYCLES_AHEAD;
         let origin_ns = self.instant_ns(first);
         announce(DcNs(origin_ns));
-        // Every cycle has its frame. A terminal that gets no frame in a cycle reports a synchronisation error.
+        // A frame is sent in each of these cycles, because a terminal without a frame reports a synchronisation error.
         while self.next_cycle < first {
             self.idle();
         }
-        // If the thread woke late, cycles between announcement and start may have been missed. They do
-        // not belong to the run.
+        // If the thread woke late, it may have missed cycles between the announcement and the start. These cycles do not
+        // belong to the run.
         let overslept = (self.next_cycle - first) as i64;
         self.next_cycle = 0;
         self.origin_ns = origin_ns.wrapping_add(overslept * self.period_ns);
@@ -204,8 +207,8 @@ impl Acquisition {
         self.frame_deadline(self.next_cycle)
     }
 
-    /// Waits for the next cycle and exchanges its frame. For each cycle that was due, passes one record to `sink`, also
-    /// while the bus is down.
+    /// Waits for the next cycle and exchanges its frame. Passes one record to `sink` for each cycle that was due, even while
+    /// the bus is down.
     pub fn next_cycle(&mut self, sink: &mut dyn FnMut(&CycleRecord)) {
         let deadline = self.due();
         self.clock.sleep_until(deadline);
@@ -222,12 +225,12 @@ impl Acquisition {
         self.read_links(&exchange);
     }
 
-    /// Passes on the records of all cycles that were due when this exchange took place, and reacts to faults.
+    /// Passes on the records of all cycles that were due when `exchange` took place. Then reacts to faults.
     fn cycle(&mut self, exchange: &CyclicExchange, sink: &mut dyn FnMut(&CycleRecord)) {
         let seen = self.observe_clocks(exchange);
         let misread = seen.is_some_and(is_misread);
         let sampled = if misread { self.next_cycle } else { self.cycle_sampled(exchange) };
-        // If the thread woke so late that SYNC0 overwrote samples before their frames were sent, the records of these
+        // If the thread woke too late, SYNC0 has overwritten samples before their frames were sent. The records of these
         // cycles get the flag `DEADLINE_MISSED`.
         while self.next_cycle < sampled {
             let time = self.sample_time(self.next_cycle);
@@ -248,8 +251,8 @@ impl Acquisition {
         self.react(&record, exchange, seen);
     }
 
-    /// Whether the sample in a reply belongs to its record. Without distributed clocks a terminal samples when a
-    /// frame arrives, and the next frame fetches the sample. The sample belongs to the record only if the previous
+    /// Whether the sample in a reply belongs to the cycle. Without distributed clocks, a terminal samples when a
+    /// frame arrives, and the next frame fetches this sample. The sample belongs to the cycle only if the previous
     /// frame was sent on time.
     fn follows_a_frame(&mut self, exchange: &CyclicExchange) -> bool {
         let before = self.replied_last;
@@ -280,7 +283,8 @@ impl Acquisition {
         (0..CLOCK_FIT_CYCLES).for_each(|_| self.idle());
     }
 
-    /// Number of the cycle whose sample the reply contains. If the reply does not show it, the expected number is returned.
+    /// Number of the cycle whose sample the reply contains. If the reply does not show this number,
+    /// the expected one is returned.
     fn cycle_sampled(&self, exchange: &CyclicExchange) -> u64 {
         match exchange.reply.and_then(|reply| reply.dc_time) {
             Some(dc) => {
@@ -295,8 +299,8 @@ impl Acquisition {
         }
     }
 
-    /// Whether the frame of the cycle passed the reference clock after the next SYNC0. While the terminals convert, such a
-    /// frame fetches the old sample from some terminals and the new one from others.
+    /// Whether the frame of the cycle passed the reference clock after the next SYNC0. At that time the terminals are
+    /// converting, so the frame fetches the old sample from some terminals and the new sample from others.
     fn is_past_next_sample(&self, exchange: &CyclicExchange) -> bool {
         exchange
             .reply
@@ -304,8 +308,8 @@ impl Acquisition {
             .is_some_and(|dc| dc.0 >= self.instant_ns(self.next_cycle + 1))
     }
 
-    /// Time of SYNC0 of a cycle, on the clock of [`Self::origin_ns`] \[ns\]. Sums wrap, because a damaged frame
-    /// can contain any bus time.
+    /// Time of SYNC0 of a cycle \[ns\], on the same clock as [`Self::origin_ns`]. Sums wrap on overflow, because a damaged
+    /// frame can contain any bus time.
     fn instant_ns(&self, cycle: u64) -> i64 {
         self.origin_ns.wrapping_add((cycle as i64).wrapping_mul(self.period_ns))
     }
@@ -324,8 +328,8 @@ impl Acquisition {
         if self.distributed_clocks {
             self.fit.monotonic_from_dc(DcNs(instant_ns))
         } else {
-            // Without distributed clocks the terminal samples at an unknown time between the frame before and this one. The
-            // middle of the period has the smallest error.
+            // Without distributed clocks, the terminal samples at an unknown time between the previous frame and this one.
+            // The middle of this interval has the smallest error.
             MonoNs(instant_ns).plus_ns(-self.period_ns / 2)
         }
     }
@@ -336,7 +340,7 @@ impl Acquisition {
             let dc = DcNs(self.instant_ns(cycle));
             SampleTime { utc, uncertainty_ns: self.fit.uncertainty_ns(dc), dc }
         } else {
-            // Standard deviation of a uniform distribution one period wide.
+            // Standard deviation of a uniform distribution whose width is one period.
             let uncertainty_ns = (self.period_ns as f64 / 12f64.sqrt()) as u32;
             SampleTime { utc, uncertainty_ns, dc: DcNs(0) }
         }

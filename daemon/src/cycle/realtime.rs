@@ -11,20 +11,21 @@ use shared::config::RealtimeConfig;
 
 use crate::tuning::Machine;
 
-/// Result of the request for core, priority and locked memory. It must be kept as long as the cycle runs. Acquisition also
-/// works without these permissions, but its lateness then depends on the load of the machine.
+/// Result of the request for core, priority and locked memory. The value must be kept as long as the cycle runs. Without
+/// these permissions acquisition also works, but its lateness then depends on the load of the machine.
 #[derive(Debug)]
 pub struct RealtimeReport {
     request: RealtimeConfig,
     core: io::Result<()>,
     fifo: io::Result<()>,
     memory: io::Result<()>,
-    /// While this file is open, the processor does not enter deep idle states. `None` on machines without the file.
+    /// While this file is open, the processor does not enter deep idle states. `None` on machines that
+    /// do not have this file.
     _awake: Option<File>,
 }
 
 impl RealtimeReport {
-    /// Applies the request to the calling thread. Memory is locked for the whole process.
+    /// Requests scheduling and core for the calling thread. Memory is locked for the whole process.
     pub fn apply(request: RealtimeConfig) -> Self {
         Self {
             core: request.core.map_or(Ok(()), pin_to_core),
@@ -80,8 +81,8 @@ fn lock_memory() -> io::Result<()> {
     Ok(mlockall(MlockAllFlags::MCL_CURRENT | MlockAllFlags::MCL_FUTURE)?)
 }
 
-/// Requests that the processor wakes up without delay (Linux, Documentation/power/pm_qos_interface.rst). The request is
-/// valid while the file is open.
+/// Requests that the processor always wakes up without delay (Linux, Documentation/power/pm_qos_interface.rst). The request
+/// is valid as long as the file is open.
 fn stay_awake() -> Option<File> {
     let mut file = OpenOptions::new().write(true).open("/dev/cpu_dma_latency").ok()?;
     file.write_all(&0i32.to_ne_bytes()).ok()?;

@@ -1,11 +1,11 @@
 //! Fault recovery of the acquisition: the reaction to each bad cycle. No cycle number is lost.
 //!
-//! - A single bad cycle is only flagged.
-//! - A terminal in SAFE-OP is restored to OP between two frames.
-//! - If replies are missing, frames continue to be sent. A bus that answers again continues where it was.
+//! - After a single bad cycle, nothing is done. The record only gets a flag.
+//! - If a terminal is in SAFE-OP, it is restored to OP between two frames.
+//! - If replies are missing, frames continue to be sent. If the bus answers again in time, the cycle continues as before.
 //! - If terminals are missing, the terminals before them stay in use until all devices answer again.
-//! - If this does not help, the bus is given up and brought up again. The records of cycles that become due in that time are
-//!   passed on afterwards, with a flag. The clock of the bus is set such that it continues. Cycle numbers and times are
+//! - If none of this helps, the bus is given up and brought up again. The records of the cycles that become due in that time
+//!   are passed on with a flag. The clock of the bus is set so that its time continues. Cycle numbers and times are
 //!   therefore consecutive within the run.
 
 use shared::recording::schema::{CycleRecord, flags};
@@ -16,25 +16,25 @@ use super::{Acquisition, ClockPair, PairStatus, Sampler};
 use crate::bus::{CyclicExchange, CyclicReply, Operational, RestoreToOp, absent};
 use crate::problem::Fact;
 
-/// Number of consecutive cycles without an answer after which a terminal counts as lost.
+/// Number of consecutive cycles without an answer of a terminal. After this number the terminal counts as lost.
 const LOST_CYCLES: u32 = 2;
-/// Largest unexplained error of a bus time from which the sampled cycle can still be determined \[ns\].
+/// Largest unexplained error of a bus time \[ns\]. With a larger error, the bus time does not show which cycle was sampled.
 const MISREAD_NS: u64 = 100_000;
-/// Number of consecutive bad cycles after which the bus is brought up again, although all terminals reply in OP.
+/// Number of consecutive bad cycles. After this number the bus is brought up again, even if all terminals reply in OP.
 const BAD_CYCLES_MAX: u32 = 10;
 /// Time limit for restoring a terminal to OP \[ns\].
 const RESTORE_TIMEOUT_NS: i64 = NS_PER_S / 2;
-/// Period of the requests for OP \[ns\].
+/// Time between two requests for OP \[ns\].
 const RESTORE_PERIOD_NS: i64 = NS_PER_S / 20;
-/// Longest time without synchronisation after which the clocks of the terminals are still reliable \[ns\].
+/// Longest time without a reply \[ns\]. After a longer time, the clocks of the terminals are not synchronous enough.
 const SILENCE_NS_MAX: i64 = NS_PER_S;
-/// Period of the checks whether missing terminals answer again \[ns\].
+/// Time between two checks whether missing terminals answer again \[ns\].
 const CHECK_PERIOD_NS: i64 = NS_PER_S / 20;
-/// Largest difference between the time of a bus that was brought up and the time that was set \[ns\]. It allows for a few
-/// frames that a busy machine repeats. A larger difference means that the time was misread. If it were used, as many cycles
-/// would be skipped as the time is ahead.
+/// Largest difference between the time of a bus that was brought up and the time to which its clock was set \[ns\]. A few
+/// repeated frames on a busy machine cause smaller differences. A larger difference means that the time was misread. If this
+/// time were used, all cycles up to it would be skipped.
 const SET_TIME_NS_MAX: u64 = NS_PER_S as u64 / 10;
-/// Period of the attempts to bring the bus up \[ns\].
+/// Time between two attempts to bring the bus up \[ns\].
 const RETRY_PERIOD_NS: i64 = NS_PER_S / 5;
 
 /// State of the fault recovery.
@@ -42,18 +42,18 @@ const RETRY_PERIOD_NS: i64 = NS_PER_S / 5;
 pub(super) struct Health {
     /// Number of consecutive bad replies.
     bad: u32,
-    /// When the first of the consecutive frames without a reply was sent.
+    /// When the first of the consecutive frames without a reply was sent. `None` if the last frame had a reply.
     silent_since: Option<MonoNs>,
-    /// Times of the first and of the last request to return to OP.
+    /// Times of the first and of the last request to return to OP. `None` if no terminal is being restored.
     restoring: Option<(MonoNs, MonoNs)>,
-    /// First position that is missing while the devices before it stay in use, and the time of the last
-    /// check whether it answers again.
+    /// First position that is missing, while the devices before this position stay in use. The time is that of the last
+    /// check whether the missing devices answer.
     missing: Option<(u8, MonoNs)>,
     /// Number of attempts to bring up the bus since it was given up.
     attempts: u32,
     /// Earliest time of the next attempt.
     retry_at: Option<MonoNs>,
-    /// The present period of cycles without a valid sample.
+    /// The current period of cycles without a valid sample. `None` if the last cycle was valid.
     gap: Option<Gap>,
     /// Why the bus was given up.
     down: Option<Down>,
@@ -61,7 +61,7 @@ pub(super) struct Health {
     outage: Option<Fact>,
     /// Incremented whenever `down` or `outage` is set.
     outages: u32,
-    /// Number of devices that answered when the bus was last incomplete.
+    /// Number of devices that answered in the last count that found devices missing.
     answering: Option<usize>,
 }
 
@@ -70,7 +70,7 @@ pub(super) struct Health {
 struct Gap {
     /// Number of the first of these cycles.
     first: u64,
-    /// Flags of the first of these cycles, which are the cause.
+    /// Flags of the first of these cycles. They show the cause of the gap.
     cause: u32,
     /// Flags that at least one of these cycles has.
     flags: u32,
@@ -78,14 +78,14 @@ struct Gap {
     invalid: u8,
 }
 
-/// How much of the bus is in operation.
+/// How many of the devices are in operation.
 #[derive(Debug)]
 pub enum BusState<'a> {
-    /// All devices. Other problems, if there are any, are visible in the records only.
+    /// All devices are in operation. Other problems are visible only in the records.
     Whole,
-    /// The devices before this position. No device from this position on answers.
+    /// The devices before this position are in operation. No device from this position on answers.
     Before(u8),
-    /// No device. The reason is given.
+    /// No device is in operation. The value is the reason.
     Down(Outage<'a>),
 }
 
@@ -94,8 +94,8 @@ pub enum BusState<'a> {
 pub struct Outage<'a> {
     /// Why the bus was given up.
     pub down: Option<Down>,
-    /// Why the bus cannot be brought up: missing devices, or the error of the last attempt. `None` just after
-    /// the bus was given up.
+    /// Why the bus cannot be brought up: devices are missing, or the last attempt failed with this error. `None` until the
+    /// first count or attempt after the bus was given up.
     pub error: Option<&'a Fact>,
     /// A number that changes with every change of the outage.
     pub number: u32,
@@ -109,15 +109,15 @@ impl Outage<'_> {
 }
 
 impl Health {
-    /// Starts a run: the present gap is removed, because its cycle numbers are those before the run.
+    /// Starts a run. The current gap is removed, because its cycle number is from before the run.
     pub(super) fn begin_run(&mut self) {
         self.gap = None;
     }
 }
 
 impl Acquisition {
-    /// Reacts to a cycle: does nothing, restores a terminal to OP, or gives the bus up. `seen` is the status of the bus
-    /// time in the clock fit.
+    /// Reacts to a cycle: does nothing, restores a terminal to OP, or gives the bus up. `seen` states how the clock fit
+    /// classified the bus time of this cycle.
     pub(super) fn react(
         &mut self,
         record: &CycleRecord,
@@ -133,13 +133,13 @@ impl Acquisition {
         };
         self.health.silent_since = None;
         if let Some(PairStatus::Stepped(by_ns)) = seen {
-            // The bus is given up even after a small step. The clocks of the terminals would take long to follow, and until
-            // then the sample times are unknown.
+            // The bus is given up even after a small step. The clocks of the terminals would take long to follow the step,
+            // and the sample times would be unknown until then.
             self.report(Happening::ClockStep { by_ns });
             self.give_up(Down::ClockStep);
             return;
         }
-        // Errors of an encoder's signal are ignored here, because bringing up the bus does not repair them.
+        // Errors of an encoder's signal are ignored here, because a bring-up of the bus cannot repair the signal.
         let bus_flags = record.flags & !(flags::TERMINAL_ERROR | flags::DEADLINE_MISSED);
         if record.is_valid() || (bus_flags & !self.sampler.flags_always()) == 0 {
             (self.health.bad, self.health.restoring, self.health.missing) = (0, None, None);
@@ -153,13 +153,14 @@ impl Acquisition {
             }
         } else if reply.not_operational != 0 {
             self.restore_to_op(reply, exchange.received);
-        // A misread bus time is handled by the clock fit, which reports a step if the deviation persists.
+        // If the bus time was misread, the bus is not given up here. If the deviation persists, the clock
+        // fit will report a step.
         } else if self.health.bad >= BAD_CYCLES_MAX && !seen.is_some_and(is_misread) {
             self.give_up(Down::Bad { flags: bus_flags });
         }
     }
 
-    /// Requests OP from all terminals that are not in OP, before the next frame is due.
+    /// Before the next frame is due, requests OP from all terminals that are not in OP.
     fn restore_to_op(&mut self, reply: &CyclicReply, now: MonoNs) {
         let is_first_request = self.health.restoring.is_none();
         let (first, last) = self.health.restoring.unwrap_or((now, MonoNs(i64::MIN / 2)));
@@ -188,7 +189,7 @@ impl Acquisition {
     }
 
     /// Reacts to missing terminals. If no terminal is valid, the bus is given up at once. Otherwise the remaining terminals
-    /// stay in use until all devices answer again, because bringing the bus up interrupts them.
+    /// stay in use until all devices answer again, because a bring-up would interrupt the remaining terminals.
     fn continue_without(&mut self, silent: u32, others_are_valid: bool, now: MonoNs) {
         let last_check = self.health.missing.map(|(_, checked)| checked);
         if last_check.is_some_and(|checked| others_are_valid && now.ns_since(checked) < CHECK_PERIOD_NS) {
@@ -214,7 +215,7 @@ impl Acquisition {
         self.report(Happening::Down(why));
     }
 
-    /// Runs a cycle while the bus is down. One small frame counts the devices that answer. If all of them answer,
+    /// Runs a cycle while the bus is down. One small frame counts the devices that answer. If all devices answer,
     /// the bus is brought up.
     pub(super) fn cycle_down(&mut self, sink: &mut dyn FnMut(&CycleRecord)) {
         let now = self.clock.now();
@@ -247,7 +248,7 @@ impl Acquisition {
         }
     }
 
-    /// How much of the bus is in operation. Allocates nothing.
+    /// How many of the devices are in operation. Allocates no memory.
     pub fn bus_state(&self) -> BusState<'_> {
         match (&self.operational, self.health.missing) {
             (None, _) => {
@@ -284,15 +285,15 @@ impl Acquisition {
         }
     }
 
-    /// Continues the run after the bus was brought up. The first exchange gives the time and the state of the toggle bits.
-    /// Its inputs are not used, because nothing proves that they are new.
+    /// Continues the run after the bus was brought up. The first exchange provides the bus time and the toggle bits. Its
+    /// inputs are not used, because nothing proves that they are new.
     fn resume(&mut self, operational: Operational, sink: &mut dyn FnMut(&CycleRecord)) {
         let exchange = self.bus.exchange(&operational);
         let bus_time = exchange.reply.and_then(|reply| reply.dc_time);
         if exchange.reply.is_none() || (self.distributed_clocks && bus_time.is_none()) {
             return self.catch_up(self.clock.now(), sink);
         }
-        // Check the time of the bus against the time that was set.
+        // Compare the time of the bus with the time to which its clock was set.
         let set_to = DcNs(exchange.sent.0).plus_ns(self.bus_minus_monotonic_ns());
         let off_ns = bus_time.map_or(0, |time| time.ns_since(set_to));
         if off_ns.unsigned_abs() > SET_TIME_NS_MAX {
@@ -311,12 +312,12 @@ impl Acquisition {
         let restarted = self.fit.restarted();
         let fit_before = std::mem::replace(&mut self.fit, restarted);
         self.observe_clocks(&exchange);
-        // Setting the clock of the bus takes some frames, so the clock is slightly off. The next setting corrects for this,
-        // so that errors do not add up.
+        // Setting the clock of the bus takes some frames, so the clock is then slightly wrong. The next time the clock is
+        // set, this error is subtracted, so that errors do not add up.
         let change_ns = self.bus_minus_monotonic_ns().wrapping_sub(before_ns);
         self.bus_lead_ns = self.bus_lead_ns.wrapping_add(change_ns);
         let sampled = self.cycle_sampled(&exchange);
-        // The cycles without a bus get their times from the fit before the outage.
+        // The cycles during the outage get their times from the fit before the outage.
         let fit_after = std::mem::replace(&mut self.fit, fit_before);
         while self.next_cycle < sampled {
             self.emit_down(exchange.sent, sink);
@@ -331,20 +332,20 @@ impl Acquisition {
         self.report(Happening::Up { attempts });
     }
 
-    /// Lead of the bus' clock over the host's clock at the next cycle, according to the clock fit \[ns\].
+    /// Lead of the bus' clock over the host's clock at the time of the next cycle, according to the clock fit \[ns\].
     fn bus_minus_monotonic_ns(&self) -> i64 {
         let next = DcNs(self.instant_ns(self.next_cycle));
         next.0.wrapping_sub(self.fit.monotonic_from_dc(next).0)
     }
 
-    /// Passes on the records of the cycles that were due before `now`.
+    /// Passes on the records of all cycles that were due before `now`.
     fn catch_up(&mut self, now: MonoNs, sink: &mut dyn FnMut(&CycleRecord)) {
         while self.frame_deadline(self.next_cycle) < now {
             self.emit_down(now, sink);
         }
     }
 
-    /// Passes on the record of the next cycle. It has no sample, because the bus is down.
+    /// Passes on the record of the next cycle. The record contains no sample, because the bus is down.
     fn emit_down(&mut self, at: MonoNs, sink: &mut dyn FnMut(&CycleRecord)) {
         let nothing = CyclicExchange { sent: at, received: at, reply: None };
         let mut record = self.sampler.missed(self.next_cycle, self.sample_time(self.next_cycle), &nothing);
@@ -352,9 +353,9 @@ impl Acquisition {
         self.emit(record, sink);
     }
 
-    /// Completes the record of the next cycle and passes it to `sink`. Just after the clock of the bus was
-    /// set, the time of the record can be at or before that of the previous record. The time is then
-    /// increased, and the counts become invalid.
+    /// Completes the record of the next cycle and passes it to `sink`. Just after the clock of the bus was set,
+    /// the time of a record may not be later than that of the previous record. Such a time is increased, and the
+    /// counts are marked as invalid.
     pub(super) fn emit(&mut self, mut record: CycleRecord, sink: &mut dyn FnMut(&CycleRecord)) {
         if let Some(last) = self.time_last.filter(|last| record.sample_time <= *last) {
             let behind_ns =
@@ -383,7 +384,7 @@ impl Acquisition {
         self.next_cycle += 1;
     }
 
-    /// Passes the bus time in a reply to the clock fit. `None` if the reply has no bus time.
+    /// Passes the bus time in a reply to the clock fit. Returns `None` if the reply contains no bus time.
     pub(super) fn observe_clocks(&mut self, exchange: &CyclicExchange) -> Option<PairStatus> {
         let dc = exchange.reply?.dc_time?;
         let CyclicExchange { sent, received, .. } = *exchange;
@@ -391,7 +392,7 @@ impl Acquisition {
     }
 }
 
-/// Whether the error of a bus time is so large that the sampled cycle cannot be determined from it.
+/// Whether the bus time deviates so much that it does not show which cycle was sampled.
 pub(super) fn is_misread(seen: PairStatus) -> bool {
     match seen {
         PairStatus::Followed => false,

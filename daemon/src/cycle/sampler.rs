@@ -1,5 +1,5 @@
-//! Converts one exchange with the bus to one record. Checks which counts are new and reliable, and flags the
-//! reasons why others are not.
+//! Converts one exchange with the bus to one record. Counts that are new and reliable are marked as valid. For other counts,
+//! the record gets flags that show the reason.
 
 use shared::recording::schema::{CycleRecord, EncoderSample, MAX_ENCODERS, flags};
 use shared::time::{DcNs, UtcNs};
@@ -14,11 +14,11 @@ pub struct SampleTime {
     pub utc: UtcNs,
     /// Standard deviation of `utc` \[ns\].
     pub uncertainty_ns: u32,
-    /// The same time on the clock of the bus; 0 without distributed clocks.
+    /// The same time on the clock of the bus. 0 without distributed clocks.
     pub dc: DcNs,
 }
 
-/// Compares the inputs of each cycle with those of the previous cycle.
+/// Converts exchanges to records. It compares the inputs of each cycle with those of the previous cycle.
 #[derive(Debug, Clone)]
 pub struct Sampler {
     joints: [u8; MAX_ENCODERS],
@@ -26,13 +26,13 @@ pub struct Sampler {
     working_counter_expected: u16,
     /// Flags that every record of this bus has.
     always: u32,
-    /// Toggle bit in the last input of each encoder. A terminal inverts it with each new sample.
+    /// Toggle bit in the last input of each encoder. The terminal inverts this bit with each new sample.
     /// `None` before the first input.
     toggles: [Option<bool>; MAX_ENCODERS],
 }
 
 impl Sampler {
-    /// `joints` are in bus order. Without distributed clocks, every record gets the flag `NO_DC`.
+    /// A sampler for the encoders of `joints`, in bus order. Without distributed clocks, every record gets the flag `NO_DC`.
     pub fn new(
         joints: impl IntoIterator<Item = u8>,
         working_counter_expected: u16,
@@ -57,7 +57,7 @@ impl Sampler {
         self.always
     }
 
-    /// The record of cycle `cycle`. `exchange` is the exchange in that cycle.
+    /// The record of cycle number `cycle`, in which `exchange` took place.
     pub fn sample(&mut self, cycle: u64, time: SampleTime, exchange: &CyclicExchange) -> CycleRecord {
         let mut record = self.blank(cycle, time, exchange);
         match &exchange.reply {
@@ -70,7 +70,7 @@ impl Sampler {
         record
     }
 
-    /// The record of a cycle whose sample was overwritten by the next one before `exchange` could fetch it.
+    /// The record of a cycle whose sample is lost. The next sample has overwritten it before `exchange` could fetch it.
     pub fn missed(&mut self, cycle: u64, time: SampleTime, exchange: &CyclicExchange) -> CycleRecord {
         self.skip_cycle();
         let mut record = self.blank(cycle, time, exchange);
@@ -79,9 +79,9 @@ impl Sampler {
         record
     }
 
-    /// Updates the toggles for a cycle whose sample was not received. With distributed clocks the terminals
-    /// sample, and invert their toggle bits, in every cycle. Without them only a frame makes them sample, and it
-    /// is unknown whether the frame arrived.
+    /// Updates the toggle bits for a cycle whose sample was not received. With distributed clocks, the terminals sample in
+    /// every cycle and invert their toggle bits. Without distributed clocks, a terminal samples only when a frame arrives.
+    /// It is unknown whether the frame arrived, so the bits are left unchanged.
     fn skip_cycle(&mut self) {
         if self.always & flags::NO_DC == 0 {
             self.toggles.iter_mut().flatten().for_each(|toggle| *toggle = !*toggle);
@@ -132,7 +132,8 @@ impl Sampler {
                 record.flags |= flags::TERMINAL_ERROR;
             }
         }
-        // ethercrab checks neither of the following. If a terminal is missing, it returns the last inputs.
+        // ethercrab checks neither working counter nor state. If a terminal is missing,
+        // ethercrab returns the previous inputs.
         if reply.working_counter != self.working_counter_expected {
             record.flags |= flags::WORKING_COUNTER;
         }
@@ -145,11 +146,11 @@ impl Sampler {
     }
 
     /// Invalidates counts if the working counter is wrong or a device is not in OP. In general this does not show which
-    /// terminals are missing, so every count becomes invalid. One case is different: the working counter is too low by
-    /// exactly the contribution of the terminals that do not answer. All other terminals have then processed the frame,
-    /// so their counts stay valid.
+    /// terminals are missing, so all counts become invalid. There is one exception: the working counter is too low by
+    /// exactly the contribution of the terminals that do not answer. The other terminals have then processed the frame, so
+    /// their counts stay valid.
     fn invalidate_unproven(&self, record: &mut CycleRecord, reply: &CyclicReply) {
-        // The coupler has position 0 and must answer. The terminal of encoder `index` has position `index + 1`.
+        // The coupler is at position 0 and must answer. The terminal of encoder `index` is at position `index + 1`.
         let absent = |index: usize| reply.silent >> (index + 1) & 1 == 1;
         let missing = (0..self.encoder_count).filter(|index| absent(*index)).count() as u16;
         let explained = missing > 0
@@ -249,7 +250,7 @@ mod tests {
 
     #[test]
     fn terminals_before_missing_ones_stay_valid_only_if_the_counter_proves_it() {
-        // The terminal at position 2 does not answer, so its contribution of 3 to the working counter is missing.
+        // The terminal at position 2 does not answer, so the working counter lacks its contribution of 3.
         let rest = CyclicReply {
             working_counter: 3,
             all_operational: false,

@@ -1,7 +1,6 @@
-//! Lateness and durations of the cycle. They are measured in the cycle and counted in another thread.
-//!
-//! The cycle writes three numbers to a bounded ring, without waiting. The reader of the ring updates the histograms. The
-//! cycle therefore neither writes to memory that other threads read, nor spends time on counting.
+//! Lateness and durations of the cycle. The cycle measures three times and writes them to a bounded ring, without waiting.
+//! In another thread, the reader of the ring counts them in histograms. The cycle therefore neither writes to memory that
+//! other threads read, nor spends time on counting.
 
 use hdrhistogram::Histogram;
 use rtrb::{Consumer, Producer, RingBuffer};
@@ -28,14 +27,14 @@ pub struct TimingSource {
     timings: Timings,
 }
 
-/// Creates a ring for the timing of `capacity` cycles. If it is not drained often enough, timing is lost, but no cycle.
+/// Creates a ring for the timing of `capacity` cycles. If the ring is full, timing is lost, but no cycle is lost.
 pub fn timing_ring(capacity: usize) -> (Producer<CycleTiming>, TimingSource) {
     let (producer, consumer) = RingBuffer::new(capacity);
     (producer, TimingSource { ring: consumer, timings: Timings::default() })
 }
 
 impl TimingSource {
-    /// Counts all timing in the ring.
+    /// Takes all timing out of the ring, and counts it in the histograms.
     pub fn drain(&mut self) {
         while let Ok(timing) = self.ring.pop() {
             self.timings.count(&timing);
@@ -58,7 +57,7 @@ pub struct Timings {
 
 impl Default for Timings {
     fn default() -> Self {
-        // The bounds are constants that the crate accepts.
+        // These bounds are constants, and the crate accepts them.
         #[allow(clippy::expect_used, reason = "constant arguments")]
         let empty = Histogram::new_with_bounds(1, LONGEST_NS, SIGNIFICANT_DIGITS).expect("valid bounds");
         Self { lateness: empty.clone(), round_trip: empty.clone(), duration: empty }
@@ -145,7 +144,7 @@ mod tests {
         let mut below = 0;
         for bin in bins {
             let up_to = (bin.up_to_ns / 1000).min(1000);
-            // The counter's resolution is a part in a thousand.
+            // The resolution of the histogram is one part in a thousand.
             assert!((bin.cycles as i64 - (up_to - below) as i64).abs() <= 1, "{bin:?}");
             below = up_to;
         }

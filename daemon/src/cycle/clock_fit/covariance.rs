@@ -1,5 +1,5 @@
-//! Covariance `P` of offset and drift between two clocks, for the filter of the clock fit. It is propagated by `F P F^T + Q`
-//! with `F = [1 dt; 0 1]`, and corrected by a reading of the offset, `H = [1 0]`.
+//! Covariance `P` of offset and drift between two clocks, for the filter of the clock fit. In time it is propagated by `F P
+//! F^T + Q` with `F = [1 dt; 0 1]`. A reading, which measures the offset (`H = [1 0]`), corrects it.
 
 /// Covariance of offset \[ns\] and drift \[ns/s\].
 #[derive(Debug, Clone, Copy)]
@@ -17,16 +17,16 @@ impl ClockCovariance {
         Self { offset: offset_sigma_ns.powi(2), cross: 0.0, drift: drift_sigma.powi(2) }
     }
 
-    /// Propagates the covariance by `dt_s`. The process noise `Q` is given by the variances of offset and drift per second.
+    /// Propagates the covariance by `dt_s`. The process noise `Q` is the growth of the variances of
+    /// offset and drift per second.
     pub fn predict(&mut self, dt_s: f64, offset_wander: f64, drift_wander: f64) {
         self.offset += dt_s * (2.0 * self.cross + dt_s * self.drift) + offset_wander * dt_s;
         self.cross += dt_s * self.drift;
         self.drift += drift_wander * dt_s;
     }
 
-    /// Corrects the covariance by a reading of variance `r`. The gains `K` of offset and drift need
-    /// not be optimal (Joseph's form):
-    /// `(I - K H) P (I - K H)^T + K r K^T`.
+    /// Corrects the covariance by a reading with the variance `r` (`reading_variance`). Joseph's form is used, which is
+    /// valid even if the gains `K` of offset and drift are not optimal: `(I - K H) P (I - K H)^T + K r K^T`.
     pub fn correct(&mut self, gain_offset: f64, gain_drift: f64, reading_variance: f64) {
         let Self { offset, cross, drift } = *self;
         let kept = 1.0 - gain_offset;

@@ -1,9 +1,10 @@
-//! The innovation gate classifies readings that no delay explains. Such a reading was misread, or a clock stepped, or
-//! a clock changed its rate.
+//! The innovation gate classifies readings that no delay explains. There are three causes: the bus time was misread, a clock
+//! stepped, or a clock changed its rate.
 //!
-//! The filter does not use such readings. The gate compares the next readings with the first unexplained one. If the
-//! deviation stays constant, a clock stepped. If it grows, a rate has changed. If it disappears with the next reading, the
-//! bus time was misread. A reply so slow that it fits both with and without the step is ignored.
+//! The filter does not use such readings. The gate compares the next readings with the first unexplained one. If
+//! the deviation stays constant, a clock stepped. If the deviation grows, a rate has changed. If it disappears with
+//! the next reading, the bus time was misread. A reply may be so slow that it fits both with and without the step;
+//! such a reply is ignored.
 
 use shared::time::MonoNs;
 
@@ -11,25 +12,25 @@ use shared::time::MonoNs;
 const READINGS_MIN: u32 = 3;
 /// After this number of readings without a decision, the first reading counts as misread.
 const UNDECIDED_MAX: u32 = 100;
-/// Number of contradictions from which the clock is unusable and counts as stepped.
+/// If this many readings contradict each other, the clock is unusable, and is treated as stepped.
 const ERRATIC_MAX: u32 = 10;
-/// Tolerance for two readings of the same deviation, in addition to their delays \[ns\].
+/// Tolerance when two readings of the same deviation are compared, in addition to their delays \[ns\].
 const NOISE_NS: f64 = 1_000.0;
-/// A reading is used for the decision if its deviation is this many times as large as the possible contribution of delays.
+/// A reading is used for the decision only if its deviation is at least this many times the possible contribution of delays.
 const SIGNAL_TO_NOISE: f64 = 6.0;
-/// A deviation counts as growing if it has grown by this fraction of the first deviation, or
-/// by [`GROWTH_NS`], whichever is less.
+/// A deviation counts as growing if it has grown by this fraction of the first deviation, or by [`GROWTH_NS`]. The smaller
+/// of the two limits is used.
 const GROWTH: f64 = 1.0 / 3.0;
-/// Growth from which a deviation counts as growing \[ns\]. For deviations above [`JUMP_NS`], only
-/// the fraction [`GROWTH`] is used.
+/// A deviation that has grown by this amount counts as growing \[ns\]. If the first deviation is larger than [`JUMP_NS`],
+/// only the fraction [`GROWTH`] is used.
 const GROWTH_NS: f64 = 10_000.0;
 /// Largest deviation that a changed rate can cause within one reading \[ns\].
 const JUMP_NS: f64 = 1_000_000.0;
-/// Usual rate change by `adjtime` and NTP \[ns/s\]. The decision is postponed until such a change would be visible.
+/// Usual rate change by `adjtime` and NTP \[ns/s\]. The decision waits until such a change would be visible.
 const RATE_USUAL: f64 = 500e3;
-/// Longest time for which the decision is postponed \[s\].
+/// Longest time for which the decision waits \[s\].
 const WAIT_S_MAX: f64 = 0.25;
-/// Largest rate change by chrony \[ns/s\].
+/// Largest rate change that chrony makes \[ns/s\].
 const RATE_MAX: f64 = 100e6;
 
 /// Deviation of a reading from the prediction, with the contributions that may explain it.
@@ -55,9 +56,9 @@ impl Innovation {
 pub(super) struct InnovationGate {
     /// The first unexplained reading, or a later one that replaced it because its delay is smaller.
     first: Innovation,
-    /// Number of unexplained readings that agree with the first one, which is included.
+    /// Number of unexplained readings that agree with the first one, including the first one.
     agreeing: u32,
-    /// Number of readings that were not usable for the decision.
+    /// Number of readings that could not be used for the decision.
     undecided: u32,
     /// Number of readings that agreed neither with the fit nor with the first reading.
     erratic: u32,
@@ -82,7 +83,7 @@ impl InnovationGate {
         Self { first, agreeing: 1, undecided: 0, erratic: 0, largest_ns: first.by_ns.abs() }
     }
 
-    /// Largest possible error of the fit \[ns\].
+    /// Largest error that the fit may have because of the deviation \[ns\].
     pub fn largest_ns(&self) -> f64 {
         self.largest_ns
     }
@@ -91,12 +92,12 @@ impl InnovationGate {
     pub fn classify(mut self, reading: Innovation) -> Class {
         let noise_ns = reading.delayed_ns + self.first.delayed_ns + NOISE_NS;
         let grown_ns = reading.by_ns - self.first.by_ns;
-        // The deviation has disappeared, so the first reading was misread.
+        // The deviation has disappeared, so the bus time of the first reading was misread.
         if reading.is_explained() && grown_ns.abs() > noise_ns {
             return Class::Accepted;
         }
         let signal_ns = reading.by_ns.abs().max(self.first.by_ns.abs());
-        // The reading fits both with and without the step, so it is not used for the decision.
+        // The reading fits both with and without a step, so it cannot be used for the decision.
         if reading.is_explained() || noise_ns > signal_ns / SIGNAL_TO_NOISE {
             self.undecided += 1;
             if !reading.is_explained() && reading.delayed_ns < self.first.delayed_ns {
@@ -104,7 +105,7 @@ impl InnovationGate {
             }
             return if self.undecided > UNDECIDED_MAX { Class::Accepted } else { Class::Undecided(self) };
         }
-        // From here on the reading is unexplained and accurate enough for a decision.
+        // Here the reading is unexplained, and accurate enough for a decision.
         self.largest_ns = self.largest_ns.max(reading.by_ns.abs());
         if reading.by_ns * self.first.by_ns < 0.0 {
             return self.contradicted(reading);
@@ -124,7 +125,7 @@ impl InnovationGate {
         self.contradicted(reading)
     }
 
-    /// Largest growth of a deviation that still counts as constant \[ns\].
+    /// Largest growth at which a deviation still counts as constant \[ns\].
     fn growth_ns(&self) -> f64 {
         let part_ns = GROWTH * self.first.by_ns.abs();
         if self.first.by_ns.abs() > JUMP_NS { part_ns } else { part_ns.min(GROWTH_NS) }
@@ -138,8 +139,8 @@ impl InnovationGate {
         ((noise_ns + self.growth_ns()) / RATE_USUAL).min(WAIT_S_MAX)
     }
 
-    /// Handles a reading that agrees neither with the fit nor with the first unexplained reading: the
-    /// gate starts again with it.
+    /// Handles a reading that agrees neither with the fit nor with the first unexplained reading. The gate starts again,
+    /// with this reading as the first one.
     fn contradicted(self, reading: Innovation) -> Class {
         let erratic = self.erratic + 1;
         if erratic >= ERRATIC_MAX {

@@ -21,7 +21,8 @@ impl Clocks {
         Self { sent: MonoNs(5_000_000_000), dc_ns: 1e12, drift_ppm, period_ns: PERIOD_NS }
     }
 
-    /// Simulates the next cycle, with these additional delays. Returns the pair and the true passing time of its frame.
+    /// Simulates the next cycle, with additional delays in both directions. Returns the pair, and the true time at which the
+    /// frame passed the clock of the bus.
     fn next(&mut self, extra_there_ns: i64, extra_back_ns: i64) -> (ClockPair, MonoNs) {
         self.sent = self.sent.plus_ns(self.period_ns);
         self.dc_ns += self.period_ns as f64 * (1.0 + self.drift_ppm * 1e-6);
@@ -69,7 +70,7 @@ fn slow_replies_do_not_pull_the_fit() {
 
 #[test]
 fn the_time_of_the_frame_on_the_wire_is_no_error() {
-    // If the frame duration counted as a delay, the centre would be wrong by 9 us.
+    // If the frame duration were treated as a delay, the centre would be wrong by 9 us.
     assert!(worst_error_ns(0.0, |_| (0, 0)) < 100.0);
 }
 
@@ -99,7 +100,7 @@ fn the_uncertainty_grows_while_no_reply_comes() {
     }
     let after_s = |seconds: i64| fit.uncertainty_ns(last.plus_ns(seconds * 1_000_000_000));
     assert!(after_s(0) < after_s(10) && after_s(10) < after_s(1000));
-    // After 10 s without readings the estimated drift still gives the time.
+    // After 10 s without readings, the estimated drift still predicts the time.
     clocks.sent = clocks.sent.plus_ns(10_000_000_000);
     clocks.dc_ns += 1e10 * (1.0 + 25e-6);
     let pair = clocks.next(0, 0);
@@ -114,7 +115,7 @@ fn a_rate_found_from_random_delays_is_as_uncertain_as_stated() {
         let mut random = StdRng::seed_from_u64(seed);
         let (mut fit, mut clocks) =
             (ClockFit::default(), Clocks { period_ns: 1_000_000, ..Clocks::new(25.0) });
-        // Delays of 5 us in each direction, and up to 20 us more in one of them.
+        // Delays of 5 us in each direction, and up to 20 us more in one of the directions.
         for _ in 0..600 {
             fit.observe(clocks.next(-15_000, random.random_range(-15_000..5_000)).0);
         }
@@ -143,7 +144,7 @@ fn one_wrong_bus_time_is_left_out() {
     }
 }
 
-/// Passes pairs to the fit until it classifies the deviation. Returns the number of readings that this took.
+/// Passes pairs to the fit until the fit classifies the deviation. Returns the number of pairs.
 fn resolve(
     fit: &mut ClockFit,
     clocks: &mut Clocks,
@@ -200,7 +201,7 @@ fn while_a_step_is_in_doubt_the_uncertainty_covers_it() {
 
 #[test]
 fn a_rate_changed_by_500_ppm_is_followed_and_is_no_step() {
-    // NTP may adjust the host's monotonic clock in this way.
+    // NTP changes the rate of the host's monotonic clock by such amounts.
     for change_ppm in [-500.0, -100.0, -10.0, -1.0, 1.0, 10.0, 100.0, 500.0] {
         let (mut fit, mut clocks) = (ClockFit::default(), Clocks::new(20.0));
         (0..1000).for_each(|_| {
@@ -333,7 +334,8 @@ proptest! {
             let seen = fit.observe(pair.0);
             let sigma_ns = f64::from(fit.uncertainty_ns(pair.0.dc));
             let error_ns = error_ns(&fit, pair).abs();
-            // Both the fit and the true time are within the bound of the reading that was used.
+            // The fit and the true time are both within the bound of the reading. They can therefore differ by
+            // the width of the bound.
             let width_ns = pair.0.received.ns_since(pair.0.sent) - FRAME_NS;
             prop_assert!(seen != PairStatus::Followed || error_ns < width_ns as f64 + 2_000.0, "{step}: {error_ns}");
             prop_assert!(step < 100 || error_ns < 4.0 * sigma_ns, "{step}: {error_ns} of {sigma_ns}");
