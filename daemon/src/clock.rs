@@ -1,5 +1,5 @@
-//! The clock, as a value that is passed to its users. The same cycle runs on real time, or on virtual time in tests and
-//! replays. Virtual time advances as fast as the machine allows.
+//! The clock, as a value that is passed to all code that needs the time. The same code runs in real time, or in virtual time
+//! in tests and replays. Virtual time advances as fast as the machine allows.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
@@ -26,7 +26,7 @@ pub enum Clock {
 impl Clock {
     /// A virtual clock that starts at `utc`.
     pub fn virtual_from(utc: UtcNs) -> Self {
-        // Not zero, so that a missing time stamp cannot be mistaken for the start.
+        // The start is not zero, so that a missing time stamp cannot be mistaken for the start.
         let start_ns = NS_PER_S;
         Self::Virtual {
             now_ns: Arc::new(AtomicI64::new(start_ns)),
@@ -47,7 +47,8 @@ impl Clock {
         }
     }
 
-    /// Sleeps until `deadline`. Returns at once if it has passed. The deadline is absolute, so that delays do not add up.
+    /// Sleeps until `deadline`. Returns at once if `deadline` has passed. Because the deadline is absolute,
+    /// delays do not add up.
     pub fn sleep_until(&self, deadline: MonoNs) {
         match self {
             Self::Real => {
@@ -61,8 +62,8 @@ impl Clock {
         }
     }
 
-    /// Current difference `UTC - monotonic` \[ns\]. On real time it is the best of several readings, that
-    /// which took the least time.
+    /// Current difference `UTC - monotonic` \[ns\]. In real time, several readings are made, and the reading that took the
+    /// least time is used.
     pub fn utc_minus_monotonic_ns(&self) -> i64 {
         match self {
             Self::Real => {
@@ -72,7 +73,7 @@ impl Clock {
         }
     }
 
-    /// Steps the UTC of virtual time, as NTP or a person may do on a host. No effect on real time.
+    /// Steps the UTC of virtual time, as NTP or a person may step the UTC of a host. No effect in real time.
     pub fn step_utc(&self, by_ns: i64) {
         if let Self::Virtual { utc_minus_monotonic_ns, .. } = self {
             utc_minus_monotonic_ns.fetch_add(by_ns, Ordering::AcqRel);
@@ -80,8 +81,8 @@ impl Clock {
     }
 }
 
-/// Reads UTC between two readings of the monotonic clock. Returns the time between these two readings, and
-/// `UTC - monotonic` at its centre \[ns\].
+/// Reads UTC between two readings of the monotonic clock. Returns the time between these two readings, and the difference
+/// `UTC - monotonic` in the middle of this time \[ns\].
 fn bracketed_pair() -> (i64, i64) {
     let before_ns = read_ns(ClockId::CLOCK_MONOTONIC);
     let utc_ns = read_ns(ClockId::CLOCK_REALTIME);
@@ -91,6 +92,6 @@ fn bracketed_pair() -> (i64, i64) {
 }
 
 fn read_ns(clock: ClockId) -> i64 {
-    // These two clocks exist on every Linux. The process could not have started on a kernel without them.
+    // Every Linux has these two clocks. On a kernel without them, the process could not have started.
     clock_gettime(clock).map_or(0, |time| time.tv_sec() * NS_PER_S + time.tv_nsec())
 }

@@ -1,6 +1,6 @@
-//! Work in steps. All work that waits for time or a disk is a [`Stepper`]: it is called with the time, and returns
-//! when to call it again. A [`Scheduler`] calls the steppers: on real time each in its own thread, on virtual time all
-//! of them in one loop.
+//! Runs work in steps. Any work that waits for time or for a disk is a [`Stepper`]. A stepper is called with the current
+//! time, and returns how long to wait until the next call. A [`Scheduler`] calls the steppers. In real time, each stepper
+//! has its own thread. In virtual time, one loop calls all of them.
 
 use std::fmt;
 use std::future::Future;
@@ -15,29 +15,30 @@ use shared::time::MonoNs;
 
 use crate::clock::Clock;
 
-/// Size of the stack of each thread. With locked memory it is allocated completely. The actual use is several times smaller.
+/// Size of the stack of each thread \[bytes\]. If memory is locked, the whole stack is allocated.
+/// Threads use several times less.
 pub(crate) const STACK_BYTES: usize = 1 << 20;
 
 /// A task whose work is done in steps.
 pub trait Stepper {
-    /// Does the work that is due now. It may wait for a disk if that is its purpose, but for nothing else. Returns the time
-    /// until the next step, or `None` after the last step.
+    /// Does the work that is due now. The call may wait for a disk if this is the stepper's purpose, but for nothing else.
+    /// Returns the time until the next step, or `None` after the last step.
     fn poll(&mut self, now: MonoNs) -> Option<Duration>;
 
-    /// Waits for the next step, in the stepper's own thread. May return earlier if there is work.
+    /// Waits until the next step, in the stepper's own thread. May return earlier if there is work to do.
     fn wait(&mut self, pause: Duration) {
         thread::sleep(pause);
     }
 }
 
-/// A function that does one step.
+/// A function that is called for each step.
 impl<F: FnMut(MonoNs) -> Option<Duration>> Stepper for F {
     fn poll(&mut self, now: MonoNs) -> Option<Duration> {
         self(now)
     }
 }
 
-/// Creates a stepper in the thread in which it works.
+/// Function that creates a stepper. It is called in the thread in which the stepper will work.
 pub type Begin = Box<dyn FnOnce() -> Box<dyn Stepper> + Send>;
 /// A future that returns no result.
 pub type Task = Pin<Box<dyn Future<Output = ()> + Send>>;
@@ -62,7 +63,7 @@ pub trait Scheduler: fmt::Debug + Send + Sync {
 pub struct Threads(Clock);
 
 impl Threads {
-    /// A scheduler on this clock. If the clock is virtual, the cycle advances it as fast as it can.
+    /// A scheduler on this clock. If the clock is virtual, the thread of the cycle advances it as fast as it can.
     pub fn on(clock: Clock) -> Arc<dyn Scheduler> {
         Arc::new(Self(clock))
     }
@@ -103,7 +104,7 @@ pub async fn until<T>(scheduler: &dyn Scheduler, period: Duration, mut poll: imp
     }
 }
 
-/// The next message of a queue, or `None` if there is none yet. Returns [`Died`] if the other end was dropped.
+/// The next message of a queue. `None` if no message is waiting. [`Died`] if the other end was dropped.
 pub fn received<T>(queue: &Receiver<T>) -> Option<Result<T, Died>> {
     match queue.try_recv() {
         Ok(message) => Some(Ok(message)),
@@ -112,14 +113,14 @@ pub fn received<T>(queue: &Receiver<T>) -> Option<Result<T, Died>> {
     }
 }
 
-/// The result of work that may wait for a disk. It is polled by the thread that started the work.
+/// The result of work that may wait for a disk. The thread that started the work polls for the result.
 #[derive(Debug)]
 pub struct Pending<T> {
     result: Receiver<T>,
     since: MonoNs,
 }
 
-/// The work has ended without a result. The cause is in the log.
+/// The work ended without a result. The log contains the cause.
 #[derive(Debug)]
 pub struct Died;
 
@@ -130,7 +131,7 @@ impl<T: Send + 'static> Pending<T> {
         Self::until(scheduler, name, move || work.take().map(|work| work()))
     }
 
-    /// Starts work that consists of several steps, which ends when a step returns a result.
+    /// Starts work that consists of several steps. The work ends when a step returns a result.
     pub fn until(
         scheduler: &dyn Scheduler,
         name: &str,
@@ -139,7 +140,7 @@ impl<T: Send + 'static> Pending<T> {
         let (sender, result) = sync_channel(1);
         let work = move |_: MonoNs| {
             let Some(result) = step() else { return Some(WORK_PERIOD) };
-            // The receiver of the result may have ended.
+            // The receiver of the result may no longer exist.
             let _ = sender.send(result);
             None
         };
@@ -150,7 +151,7 @@ impl<T: Send + 'static> Pending<T> {
         Self { result, since: scheduler.clock().now() }
     }
 
-    /// The result, which is returned only once. `None` while the work continues.
+    /// The result of the work. It is returned only once. `None` while the work continues.
     pub fn poll(&self) -> Option<Result<T, Died>> {
         received(&self.result)
     }

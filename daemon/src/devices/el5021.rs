@@ -6,11 +6,11 @@
 //! - EtherLab: block el5021 (2013)
 //! - Beckhoff Infosys: EL5021
 //!
-//! This project has not compared them with a real terminal. `ballbard smoke` does so.
+//! This project has not checked these sources with a real terminal. The command `ballbard smoke` does so.
 
 use std::time::Duration;
 
-/// Length of the TxPDO "ENC Status" (0x1A00) \[bytes\]. The layouts in linuxcnc-ethercat and EtherLab are identical.
+/// Length of the TxPDO "ENC Status" (0x1A00) \[bytes\]. linuxcnc-ethercat and EtherLab describe the same layout.
 pub const INPUT_BYTES: usize = 10;
 /// Length of the RxPDO "ENC Control" (0x1600) \[bytes\], from the same sources.
 pub const OUTPUT_BYTES: usize = 6;
@@ -18,12 +18,12 @@ pub const OUTPUT_BYTES: usize = 6;
 pub const WORKING_COUNTER: u16 = 3;
 /// Object "analog resolution" with the interpolation, 8 to 13 bits per signal period (Infosys, configuration data).
 pub const INTERPOLATION_OBJECT: (u16, u8) = (0x8001, 0x11);
-/// Delay of SYNC1 after SYNC0: the shift of SYNC1 in the ESI, 25 000 ns. With the delay of a whole cycle, the terminal
-/// refused with AL status 0x002C (linuxcnc-ethercat).
+/// Delay of SYNC1 after SYNC0: 25 000 ns, the shift of SYNC1 in the ESI. With a delay of one whole cycle, the terminal
+/// refused OP with AL status 0x002C (linuxcnc-ethercat).
 pub const SYNC1_SHIFT: Duration = Duration::from_micros(25);
-/// Time after SYNC0 at which the data are ready for a frame \[ns\]. The ESI shifts SYNC0 by -30 600 ns against the frame;
-/// this value is rounded up. One terminal needed 65 000 ns (linuxcnc-ethercat). Both are early enough, because the frame
-/// follows half a period after SYNC0, which is 500 000 ns at 1 kHz.
+/// Time after SYNC0 at which the data are ready for a frame \[ns\]. In the ESI, SYNC0 is 30 600 ns before the frame; this
+/// value is rounded up. One terminal needed 65 000 ns (linuxcnc-ethercat). Both are early enough. The frame follows half a
+/// period after SYNC0, which is 500 000 ns at 1 kHz.
 pub const DATA_READY_NS: i64 = 31_000;
 
 /// Status word of the TxPDO.
@@ -38,7 +38,8 @@ impl StatusWord {
     const TXPDO_STATE: u16 = 1 << 14;
     const TOGGLE: u16 = 1 << 15;
 
-    /// Whether the count is unreliable: frequency, amplitude or synchronisation error, or invalid inputs (TxPDO state).
+    /// Whether the count is unreliable. The reason is a frequency, amplitude or synchronisation error,
+    /// or an invalid TxPDO state.
     pub const fn has_error(self) -> bool {
         self.0 & (Self::FREQUENCY_ERROR | Self::AMPLITUDE_ERROR | Self::SYNC_ERROR | Self::TXPDO_STATE) != 0
     }
@@ -53,12 +54,12 @@ impl StatusWord {
         self.0 & Self::FREQUENCY_ERROR != 0
     }
 
-    /// Whether the cycle of the terminal and SYNC0 were not synchronous.
+    /// Whether the cycle of the terminal was not synchronous with SYNC0.
     pub const fn sync_error(self) -> bool {
         self.0 & Self::SYNC_ERROR != 0
     }
 
-    /// Whether the latch contains the count at a reference mark that was passed after the latch was armed.
+    /// Whether the latch contains the count at a reference mark. The mark was passed after the latch was armed.
     pub const fn latch_valid(self) -> bool {
         self.0 & Self::LATCH_VALID != 0
     }
@@ -72,12 +73,12 @@ impl StatusWord {
 /// Outputs of one terminal.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Output {
-    /// Latches the counter at the next reference mark. To arm it again, it must be false and then true.
+    /// Latches the counter at the next reference mark. To arm the latch again, this value must first be false and then true.
     pub enable_latch: bool,
 }
 
 impl Output {
-    /// Encodes the RxPDO "ENC Control". The counter is never set.
+    /// Encodes the RxPDO "ENC Control". The request to set the counter is never used.
     pub const fn encode(self) -> [u8; OUTPUT_BYTES] {
         [self.enable_latch as u8, 0, 0, 0, 0, 0]
     }
@@ -93,7 +94,7 @@ pub struct Input {
 }
 
 impl Input {
-    /// Decodes a TxPDO. `None` if its length is not that of an EL5021.
+    /// Decodes a TxPDO. `None` if the length differs from that of an EL5021.
     pub fn decode(pdo: &[u8]) -> Option<Self> {
         let pdo: &[u8; INPUT_BYTES] = pdo.try_into().ok()?;
         let [s0, s1, c0, c1, c2, c3, l0, l1, l2, l3] = *pdo;

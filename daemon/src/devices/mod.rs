@@ -21,8 +21,8 @@ impl DeviceKind {
 /// Beckhoff's EtherCAT vendor number.
 const BECKHOFF: u32 = 2;
 
-/// EtherCAT coupler, which has the reference clock of the bus. Its identity is that of its EEPROM as dumped in
-/// ethercrab's `dumps/`, read in 2026-11.
+/// EtherCAT coupler, which has the reference clock of the bus. Its identity is from the dump of an EEPROM in ethercrab's
+/// `dumps/`, read in 2026-11.
 pub const EK1100: DeviceKind = DeviceKind { name: "EK1100", vendor_id: BECKHOFF, product_code: 0x044c_2c52 };
 
 /// SinCos terminal for one encoder. Its identity is from `scripts/esi.yml` of linuxcnc-ethercat, read in 2026-11.

@@ -10,18 +10,18 @@ use shared::time::UtcNs;
 use crate::problem::{Fact, Problem};
 use crate::whole_file;
 
-/// The file with the reference marks. The program determines them, so they are state and not configuration. The
-/// configuration may belong to another user.
+/// The file with the reference marks. The program determines the marks, so they are state and not configuration. The
+/// directory of the configuration may belong to another user.
 #[derive(Debug, Clone)]
 pub struct MarksFile {
     directory: PathBuf,
     file: PathBuf,
-    /// Path of the file that earlier versions wrote. It is read if `file` does not exist.
+    /// Path at which earlier versions wrote the file. That file is read if `file` does not exist.
     older: Option<PathBuf>,
 }
 
 impl MarksFile {
-    /// The file in this state directory.
+    /// The file in the state directory `directory`. `older` is the path of earlier versions.
     pub fn new(directory: PathBuf, older: Option<PathBuf>) -> Self {
         Self { file: directory.join(HomingConfig::FILE_NAME), directory, older }
     }
@@ -31,7 +31,7 @@ impl MarksFile {
         &self.file
     }
 
-    /// Reads the latest marks. `None` if no homing was done.
+    /// Reads the marks that were last saved. `None` if no marks were saved.
     pub fn read(&self, disk: &dyn Disk) -> Result<Option<HomingConfig>, ConfigError> {
         for file in std::iter::once(&self.file).chain(&self.older) {
             let unreadable = |source| ConfigError::Unreadable { path: file.to_owned(), source };
@@ -42,7 +42,7 @@ impl MarksFile {
         Ok(None)
     }
 
-    /// Checks whether marks can be saved, as far as this is possible before saving. Returns the reason if not.
+    /// Checks whether marks can be saved. Returns the reason if not. Saving may still fail later.
     pub fn problem(&self, disk: &dyn Disk) -> Option<Problem> {
         let directory = self.directory.display();
         let error = match disk.space(&self.directory) {

@@ -1,9 +1,9 @@
 //! Homing: finds the reference mark of each encoder while a person turns one joint at a time.
 //!
 //! An incremental encoder has a known angle only relative to its reference mark (C). When the mark passes, the terminal
-//! latches its counter. Because one joint is turned at a time, homing also determines which terminal its encoder is
-//! connected to, and the direction of its counts. The mark is one signal period wide (0.1 degrees at 3600 lines), so the
-//! latched count depends on the direction. Only a mark that was passed in the requested direction is used.
+//! latches its counter. Only one joint is turned at a time. Homing therefore also determines to which terminal the encoder
+//! of this joint is connected, and whether counts rise or fall. The mark is one signal period wide (0.1 degrees at 3600
+//! lines), so the latched count depends on the direction. Only a mark that was passed in the requested direction is used.
 //!
 //! [`Sequence`] determines the encoders and marks. [`verify`] compares them with the configuration.
 
@@ -37,7 +37,7 @@ pub enum HomingError {
         /// Numbers of the terminals whose encoders moved, counted from 1 after the coupler.
         terminals: [usize; 2],
     },
-    /// The encoder that moved belongs to a joint whose mark was already found.
+    /// The encoder that moved belongs to another joint, whose mark was already found.
     #[error(
         "while joint {asked} was to be turned, the encoder of terminal {terminal} moved, which is that of joint \
          {joint}; home again, and turn the requested joint"
@@ -72,7 +72,7 @@ pub enum HomingError {
         /// Count that the terminal latched.
         latch: u32,
     },
-    /// There were no valid counts from the terminals or the bus.
+    /// No valid counts arrived for too long.
     #[error(
         "no valid counts for {SIGNAL_LOST_MAX_S} s while joint {0} was to be turned; `ballbard check` names the \
          encoder or device"
@@ -89,7 +89,7 @@ pub enum HomingError {
     Miswired(#[from] Miswired),
 }
 
-/// The encoder of a joint, with its direction and its reference mark.
+/// The mark that was found for a joint, with the encoder of this joint and the direction of its counts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FoundMark {
     /// Joint that was turned.
@@ -102,10 +102,10 @@ pub struct FoundMark {
     pub reference_counts: u32,
 }
 
-/// Progress of a homing.
+/// A step of a homing, for display.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum HomingStep {
-    /// This joint must now be turned: alone, in its positive direction, over its reference mark.
+    /// This joint must now be turned in its positive direction over its reference mark. All other joints must rest.
     Turn {
         /// Bar joint, 1 to 5.
         joint: u8,
@@ -116,7 +116,7 @@ pub enum HomingStep {
     Turning {
         /// Joint that must be turned.
         joint: u8,
-        /// Largest angle by which any encoder has turned, positive if its counts increased \[rad\].
+        /// Angle of the encoder that has turned farthest \[rad\]. Positive if its counts have increased.
         turned_rad: f64,
     },
     /// The mark of a joint was found.

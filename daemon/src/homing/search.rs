@@ -1,5 +1,6 @@
-//! Searches the reference mark of one joint in the records of the bus. The encoder that turns by 5 degrees belongs to the
-//! joint. Its latch contains the count at the mark. [`Sequence`](super::Sequence) passes one record after the other.
+//! Searches for the reference mark of one joint in the records of the bus. [`Sequence`](super::Sequence) passes the records
+//! one by one. The first encoder that turns by 5 degrees is the encoder of this joint. When its terminal reports a latched
+//! count, this is the count at the mark.
 
 use shared::config::EncoderConfig;
 use shared::recording::schema::{CycleRecord, MAX_ENCODERS};
@@ -8,16 +9,16 @@ use shared::time::UtcNs;
 use super::{FoundMark, HomingError, PATIENCE_S, SIGNAL_LOST_MAX_S};
 use crate::devices::el5021::StatusWord;
 
-/// Angle from which an encoder counts as turned, which identifies the joint and the direction \[rad\].
+/// An encoder counts as turned if it has moved by this angle \[rad\]. The joint and the direction are then known.
 const TURNED_MIN_RAD: f64 = 5.0 * std::f64::consts::PI / 180.0;
-/// Largest angle by which other encoders may have moved by then \[rad\].
+/// Largest angle by which another encoder may have moved until then \[rad\].
 const OTHERS_MAX_RAD: f64 = 2.0 * std::f64::consts::PI / 180.0;
 
 /// Result of the search after one record.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Detection {
     Nothing,
-    /// The encoder passed its mark in the wrong direction. This latch is not used.
+    /// The encoder passed its mark in the wrong direction, so this latch is not used.
     MarkPassedBackwards {
         /// Number of the encoder, in bus order from 0.
         encoder: usize,
@@ -26,7 +27,7 @@ pub(super) enum Detection {
     Found(FoundMark),
 }
 
-/// Time of the first record of the search, and the counts in its first valid record.
+/// Start of a search: time of its first record, and counts of its first valid record.
 #[derive(Debug, Clone, Copy)]
 struct Start {
     time: UtcNs,
@@ -38,7 +39,7 @@ struct Start {
 struct EncoderMotion {
     /// Distance from the count at the start \[counts\].
     moved: i64,
-    /// Smallest distance so far \[counts\]; the next field is the largest.
+    /// Smallest distance so far \[counts\]. The next field is the largest distance.
     lowest: i64,
     highest: i64,
     /// Whether counts were increasing when the latch became valid. `None` while the latch is not valid.
@@ -54,17 +55,18 @@ pub(super) struct Search {
     earlier: Vec<FoundMark>,
     start: Option<Start>,
     motions: [EncoderMotion; MAX_ENCODERS],
-    /// The encoder that has turned, and whether its counts increase. `None` until an encoder has turned far enough.
+    /// The encoder that has turned far enough, and whether its counts increase. `None` if no encoder
+    /// has turned far enough yet.
     mover: Option<(usize, bool)>,
-    /// Time from the first record to the last one \[s\].
+    /// Time from the first record of the search to the current record \[s\].
     elapsed_s: f64,
-    /// Time from the first record to the last valid one \[s\]. 0 before the first valid record.
+    /// Time from the first record of the search to the last valid record \[s\]. 0 before the first valid record.
     valid_last_s: f64,
 }
 
 impl Search {
-    /// Begins to search the mark of `joint`. `earlier` are the marks found for other joints. The terminals
-    /// must have just been armed.
+    /// Begins to search for the mark of `joint`. `earlier` are the marks that were found for other joints. The terminals
+    /// must have been armed just before.
     pub fn new(encoders: Vec<EncoderConfig>, joint: u8, earlier: Vec<FoundMark>) -> Self {
         Self { encoders, joint, earlier, ..Self::default() }
     }
@@ -74,7 +76,7 @@ impl Search {
         self.elapsed_s
     }
 
-    /// The joint that must be turned, and the largest angle by which any encoder has turned \[rad\].
+    /// The joint that must be turned, and the angle of the encoder that has turned farthest \[rad\].
     pub fn progress(&self) -> (u8, f64) {
         let moves = self.mover.map(|(encoder, _)| encoder).or_else(|| self.farthest(None));
         (self.joint, moves.map_or(0.0, |encoder| self.turned_rad(encoder)))
@@ -127,8 +129,8 @@ impl Search {
         }
     }
 
-    /// Determines the encoder of the joint: the first that has turned far enough. It is an error if another encoder has
-    /// turned, too, or if the encoder belongs to a joint whose search has finished.
+    /// Determines the encoder of the joint, which is the first encoder that has turned far enough. Fails if another encoder
+    /// has also turned, or if the encoder belongs to a joint whose search has finished.
     fn find_mover(&mut self) -> Result<(), HomingError> {
         if self.mover.is_some() {
             return Ok(());
@@ -168,7 +170,7 @@ impl Search {
         }
     }
 
-    /// Whether the joint has passed this count, with a tolerance of one signal period.
+    /// Whether the joint has passed the position with this count. The tolerance is one signal period.
     fn was_passed(&self, encoder: usize, count: u32) -> bool {
         let period = 1i64 << self.encoders[encoder].interpolation_bits;
         let EncoderMotion { lowest, highest, .. } = self.motions[encoder];

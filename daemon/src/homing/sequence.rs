@@ -1,6 +1,9 @@
-//! Homing as a sequence of steps, one per cycle. For each joint, all terminals are first disarmed, so that they drop an
-//! earlier latch, and then armed. Then `Search` receives the records while a person turns the joint. If a mark is passed in
-//! the wrong direction, only its terminal is disarmed and armed again.
+//! Homing as a sequence of steps, one step per cycle. For each joint:
+//! 1. All terminals are disarmed, so that they drop an earlier latch.
+//! 2. All terminals are armed.
+//! 3. A person turns the joint, and `Search` receives the records until it has found the mark.
+//!
+//! If a mark is passed in the wrong direction, only the terminal of its encoder is disarmed and armed again.
 
 use std::ops::Range;
 
@@ -14,7 +17,7 @@ use crate::devices::el5021::Output;
 
 /// Period in which progress is reported \[s\].
 const PROGRESS_S: f64 = 0.5;
-/// Number of cycles that a terminal gets to drop an earlier latch.
+/// Number of cycles for which a terminal is disarmed, so that it drops an earlier latch.
 const DISARM_CYCLES: u32 = 20;
 
 /// The encoder and mark of each joint, in the order in which the joints were turned.
@@ -31,11 +34,11 @@ pub struct Sequence {
 }
 
 enum SequenceState {
-    /// These terminals are disarmed for this number of further cycles, to drop an earlier latch.
+    /// The terminals in this range are disarmed, so that they drop an earlier latch. The number of remaining cycles follows.
     Disarmed(Range<usize>, u32),
     /// The terminals are armed, and the current joint is being turned.
     Armed,
-    /// Disarming was requested for all terminals. One more cycle sends the request, then the homing is over.
+    /// Disarming was requested for all terminals. One more cycle sends the request, then the homing ends with this outcome.
     Ending(HomingResult),
 }
 
@@ -53,8 +56,8 @@ impl Sequence {
         sequence
     }
 
-    /// Runs one cycle. Its record is passed to `sink`, steps of the homing to `watch`. A cause in `stopped` ends the homing.
-    /// Returns the outcome when the homing is over.
+    /// Runs one cycle. The record is passed to `sink`, and steps of the homing are passed to `watch`. If `stopped` contains
+    /// a cause, the homing ends with this cause. Returns the outcome when the homing is over.
     pub fn step(
         &mut self,
         acquisition: &mut Acquisition,
@@ -107,13 +110,13 @@ impl Sequence {
     ) {
         set_latch(acquisition, terminals, true);
         self.state = SequenceState::Armed;
-        // If the terminals were armed again because a mark was passed in the wrong direction, the search continues.
+        // If a mark was passed in the wrong direction, terminals were armed again. The search of this joint then continues.
         let encoder = self.found.len();
         if let Some(EncoderConfig { joint, .. }) =
             self.encoders.get(encoder).filter(|_| self.search.is_none())
         {
             watch(HomingStep::Turn { joint: *joint, encoder });
-            // The search gets all encoders, because it is not known yet which one will move.
+            // The search receives all encoders, because any of them may be the one that moves.
             self.search = Some(Search::new(self.encoders.clone(), *joint, self.found.clone()));
             self.progress_due_s = PROGRESS_S;
         }

@@ -1,5 +1,5 @@
 //! Compares the result of a homing with `ball_bar.toml`: the encoder of each joint, and the direction of its counts. Marks
-//! are saved only if both agree.
+//! are saved only if both agree with the file.
 
 use std::fmt;
 
@@ -11,12 +11,12 @@ use super::FoundMark;
 /// Error if the encoders that were found differ from the configuration.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub struct Miswired {
-    /// For each encoder in bus order: its configuration, and its configuration as found by homing.
+    /// For each encoder in bus order: first the configuration in the file, then the configuration that homing found.
     encoders: Vec<(EncoderConfig, EncoderConfig)>,
 }
 
-/// Compares encoders and configuration. Returns the counts at the reference marks, in the order of `encoders`, or the
-/// required changes of the configuration.
+/// Compares the encoders in the configuration with those found. If they agree, returns the counts at the reference marks, in
+/// the order of `encoders`. Otherwise returns the required changes of the configuration.
 pub fn verify(encoders: &[EncoderConfig], found: &[FoundMark]) -> Result<Vec<u32>, Miswired> {
     let found_on = |encoder: usize| found.iter().find(|found| found.encoder == encoder);
     let compared: Vec<(EncoderConfig, EncoderConfig)> = encoders

@@ -1,7 +1,7 @@
-//! Stores runs in files. A ring takes the records from the cycle, the recorder writes them, and other threads read the
-//! progress of the run. The directories of recordings are also here.
+//! Stores runs in files. The cycle puts its records into a ring, the recorder takes them out and writes them, and other
+//! threads read the progress of the run. This module also manages the directories of recordings.
 //!
-//! Nothing here depends on the bus, because the cycle provides records, events and timing.
+//! This module does not depend on the bus, because the cycle provides records, events and timing.
 
 mod progress;
 mod recorder;

@@ -1,6 +1,6 @@
-//! Progress of a run: the cycles that were due, written and synchronised, the waits of recorder and synchroniser for the
-//! disk, and the resulting problems. Recorder, synchroniser, storage and session update it. Status, page and storage read
-//! it, without ever waiting for the disk.
+//! Progress of a run: the cycles that were due, written and synchronised, the waits for the disk, and the resulting
+//! problems. Recorder, synchroniser, storage and session update the progress. Status, page and storage read it. Reading
+//! never waits for the disk.
 
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -13,7 +13,7 @@ use shared::time::MonoNs;
 use crate::clock::Clock;
 use crate::problem::{Fact, Problem};
 
-/// Counts of the cycles that were passed to the ring. Only the cycle's thread writes them.
+/// Numbers of cycles that were passed to the ring. Only the thread of the cycle changes them.
 #[derive(Debug, Default)]
 pub struct Handed {
     /// Number of cycles that were due so far.
@@ -31,7 +31,7 @@ pub struct RunProgress {
     disk: Mutex<OnDisk>,
 }
 
-/// Limits of a run, from which problems are determined.
+/// Limits of a run. If the progress exceeds them, a problem is reported.
 #[derive(Debug, Clone, Copy)]
 pub struct Limits {
     /// Time between two cycles.
@@ -40,11 +40,11 @@ pub struct Limits {
     pub sync_period: Duration,
     /// Largest number of cycles that may wait to be written.
     pub ring_cycles: usize,
-    /// Whether the cycle waits for the disk, as on virtual time. Waiting cycles are then not a problem.
+    /// Whether the cycle waits for the disk, as in virtual time. In this case, waiting cycles are not a problem.
     pub cycle_waits: bool,
 }
 
-/// State reported by the threads that use the disk.
+/// State that the threads report while they use the disk.
 #[derive(Debug, Default)]
 struct OnDisk {
     /// Number of cycles that were written, including lost ones.
@@ -56,15 +56,15 @@ struct OnDisk {
     writing_since: Option<MonoNs>,
     /// The synchronisation in progress: number of its synchroniser, and when it began.
     syncing_since: Option<(u32, MonoNs)>,
-    /// The longest waits of completed calls. Calls in progress are added by [`OnDisk::longest_at`].
+    /// The longest waits of completed calls. [`OnDisk::longest_at`] also includes a call in progress.
     longest: DiskTiming,
     /// The current step of creating the run's file.
     opening: OpeningStep,
     /// Path and identity of the run's file. `None` before the file is created.
     place: Option<RunPlace>,
-    /// Why the file is not in its place. `None` if it is, or after the run has moved.
+    /// Why the file is not in its place. `None` if it is in its place, or if the run has moved since.
     file_lost: Option<String>,
-    /// Why the run has moved to another directory. `None` if it has not.
+    /// Why the run has moved to another directory. `None` if the run has not moved.
     moved: Option<String>,
     timing: Option<TimingSummary>,
     flagged: Vec<Flagged>,
@@ -86,7 +86,7 @@ pub struct Synced {
     pub cycles_valid: u64,
     /// Length of this part \[bytes\].
     pub bytes: u64,
-    /// Time before which all written cycles are included. `None` before the first synchronisation.
+    /// All cycles written before this time are included. `None` before the first synchronisation.
     pub at: Option<MonoNs>,
 }
 
@@ -103,13 +103,13 @@ pub struct Snapshot {
     pub lost: u64,
     /// Duration of the cycles that wait to be written \[s\].
     pub backlog_s: f64,
-    /// Largest backlog without a loss \[s\]. With a larger backlog, cycles are lost.
+    /// Largest possible backlog \[s\]. If more cycles had to wait, they would be lost.
     pub backlog_limit_s: f64,
     /// Duration of the cycles that a power failure would lose now \[s\].
     pub unsynced_s: f64,
     /// Age of the last completed synchronisation. `None` before the first.
     pub sync_age: Option<Duration>,
-    /// Longest waits for the disk, including a call in progress.
+    /// Longest waits for the disk, including the time so far of a call in progress.
     pub longest: DiskTiming,
     /// Path of the run's file. Empty until the file is created.
     pub file: PathBuf,
@@ -143,7 +143,7 @@ impl RunProgress {
         self.disk().place = Some(place);
     }
 
-    /// Whether the run's file was created.
+    /// Whether the file of the run exists already.
     pub fn is_open(&self) -> bool {
         self.disk().place.is_some()
     }
@@ -156,8 +156,8 @@ impl RunProgress {
         disk.writing_since = Some(self.clock.now());
     }
 
-    /// Reports that the recorder has finished writing. `cycles` is the number of cycles written so far, which has not grown
-    /// if the disk refused the data. `lost` is the number of lost cycles among them.
+    /// Reports that the recorder has finished writing. `cycles` is the number of cycles written so far. If the disk refused
+    /// the data, this number has not grown. `lost` is the number of lost cycles among them.
     pub fn wrote(&self, cycles: u64, lost: u64) {
         let mut disk = self.disk();
         disk.longest = disk.longest_at(self.clock.now());
@@ -170,8 +170,8 @@ impl RunProgress {
         self.disk().syncing_since = Some((number, self.clock.now()));
     }
 
-    /// Reports that a synchroniser has finished. `synced` is `None` if the disk returned an error. A synchroniser from
-    /// before a move of the run may finish late, so its number is compared.
+    /// Reports that a synchroniser has finished. `synced` is `None` if the disk returned an error. The number is compared,
+    /// because a synchroniser from before a move of the run may finish late.
     pub fn synced(&self, number: u32, synced: Option<Synced>) {
         let mut disk = self.disk();
         if disk.syncing_since.is_some_and(|(syncing, _)| syncing == number) {
@@ -189,7 +189,7 @@ impl RunProgress {
         (disk.timing, disk.flagged) = (timing, flagged);
     }
 
-    /// Longest waits for the disk so far, including a call in progress.
+    /// Longest waits for the disk so far, including the time so far of a call in progress.
     pub fn longest(&self) -> DiskTiming {
         self.disk().longest_at(self.clock.now())
     }
@@ -199,8 +199,8 @@ impl RunProgress {
         self.disk().place.clone()
     }
 
-    /// Reports that the file is not in its place; the recorder will check this. No effect if the run
-    /// has another file by now.
+    /// Reports that the file is not in its place, so that the recorder checks this. Has no effect if `place` is no longer
+    /// the place of the run's file.
     pub fn set_lost(&self, place: &RunPlace, why: String) {
         let mut disk = self.disk();
         if disk.place.as_ref().is_some_and(|current| current.is_same(place)) {
@@ -208,7 +208,7 @@ impl RunProgress {
         }
     }
 
-    /// Why the file is not in its place. `None` if it is. Lost cycles are in [`Snapshot`].
+    /// Why the file is not in its place. `None` if it is in its place. (The number of lost cycles is in [`Snapshot`].)
     pub fn lost(&self) -> Option<String> {
         self.disk().file_lost.clone()
     }
@@ -229,7 +229,7 @@ impl RunProgress {
 
     fn backlog_cycles(&self, disk: &OnDisk) -> u64 {
         let (due, lost) = (self.handed.due.load(Ordering::Acquire), self.handed.lost.load(Ordering::Relaxed));
-        // A lost cycle does not wait. When its number has been written, it is one of the written cycles.
+        // A lost cycle does not wait to be written. Once its number has been written, it is included in the written cycles.
         let unwritten_lost = lost.saturating_sub(disk.written_lost);
         due.saturating_sub(disk.written.saturating_add(unwritten_lost)).min(self.limits.ring_cycles as u64)
     }
@@ -238,13 +238,13 @@ impl RunProgress {
         cycles.saturating_mul(self.limits.cycle_period.as_nanos() as u64)
     }
 
-    /// The state of the run at this time.
+    /// The state of the run now.
     pub fn get(&self) -> Snapshot {
         let (disk, now) = (self.disk(), self.clock.now());
         let seconds = |cycles: u64| self.ns_of(cycles) as f64 * 1e-9;
         let (taken, lost) =
             (self.handed.due.load(Ordering::Acquire), self.handed.lost.load(Ordering::Relaxed));
-        // In a file that is not in its place, no cycle is safe.
+        // If the file is not in its place, no cycle counts as safe.
         let is_in_place = disk.file_lost.is_none();
         let (synced, written) = if is_in_place { (disk.synced, disk.written) } else { Default::default() };
         let mut snapshot = Snapshot {
@@ -268,7 +268,7 @@ impl RunProgress {
 }
 
 impl OnDisk {
-    /// The longest waits, including a call in progress, whose duration so far is a lower bound.
+    /// The longest waits. For a call in progress, the wait so far is used, so the result is a lower bound.
     fn longest_at(&self, now: MonoNs) -> DiskTiming {
         let lasted_ns = |since: Option<MonoNs>| since.map_or(0, |since| now.ns_since(since).max(0) as u64);
         let syncing_since = self.syncing_since.map(|(_, since)| since);
@@ -280,10 +280,10 @@ impl OnDisk {
     }
 }
 
-/// Time after which a problem is reported if the run's file is still not created.
+/// A problem is reported if the file of the run is not created within this time.
 const OPENS_WITHIN: Duration = Duration::from_secs(1);
-/// Number of synchronisation periods for which cycles may wait without a warning. One period is usual, the other
-/// is for a busy disk.
+/// Number of synchronisation periods that may wait before a warning. One waiting period is usual; a busy disk
+/// may cause a second one.
 const WARNING_PERIODS: u32 = 2;
 
 impl Snapshot {
@@ -330,7 +330,7 @@ mod tests {
         };
         // 100 cycles are written. Of the next 100, 50 are lost and the other 50 wait.
         assert_eq!(backlog(200, 50, 100, 0), 50.0);
-        // All of these are written, the lost ones as numbers only. Then the disk hangs again.
+        // All of these are written; for the lost cycles, only the numbers are written. Then the disk hangs again.
         assert_eq!(backlog(200, 50, 200, 50), 0.0);
         assert_eq!(backlog(300, 50, 200, 50), 100.0);
     }

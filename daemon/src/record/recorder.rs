@@ -1,10 +1,12 @@
-//! Records a run: takes cycles, events and timing from the ring, and markers of people, and writes them to the run's file.
+//! Records a run. The recorder takes cycles, events and timing from the ring, and the markers of people, and writes all of
+//! them to the file of the run.
 //!
-//! The recorder works in a thread that may wait for the disk, so that the cycle never has to. Twice per synchronisation
-//! period it writes a *chunk*, the cycles since the last chunk. Another thread synchronises the file. If the disk refuses
-//! the file, the run moves to another directory. `run::session` starts a recorder for each run.
+//! The recorder has its own thread, which may wait for the disk, so that the cycle never has to wait. Twice per
+//! synchronisation period the recorder writes a *chunk*, which contains the cycles since the last chunk. Another
+//! thread synchronises the file. If the disk refuses the file, the run moves to another directory. `run::session`
+//! starts a recorder for each run.
 //!
-//! A *note* is an event or a marker that waits until it is written before the cycle in which it happened.
+//! A *note* is an event or a marker in the recorder's memory. It is written just before the cycle in which it happened.
 
 use std::collections::VecDeque;
 use std::path::PathBuf;
@@ -27,29 +29,29 @@ use crate::cycle::{BusNames, CycleEvent, CycleTiming, TimingSource, timing_ring}
 use crate::problem::{Fact, Problem};
 use crate::scheduler::Scheduler;
 
-/// Capacity of the queue of events. A lost event does no harm, because cycles carry their flags themselves.
+/// Capacity of the queue of events. The loss of an event does no harm, because the records of the cycles contain the flags.
 const EVENTS_MAX: usize = 1024;
-/// Largest number of moves of a run to another directory. After that the run ends with an error.
+/// Largest number of moves of a run to another directory. After a further failure, the run ends with an error.
 const MOVES_MAX: u32 = 8;
-/// Duration of a usual synchronisation \[ns\]. If a synchronisation takes more than twice this, and more than twice the
-/// longest before, the timing is recorded at once.
+/// Duration of a usual synchronisation \[ns\]. The timing is recorded at once if a synchronisation takes more than twice
+/// this duration, and more than twice the longest duration that was recorded before.
 const SYNC_USUAL_NS: u64 = 100_000_000;
-/// Longest time between two records of the timing, for a run that is killed.
+/// Longest time between two records of the timing. If a run is killed, the timing of this time may be lost.
 const TIMING_PERIOD: Duration = Duration::from_secs(60);
 /// Smallest change of UTC against the monotonic clock that counts as a step \[ns\].
 const CLOCK_STEP_NS: i64 = 100_000;
 
-/// The end of the ring that the cycle uses.
+/// The end of the ring into which the cycle writes.
 pub struct CycleSink {
     ring: Producer<CycleRecord>,
     events: Producer<CycleEvent>,
     timing: Producer<CycleTiming>,
     handed: Arc<Handed>,
-    /// Whether the cycle waits for the recorder if the ring is full. Otherwise the record is lost, and the loss is counted.
+    /// Whether the cycle waits for the recorder if the ring is full. If not, the record is lost, and the loss is counted.
     waits: bool,
 }
 
-/// The end of the ring that the recorder uses.
+/// The end of the ring from which the recorder reads.
 pub struct CycleSource {
     ring: Consumer<CycleRecord>,
     events: Consumer<CycleEvent>,
@@ -81,7 +83,7 @@ pub struct RunSummary {
 pub enum FullRing {
     /// The cycle is dropped and counted as lost. The cycle's thread never waits.
     Drops,
-    /// The cycle's thread waits for the recorder, on virtual time.
+    /// The thread of the cycle waits for the recorder. This is used in virtual time.
     Waits,
 }
 
@@ -102,7 +104,7 @@ pub fn ring(capacity: usize, full: FullRing) -> (CycleSink, CycleSource) {
 }
 
 impl CycleSource {
-    /// Number of cycles that were due, and of those that were lost because the ring was full.
+    /// Number of cycles that were due, and number of cycles that were lost because the ring was full.
     pub fn handed(&self) -> &Arc<Handed> {
         &self.handed
     }
@@ -130,8 +132,8 @@ impl CycleSource {
 }
 
 impl CycleSink {
-    /// Adds one cycle. On real time this does not wait. If the ring is full, the record is lost and the loss is counted; its
-    /// number is not used again.
+    /// Adds one cycle. In real time, this does not wait. If the ring is full, the record is lost and the loss is counted.
+    /// The number of a lost record is not used again.
     pub fn push(&mut self, record: &CycleRecord) {
         self.handed.due.store(record.cycle + 1, Ordering::Release);
         while let Err(PushError::Full(_)) = self.ring.push(*record) {
@@ -151,7 +153,7 @@ impl CycleSink {
     /// Adds the timing of a cycle, without waiting. No effect on virtual time.
     pub fn push_timing(&mut self, timing: CycleTiming) {
         if !self.waits {
-            // A full ring costs one entry of a histogram, which does not justify waiting.
+            // If the ring is full, only one entry of a histogram is lost. It is not worthwhile to wait for that.
             let _ = self.timing.push(timing);
         }
     }
@@ -183,40 +185,40 @@ pub struct RunLink {
     pub scheduler: Arc<dyn Scheduler>,
 }
 
-/// Writes the content of the ring until the other end of the ring is dropped, then finishes the file. In each period the
-/// cycles are written, after which they survive a kill of the program. Another thread then synchronises them, after which
-/// they survive a power failure. While the disk accepts no data, the cycles wait in the ring.
+/// Writes the content of the ring to the file until the other end of the ring is dropped, then finishes the file. Cycles
+/// that are written survive a kill of the program. Another thread then synchronises the file; after that, the cycles survive
+/// a power failure. While the disk accepts no data, cycles wait in the ring.
 pub struct Recorder {
     source: CycleSource,
     writer: RecordingWriter<RunFile>,
     synchroniser: Synchroniser,
     clock: Clock,
-    /// Time after which a chunk is written.
+    /// Time from one chunk to the next.
     period: Duration,
-    /// Number of cycles after which a chunk is written even if its period is not over.
+    /// Largest number of cycles in a chunk. When it is reached, the chunk is written at once.
     chunk_cycles: u64,
     /// `UTC - monotonic` of the run's sample times \[ns\].
     utc_minus_monotonic_ns: i64,
-    /// `UTC - monotonic` of the host when it was last read \[ns\]. A change of this value is a step of the host's UTC.
+    /// `UTC - monotonic` of the host when it was last read \[ns\]. If this value changes, the host's UTC has stepped.
     host_offset_ns: i64,
     cycle_period_ns: i64,
     provenance: Provenance,
     names: BusNames,
-    /// Longest wait for the disk that was recorded as an event \[s\].
+    /// Longest wait for the disk for which an event was recorded \[s\].
     noted_wait_s: f64,
     /// Number of cycles that the full ring dropped. The file contains them, marked as lost.
     cycles_lost: u64,
     /// Number of cycles that were written when the timing was last recorded.
     timing_cycles: u64,
-    /// Longest synchronisation before the timing was last recorded \[ns\].
+    /// Longest synchronisation at the time when the timing was last recorded \[ns\].
     timing_sync_ns: u64,
     /// Number of cycles that were written when the last chunk was cut.
     chunk_end_cycles: u64,
     /// Time at which the last chunk was cut.
     chunk_at: MonoNs,
-    /// Notes in order of time. Each waits for the cycle before which it happened.
+    /// Notes in order of time. Each note is written just before the cycle in which it happened.
     notes: Vec<Event>,
-    /// Error counts of ports, each with the number of the cycle from which it applies.
+    /// Error counts of ports. Each is valid from the cycle with the given number on.
     port_counts: VecDeque<(u64, PortCounts)>,
     /// Number of moves to another directory so far.
     moves: u32,
@@ -238,7 +240,7 @@ impl Recorder {
     ) -> Self {
         let synchroniser = Synchroniser::new(&link.progress, &*link.scheduler);
         let clock = link.scheduler.clock().clone();
-        // Half of the configured period. The other half is a margin for a busy disk or processor.
+        // Half of the configured period is used. The other half is a margin for a busy disk or processor.
         let period = link.progress.limits.sync_period / 2;
         Self {
             source,
@@ -249,7 +251,7 @@ impl Recorder {
             chunk_at: clock.now(),
             clock,
             period,
-            // On virtual time, and after a wait for the disk, the cycles of a whole second can arrive at once.
+            // In virtual time, or after a wait for the disk, the cycles of a whole second can arrive at once.
             chunk_cycles: (period.as_nanos() as u64 / run.cycle_period_ns.max(1)).max(1),
             utc_minus_monotonic_ns: run.utc_minus_monotonic_ns,
             cycle_period_ns: run.cycle_period_ns as i64,
@@ -267,16 +269,17 @@ impl Recorder {
         }
     }
 
-    /// Takes the content of the ring, and writes it if it is time to. Must be called every [`Self::PERIOD`]. It does not
-    /// sleep, but it waits for the disk. Returns false when the other end of the ring was dropped and the ring is empty;
-    /// then [`Self::finish`] must be called.
+    /// Takes the content of the ring, and writes a chunk if its time has come. Must be called every [`Self::PERIOD`]. The
+    /// call does not sleep, but waits for the disk. Returns false if the other end of the ring was dropped and the ring is
+    /// empty. In that case [`Self::finish`] must be called.
     pub fn poll(&mut self) -> Result<bool, WriteError> {
-        // This is read before the ring is emptied, so that cycles pushed before the other end was dropped are
-        // not left in the ring.
+        // This must be read before the ring is emptied. Otherwise cycles could be pushed in between, just before the other
+        // end is dropped, and would stay in the ring.
         let last_round = self.source.ring.is_abandoned();
         self.take_notes();
         while let Ok(record) = self.source.ring.pop() {
-            // An event is pushed before the cycle in which it happened, so it is taken before that cycle is added.
+            // An event is pushed before the cycle in which it happened. It must therefore be taken
+            // before this cycle is added.
             self.take_notes();
             self.add_cycle(&record)?;
             if self.writer.cycles() >= self.chunk_end_cycles + self.chunk_cycles {
@@ -290,11 +293,11 @@ impl Recorder {
         if self.clock.now().ns_since(self.chunk_at) >= self.period.as_nanos() as i64 {
             self.write_chunk()?;
         }
-        // React to a failed synchronisation, and to a file that is not in its place.
+        // Move the run if a synchronisation has failed, or if the file is not in its place.
         if let Some(problem) = self.synchroniser.problem() {
             self.move_elsewhere(WriteError::Sink(problem))?;
         }
-        // Another thread did not find the file. It may have returned in the meantime.
+        // Another thread has reported that the file is missing. The file may have returned since.
         if self.link.progress.lost().is_some() {
             match self.writer.sink().place().check() {
                 Ok(()) => self.link.progress.found_again(),
@@ -304,7 +307,7 @@ impl Recorder {
         Ok(true)
     }
 
-    /// Adds one cycle to the chunk. Lost cycles and notes that precede it are added first.
+    /// Adds one cycle to the chunk. First adds the lost cycles and the notes before this cycle.
     fn add_cycle(&mut self, record: &CycleRecord) -> Result<(), WriteError> {
         self.fill_lost(record.cycle)?;
         self.write_notes(record.sample_time)?;
@@ -319,8 +322,8 @@ impl Recorder {
         self.move_if_refused(written)
     }
 
-    /// Adds the cycles before `until` that the full ring dropped, marked as lost. No such cycle precedes the first record,
-    /// because cycle 0 of a run finds an empty ring.
+    /// Adds the cycles before `until` that were dropped because the ring was full. They are marked as lost. No cycle can be
+    /// dropped before the first record, because the ring is empty when a run begins.
     fn fill_lost(&mut self, until: u64) -> Result<(), WriteError> {
         let Some(last) = self.last else { return Ok(()) };
         let first = last.cycle + 1;
@@ -344,9 +347,10 @@ impl Recorder {
         Ok(())
     }
 
-    /// Writes the chunk with all cycles taken so far. Synchronises it unless the previous synchronisation is still running.
+    /// Writes the chunk with all cycles taken so far. Then starts a synchronisation, unless the
+    /// previous one is still running.
     fn write_chunk(&mut self) -> Result<(), WriteError> {
-        // The period starts here, because cycles that arrive while the disk works belong to the next chunk.
+        // The next chunk begins here, because cycles that arrive while the disk works belong to it.
         self.chunk_end_cycles = self.writer.cycles();
         self.chunk_at = self.clock.now();
         self.link.progress.writing();
@@ -363,8 +367,8 @@ impl Recorder {
         Ok(())
     }
 
-    /// Adds an event about a wait for the disk. Further events follow each time the wait is twice as long
-    /// as the last one noted.
+    /// Adds an event if cycles have waited long for the disk. Another event is added only when a wait is twice as long as
+    /// the last one for which an event was added.
     fn note_wait(&mut self) {
         let late = self.link.progress.get().problems.into_iter().find_map(|problem| match *problem.fact {
             Fact::DiskBacklog { backlog_s: late_s, .. } | Fact::DiskSlow { unsynced_s: late_s } => {
@@ -379,7 +383,7 @@ impl Recorder {
         self.note_disk(*problem.fact);
     }
 
-    /// The extent of the file that a synchronisation beginning now would cover.
+    /// The content of the file that a synchronisation beginning now would make safe.
     fn as_synced(&self) -> Synced {
         Synced {
             cycles: self.writer.cycles(),
@@ -399,14 +403,14 @@ impl Recorder {
         }
     }
 
-    /// Moves the run with all its cycles to the first directory that accepts it. If the file was lost, the run's own
-    /// directory is tried first. If the disk refused it, only the spare directory is tried.
+    /// Moves the run with all its cycles to the first directory that accepts it. If the file was lost, the directory of
+    /// recordings is tried first, then the spare directory. If the disk refused the file, only the spare directory is tried.
     fn move_elsewhere(&mut self, why: WriteError) -> Result<(), WriteError> {
         self.moves += 1;
         if self.moves > MOVES_MAX {
             return Err(why);
         }
-        // Until the run has moved, none of its cycles is reported as safe.
+        // No cycle is reported as safe until the run has moved.
         self.link.progress.set_lost(self.writer.sink().place(), why.to_string());
         let storage = &self.link.storage;
         let (directory, spare) = (storage.directory().to_owned(), storage.spare().to_owned());
@@ -433,15 +437,15 @@ impl Recorder {
     fn continue_after_move(&mut self, why: &WriteError) {
         let place = self.writer.sink().place().clone();
         let moved = Fact::FileMoved { file: place.path().to_owned(), error: why.to_string() };
-        // The previous synchroniser may be blocked by the lost disk.
+        // The previous synchroniser may hang on the lost disk, so a new one is created.
         self.synchroniser = Synchroniser::new(&self.link.progress, &*self.link.scheduler);
         self.link.progress.moved(place, why.to_string());
         self.note_disk(moved);
     }
 
-    /// Writes the timing if it is time to. At first this is whenever the run has doubled in length, so that a short run
-    /// has timing, too; later it is once per period. It is also done when a synchronisation took more than twice as
-    /// long as the longest before.
+    /// Writes the timing in three cases. At the beginning, it is written whenever the run has doubled in length, so that a
+    /// short run also contains timing. Later, it is written once per period. It is also written when a synchronisation took
+    /// more than twice as long as the longest one recorded before.
     fn write_timing_if_due(&mut self) -> Result<(), WriteError> {
         let period_cycles = TIMING_PERIOD.as_nanos() as u64 / self.cycle_period_ns.max(1) as u64;
         let (cycles, sync_ns) = (self.writer.cycles(), self.link.progress.longest().sync_longest_ns);
@@ -481,14 +485,14 @@ impl Recorder {
         }
     }
 
-    /// Number of the cycle at `time`, if there is one cycle in each period.
+    /// Number of the cycle at `time`, computed from the last cycle and the period.
     fn cycle_at(&self, time: UtcNs) -> u64 {
         let Some(last) = self.last else { return 0 };
         let cycles_later = time.ns_since(last.sample_time).div_euclid(self.cycle_period_ns.max(1));
         last.cycle.saturating_add_signed(cycles_later)
     }
 
-    /// Adds a note, in order of time.
+    /// Adds a note at its place in the order of time.
     fn note(&mut self, event: Event) {
         let index = self.notes.partition_point(|other| other.time <= event.time);
         self.notes.insert(index, event);
@@ -500,7 +504,7 @@ impl Recorder {
         self.note(event_of(time, self.cycle_at(time), EventKind::Disk, fact));
     }
 
-    /// Writes the notes up to the time `until`, so that readers find each among the cycles of its time.
+    /// Writes the notes up to the time `until`. Readers then find each note next to the cycles of the same time.
     fn write_notes(&mut self, until: UtcNs) -> Result<(), WriteError> {
         while self.notes.first().is_some_and(|note| note.time <= until) {
             let note = self.notes.remove(0);
@@ -510,8 +514,8 @@ impl Recorder {
         Ok(())
     }
 
-    /// Adds a note if the host's UTC has stepped. Sample times of the run are not changed: they keep
-    /// the offset of its beginning.
+    /// Adds a note if the host's UTC has stepped. The sample times of the run do not change, because they contain the offset
+    /// from the beginning of the run.
     fn note_clock_step(&mut self) {
         let offset_ns = self.clock.utc_minus_monotonic_ns();
         let moved_ns = offset_ns - self.host_offset_ns;
@@ -523,7 +527,7 @@ impl Recorder {
         self.note(event_of(time, cycle, EventKind::Clock, Fact::ClockStepped { by_ns: moved_ns }));
     }
 
-    /// Writes the remaining cycles, then ends and publishes the file.
+    /// Writes the remaining cycles, then ends the file and gives it its final name.
     pub fn finish(mut self, cause: String) -> Result<RunSummary, WriteError> {
         let due = self.source.handed.due.load(Ordering::Acquire);
         self.fill_lost(due)?;

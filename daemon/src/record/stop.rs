@@ -3,7 +3,7 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 
-/// Requests the end of a run, from any thread or from a signal handler.
+/// Requests the end of a run. The request may come from any thread or from a signal handler.
 #[derive(Debug, Clone, Default)]
 pub struct Stop {
     stopped: Arc<AtomicBool>,
@@ -11,7 +11,7 @@ pub struct Stop {
 }
 
 impl Stop {
-    /// Requests the end of the run. The file contains the cause of the first request.
+    /// Requests the end of the run. If the end is requested several times, the file contains the first cause.
     pub fn stop(&self, cause: &str) {
         let _ = self.cause.set(cause.to_owned());
         self.stopped.store(true, Ordering::Release);

@@ -1,8 +1,8 @@
 //! The directories of recordings, and the state of their disk: space, permissions, response time, and whether the file of
 //! the current run still exists under its path.
 //!
-//! One task checks the disk periodically and stores the result. Reading the result never waits for a disk that hangs.
-//! Another task logs the problems, so that they are logged even while the first task hangs. A full disk ends the run.
+//! One task checks the disk periodically and stores the result. Reading this result never waits, even if the disk hangs.
+//! Another task logs the problems, so that problems are logged even while the first task hangs. A full disk ends the run.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
@@ -19,8 +19,8 @@ use crate::problem::{Fact, Problem};
 use crate::scheduler::Scheduler;
 
 const BYTES_PER_MB: u64 = 1_000_000;
-/// Time after which a check that has not finished is reported \[ns\]. A silent disk must be reported within a second; the
-/// remaining time is a margin for a busy machine.
+/// A check is reported as a problem if it has not finished after this time \[ns\]. A disk that does not answer must be
+/// reported within a second. The rest of this second is a margin for a busy machine.
 const ANSWERS_WITHIN_NS: i64 = 400_000_000;
 
 /// The directories of recordings, with their current state. Clones share the state.
@@ -35,7 +35,7 @@ struct StorageState {
     spare: PathBuf,
     floor_bytes: u64,
     last_check: Mutex<LastCheck>,
-    /// Progress and stop of the run whose file is watched.
+    /// Progress and stop of the run whose file is checked. `None` if no run is checked.
     run: Mutex<Option<(Weak<RunProgress>, Stop)>>,
 }
 
@@ -43,17 +43,17 @@ struct StorageState {
 #[derive(Debug, Default)]
 struct LastCheck {
     begun: MonoNs,
-    /// The directory that is checked: that of the current run, or that of the next run.
+    /// The directory that is checked. It is the directory of the current run; without a run, that of the next run.
     directory: PathBuf,
     is_over: bool,
-    /// Free space above the required minimum. `None` if it is unknown.
+    /// Free space that exceeds the required minimum. `None` if it is unknown.
     usable_bytes: Option<u64>,
     problem: Option<Problem>,
 }
 
 impl Storage {
-    /// Period of the checks. A lost file must be reported within a second. This period and the periods of control and page,
-    /// through which the report passes, add up to a third of a second.
+    /// Time between two checks. A lost file must be reported within a second. The report also passes through control and
+    /// page. The periods of all three together are a third of a second.
     const CHECK_PERIOD: Duration = Duration::from_millis(100);
 
     /// The configured directories, on the disk of the operating system.
@@ -85,7 +85,7 @@ impl Storage {
         Ok(storage)
     }
 
-    /// Repeats `work` in each period while the storage is in use.
+    /// Repeats `work` once per period, as long as the storage is in use.
     fn repeat(
         &self,
         name: &str,
@@ -115,19 +115,19 @@ impl Storage {
         &self.0.spare
     }
 
-    /// From now on, checks the file of this run until the run is over, and ends the run if the disk becomes full.
+    /// From now on, checks the file of this run, and ends the run if the disk becomes full. The checks end with the run.
     pub fn watch(&self, progress: &Arc<RunProgress>, stop: &Stop) {
         *lock(&self.0.run) = Some((Arc::downgrade(progress), stop.clone()));
     }
 
-    /// Free space that recordings may still use \[bytes\]: the free space above the required minimum. 0 if there is none,
-    /// `None` if the free space is unknown.
+    /// Free space that recordings may still use \[bytes\]: the free space minus the required minimum. 0 if the minimum is
+    /// not reached, `None` if the free space is unknown.
     pub fn usable_bytes(&self) -> Option<u64> {
         lock(&self.0.last_check).usable_bytes
     }
 
-    /// Whether the state of the disk is known: the first check has finished, or has taken so long that
-    /// the disk counts as silent.
+    /// Whether the state of the disk is known. This is the case if the first check has finished, or if it has taken so long
+    /// that the disk is reported as silent.
     pub fn is_known(&self) -> bool {
         lock(&self.0.last_check).is_over || self.0.silent_problem().is_some()
     }
@@ -137,7 +137,8 @@ impl Storage {
         self.0.problem()
     }
 
-    /// Why the free space in `directory` is not enough for a run, and what to do. `None` if it is enough. Calls the disk.
+    /// Why the free space in `directory` is not enough for a run, and what to do. `None` if it is enough. This call
+    /// may wait for the disk.
     pub fn full(&self, directory: &Path) -> Option<Problem> {
         let space = self.0.disk.space(directory);
         space.is_ok_and(|space| self.0.is_full(space)).then(|| self.0.full_problem(directory))
@@ -156,7 +157,7 @@ impl StorageState {
         }
         let space = self.disk.space(directory);
         let problem = self.problem_of(directory, &space);
-        // If a file system does not report its space, recording is permitted.
+        // If a file system does not report its free space, recording is permitted.
         let usable_bytes = space.ok().map(|space| space.free_bytes.saturating_sub(self.floor_bytes));
         if let Some((progress, stop)) = run.filter(|(_, stop)| !stop.is_stopped()) {
             if let Some(place) = &place
@@ -197,7 +198,7 @@ impl StorageState {
         lock(&self.run).as_ref().and_then(|(progress, stop)| Some((progress.upgrade()?, stop.clone())))
     }
 
-    /// The problem that the current check has taken too long; `None` if it has not.
+    /// The problem that the current check has not finished in time. `None` if the check has finished or still has time.
     fn silent_problem(&self) -> Option<Problem> {
         let last_check = lock(&self.last_check);
         let now = self.clock.now();
@@ -211,14 +212,14 @@ impl StorageState {
         self.silent_problem().or_else(|| lock(&self.last_check).problem.clone())
     }
 
-    /// Problems of the disk and of the current run. Does not call the disk.
+    /// Problems of the disk and of the current run. Does not wait for the disk.
     fn problems(&self) -> Vec<Problem> {
         let run_problems =
             self.watched_run().map(|(progress, _)| progress.get().problems).unwrap_or_default();
         self.problem().into_iter().chain(run_problems).collect()
     }
 
-    /// Logs the problems whose codes are not in `before`. Returns the codes of all problems.
+    /// Logs the problems that are new: their codes are not in `before`. Returns the codes of all problems.
     fn log(&self, before: &[&'static str]) -> Vec<&'static str> {
         let problems = self.problems();
         for problem in problems.iter().filter(|problem| !before.contains(&problem.code())) {

@@ -1,6 +1,6 @@
-//! Synchronises the run's file with the disk (fsync) in a thread of its own, while the recorder continues to
-//! write. The outcome is reported to [`RunProgress`], in which only synchronised data count as safe. An error is
-//! also returned to the recorder.
+//! Synchronises the file of a run with the disk (fsync). This takes place in a separate thread, while the recorder continues
+//! to write. The outcome is reported to [`RunProgress`], which counts only synchronised data as safe. The recorder also
+//! receives the error, if there is one.
 
 use std::io;
 use std::sync::Arc;
@@ -14,32 +14,33 @@ use shared::time::MonoNs;
 use super::progress::{RunProgress, Synced};
 use crate::scheduler::{Died, Scheduler, Stepper, received};
 
-/// Longest time for which a recorder that ends waits for a synchronisation in progress.
+/// When the recorder ends, it waits at most this long for a synchronisation in progress.
 const RELEASE_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// The side of the recorder. It requests one synchronisation at a time.
+/// The recorder's side. The recorder requests one synchronisation at a time.
 pub(super) struct Synchroniser {
-    /// Each job is a file, and the extent of the file that the synchronisation covers.
+    /// Each job consists of a file, and of the content of the file that the synchronisation makes safe.
     jobs: SyncSender<(RunSync, Synced)>,
     outcomes: Receiver<io::Result<()>>,
     is_busy: bool,
-    /// Whether the recorder waits for the last synchronisation when it ends. On virtual time it does not wait, because the
-    /// synchronisation could not proceed in the meantime.
+    /// Whether the recorder waits for a synchronisation in progress when it ends. In virtual time it does not wait, because
+    /// the synchronisation cannot proceed while the recorder waits.
     waits: bool,
 }
 
-/// The side that waits for the disk. It ends when the recorder drops its side.
+/// The side that waits for the disk. It ends when the recorder drops the other side.
 struct SyncWork {
     jobs: Receiver<(RunSync, Synced)>,
     outcomes: SyncSender<io::Result<()>>,
     progress: Arc<RunProgress>,
-    /// Number that distinguishes this synchroniser from those before a move of the run, which may hang.
+    /// Number of this synchroniser. It differs from that of earlier synchronisers of the same run, which may
+    /// still hang after a move.
     number: u32,
     /// The job that [`Stepper::wait`] has received.
     next: Option<(RunSync, Synced)>,
 }
 
-/// Period in which a loop on virtual time polls for jobs. A thread blocks until it receives one.
+/// In virtual time, a loop polls for jobs with this period. In real time, the thread blocks until it receives a job.
 const POLL_PERIOD: Duration = Duration::from_millis(1);
 
 impl Stepper for SyncWork {
@@ -63,8 +64,8 @@ impl SyncWork {
         self.progress.syncing(self.number);
         let synced = file.sync();
         self.progress.synced(self.number, synced.is_ok().then_some(covers));
-        // Release this handle before the recorder gets the outcome. Otherwise the file would stay locked when the
-        // recorder releases its own handle.
+        // This handle is released before the recorder receives the outcome. Otherwise the file would still be locked after
+        // the recorder has released its own handle.
         drop(file);
         self.outcomes.send(synced).is_ok()
     }
@@ -92,8 +93,8 @@ impl Synchroniser {
         }
     }
 
-    /// Takes the outcome of the last synchronisation if it has finished. Returns its error if it failed. After
-    /// that, another synchronisation can begin.
+    /// Takes the outcome of the last synchronisation if it has finished. Returns the error if it failed. Afterwards
+    /// the next synchronisation can begin.
     pub fn problem(&mut self) -> Option<io::Error> {
         if !self.is_busy {
             return None;
@@ -105,8 +106,8 @@ impl Synchroniser {
 }
 
 impl Drop for Synchroniser {
-    /// Waits for a synchronisation in progress, which keeps the file locked, so that the file can be recovered. Does not
-    /// wait long if the disk hangs.
+    /// Waits for a synchronisation in progress, because it keeps the file locked, and a locked file cannot be recovered. If
+    /// the disk hangs, the wait ends after a time-out.
     fn drop(&mut self) {
         if self.is_busy && self.waits {
             let _ = self.outcomes.recv_timeout(RELEASE_TIMEOUT);

@@ -1,5 +1,6 @@
-//! A network interface as a wire. It uses a raw AF_PACKET socket that carries EtherCAT frames only. If the interface is lost
-//! and returns under its name, the socket is opened again. A claim keeps a second `ballbard` from using the same interface.
+//! A network interface as a wire. A raw AF_PACKET socket sends and receives EtherCAT frames only. If the
+//! interface is lost and later returns under the same name, the socket is opened again. A claim prevents a second
+//! `ballbard` from using the interface.
 
 use std::io;
 use std::os::fd::{AsFd, AsRawFd, OwnedFd};
@@ -20,7 +21,7 @@ use crate::tuning;
 /// EtherType of EtherCAT (IEEE, ETG.1000.4).
 const ETHERTYPE_ETHERCAT: u16 = 0x88a4;
 
-/// Period of attempts to reopen a lost interface \[ns\].
+/// Time between two attempts to reopen a lost interface \[ns\].
 const REOPEN_PERIOD_NS: i64 = NS_PER_S / 10;
 
 /// Why an interface cannot be opened.
@@ -68,7 +69,7 @@ pub struct EthernetWire {
     socket: OwnedFd,
     clock: Clock,
     _claim: Option<Claim>,
-    /// When the interface was found to be lost, or when reopening it was last tried. `None` while it works.
+    /// When the loss of the interface was noticed, or when reopening was last tried. `None` while the interface works.
     gone_since: Option<MonoNs>,
 }
 
@@ -82,7 +83,7 @@ impl EthernetWire {
         Ok(Self { name: name.to_owned(), socket, clock: Clock::Real, _claim: claim, gone_since: None })
     }
 
-    /// Opens a new socket if the interface was lost and has returned under its name. Tries this at most
+    /// Opens a new socket if the interface was lost and has returned under the same name. Tries this at most
     /// every tenth of a second.
     fn reopen_if_gone(&mut self) {
         let Some(since) = self.gone_since else { return };
@@ -96,8 +97,8 @@ impl EthernetWire {
         }
     }
 
-    /// Converts an error. A full queue and an interruption are transient. Any other error means that the
-    /// interface is down or lost.
+    /// Converts an error. If the error is neither a full queue nor an interruption, the interface is down or
+    /// lost, and this is remembered.
     fn note(&mut self, error: Errno) -> io::Error {
         if !matches!(error, Errno::EAGAIN | Errno::ENOBUFS | Errno::EINTR) {
             self.gone_since.get_or_insert(self.clock.now());
@@ -147,8 +148,8 @@ pub fn interface_index(name: &str) -> Result<libc::c_uint, OpenError> {
         .map_err(|_| OpenError::NoSuchInterface { name: name.to_owned(), available: interfaces() })
 }
 
-/// Opens a socket on the interface that has this name at present. Allocates nothing, because the cycle's thread calls
-/// it for a lost interface.
+/// Opens a socket on the interface that currently has this name. Allocates no memory, because the thread of the cycle calls
+/// this function for a lost interface.
 fn open_socket(name: &str) -> io::Result<OwnedFd> {
     bind(unbound_socket()?, if_nametoindex(name)?)
 }
@@ -168,22 +169,22 @@ pub fn interfaces() -> Vec<String> {
         .unwrap_or_default()
 }
 
-/// Opens a packet socket that does not receive frames yet. If it had a protocol, it would receive and keep frames of every
-/// interface until it is bound.
+/// Opens a packet socket that does not receive frames yet. The socket has no protocol. With a protocol, it would receive
+/// frames of every interface until it is bound.
 fn unbound_socket() -> io::Result<OwnedFd> {
     Ok(socket(AddressFamily::Packet, SockType::Raw, SockFlag::SOCK_CLOEXEC, None)?)
 }
 
-/// Binds a packet socket to one interface, from which it then receives EtherCAT frames.
+/// Binds a packet socket to one interface. From then on, the socket receives the EtherCAT frames of this interface.
 #[allow(unsafe_code, reason = "neither std nor nix binds a packet socket to an interface and an EtherType")]
 fn bind(socket: OwnedFd, index: libc::c_uint) -> io::Result<OwnedFd> {
-    // SAFETY: all bytes zero is a valid sockaddr_ll.
+    // SAFETY: a sockaddr_ll in which all bytes are zero is valid.
     let mut address: libc::sockaddr_ll = unsafe { std::mem::zeroed() };
     address.sll_family = libc::AF_PACKET as u16;
     address.sll_protocol = ETHERTYPE_ETHERCAT.to_be();
     address.sll_ifindex = i32::try_from(index).map_err(io::Error::other)?;
     let length = size_of::<libc::sockaddr_ll>() as libc::socklen_t;
-    // SAFETY: the address lives across the call and its length is its own.
+    // SAFETY: the address lives until the call returns, and `length` is the length of the address.
     let bound = unsafe { libc::bind(socket.as_raw_fd(), (&raw const address).cast(), length) };
     if bound < 0 { Err(io::Error::last_os_error()) } else { Ok(socket) }
 }
@@ -215,7 +216,7 @@ mod tests {
             })
             .any(|ours| ours)
         };
-        // The frame was sent: a socket that was bound to the interface has received it.
+        // The frame was sent, because a socket that was bound to the interface has received it.
         assert!(received(other.socket, "lo"));
         let bound = bind(unbound, if_nametoindex("lo").unwrap()).unwrap();
         assert!(!received(bound, "lo"));

@@ -9,12 +9,12 @@ use crate::clock::Clock;
 use simulated_segment::SimulatedSegment;
 use simulated_segment::faults::FaultySegment;
 
-/// Time up to which the thread waits without sleeping \[ns\]. Falling asleep and waking up takes several times as long as a
-/// frame on the wire. This matters because bringing a bus up sends 14 000 frames one after the other.
+/// Up to this duration, the thread waits without sleeping \[ns\]. Falling asleep and waking up takes several times as long
+/// as a frame on the wire. This matters because a bring-up sends 14 000 frames one after the other.
 const AWAKE_NS: i64 = 50_000;
 
-/// A wire to a simulated segment. Replies arrive after the time that a real wire would take. This includes the duration of
-/// the frame itself, even in real time, because the clock fit subtracts it.
+/// A wire to a simulated segment. A reply arrives after the time that a real wire would take. Even in real time, this
+/// includes the duration of the frame itself, because the clock fit subtracts this duration.
 pub struct InProcessWire {
     segment: FaultySegment,
     clock: Clock,
@@ -49,7 +49,7 @@ impl FrameWire for InProcessWire {
             return Err(io::ErrorKind::NetworkDown.into());
         }
         let round_trip_ns = self.segment.round_trip_ns(frame.len());
-        // The coupler receives the start of the frame at once. The round trip ends when the end of the frame is back.
+        // The coupler receives the start of the frame at once. The round trip ends when the last bit of the frame is back.
         self.segment.exchange(now.0, round_trip_ns, frame);
         Ok(())
     }

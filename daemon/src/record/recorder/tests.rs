@@ -1,4 +1,4 @@
-//! Tests that everything that enters the ring is in the file.
+//! Tests that the file contains everything that entered the ring.
 
 use std::io::Cursor;
 use std::path::Path;
@@ -155,7 +155,7 @@ fn a_step_of_the_hosts_utc_is_recorded() {
     let (recorder, _) = rig(Arc::new(SystemDisk), source, &configured(directory.path()), &clock);
     clock.step_utc(-2_000_000_000);
     let recording = Recording::open(&run(recorder, String::new).unwrap().path).unwrap();
-    // An event about the disk reports that all cycles arrived at once.
+    // The events about the disk are not considered. They report that all cycles arrived at once.
     let of_clock = recording.events.iter().filter(|event| event.kind == EventKind::Clock);
     let events: Vec<_> = of_clock.map(|event| (event.code.as_str(), event.text.as_str())).collect();
     let text = "the host's clock was set by -2000.000 ms; sample times of this run do not follow it";
@@ -166,7 +166,7 @@ fn a_step_of_the_hosts_utc_is_recorded() {
 fn at_the_disk_floor_the_run_ends_and_its_file_states_why() {
     let directory = tempfile::tempdir().unwrap();
     let (mut sink, source) = ring(256, FullRing::Drops);
-    // A required free space that is larger than any disk.
+    // The required free space is larger than any disk.
     let daemon = DaemonConfig { disk_floor_mb: 4_000_000_000, ..configured(directory.path()) };
     let (recorder, stop) = rig(Arc::new(SystemDisk), source, &daemon, &Clock::Real);
     (0..150).for_each(|number| sink.push(&cycle(number)));
