@@ -1,4 +1,4 @@
-//! A run that is recorded in real time on the simulated bus has every cycle, in order, and its samples are valid.
+//! A run that is recorded in real time on the simulated bus contains every cycle, in order, and the samples are valid.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::time::Duration;
@@ -19,8 +19,8 @@ fn sixty_seconds_in_real_time_give_6000_whole_cycles() {
         record(directory.path(), &request("minute", BusChoice::Simulated, minute, false), &ball_bar());
     let cycles = &recording.cycles;
     assert!((5999..=6001).contains(&cycles.len()), "{} cycles", cycles.len());
-    // A machine that stalls for half a cycle (for example a busy virtual machine host) misses deadlines or replies. The
-    // recording flags these cycles. It also flags the cycle whose sample was fetched by a late frame.
+    // A machine may stall for half a cycle, for example a busy host of virtual machines. It then misses deadlines or
+    // replies. The recording flags these cycles, and also the cycle whose sample was fetched by a late frame.
     let missed = |cycle: &CycleRecord| cycle.flags & (flags::DEADLINE_MISSED | flags::NO_REPLY) != 0;
     for (number, cycle) in cycles.iter().enumerate() {
         assert_eq!(cycle.cycle, number as u64);
@@ -39,7 +39,8 @@ fn sixty_seconds_in_real_time_give_6000_whole_cycles() {
         assert!((9_000_000..11_000_000).contains(&step_ns), "{step_ns} ns after cycle {}", pair[0].cycle);
         assert_eq!(pair[1].dc_time.ns_since(pair[0].dc_time), 10_000_000);
     }
-    // Sample times are in UTC and derive from this machine's clock, so the run must have ended only seconds ago.
+    // Sample times are in UTC, and UTC is derived from this machine's clock. The run must therefore
+    // have ended only seconds ago.
     let ended_ago_s = (chrono::Utc::now().timestamp_nanos_opt().unwrap() - recording.end.ended.0) / NS_PER_S;
     assert!((0..30).contains(&ended_ago_s), "ended {ended_ago_s} s ago");
 }
@@ -54,7 +55,7 @@ fn at_any_configured_rate_every_cycle_that_was_due_is_in_the_file() {
         let recording = Recording::open(&summary.path).unwrap();
         let due = 5 * rate_hz as usize;
         assert_eq!((recording.cycles.len(), summary.cycles_lost), (due, 0), "{rate_hz} Hz");
-        // While the machine stalls, all cycles that are due are invalid, and so is the cycle that runs late.
+        // While the machine stalls, all cycles that are due are invalid. The cycle that then runs late is also invalid.
         let flagged = recording.cycles.iter().filter(|cycle| !cycle.is_valid()).count();
         assert!(flagged < due / 2, "{rate_hz} Hz: {flagged} flagged");
         for pair in recording.cycles.windows(2) {

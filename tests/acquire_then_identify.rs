@@ -1,5 +1,5 @@
-//! Tests the main purpose from end to end. An experiment with known errors is simulated and recorded over the simulated bus.
-//! The calibration of the recorded files must identify these errors.
+//! Tests the main purpose of the programs from end to end. An experiment with known errors is simulated and recorded over
+//! the simulated bus. The calibration of the recorded files must identify these errors.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 use std::path::Path;
@@ -22,8 +22,8 @@ fn robot(name: &str) -> RobotConfig {
     config::load(&config_directory().join("robots").join(name)).unwrap()
 }
 
-/// Simulates an experiment and records it over the bus. Returns the recording and the robot log as read from the files, and
-/// the true errors of the simulation.
+/// Simulates an experiment and records it over the bus. Returns the recording and the robot log, both read from the files.
+/// Also returns the true errors of the simulation.
 fn simulate_and_record(
     directory: &Path,
     experiment: &Experiment<'_>,
@@ -96,9 +96,9 @@ const FAULTS: [&str; 9] = [
     "clock-step:3ms@100s",
 ];
 
-/// Errors of the robot's parameters \[mm|mrad\] after a calibration from a recording without faults, and from one with
-/// faults. Both calibrations use the same number of cycles: the recording without faults is cut to the number of valid
-/// cycles of the other.
+/// Errors of the robot's parameters \[mm|mrad\] after two calibrations: first from a recording without faults,
+/// then from a recording with faults. Both calibrations use the same number of valid cycles. The recording
+/// without faults is cut to this number.
 fn errors_clean_and_faulty(seed: u64) -> [f64; 2] {
     let (robot, bar) = (robot("irb2400_16.toml"), ball_bar());
     let directory = tempfile::tempdir().unwrap();
@@ -121,9 +121,9 @@ fn errors_clean_and_faulty(seed: u64) -> [f64; 2] {
         record(directory.path(), &RunRequest { faults, ..request("faulty", replay, None, true) }, &bar);
     let is_valid = |cycle: &&CycleRecord| cycle.encoders.iter().all(|encoder| encoder.valid);
     let valid = faulty.cycles.iter().filter(is_valid).count();
-    // About 480 cycles are invalid because of a fault. A lost cycle does not invalidate the cycle after it.
+    // The faults make about 480 cycles invalid. A lost cycle does not make the next cycle invalid.
     assert!(valid < clean.cycles.len() - 400, "{valid} of {}", clean.cycles.len());
-    // Uses the same number of cycles from the middle of the run without faults.
+    // Cycles from the middle of the run without faults are used, as many as are valid in the run with faults.
     let skipped = (clean.cycles.len() - valid) / 2;
     let error = |cycles: &[CycleRecord], encoders: &[EncoderInfo]| {
         let config = IdentifyConfig::default();
@@ -148,7 +148,7 @@ fn runs_with_faults_calibrate_as_well_as_clean_ones_of_the_same_valid_length() {
         clean_mean += clean / 2.0;
         faulty_mean += faulty / 2.0;
     }
-    // With faults, the calibration selects other samples. This alone changes such errors by up to half.
+    // With faults, the calibration selects other samples. This selection alone changes the errors by up to half.
     assert!(faulty_mean < 1.6 * clean_mean, "{faulty_mean} mm|mrad with faults, {clean_mean} without");
 }
 
@@ -158,7 +158,7 @@ fn a_run_exported_as_a_table_of_counters_calibrates_as_the_recording_does() {
     let directory = tempfile::tempdir().unwrap();
     let design = Design { duration_s: 80.0, ..Design::for_robot(&robot) };
     let mut simulated = simulate::run(&Experiment { design, ..Experiment::new(&robot, &bar) }).unwrap();
-    // Some cycles have no reply. After them, the counters start from a new origin.
+    // Simulate cycles without a reply. After them, the counters start from a new origin.
     for cycle in &mut simulated.cycles[5000..5030] {
         cycle.flags |= flags::NO_REPLY;
         cycle.encoders.iter_mut().for_each(|sample| sample.valid = false);
@@ -179,7 +179,7 @@ fn a_run_exported_as_a_table_of_counters_calibrates_as_the_recording_does() {
     assert_eq!(other.unknown, ["how certain its times are", "the times of a second clock"]);
     let log = logs::load(&files.robot_log, &robot).unwrap();
     let (cycles, encoders) = (bar_log.cycles(), bar_log.encoders());
-    // Times, angles and origins are equal bit by bit, so all results are equal too.
+    // Times, angles and origins are equal bit by bit. All results are therefore equal, too.
     assert_eq!(
         bar_angles(cycles, encoders).unwrap(),
         bar_angles(&recording.cycles, &recording.run.encoders).unwrap()

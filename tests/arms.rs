@@ -1,5 +1,5 @@
-//! Compares the kinematics of arms of all types with other programs: with yourdfpy for imported and exported URDF files, and
-//! with numpy for Denavit-Hartenberg tables in both conventions.
+//! Compares the kinematics of arms of all types with other programs. Imported and exported URDF files are compared with
+//! yourdfpy, and Denavit-Hartenberg tables in both conventions with numpy.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::io::Write;
@@ -29,8 +29,8 @@ fn imported((name, base, tip): (&str, &str, &str)) -> RobotConfig {
     import(&std::fs::read_to_string(file(name)).unwrap(), Some(base), Some(tip)).unwrap().config
 }
 
-/// Deterministic postures that are spread over the joint limits. The increments of the axes have no common
-/// multiple, so no posture repeats.
+/// Deterministic postures that are spread over the joint limits. Each axis advances by a different increment. The increments
+/// have no common multiple, so no posture repeats.
 fn postures(robot: &RobotConfig, count: usize) -> Vec<Joints> {
     let part = |posture: usize, axis: usize| (posture as f64 * (0.618_034 + 0.137 * axis as f64)).fract();
     let limits = robot.joint_limits();
@@ -59,7 +59,7 @@ fn by_python(modules: &[&str], arguments: &[&str], asked: &Value) -> Vec<[[f64; 
     serde_json::from_slice(&output.stdout).unwrap()
 }
 
-/// Largest difference between the entries of the chain's homogeneous matrices and the expected ones \[m, 1\].
+/// Largest difference between the entries of the homogeneous matrices of the chain and the expected entries \[m, 1\].
 fn apart(chain: &Chain, postures: &[Joints], expected: &[[[f64; 4]; 4]]) -> f64 {
     assert_eq!(postures.len(), expected.len());
     let of = |(joints, expected): (&Joints, &[[f64; 4]; 4])| {
@@ -83,12 +83,12 @@ fn a_urdf_has_the_forward_kinematics_that_yourdfpy_gives_it() {
         );
         let off_m = apart(&flange_chain(&robot), &postures, &expected);
         println!("{}: {} axes, largest difference {off_m:.1e} m", arm.0, robot.axes());
-        // One file states right angles with nine decimals. The import rounds these values to exact right angles.
+        // One of the files contains right angles with nine decimals. The import rounds these values to exact right angles.
         assert!(off_m < 1e-8, "{}: {off_m:e}", arm.0);
     }
 }
 
-/// Noise-free rows of a tracker, measured on an arm that has small errors in all links.
+/// Noise-free measurements of a tracker, on an arm with small errors in all links. Each row is one measurement.
 fn rows(robot: &RobotConfig) -> Vec<PoseRow> {
     let mut truth = flange_chain(robot);
     for (link, sign) in truth.links.iter_mut().zip([1.0, -1.0].into_iter().cycle()) {

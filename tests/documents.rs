@@ -39,8 +39,8 @@ fn links(text: &str) -> impl Iterator<Item = &str> {
     text.split("](").skip(1).filter_map(|rest| rest.split_once(')').map(|(link, _)| link))
 }
 
-/// Anchors of the headings of a page. mdBook derives them from the text of the heading, unless the heading names one with
-/// `{#name}`.
+/// Anchors of the headings of a page. If a heading contains `{#name}`, its anchor is `name`. Otherwise mdBook derives the
+/// anchor from the text of the heading.
 fn anchors(text: &str) -> BTreeSet<String> {
     let mut is_code = false;
     let headings = text.lines().filter(|line| {
@@ -52,7 +52,7 @@ fn anchors(text: &str) -> BTreeSet<String> {
         let named = heading.split_once("{#").and_then(|(_, name)| name.strip_suffix('}'));
         let anchor: String =
             named.map_or_else(|| heading.chars().filter_map(of_anchor).collect(), str::to_owned);
-        // If a heading occurs again, its anchor gets a number.
+        // If a heading occurs more than once, a number is added to its anchor.
         let again = (1..).map(|number| format!("{anchor}-{number}"));
         let mut names = std::iter::once(anchor.clone()).chain(again);
         anchors.extend(names.find(|name| !anchors.contains(name)));
@@ -60,7 +60,7 @@ fn anchors(text: &str) -> BTreeSet<String> {
     anchors
 }
 
-/// The character that mdBook writes into an anchor for this character of a heading, or `None` if mdBook drops the character.
+/// The character of an anchor that mdBook writes for this character of a heading. `None` if mdBook drops the character.
 fn of_anchor(character: char) -> Option<char> {
     match character {
         _ if character.is_whitespace() => Some('-'),
@@ -90,7 +90,7 @@ fn every_link_between_documents_leads_to_a_place_and_the_summary_has_every_page(
     }
 }
 
-/// Lines of the shell blocks of a Markdown text. Continued lines are joined.
+/// Lines of the shell blocks of a Markdown text. A line that ends in a backslash is joined with the next line.
 fn shell_lines(text: &str) -> Vec<String> {
     let blocks = text.split("```sh\n").skip(1).filter_map(|rest| rest.split_once("\n```"));
     blocks
@@ -138,7 +138,7 @@ fn every_command_in_a_shell_block_of_a_document_is_one_that_the_programs_accept(
                     "ballbard" => ballbard::commands::Arguments::try_parse_from(&words).map(drop),
                     _ => continue,
                 };
-                // The parser also returns help and version as errors, but prints these to standard output.
+                // The parser returns help and version as errors, but these go to standard output.
                 if let Err(error) = accepted {
                     assert!(!error.use_stderr(), "{}: {line}\n{error}", page.display());
                 }
@@ -158,7 +158,7 @@ fn the_page_on_recordings_names_every_field_and_flag_of_a_cycle() {
     let schema = text(&repository("shared/src/recording/messages/bus_cycle.ros2msg"));
     let own = schema.split("====").next().unwrap_or_default();
     for line in own.lines().map(|line| line.split('#').next().unwrap_or_default().trim()) {
-        // Lines with `=` are constants: the flags, which are checked above.
+        // Lines with `=` are constants, which are the flags. They are checked above.
         let Some((_, field)) = line.split_once(' ').filter(|(_, field)| !field.contains('=')) else {
             continue;
         };
@@ -171,7 +171,7 @@ fn the_page_on_the_method_names_every_kind_of_parameter() {
     let page = page("explanation/method.md");
     for name in ParameterId::all().map(|id| id.to_string()) {
         let kind = name.split(|character: char| character.is_ascii_digit()).next().unwrap_or_default();
-        // The page names a vector by its first coordinate.
+        // The page uses the name of a vector's first coordinate for the whole vector.
         let first =
             kind.strip_suffix(['y', 'z']).map_or_else(|| kind.to_owned(), |vector| format!("{vector}x"));
         assert!(page.contains(kind) || page.contains(&first), "{name}");

@@ -1,4 +1,4 @@
-//! Reads forces on the bar from robot logs that other programs wrote. Unit and sign must be read correctly, and the
+//! Reads forces on the bar from robot logs that other programs wrote. Unit and sign of the forces must be correct. The
 //! calibration must identify the compliance of the bar.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
@@ -15,12 +15,12 @@ use identify::simulate::{self, BarLoad, Design, Effects, Experiment, Simulated};
 use shared::config::{self, AngleUnit, LogConversion, RobotConfig};
 use system_tests::{ball_bar as shipped_bar, config_directory, python_with};
 
-/// Force in the runs of the thesis, which changes the length of its bar by +-25 um (TFRT-6017 section 5.3).
+/// Load in the runs of the thesis. The force changes the length of the bar by +-25 um (TFRT-6017 section 5.3).
 const LOAD: BarLoad = BarLoad { force_n: 150.0, compliance_um_per_n: 0.17, play_um: 0.0, noise_n: 1.0 };
 const COMPLIANCE_M_PER_N: f64 = 0.17e-6;
 const GRAVITY_M_PER_S2: f64 = 9.80665;
 
-/// The robot of the reference set-up with a controller that logs joint angles.
+/// The robot of the reference set-up, with a controller that logs joint angles.
 fn robot() -> RobotConfig {
     let robot: RobotConfig = config::load(&config_directory().join("robots/irb2400_16.toml")).unwrap();
     RobotConfig { log: LogConversion::direct(AngleUnit::Rad, 6), ..robot }
@@ -39,8 +39,8 @@ fn simulated() -> Simulated {
 /// output of the robot's force sensor.
 type ForceRow = (i64, Joints, Vec<f64>);
 
-/// The rows of a run. `sensor` computes the output of the force sensor from the robot, its joints \[rad\], and the force of
-/// the robot on the bar \[N\].
+/// The rows of a run. `sensor` returns the output of the force sensor. Its arguments are the robot, the joints \[rad\], and
+/// the force of the robot on the bar \[N\].
 fn table_rows(run: &Simulated, sensor: impl Fn(&Chain, &Joints, [f64; 3]) -> Vec<f64>) -> Vec<ForceRow> {
     let (robot, log) = (&run.motion.robot, &run.robot_log);
     let centre_m = run.motion.bar.root_from_base.translation.vector;
@@ -82,8 +82,8 @@ fn calibrated(run: &Simulated, log: &RobotLog) -> Calibration {
     calibrate_run(&run.cycles, &run.encoders, log, &robot(), &shipped_bar(), &config).unwrap()
 }
 
-/// Root mean square error of the force along the bar in the samples of a calibration \[N\]. `sign` is the sign that tension
-/// has in the log.
+/// Root mean square error of the force along the bar \[N\], over the samples of a calibration. `sign` is the sign of a
+/// tension in the log.
 fn force_error_n(found: &Calibration, run: &Simulated, sign: f64) -> f64 {
     let (clock, force) = (run.truth.clock, run.robot_log.force.as_ref().unwrap());
     let bar_start_s = (clock.robot_at_bar_start_ns - force.values.first_stamp_ns) as f64 * 1e-9;
@@ -101,7 +101,7 @@ fn force_error_n(found: &Calibration, run: &Simulated, sign: f64) -> f64 {
 #[ignore = "needs Python with tests/requirements.txt"]
 fn the_tcp_force_of_an_rtde_log_is_the_force_of_the_bar_on_the_tool() {
     let (directory, run) = (tempfile::tempdir().unwrap(), simulated());
-    // The controller reports the force of the bar on the tool. Its stamps count from the start of the controller.
+    // The controller reports the force of the bar on the tool. Its stamps begin when the controller starts.
     let mut rows = table_rows(&run, |_, _, [x, y, z]| vec![-x, -y, -z]);
     let first_ns = rows[0].0;
     rows.iter_mut().for_each(|(stamp_ns, ..)| *stamp_ns -= first_ns - 250_000_000_000);
@@ -114,7 +114,7 @@ fn the_tcp_force_of_an_rtde_log_is_the_force_of_the_bar_on_the_tool() {
         assert!(force_n.iter().zip(read).all(|(a, b)| (a - b).abs() < 1e-9), "{force_n:?} {read:?}");
     }
     let found = calibrated(&run, &log);
-    // A bar under tension pulls the tool back, so tension has a negative sign in this log.
+    // A bar under tension pulls the tool back, so a tension is negative in this log.
     assert!(force_error_n(&found, &run, -1.0) < 1.0);
     let elongation = Elongation::of(&found).unwrap();
     println!("{}", elongation.sentence());
@@ -125,10 +125,11 @@ fn the_tcp_force_of_an_rtde_log_is_the_force_of_the_bar_on_the_tool() {
     );
 }
 
-/// Static joint torques \[N m\] from gravity and from the force of the flange on the bar. They are derivatives with respect
-/// to each joint. The potential energy of two masses on the arm and the work of the force are differentiated.
+/// Static joint torques \[N m\] from gravity and from the force of the flange on the bar. Gravity acts on two masses
+/// on the arm. The torques are derivatives with respect to each joint: of the potential energy of the masses, and of
+/// the work of the force.
 fn holding_torques_nm(robot: &Chain, q: &Joints, force_n: [f64; 3]) -> Vec<f64> {
-    // Each mass: number of links that carry it, mass \[kg\], and position in the frame of the last of these links \[m\].
+    // For each mass: number of links that carry it, mass \[kg\], and position in the frame of the last of these links \[m\].
     let masses = [(2, 80.0, [-0.3, 0.02, 0.1]), (4, 60.0, [0.03, 0.05, -0.2])].map(|(links, kg, place_m)| {
         (Chain::new(robot.root_from_base, robot.links[..links].to_vec()), kg, place_m)
     });
@@ -191,7 +192,7 @@ fn joint_efforts_of_bags_are_torques_from_which_the_force_on_the_bar_follows() {
         "{elongation:?}"
     );
 
-    // If the mapping names no force, the efforts are read as joint torques, and the log has no force.
+    // If the mapping names no force, efforts are read as joint torques. The log then contains no force.
     let plain = load_with(&mcap, &robot(), &mapping("")).unwrap();
     assert!(plain.force.is_none() && plain.torque.is_some());
     let columns = mapping("force = { columns = [\"Fx\", \"Fy\", \"Fz\"], unit = \"N\" }");

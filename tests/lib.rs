@@ -24,7 +24,7 @@ pub fn ball_bar() -> BallBarConfig {
     config::load(&config_directory().join("ball_bar.toml")).expect("shipped ball_bar.toml")
 }
 
-/// The shipped daemon configuration, changed so that it records into `directory`.
+/// The shipped daemon configuration with one change: recordings are written to `directory`.
 pub fn daemon(directory: &Path) -> DaemonConfig {
     let shipped = config::load(&config_directory().join("daemon.toml")).expect("shipped daemon.toml");
     DaemonConfig { directory: directory.to_owned(), ..shipped }
@@ -37,7 +37,7 @@ pub fn request(name: &str, bus: BusChoice, duration: Option<Duration>, fast: boo
         run: RunDetails { name: name.into(), about, duration, homing: None },
         bus,
         fast,
-        // In real time, an emulated terminal may reply too late on a busy machine. The bring-up is then repeated.
+        // In real time, an emulated terminal on a busy machine may reply too late. The bring-up is then attempted again.
         wait: !fast,
         ..RunRequest::default()
     }
@@ -63,8 +63,8 @@ pub fn record(directory: &Path, request: &RunRequest, bar: &BallBarConfig) -> (P
     (summary.path, recording)
 }
 
-/// Python interpreter with the given modules: the interpreter in `BALLBAR_PYTHON`, or else `python3`. Panics
-/// if a module is missing.
+/// Python interpreter that has the given modules. It is the interpreter in `BALLBAR_PYTHON`; without this variable, it is
+/// `python3`. Panics if a module is missing.
 pub fn python_with(modules: &[&str]) -> PathBuf {
     let python = std::env::var_os("BALLBAR_PYTHON").map_or_else(|| "python3".into(), PathBuf::from);
     let import = format!("import {}", modules.join(", "));

@@ -1,4 +1,4 @@
-//! All system tests in one program, which is linked only once and runs long tests in parallel.
+//! All system tests. They are in one program, which is linked only once and runs long tests in parallel.
 //!
 //! To run the tests of one file: `cargo test -p system-tests --test all replay`.
 

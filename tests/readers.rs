@@ -1,4 +1,4 @@
-//! Two independent implementations open the recording. They must decode every message as the daemon wrote it.
+//! Two independent implementations read the recording. They must decode every message as the daemon wrote it.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 use std::path::{Path, PathBuf};
@@ -62,7 +62,7 @@ fn python_mcap_plots_what_the_ports_have_counted() {
             (errors.parse().unwrap(), ports.map_or(0, |ports| ports["level"].as_u64().unwrap()))
         })
         .collect();
-    // The error counters are zero before the fault, increase each second during it, and are constant afterwards.
+    // The error counters are zero before the fault, increase each second during the fault, and are constant afterwards.
     assert_eq!((counted.len(), counted[0]), (20, (0, 0)), "{counted:?}");
     assert!(counted.is_sorted_by_key(|(errors, _)| *errors), "{counted:?}");
     assert!(counted.windows(2).filter(|pair| pair[0].0 < pair[1].0).count() >= 4, "{counted:?}");
@@ -80,8 +80,8 @@ fn read_with(python: &Path, reader: &str, recording: &Path) -> Value {
     serde_json::from_slice(&output.stdout).unwrap()
 }
 
-/// Compares a finished recording with the reader's result. Then compares the recovered files after three kinds of damage: a
-/// truncation, a flipped bit, and the trailing zeros of a power failure.
+/// Compares a finished recording with the result of the reader. Then compares recovered files after three kinds of damage: a
+/// truncation, a flipped bit, and trailing zeros as after a power failure.
 fn compare_with(python: &Path, reader: &str) {
     let directory = tempfile::tempdir().unwrap();
     let seconds = Some(Duration::from_secs(20));
@@ -96,7 +96,7 @@ fn compare_with(python: &Path, reader: &str) {
     for (name, left) in [("killed", killed), ("flipped", flipped), ("zeros", zeros)] {
         let (path, recovered) = recover(&directory.path().join(format!("{name}.{ACTIVE_ENDING}")), &left);
         assert!(recovered.end.recovered && !recovered.cycles.is_empty(), "{name}");
-        // A cycle that differs from the original is flagged as lost and has no data.
+        // If a cycle differs from the original, it is flagged as lost and contains no data.
         let lost = recovered.cycles.iter().zip(&ours.cycles).filter(|(one, other)| one != other);
         assert!(lost.clone().all(|(cycle, _)| cycle.flags == flags::LOST), "{name}");
         assert_eq!(lost.count() as u64, recovered.end.cycles_lost);
@@ -128,7 +128,7 @@ fn compare(python: &Path, reader: &str, path: &Path, ours: &Recording) {
     }
 }
 
-/// Each event of the recording is also a message of its log.
+/// Checks that the log of the recording contains a message for each event.
 fn compare_events(ours: &Recording, theirs: &Value) {
     let [events, log] = ["events", "log"].map(|key| theirs[key].as_array().unwrap());
     assert_eq!((events.len(), log.len()), (ours.events.len(), ours.events.len()));
@@ -140,7 +140,7 @@ fn compare_events(ours: &Recording, theirs: &Value) {
     }
 }
 
-/// There is one diagnostics message per second. It contains the number of valid cycles, for all encoders
+/// Checks that there is one diagnostics message per second. It must contain the number of valid cycles, for all encoders
 /// together and for each encoder.
 fn compare_diagnostics(ours: &Recording, theirs: &[Value]) {
     let seconds = ours.cycles.chunks_exact(100);
@@ -197,8 +197,8 @@ fn compare_cycles(ours: &Recording, theirs: &[Value]) {
     }
 }
 
-/// Positions of the joint states change by 2 pi / 14 745 600 rad per count. A velocity is the change of position between
-/// successive valid cycles, divided by the bus time between them.
+/// Compares the joint states with the counts. One count is 2 pi / 14 745 600 rad. A velocity is the change of position
+/// between two successive valid cycles, divided by the bus time between them.
 fn compare_joint_states(ours: &Recording, theirs: &[Value]) {
     assert_eq!(ours.cycles.len(), theirs.len());
     let number = |key: &str, index: usize, joint: usize| theirs[index][key][joint].as_f64();

@@ -1,4 +1,4 @@
-//! A replay of simulated data records exactly the counts of the simulated encoders, bit by bit.
+//! A replay of simulated data records exactly the counts of the simulated encoders, without any difference.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::path::PathBuf;
@@ -41,8 +41,9 @@ fn a_replayed_recording_is_the_same_bit_for_bit_and_needs_a_fraction_of_its_dura
         assert_eq!(counts(&replayed), counts(&original));
         assert!(replayed.cycles.iter().all(|cycle| cycle.is_valid()));
         assert!(begun.elapsed() < ten_minutes / 10, "{:?}", begun.elapsed());
-        // On virtual time, the replay starts when the original recording starts. Its samples have the same instants on the
-        // bus clock. UTC drifts between the two, because only the clock of the first bus had a rate error of some ppm.
+        // In virtual time, the replay starts at the time at which the original recording started. The samples of both have
+        // the same times on the bus clock. Their UTC differs by a drift, because only the clock of the first bus had a rate
+        // error of some ppm.
         let first_off_ns = replayed.cycles[0].sample_time.ns_since(original.cycles[0].sample_time);
         assert!(first_off_ns.abs() < 50_000, "{first_off_ns} ns");
         for (one, other) in original.cycles.iter().zip(&replayed.cycles) {
@@ -78,7 +79,7 @@ fn a_replay_carries_the_origin_of_what_it_plays() {
     assert!(made_up.run.is_simulated() && made_up.run.replay_of.is_none());
     assert!(replay("again", path).1.run.is_simulated());
 
-    // Writes the same counts as if they came from a real bus.
+    // Write the same counts as if they had been measured on a real bus.
     let run = RunMetadata { name: "measured".into(), bus: "eth1".into(), ..made_up.run };
     let mut writer = RecordingWriter::create(directory.path(), &run).unwrap();
     made_up.cycles.iter().for_each(|cycle| writer.write_cycle(cycle).unwrap());

@@ -15,7 +15,7 @@ use identify::simulate::{self, Design, Experiment};
 use shared::config::{self, RobotConfig};
 use system_tests::{ball_bar as shipped_bar, config_directory, python_with};
 
-/// These three constants are equal to those in `write_robot_log.py`.
+/// These three constants have the same values as in `write_robot_log.py`.
 const ROWS: usize = 5000;
 const START_NS: i64 = 1_795_000_000_123_456_789;
 const PERIOD_S: f64 = 0.008;
@@ -28,7 +28,8 @@ fn robot() -> RobotConfig {
     config::load(&config_directory().join("robots/irb120_3.toml")).unwrap()
 }
 
-/// Writes a log of this kind with `write_robot_log.py`, which needs these Python modules. Returns the path of the log.
+/// Writes a log of this kind with `write_robot_log.py`. The script needs the given Python modules. Returns
+/// the path of the log.
 fn write_log(directory: &Path, modules: &[&str], kind: &str) -> PathBuf {
     let python = python_with(modules);
     let path = directory.join(format!("log.{}", kind.split('-').next().unwrap()));
@@ -38,7 +39,8 @@ fn write_log(directory: &Path, modules: &[&str], kind: &str) -> PathBuf {
     path
 }
 
-/// Checks that all rows but `dropped_row` agree with the angles of the script within `tolerance_rad`.
+/// Checks that the rows agree with the angles of the script within `tolerance_rad`. The row `dropped_row`
+/// is missing in the log.
 fn assert_follows(log: &RobotLog, dropped_row: Option<usize>, tolerance_rad: f64) {
     let rows: Vec<usize> = (0..ROWS).filter(|row| Some(*row) != dropped_row).collect();
     assert_eq!(log.q_rad.len(), rows.len());
@@ -54,7 +56,7 @@ fn check_bag(kind: &str) {
     let directory = tempfile::tempdir().unwrap();
     let path = write_log(directory.path(), &["rosbags"], kind);
     let log = load(&path, &robot()).unwrap();
-    // In one message, a joint is NaN, so the message is dropped.
+    // In one message, the position of a joint is NaN. This message must be dropped.
     assert_follows(&log, Some(100), 1e-12);
     assert_eq!((log.quality.incomplete_dropped, log.q_rad.first_stamp_ns), (1, START_NS));
     assert_eq!((log.clock.as_str(), log.origin), ("header.stamp", ValueOrigin::Measured));
@@ -157,7 +159,7 @@ fn egm_messages_by_googles_protobuf_are_read_in_degrees_on_either_clock() {
         let path = write_log(directory.path(), &["google.protobuf"], kind);
         let log = load(&path, &robot()).unwrap();
         if kind == "egm" {
-            // The controller's counter of milliseconds wraps after 20 s. The log has 40 s.
+            // The controller's counter of milliseconds wraps after 20 s, and the log lasts 40 s.
             assert_follows(&log, None, 1e-12);
         } else {
             // Stamps of this format are whole microseconds.

@@ -32,8 +32,8 @@ impl Word {
     }
 }
 
-/// The text of a line that readers see. In a document this is the whole line; in code it is a comment that
-/// has a line of its own.
+/// The text of a line that readers see. In a document, this is the whole line. In code, it is a comment, if the comment has
+/// a line of its own.
 fn prose<'l>(file: &Path, line: &'l str) -> &'l str {
     let mark = match file.extension().and_then(|ending| ending.to_str()) {
         Some("rs") => "//",

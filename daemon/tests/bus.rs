@@ -74,7 +74,7 @@ fn a_missing_or_surplus_terminal_is_named_by_its_position() {
     }
 }
 
-/// A network cable with no device at its end: frames are sent, but no reply arrives.
+/// A network cable without a device at its end. Frames are sent, but no reply arrives.
 struct Nowhere(Clock);
 
 impl FrameWire for Nowhere {
@@ -181,7 +181,7 @@ impl<F: Fn(usize) -> bool + Send> FrameWire for Losing<F> {
     }
 }
 
-/// Brings up a bus on a [`Losing`] segment; returns the number of frames that this takes.
+/// Brings up a bus on a [`Losing`] segment. Returns the number of frames that the bring-up sends.
 fn bring_up_losing(
     loses: impl Fn(usize) -> bool + Send + 'static,
     on_the_way_back: bool,
@@ -279,7 +279,7 @@ fn however_long_a_cyclic_frame_waits_for_its_reply_it_is_sent_once() {
     assert!(after.received - before.received >= CYCLES as u64, "replies in time were not taken: {after:?}");
 }
 
-/// A segment that sets the flag `interrupt` when it has received `patience` frames.
+/// A segment that sets the flag `interrupt` after it has received `patience` frames.
 struct Impatient {
     inner: InProcessWire,
     frames: Arc<AtomicUsize>,
@@ -315,7 +315,7 @@ fn whenever_somebody_asks_for_the_end_the_bus_is_not_brought_up_any_further() {
     };
     let (whole, frames) = bring_up(usize::MAX);
     whole.unwrap();
-    // The last frame only reads that all devices are in OP, so the bring-up is not interrupted there.
+    // The last frame only reads that all devices are in OP, so an interruption there comes too late.
     for place in 0..PLACES {
         let patience = 1 + place * (frames - 2) / PLACES;
         let (ended, sent) = bring_up(patience);

@@ -31,7 +31,7 @@ fn record(out: &Path, arguments: &[&str]) -> Output {
     command.output().unwrap()
 }
 
-/// Checks that the command failed, that its message contains all texts of `why`, and that the directory `out` is empty.
+/// Checks that the command failed with a message that contains each text of `why`. The directory `out` must be empty.
 fn refused(output: &Output, why: &[&str], out: &Path) {
     let text = String::from_utf8_lossy(&output.stderr);
     assert!(!output.status.success(), "{text}");
@@ -216,7 +216,7 @@ fn a_bus_gone_for_good_ends_the_run_with_a_finished_file_that_says_so() {
     assert!((6000..6100).contains(&blind), "{blind} cycles");
 }
 
-/// Delays every reply beyond the end of its cycle, so that the bus never reaches OP. The command must print
+/// The segment delays every reply beyond the end of its cycle, so the bus never reaches OP. The command must print
 /// a warning after 5 s.
 #[test]
 fn a_bus_that_does_not_come_into_operation_is_not_waited_for_in_silence() {
@@ -521,7 +521,7 @@ fn a_directory_that_was_typed_is_meant_and_what_is_missing_in_it_is_named() {
         "{}",
         said(&output)
     );
-    // Without a port file, the command prints where the port number came from.
+    // If there is no port file, the error must state where the port number came from.
     let output = alone(&["status"]);
     let text = said(&output);
     let counts = ["no daemon.toml in config or /etc/ballbard", "7311"].map(|part| text.matches(part).count());

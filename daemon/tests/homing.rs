@@ -1,5 +1,5 @@
-//! Homing on the simulated segment, on virtual time. Homing finds the true reference marks and detects wrong wiring. After a
-//! power cycle and a new homing, the same pose has the same angles.
+//! Homing on the simulated segment, in virtual time. Homing must find the true reference marks and detect wrong wiring.
+//! After a power cycle and a new homing, the same pose must have the same angles.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 use std::f64::consts::TAU;
@@ -28,7 +28,7 @@ fn encoders() -> Vec<EncoderConfig> {
     (1..=TERMINALS as u8).map(EncoderConfig::ern_1080).collect()
 }
 
-/// A bus whose joints do not move until the simulated hand of an operator turns one.
+/// A bus whose joints do not move until the simulated hand of a person turns one joint.
 struct Bench {
     acquisition: Acquisition,
     hand: Hand,
@@ -77,8 +77,8 @@ impl Bench {
         Self { acquisition, hand, faults, true_marks, positions }
     }
 
-    /// Homes these encoders. `obeys` simulates the operator: it is called for each joint that the
-    /// homing requests to be turned.
+    /// Homes these encoders. `obeys` simulates the operator. It is called whenever the homing requests
+    /// that a joint be turned.
     fn home(
         &mut self,
         encoders: &[EncoderConfig],
@@ -107,7 +107,8 @@ impl Bench {
         last.unwrap()
     }
 
-    /// Angles of all joints \[rad\], counted from the marks of `homing`, and the joints whose marks are no longer valid.
+    /// Returns the angles of all joints \[rad\], counted from the marks of `homing`. Also returns the joints whose
+    /// marks are no longer valid.
     fn angles_rad(&mut self, homing: &HomingConfig) -> (Vec<f64>, Vec<u8>) {
         let record = self.record();
         assert!(record.is_valid());
@@ -121,7 +122,7 @@ impl Bench {
         (infos.iter().zip(record.encoders()).map(angle).collect(), stale)
     }
 
-    /// Checks that each angle is the distance of the encoder from the mark on its disc, modulo whole turns. This must hold
+    /// Checks that each angle is the distance of the encoder from the mark on its disc, up to whole turns. This must be true
     /// for any start value of the counters.
     fn assert_angles_are_those_from_the_true_marks(&mut self, homing: &HomingConfig) {
         let (angles_rad, stale) = self.angles_rad(homing);
@@ -172,7 +173,7 @@ fn after_a_power_cycle_and_homing_again_the_same_pose_reads_the_same_angle() {
     while !bench.record().is_valid() {}
     let counts_after = bench.record().encoders.map(|encoder| encoder.count);
     assert!(counts.iter().zip(counts_after).all(|(before, after)| before.abs_diff(after) > 4096));
-    // After a power cycle the counts are new, so the old marks are not applied to them.
+    // After the power cycle the counters have restarted, so the old marks must not be applied.
     assert_eq!(bench.angles_rad(&homing).1, [1, 2, 3, 4, 5]);
 
     let again = bench.home(&encoders(), obedient).unwrap();
@@ -187,7 +188,7 @@ fn miswired(found: &[FoundMark], encoders: &[EncoderConfig]) -> String {
 
 #[test]
 fn encoders_on_each_others_terminals_are_named_with_what_to_write() {
-    // The configuration lists joint 2 first and joint 1 second, but the first terminal is wired to joint 1.
+    // The configuration lists joint 2 first and joint 1 second. In reality, the first terminal is wired to joint 1.
     let mut swapped = encoders();
     swapped.swap(0, 1);
     let found = Bench::new(4).home(&swapped, obedient).unwrap();

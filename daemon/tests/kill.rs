@@ -1,8 +1,8 @@
-//! `kill -9` at a random instant loses at most one second of data. The remaining file can be
+//! `kill -9` at a random instant loses at most one second of data. The file that remains can be
 //! recovered to a finished recording.
 //!
-//! The tests kill several processes that record for up to 2.5 s at 100 Hz. The number of cycles that are due follows from
-//! the clock: one every 10 ms since the first cycle.
+//! The tests kill several processes. Each process records at 100 Hz for up to 2.5 s. The number of cycles that were due is
+//! known from the clock: since the first cycle, one cycle is due every 10 ms.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::path::{Path, PathBuf};
@@ -18,8 +18,8 @@ use crate::support::ballbard;
 
 /// Number of processes that record in parallel.
 const AT_ONCE: usize = 6;
-/// Longest time that a kill may lose, one second \[ns\]. [`SLACK_NS`] adds the drain period of the ring, and the delay with
-/// which a busy machine notices the kill.
+/// Longest time whose data a kill may lose, one second \[ns\]. [`SLACK_NS`] is added to this time. It covers the period in
+/// which the ring is emptied, and the delay with which a busy machine carries out the kill.
 const LOST_NS_MAX: i64 = NS_PER_S;
 const SLACK_NS: i64 = 250_000_000;
 
@@ -36,14 +36,13 @@ fn record(directory: &Path, name: &str) -> Child {
     command.arg("--out").arg(directory).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
 }
 
-/// Starts a recording and kills the process when the time `life` has passed since its file appeared. Returns
-/// the instant of the kill.
+/// Starts a recording, and kills the process when its file has existed for the time `life`. Returns the instant of the kill.
 fn record_and_kill(directory: &Path, name: &str, life: Duration) -> UtcNs {
     let mut child = record(directory, name);
     let active = directory.join(format!("{name}.mcap.active"));
     let begun = Instant::now();
     while !active.exists() {
-        // If a small machine runs this many processes, the bring-up may time out. The recording is then started again.
+        // With this many processes, the bring-up on a small machine may time out. The recording is then started again.
         if child.try_wait().unwrap().is_some() {
             child = record(directory, name);
         }
@@ -69,7 +68,7 @@ struct Left {
 fn recover(directory: &Path, name: &str, killed: UtcNs) -> Left {
     let active = directory.join(format!("{name}.mcap.active"));
     let Ok(Recovery::Recovered { file, content, .. }) = recover_file(&active) else {
-        // The process was killed between the creation of the file and its first synchronisation, so the file is empty.
+        // If the file is empty, the process was killed after it created the file and before the first synchronisation.
         let bytes = std::fs::metadata(&active).unwrap().len();
         assert!(bytes < 8192, "{name}: {bytes} bytes and nothing recovered");
         return Left { lost_ns: 0, recovered: None };
@@ -81,7 +80,7 @@ fn recover(directory: &Path, name: &str, killed: UtcNs) -> Left {
         assert_eq!(pair[1].cycle, pair[0].cycle + 1);
         assert!(pair[1].sample_time > pair[0].sample_time, "{name}: time runs backwards");
     }
-    // At least one more synchronisation followed the first one with a cycle, so the timing must be in the file.
+    // After 200 cycles, at least one more synchronisation has followed the first one, so the file must contain the timing.
     assert!(recording.timing.is_some() || recording.cycles.len() < 200, "{name}: the timing is missing");
     let last = recording.cycles.last().map_or(recording.run.started, |last| last.sample_time);
     Left { lost_ns: killed.ns_since(last), recovered: Some((file, recording)) }
@@ -112,7 +111,7 @@ fn read_by_others(recovered: &[(PathBuf, Recording)]) {
     });
 }
 
-/// Kills this number of processes. Returns the recovered runs of all processes that had recorded any cycle.
+/// Kills this number of processes. Returns the recovered runs of all processes that had recorded at least one cycle.
 fn kill_at_random(directory: &Path, kills: usize) -> Vec<(PathBuf, Recording)> {
     let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(11);
     let lives: Vec<Duration> =
@@ -124,8 +123,8 @@ fn kill_at_random(directory: &Path, kills: usize) -> Vec<(PathBuf, Recording)> {
             && let Some(life) = lives.get(index)
         {
             let name = format!("kill-{index}");
-            // A process recovers the unfinished files in its directory when it starts. Each process therefore
-            // has a directory of its own.
+            // A process recovers the unfinished files in its directory when it starts, so each process needs
+            // a directory of its own.
             let own = directory.join(&name);
             std::fs::create_dir(&own).unwrap();
             let killed = record_and_kill(&own, &name, *life);

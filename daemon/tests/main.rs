@@ -1,5 +1,5 @@
-//! Tests of `ballbard` that do not depend on the speed of the machine. They form one program, which is linked only once and
-//! runs long tests in parallel.
+//! Tests of `ballbard` that do not depend on the speed of the machine. All of them are in one program, which is linked only
+//! once and runs long tests in parallel.
 //!
 //! To run the tests of one file: `cargo test -p ballbard --test all time_stamps`. Tests that depend on
 //! real time are in `real_time.rs`.

@@ -1,4 +1,4 @@
-//! The cycle allocates no memory. It waits only for its deadline and for the reply to its frame.
+//! The cycle allocates no memory. It waits for only two things: its deadline, and the reply to its frame.
 #![allow(unsafe_code, clippy::unwrap_used, reason = "tests; an allocator that counts")]
 
 use std::alloc::{GlobalAlloc, Layout, System};
@@ -16,12 +16,12 @@ use ballbard::segment::{EthernetWire, FrameWire, InProcessWire};
 use nix::sched::{CloneFlags, unshare};
 use shared::time::UtcNs;
 
-/// An allocator that counts allocations for each thread separately, so that other test threads do not disturb the count.
+/// An allocator that counts the allocations of each thread separately. Other test threads therefore do not change the count.
 struct Counting;
 
 thread_local! {
     static CALLS: Cell<u64> = const { Cell::new(0) };
-    /// Number of bytes that this thread has allocated and not freed, and its maximum so far.
+    /// Number of bytes that this thread has allocated and not freed. The next variable is the maximum so far.
     static HELD: Cell<i64> = const { Cell::new(0) };
     static HELD_MOST: Cell<i64> = const { Cell::new(0) };
 }
@@ -32,7 +32,7 @@ fn note(freed_bytes: usize, allocated_bytes: usize) {
     HELD_MOST.set(HELD_MOST.get().max(HELD.get()));
 }
 
-/// Largest amount of memory that `work` allocates in addition to the memory that its thread held before \[bytes\].
+/// Largest number of bytes that `work` has allocated at one time.
 pub fn peak_bytes(work: impl FnOnce()) -> i64 {
     let before = HELD.get();
     HELD_MOST.set(before);
@@ -77,16 +77,16 @@ fn acquisition(clock: &Clock, rate_hz: u64) -> Acquisition {
         let bus = Bus::new(Box::new(wire), clock.clone(), plan.reply_timeout);
         Acquisition::start(bus, &plan, clock.clone()).ok()
     };
-    // If other tests keep the machine busy, the bring-up may exceed a time-out. It is then repeated.
+    // If other tests keep the machine busy, the bring-up may exceed a time-out. It is then attempted again.
     let mut acquisition = (0..10).find_map(|_| start()).unwrap();
     acquisition.begin_run(|_| ());
     acquisition
 }
 
-/// Number of allocations and of waits in `cycles` cycles. They include passing the records and times to the recorder.
+/// Number of allocations and number of waits in `cycles` cycles. They include passing records and times to the recorder.
 fn cost(clock: &Clock, rate_hz: u64, cycles: u64) -> (u64, u64) {
     let mut acquisition = acquisition(clock, rate_hz);
-    // The rings are of the same type as in real time. They are large enough, because the test never empties them.
+    // The rings are of the same type as in real time. They must hold all records, because the test never empties them.
     let (mut sink, _source) = record::ring(cycles as usize + 1000, record::FullRing::Drops);
     acquisition.next_cycle(&mut |record| sink.push(record));
     let live = LatestSamples::default();
@@ -107,7 +107,7 @@ fn cost(clock: &Clock, rate_hz: u64, cycles: u64) -> (u64, u64) {
 
 #[test]
 fn on_virtual_time_a_cycle_allocates_nothing_and_waits_for_nothing() {
-    // On virtual time no thread sleeps, so each wait would be for a lock or a file.
+    // In virtual time, no thread sleeps. Any wait would therefore be a wait for a lock or a file.
     let (calls, waits) = cost(&Clock::virtual_from(UtcNs(0)), 100, 20_000);
     assert_eq!((calls, waits), (0, 0));
 }

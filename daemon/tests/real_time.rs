@@ -1,4 +1,4 @@
-//! Tests of `ballbard` as a process in real time. They are separate from the tests that only compute.
+//! Tests of `ballbard` as a process in real time. Tests in virtual time are in the separate program `main.rs`.
 
 mod support;
 

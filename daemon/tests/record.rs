@@ -1,5 +1,5 @@
-//! One run of `ballbard record` on virtual time. The tests check when the run ends, which files it leaves, and that it never
-//! waits for a hanging disk.
+//! One run of `ballbard record` in virtual time. The tests check when the run ends, which files it leaves, and that it never
+//! waits for a disk that hangs.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 use std::cell::Cell;
@@ -19,10 +19,10 @@ use crate::support::world::{World, now, since, sleep};
 
 /// Duration of a hang that is longer than any client waits.
 const EVER: Duration = Duration::from_secs(60);
-/// Longest time that a command needs to end if its run has no file.
+/// Longest time that the command needs to end if its run has no file yet.
 const ENDS_WITHIN: Duration = Duration::from_secs(2);
 
-/// The command `ballbard record` with its configuration, the disk that it records to, and the means to interrupt it.
+/// The command `ballbard record`: its configuration, the disk on which it records, and the flag that interrupts it.
 struct Command {
     _directory: tempfile::TempDir,
     daemon: DaemonConfig,
@@ -50,7 +50,8 @@ impl Command {
         (run::record(&setup, &self.request, &self.stop).await, since(begun))
     }
 
-    /// Interrupts the command after this time. The cell holds the instant of the interruption once it has happened.
+    /// Interrupts the command after this time. The returned cell contains the instant of the
+    /// interruption once it has happened.
     fn stop_after(&self, time: Duration) -> Rc<Cell<Option<MonoNs>>> {
         let (stop, asked) = (self.stop.clone(), Rc::<Cell<Option<MonoNs>>>::default());
         let at = Rc::clone(&asked);
@@ -125,7 +126,7 @@ fn a_run_that_is_refused_leaves_no_file_and_the_next_one_can_begin() {
                 && !command.names().contains(&"day.mcap.active".into())
         );
 
-        // The limit of free space is larger than any disk, so the run must be refused.
+        // The required free space is larger than any disk, so the run must be refused.
         let full =
             Command { daemon: DaemonConfig { disk_floor_mb: u32::MAX, ..command.daemon.clone() }, ..command };
         let (outcome, _) = full.run().await;
@@ -162,8 +163,8 @@ fn a_bus_that_is_not_there_is_waited_for_until_somebody_ends_it() {
     });
 }
 
-/// Interrupts a command while the disk hangs in `call`, before the run has a file. If `second` is given, the first hang ends
-/// and the call `second` then hangs.
+/// Interrupts a command while the disk hangs in `call`, before the run has a file. If `second` is given, the first hang then
+/// ends, and the call `second` hangs.
 fn check_hang(call: Call, second: Option<Call>) {
     World::live(async move {
         let hang = if second.is_some() { Duration::from_millis(1300) } else { EVER };
@@ -195,7 +196,7 @@ fn check_hang(call: Call, second: Option<Call>) {
 
 #[test]
 fn a_command_that_is_asked_to_end_before_the_disk_gave_its_run_a_file_does_not_wait_for_the_disk() {
-    // Calls that claim the directory, lock the claim, and create the file of the run.
+    // Calls that prepare the directory, and calls that create, lock and name the file of the run.
     let calls =
         [Call::MakeDirectory, Call::Lock, Call::List, Call::Rename, Call::SyncDirectory, Call::Create];
     let mut cases: Vec<_> = calls.map(|call| (call, None)).into();

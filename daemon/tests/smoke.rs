@@ -1,5 +1,5 @@
-//! The smoke test of the simulated segment on virtual time. A fault of the bus must fail only the check
-//! that is named after it.
+//! The smoke test on the simulated segment, in virtual time. If the bus has a fault, only the check that is named
+//! after this fault may fail.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::path::Path;
@@ -12,7 +12,7 @@ use shared::config::{self, DaemonConfig, Kind};
 
 use crate::support::runs::bar;
 
-/// The shipped configuration with homing, and with each check of cycles shortened to ten seconds.
+/// The shipped configuration with homing. Each check of cycles is shortened to ten seconds.
 fn shipped() -> SmokeConfig {
     let shipped: SmokeConfig = config::parse(Kind::Smoke.built_in("smoke"), Path::new("smoke.toml")).unwrap();
     let cycles = shipped.cycles.iter().map(|asked| CyclesConfig { duration_s: 10, ..*asked }).collect();
@@ -64,7 +64,7 @@ fn a_healthy_bus_passes_every_check_and_the_report_has_its_figures() {
         assert_eq!(figures.working_counters, [(15, cycles)].into());
         assert!(figures.encoders.iter().all(|encoder| encoder.valid == cycles && encoder.sync_errors == 0));
         assert_eq!(figures.clocks.devices.len(), 5);
-        // The crystals of the segment deviate by up to 20 ppm.
+        // The rate errors of the segment's crystals are up to 20 ppm.
         assert!(figures.clocks.host_rate_ppm.unwrap().abs() < 25.0);
     }
     // After the cable was pulled, the bus was initialised again and returned to operation.

@@ -1,5 +1,5 @@
-//! Compares sample times with the true sampling instants of the simulated terminals, on virtual time. The tests vary delays
-//! and drift, wake up the cycle late, and set the clocks to another time.
+//! Compares sample times with the true sampling instants of the simulated terminals, in virtual time. The tests vary delays
+//! and drift. They also wake the cycle late, and step the clocks.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::io;
@@ -16,24 +16,24 @@ use rand::{Rng, SeedableRng, rngs::StdRng};
 use shared::recording::schema::{CycleRecord, flags};
 use shared::time::{MonoNs, UtcNs};
 
-/// Delays that the host adds to those of the wire, caused by system calls, interrupts and a busy processor. Pairs
-/// are for sending and receiving.
+/// Delays that the host adds to the delays of the wire. System calls, interrupts and a busy processor cause them. The first
+/// value of a pair is for sending, the second for receiving.
 #[derive(Clone, Copy)]
 struct Delays {
     /// Smallest additional delay \[ns\].
     least_ns: (i64, i64),
     /// Mean of the exponentially distributed delay that is added to `least_ns` \[ns\].
     mean_ns: (f64, f64),
-    /// One in this number of frames is a millisecond late, and one in this number of replies.
+    /// One in this number of frames is late by a millisecond. The same number is used for replies.
     rare: u32,
 }
 
 const QUIET: Delays = Delays { least_ns: (5_000, 8_000), mean_ns: (500.0, 1_000.0), rare: u32::MAX };
 const LOADED: Delays = Delays { least_ns: (6_000, 15_000), mean_ns: (10_000.0, 40_000.0), rare: 200 };
-/// Interrupts are delayed as by a network card that coalesces them, so mainly replies are late.
+/// A network card that coalesces interrupts delays them. Therefore mainly replies are late.
 const ONE_SIDED: Delays = Delays { least_ns: (5_000, 60_000), mean_ns: (1_000.0, 60_000.0), rare: 50 };
 
-/// A simulated segment behind a host with these delays. The test can change the clocks of both.
+/// A simulated segment behind a host with these delays. The test can change the clocks of the segment and of the host.
 struct DelayedWire {
     segment: SimulatedSegment,
     clock: Clock,
@@ -46,7 +46,7 @@ struct DelayedWire {
 
 #[derive(Default)]
 struct Clocks {
-    /// Difference between true bus time and the host's clock. It changes when the machine is suspended \[ns\].
+    /// Difference between true bus time and the host's clock \[ns\]. It changes when the machine is suspended.
     leap_ns: AtomicI64,
     /// Step of the reference clock that occurs with the next frame \[ns\].
     step_ns: AtomicI64,
@@ -123,7 +123,7 @@ impl Experiment {
         self.cycles_woken_late(count, || 0)
     }
 
-    /// Records `count` cycles. `late_ns` returns for each cycle by how much its wake-up is late \[ns\].
+    /// Records `count` cycles. `late_ns` is called for each cycle, and returns by how much the cycle wakes late \[ns\].
     fn cycles_woken_late(&mut self, count: usize, mut late_ns: impl FnMut() -> i64) -> Vec<CycleRecord> {
         let mut records: Vec<CycleRecord> = Vec::new();
         while records.len() < count {
@@ -162,14 +162,14 @@ fn assert_within(stamped: &[Stamped], sigmas: i64) {
 
 #[test]
 fn sample_times_are_right_within_their_uncertainty_on_quiet_and_loaded_hosts() {
-    // The last column limits the stated uncertainties, because uncertainties that are too large would be useless.
+    // The last column is a limit for the uncertainties in the records. Uncertainties that are too large would be useless.
     for (delays, bound_ns, sigma_bound_ns) in
         [(QUIET, 3_000, 10_000), (LOADED, 20_000, 40_000), (ONE_SIDED, 50_000, 60_000)]
     {
         for seed in 0..3 {
             let mut experiment = Experiment::new(&plan(100), delays, seed);
             let mut random = StdRng::seed_from_u64(seed);
-            // Some wake-ups are late, and a few of them come only after the next sample.
+            // Some wake-ups are late. A few of them are so late that the next sample has been taken.
             let late_ns = || if random.random_ratio(1, 50) { random.random_range(0..8_000_000) } else { 0 };
             let records = experiment.cycles_woken_late(5_000, late_ns);
             let stamped = experiment.judge(&records);
@@ -187,7 +187,7 @@ fn sample_times_are_right_within_their_uncertainty_on_quiet_and_loaded_hosts() {
 fn a_frame_that_meets_the_conversion_of_the_next_sample_is_flagged_as_late() {
     let mut experiment = Experiment::new(&plan(100), QUIET, 5);
     let mut cycles = 0;
-    // Each fifth frame is sent about half a period late, when the next SYNC0 or the end of its conversion is due.
+    // Each fifth frame is sent about half a period late. At that time the next SYNC0 occurs, or its conversion ends.
     let late_ns = || {
         cycles += 1;
         if cycles % 5 == 0 { 4_960_000 + 100 * cycles } else { 0 }
@@ -272,8 +272,8 @@ fn without_distributed_clocks_the_age_is_bounded_and_says_so() {
     let records = experiment.cycles(500);
     for record in &records {
         assert!(record.flags & flags::NO_DC != 0 && record.dc_time.0 == 0);
-        // The true age is uniformly distributed over one period. This is the width of a uniform distribution
-        // with the stated standard deviation.
+        // The true age is uniformly distributed over one period. The width of this distribution follows from the standard
+        // deviation in the record.
         let width_ns = f64::from(record.sample_time_uncertainty_ns) * 12f64.sqrt();
         assert!((9_999_000.0..10_001_000.0).contains(&width_ns), "{width_ns}");
     }

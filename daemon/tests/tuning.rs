@@ -16,7 +16,7 @@ const COALESCING: &str = "Coalesce parameters for eth1:\nAdaptive RX: off  TX: o
 /// Period at the usual rate of 100 Hz. A frame may then be late by 5 ms.
 const PERIOD: Duration = Duration::from_millis(10);
 
-/// A machine whose system files are in a directory of the test.
+/// A machine whose system files were copied to a directory of the test.
 struct Recorded {
     machine: Machine,
     root: tempfile::TempDir,
@@ -40,7 +40,7 @@ impl Recorded {
         self
     }
 
-    /// The same machine with a change.
+    /// The same machine after a change.
     fn but(mut self, change: impl FnOnce(&mut Machine)) -> Self {
         change(&mut self.machine);
         self
@@ -57,7 +57,7 @@ impl Deref for Recorded {
 
 const LIMITS_FILE: &str = "proc/self/limits";
 
-/// A new machine without any proposed setting, and with a cycle that has no time reserve.
+/// A new machine, on which none of the proposed settings was made. Its cycle has no reserve of time.
 fn untuned() -> Recorded {
     let files = [
         ("sys/devices/system/cpu/isolated", "\n"),
@@ -129,7 +129,8 @@ fn every_problem_of_an_untuned_machine_says_what_to_type() {
     }
 }
 
-/// The package's service may use fewer capabilities than these. If the program file had them, the service could not start it.
+/// The service in the package limits its capabilities. If the program file had more capabilities than the service permits,
+/// the service could not start the program.
 #[test]
 fn the_program_of_the_package_is_given_no_capabilities() {
     let installed = untuned().but(|machine| machine.is_package = true);

@@ -35,8 +35,8 @@ static SERVED: LazyLock<Served> = LazyLock::new(|| {
     Served { router: api::router(Service::start(settings).expect("a service")), runtime }
 });
 
-/// Sends requests to the service, one per line: `METHOD PATH CONTENT-TYPE HOST BODY`. Each answer must be JSON. If a request
-/// is refused, the answer must contain a reason.
+/// Sends requests to the service, one request per line: `METHOD PATH CONTENT-TYPE HOST BODY`. Each answer must be JSON. If
+/// the service refuses a request, the answer must contain a reason.
 pub fn any_requests(bytes: &[u8]) {
     for line in bytes.split(|byte| *byte == b'\n') {
         let mut parts = line.splitn(5, |byte| *byte == b' ');
@@ -59,14 +59,14 @@ fn answered(request: Request<Body>) {
     let answer =
         SERVED.runtime.block_on(SERVED.router.clone().oneshot(request)).expect("a router never fails");
     let kind = answer.headers().get(header::CONTENT_TYPE);
-    // The page has another content type than JSON. The event stream has no end, so it cannot be read completely.
+    // The page is not JSON. The event stream has no end, so it cannot be read completely. Both are excluded.
     if answer.status().is_success() && kind.is_none_or(|kind| kind != "application/json") {
         return;
     }
     let (status, body) = (answer.status(), to_bytes(answer.into_body(), ANSWER_BYTES_MAX));
     let body = SERVED.runtime.block_on(body).expect("a body in memory");
     assert!(!status.is_server_error(), "{status}: {}", String::from_utf8_lossy(&body));
-    // If a method is not supported, the answer has only a status. An answer to HEAD has no body.
+    // If a method is not supported, the answer has only a status. The answer to HEAD has no body. Both are excluded.
     if status.as_u16() != 405 && !head {
         let answer: serde_json::Value = serde_json::from_slice(&body).expect("JSON");
         let reason = answer.get("error").and_then(|error| error.as_str());

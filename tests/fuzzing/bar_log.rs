@@ -22,8 +22,8 @@ static SETTING: LazyLock<BarLogSetting> = LazyLock::new(|| {
     BarLogSetting { bars: [crate::ball_bar(), four], mapping }
 });
 
-/// Reads a table or a bag, with and without a mapping. If it is accepted, its cycles must be numbered and its angles finite.
-/// If it is refused, the error must have a reason.
+/// Reads a table or a bag, with and without a mapping. If the file is accepted, its cycles must be numbered and its angles
+/// finite. If the file is refused, the error must contain a reason.
 pub fn any_file(bytes: &[u8]) {
     let BarLogSetting { bars, mapping } = &*SETTING;
     for (bar, mapping) in bars.iter().flat_map(|bar| [(bar, None), (bar, Some(mapping))]) {
@@ -50,8 +50,8 @@ pub fn any_file(bytes: &[u8]) {
     }
 }
 
-/// Seeds: tables. They are an output of `ballbard export`, the columns of the thesis, angles, and lines without header
-/// as in the shipped mapping.
+/// Seeds: tables. There is an output of `ballbard export`, a table with the columns of the thesis, a table with angles, and
+/// a table without header that fits the shipped mapping.
 pub fn tables() -> Vec<Vec<u8>> {
     let rows = |header: &str, row: &dyn Fn(usize) -> String| {
         (header.to_owned() + &(0..52).map(row).collect::<String>()).into_bytes()

@@ -37,8 +37,8 @@ impl BringUpRig {
     }
 }
 
-/// Brings up a bus with damaged replies. Either this succeeds, and the bus then runs some cycles, or it is refused with a
-/// reason. Both must end in bounded time.
+/// Brings up a bus with damaged replies. If the bring-up succeeds, the bus runs some cycles. If the bring-up is refused, the
+/// error must contain a reason. Both must end in bounded time.
 pub fn any_replies(bytes: &[u8]) {
     thread_local!(static RIG: RefCell<BringUpRig> = RefCell::new(BringUpRig::new()));
     RIG.with_borrow_mut(|rig| {
@@ -46,7 +46,7 @@ pub fn any_replies(bytes: &[u8]) {
         rig.wire.play(Script::of(bytes));
         let begun = rig.clock.now();
         let plan = plan();
-        // Uses the EtherCAT stack of the previous bus again.
+        // The EtherCAT stack of the previous bus is used again.
         let bus = Bus::new(Box::new(rig.wire.clone()), rig.clock.clone(), plan.reply_timeout);
         match Acquisition::start(bus, &plan, rig.clock.clone()) {
             Ok(mut acquisition) => (0..CYCLES).for_each(|_| acquisition.idle()),
@@ -69,8 +69,8 @@ pub(super) fn plan() -> BusPlan {
     }
 }
 
-/// Seeds: scripts without damage, with a lost reply, with an emergency and an abort in place of the first answers,
-/// and with a wrong length.
+/// Seeds: scripts without damage, with a lost reply, with a wrong length, and with an emergency and an abort in
+/// place of the first answers.
 pub fn scripts() -> Vec<Vec<u8>> {
     vec![
         vec![],

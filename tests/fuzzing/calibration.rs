@@ -8,8 +8,8 @@ use identify::report::side_by_side;
 
 use super::explained;
 
-/// Reads a text as `calibration.json` and as `calibration.toml`. If it is accepted, the calibration is compared with a
-/// changed copy of itself. If it is refused, the error must have a reason.
+/// Reads a text as `calibration.json` and as `calibration.toml`. An accepted calibration is compared with a changed copy of
+/// itself. If the text is refused, the error must contain a reason.
 pub fn any_text(bytes: &[u8]) {
     let Ok(text) = std::str::from_utf8(bytes) else { return };
     for name in ["calibration.json", "calibration.toml"] {
@@ -22,7 +22,7 @@ pub fn any_text(bytes: &[u8]) {
 
 fn compare(file: &CalibrationFile) {
     let mut other = file.clone();
-    // The second calibration has other corrections and sigmas.
+    // The copy has other corrections and standard deviations.
     for entry in other.parameters.iter_mut().step_by(2) {
         entry.correction *= 0.5;
         entry.sigma = entry.sigma.map(|sigma| 2.0 * sigma);

@@ -32,8 +32,8 @@ const FILES: [(u8, &str); 16] = [
     (b'r', "robots/irb120_3.toml"),
 ];
 
-/// The first byte selects the type of file, and the other bytes are its text. If the text is accepted, the configuration
-/// must be usable. If it is refused, the error must have a reason.
+/// Reads a configuration. The first byte selects the type of file, and the other bytes are the text. If the text is
+/// accepted, the configuration must be usable. If it is refused, the error must contain a reason.
 pub fn any_text(bytes: &[u8]) {
     let Some((kind, text)) = bytes.split_first() else { return };
     let Ok(text) = std::str::from_utf8(text) else { return };

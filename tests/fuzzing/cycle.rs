@@ -1,4 +1,4 @@
-//! Fuzz target: the cycle of a bus in operation, whose replies are damaged by the fuzzer.
+//! Fuzz target: runs the cycle of a bus in operation. The fuzzer damages the replies of the bus.
 
 use std::cell::RefCell;
 
@@ -11,10 +11,10 @@ use shared::time::UtcNs;
 use super::bring_up::{plan, segment};
 use super::replies::{DamagedWire, Script};
 
-/// Largest number of cycles in which a script is played.
+/// Largest number of cycles for which a script is played.
 const CYCLES_MAX: usize = 200;
-/// Largest number of cycles from the end of the script to the next valid sample. The bus may need a
-/// new bring-up, which takes seconds.
+/// Largest number of cycles from the end of the script to the next valid sample. The bus may have to be brought
+/// up again, which takes seconds.
 const RECOVERY_CYCLES_MAX: usize = 1000;
 
 /// An acquisition that continues from one script to the next, because a bring-up for each script would be slow.
@@ -35,8 +35,8 @@ impl CycleRig {
         Self { acquisition, wire, last: None }
     }
 
-    /// Runs one cycle. Records must be numbered without a hole, their times must increase, and an
-    /// invalid record must be flagged.
+    /// Runs one cycle. Records must be numbered without gaps, their times must increase, and each invalid
+    /// record must have a flag.
     fn cycle(&mut self) {
         let last = &mut self.last;
         self.acquisition.next_cycle(&mut |record| {
@@ -55,8 +55,8 @@ impl CycleRig {
     }
 }
 
-/// Plays a script of damaged replies. Every cycle that is due must have a record, and times must increase. After the script,
-/// the bus must return to valid samples.
+/// Plays a script of damaged replies. Every cycle that is due must have a record, and the times of the records must
+/// increase. After the script, the samples must become valid again.
 pub fn any_replies(bytes: &[u8]) {
     thread_local!(static RIG: RefCell<CycleRig> = RefCell::new(CycleRig::new()));
     RIG.with_borrow_mut(|rig| {
@@ -76,8 +76,8 @@ pub fn any_replies(bytes: &[u8]) {
     });
 }
 
-/// Seeds: scripts without damage, with a lost reply, with wrong inputs, working counters and bus times,
-/// and with a truncated reply.
+/// Seeds: scripts without damage, with a lost reply, with a truncated reply, and with wrong inputs,
+/// working counters and bus times.
 pub fn scripts() -> Vec<Vec<u8>> {
     vec![
         vec![],

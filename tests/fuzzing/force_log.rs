@@ -32,8 +32,8 @@ static SETTING: LazyLock<ForceLogSetting> = LazyLock::new(|| {
     }
 });
 
-/// Reads a table with each mapping and without one. If it is accepted, its values must be finite and its times in order. If
-/// it is refused, the error must have a reason.
+/// Reads a table with each mapping and without a mapping. If the table is accepted, its values must be finite and its times
+/// in order. If the table is refused, the error must contain a reason.
 pub fn any_table(bytes: &[u8]) {
     for mapping in &SETTING.mappings {
         match ForceLog::read(bytes, Path::new("force"), &SETTING.robot, mapping.as_ref()) {

@@ -1,4 +1,4 @@
-//! Splits the bytes of a fuzzer into values. Bytes that are missing at the end read as zero.
+//! Splits the bytes of a fuzzer into values. If bytes are missing at the end, they are read as zero.
 
 /// Bytes that are not used yet.
 pub struct UnusedBytes<'a>(pub &'a [u8]);
@@ -18,7 +18,7 @@ impl<'a> UnusedBytes<'a> {
         u16::from_le_bytes([self.byte(), self.byte()])
     }
 
-    /// The next `length` bytes, or all remaining ones if there are fewer.
+    /// The next `length` bytes. If fewer bytes remain, all of them.
     pub fn take(&mut self, length: usize) -> &'a [u8] {
         let (taken, rest) = self.0.split_at(length.min(self.0.len()));
         self.0 = rest;

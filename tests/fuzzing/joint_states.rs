@@ -30,7 +30,8 @@ pub fn bag(names: &[&str]) -> Vec<u8> {
     writer.into_inner().into_inner()
 }
 
-/// A message in little-endian CDR. Each number is aligned to its size, counted from the end of the four bytes of the header.
+/// A message in little-endian CDR. Each number is aligned to its own size. Alignment is counted from the end of
+/// the header of four bytes.
 fn message(names: &[&str], row: u32) -> Vec<u8> {
     let mut body = Vec::new();
     body.extend(1_795_000_000_u32.to_le_bytes());

@@ -1,8 +1,8 @@
 //! Fuzz targets. Each [`Target`] takes arbitrary bytes and panics if a guarantee is violated.
 //!
 //! `cargo fuzz` (`tests/fuzz`, needs nightly) and the ordinary test `corpus` call the same functions. The test runs them on
-//! all saved inputs; `corpus.rs` describes the directories of these inputs and how to save new ones. Each target also
-//! formats the message of an error, because formatting must not fail either.
+//! all saved inputs. `corpus.rs` describes the directories of these inputs, and how new inputs are saved. Each target also
+//! formats the error message, because formatting must not fail either.
 
 mod api;
 mod bar_log;
@@ -23,7 +23,7 @@ mod segment;
 pub use corpus::unpack;
 use input::UnusedBytes;
 
-/// A function under test that takes bytes from an external source, with its inputs.
+/// A function under test, which takes bytes from an external source. Also its inputs.
 pub struct Target {
     /// Name of the fuzz target and of its saved inputs.
     pub name: &'static str,

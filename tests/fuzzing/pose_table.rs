@@ -1,5 +1,5 @@
-//! Fuzz target: reads tables of single poses from arbitrary bytes. A row has a measured length, position or pose, the socket
-//! of a ball, or the face that a tip touches.
+//! Fuzz target: reads tables of single poses from arbitrary bytes. Each row contains a measured length, a measured position
+//! or pose, the socket of a ball, or the face that a tip touches.
 
 use std::path::Path;
 use std::sync::LazyLock;
@@ -32,8 +32,8 @@ static SETTING: LazyLock<PoseTableSetting> = LazyLock::new(|| {
     }
 });
 
-/// Reads a table with each shipped mapping. If it is accepted, its numbers must be finite. If it is refused, the
-/// error must have a reason.
+/// Reads a table with each shipped mapping. If the table is accepted, its numbers must be finite. If the table is refused,
+/// the error must contain a reason.
 pub fn any_table(bytes: &[u8]) {
     match MeasuredLengths::read(bytes, Path::new("lengths"), &SETTING.lengths) {
         Ok(lengths) => {

@@ -1,4 +1,4 @@
-//! Fuzz targets: read recordings from arbitrary bytes, and from arbitrary content with correct checksums.
+//! Fuzz targets: recordings are read from arbitrary bytes, or from arbitrary content with correct checksums.
 
 use std::collections::BTreeMap;
 use std::io::{Cursor, Read};
@@ -16,8 +16,8 @@ const START: UtcNs = UtcNs(1_790_000_000_000_000_000);
 const RUN: &str = "ballbard.run";
 const END: &str = "ballbard.end";
 
-/// Reads and recovers a file of arbitrary bytes. Reading may refuse the file with a reason. If a recovery succeeds, its
-/// result must be a valid recording.
+/// Reads and recovers a file of arbitrary bytes. If the file is refused, the error must contain a reason. If a recovery
+/// succeeds, the result must be a valid recording.
 pub fn any_bytes(bytes: &[u8]) {
     let read = Recording::read(bytes);
     match &read {
@@ -47,8 +47,8 @@ fn check(recording: &Recording) {
     assert_eq!(recording.cycles.len() as u64, recording.end.cycles);
 }
 
-/// Reads a file with correct checksums, whose messages and metadata are from the fuzzer. The bytes of the fuzzer consist of
-/// pieces; each has kind, length and content.
+/// Reads a file with correct checksums, whose messages and metadata are from the fuzzer. The bytes of the fuzzer are a
+/// sequence of pieces. Each piece consists of kind, length and content.
 pub fn any_content(bytes: &[u8]) {
     let mut writer = mcap::WriteOptions::new()
         .profile("ros2")

@@ -1,4 +1,4 @@
-//! Damages the replies of a simulated bus as the fuzzer determines.
+//! Damages the replies of a simulated bus. The bytes of the fuzzer determine the damage.
 
 use std::io;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -8,8 +8,8 @@ use shared::time::MonoNs;
 
 use super::UnusedBytes;
 
-/// A script that damages replies. Each entry waits for a number of replies before it damages one. If selected, it only
-/// counts replies that read a mailbox.
+/// A script that damages replies. Each entry waits for a number of replies, and then damages one reply. If `only_mailbox` is
+/// set, only replies that read a mailbox count.
 pub struct Script {
     entries: Vec<DamagedReply>,
     passed: u16,
@@ -72,7 +72,7 @@ impl Script {
     }
 }
 
-/// True if the first datagram of the reply read the mailbox of a terminal and the mailbox was not empty.
+/// Whether the first datagram of the reply has read the mailbox of a terminal and the mailbox was not empty.
 fn is_mailbox_reply(frame: &[u8]) -> bool {
     frame.get(16) == Some(&4)
         && frame.get(20..22) == Some(&[0x80, 0x10])
@@ -80,8 +80,8 @@ fn is_mailbox_reply(frame: &[u8]) -> bool {
         && frame.get(26 + 128) == Some(&1)
 }
 
-/// A wire to a segment whose replies a script damages. The segment can be replaced by a new one, because ethercrab lends its
-/// frame storage only once per process. Clones share the wire.
+/// A wire to a segment. A script damages the replies. The segment can be replaced by a new one, so that the same wire and
+/// the frame storage that ethercrab lends only once per process can be used again. Clones share the wire.
 #[derive(Clone)]
 pub struct DamagedWire(Arc<Mutex<(InProcessWire, Script)>>);
 
@@ -95,12 +95,12 @@ impl DamagedWire {
         self.lock().0 = segment;
     }
 
-    /// Starts a script, which applies from the next reply on.
+    /// Starts a script. It is valid from the next reply on.
     pub fn play(&self, script: Script) {
         self.lock().1 = script;
     }
 
-    /// True if the script has ended.
+    /// Whether the script has ended.
     pub fn is_over(&self) -> bool {
         self.lock().1.entries.is_empty()
     }

@@ -26,8 +26,8 @@ static SETTING: LazyLock<RobotLogSetting> = LazyLock::new(|| {
     RobotLogSetting { robot, mapping: RobotLogMapping { force: Some(torques), ..shipped } }
 });
 
-/// Reads a log in this format, with and without a mapping. If it is accepted, it must have the guaranteed properties. If it
-/// is refused, the error must have a reason.
+/// Reads a log in this format, with and without a mapping. If the log is accepted, it must have the guaranteed properties.
+/// If the log is refused, the error must contain a reason.
 fn any_log(format: LogFormat, bytes: &[u8]) {
     let RobotLogSetting { robot, mapping } = &*SETTING;
     for mapping in [None, Some(mapping.clone())] {
@@ -76,7 +76,7 @@ fn row(row: usize) -> [f64; 6] {
     std::array::from_fn(|joint| 20.0 * (0.3 * row as f64 + joint as f64).sin())
 }
 
-/// Seeds: a table of the robot itself and one of RTDE, both with a force, and a table for the shipped mapping.
+/// Seeds: a table in the robot's own format and a table of RTDE, both with a force, and a table for the shipped mapping.
 pub fn tables() -> Vec<Vec<u8>> {
     let table = |header: &str, separator: &str, step: f64, more: &str| {
         let mut text = header.to_owned();
@@ -110,7 +110,7 @@ pub fn telegrams() -> Vec<Vec<u8>> {
     vec![format!("<?xml version=\"1.0\"?>\n<Log>{text}</Log>").into_bytes(), text.into_bytes()]
 }
 
-/// Seeds: EGM messages that are stamped with the controller's milliseconds.
+/// Seeds: EGM messages whose stamps are milliseconds of the controller.
 pub fn egm_messages() -> Vec<Vec<u8>> {
     let message = |index: usize| {
         let mut joints = Vec::new();
@@ -130,8 +130,8 @@ pub fn egm_messages() -> Vec<Vec<u8>> {
     vec![(0..30).flat_map(message).collect(), message(1)]
 }
 
-/// Seeds: bags with efforts, and our own recordings. The joint names of the bags are those of
-/// drivers or of the shipped mapping.
+/// Seeds: bags with efforts, and our own recordings. The joint names in the bags are those of drivers, or
+/// those of the shipped mapping.
 pub fn mcap_bags() -> Vec<Vec<u8>> {
     let driver = ["joint_2", "joint_1", "joint_3", "gripper", "joint_4", "joint_5", "joint_6"];
     let mut bags = vec![joint_states::bag(&driver), joint_states::bag(&["J1", "J2", "J3", "J4", "J5", "J6"])];

@@ -26,7 +26,8 @@ impl EncoderSource for Turning {
     }
 }
 
-/// Sends frames of arbitrary bytes to a terminal in OP. Each frame must return with its own length, or not at all.
+/// Sends frames of arbitrary bytes to a terminal in OP. A frame may be lost. If a frame returns,
+/// its length must be unchanged.
 pub fn any_frames(bytes: &[u8]) {
     let mut wire = Wire::new(2, Turning);
     wire.enter_safeop(TERMINAL);
@@ -46,7 +47,7 @@ pub fn any_frames(bytes: &[u8]) {
     }
 }
 
-/// Command, index and length of each datagram of a frame. No device may change them.
+/// Command, index and length of each datagram of a frame. Devices must not change these values.
 fn headers(frame: &[u8]) -> Vec<(u8, u8, u16)> {
     let mut headers = Vec::new();
     let mut rest = frame.get(16..).unwrap_or_default();
@@ -76,7 +77,7 @@ pub fn any_requests(bytes: &[u8]) {
             fetch(&mut wire, &request);
         }
     }
-    // After any SDO request, object 0x1018:01 (vendor) still reads as 2.
+    // After any SDO request, the value of object 0x1018:01 (vendor) is still 2.
     assert_eq!(wire.sdo(TERMINAL, &[0x40, 0x18, 0x10, 1, 0, 0, 0, 0])[..5], [0x43, 0x18, 0x10, 1, 2]);
 }
 

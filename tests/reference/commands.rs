@@ -16,13 +16,13 @@ fn the_page_on_commands_is_that_of_the_programs() {
     check("commands.md", "Commands", "the help of both programs", &content);
 }
 
-/// Checks the help of a program and of every command below it.
+/// Checks the help of a program and of all its commands.
 fn check_help(mut program: clap::Command, parse: impl Fn(Vec<String>) -> Result<(), clap::Error>) {
     program.build();
     for command in commands(&program) {
         let name = name(command);
         let example = example(command).unwrap_or_else(|| panic!("{name}: no line `Example: ` in after_help"));
-        // If the command is hidden, users may omit its name.
+        // If the command is hidden, users may leave out its name.
         let begin = if command.is_hide_set() { name.rsplit_once(' ').unwrap().0 } else { name };
         assert!(example.starts_with(begin), "{name}: {example}");
         let words = crate::documents::commands(&example).remove(0);

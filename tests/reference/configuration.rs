@@ -10,12 +10,12 @@ use toml::{Table, Value};
 use super::check;
 use crate::documents::repository;
 
-/// Words at the end of a key that are units.
+/// Units that can be at the end of a key.
 const UNITS: &str = "hz s ms us mb m mm um deg rad mrad urad ppm per";
 /// Longest value that the page shows in full \[characters\].
 const VALUE_CHARS_MAX: usize = 60;
 
-/// Type of a value, with the unit at the end of its key, such as `mm, mrad` of `tolerance_mm_mrad`.
+/// Type of a value, with the unit at the end of its key. Example: `mm, mrad` for the key `tolerance_mm_mrad`.
 fn kind(key: &str, value: &Value) -> String {
     let kind = match value {
         Value::String(_) | Value::Datetime(_) => "text",
@@ -30,7 +30,7 @@ fn kind(key: &str, value: &Value) -> String {
     parts.join(", ").replace(", per, ", "/").replace(", hz", ", Hz").replace(", mb", ", MB")
 }
 
-/// A section of a configuration file. It combines all blocks that have the same title.
+/// A section of a configuration file. Blocks with the same title are combined in one section.
 #[derive(Default)]
 struct FileSection {
     title: String,
@@ -40,7 +40,7 @@ struct FileSection {
 }
 
 impl FileSection {
-    /// Adds a comment that belongs to no key. Indented lines of the comment are an example.
+    /// Adds a comment that does not describe a key. Indented lines of the comment are an example.
     fn add_paragraph(&mut self, lines: &[String]) {
         let is_code = |line: &String| line.starts_with("    ");
         for part in lines.chunk_by(|one, next| is_code(one) == is_code(next)) {
@@ -70,7 +70,7 @@ impl FileSection {
     }
 }
 
-/// A key with its value. A key that is not set appears in a comment of the file.
+/// A key with its value. If the key is not set, it appears in a comment of the file.
 struct KeyEntry {
     key: String,
     value: Value,
@@ -79,7 +79,7 @@ struct KeyEntry {
 }
 
 impl KeyEntry {
-    /// Parses the key of a line. `further` has the following lines, because a value may continue there.
+    /// Parses the key of a line. `further` contains the following lines, because the value may continue there.
     fn parse<'t>(line: &'t str, is_set: bool, further: &mut impl Iterator<Item = &'t str>) -> Option<Self> {
         let (key, _) = line.split_once(" = ").filter(|(key, _)| !key.contains(char::is_whitespace))?;
         let mut text = line.to_owned();

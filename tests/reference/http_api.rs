@@ -7,17 +7,17 @@ use serde_json::Value;
 
 use super::check;
 
-/// A text of the OpenAPI document, formatted as a table cell.
+/// A text of the OpenAPI document, formatted as the content of a table cell.
 fn text(value: &Value) -> String {
     cell(value.as_str().unwrap_or_default())
 }
 
-/// Members of an object; empty for a value of any other type.
+/// Members of an object. If the value has any other type, the result is empty.
 fn members(value: &Value) -> impl Iterator<Item = (&String, &Value)> {
     value.as_object().into_iter().flatten()
 }
 
-/// Elements of a list; empty for a value of any other type.
+/// Elements of a list. If the value has any other type, the result is empty.
 fn elements(value: &Value) -> impl Iterator<Item = &Value> {
     value.as_array().into_iter().flatten()
 }

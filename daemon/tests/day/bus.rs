@@ -10,7 +10,7 @@ use super::rig::live_on_bus;
 use crate::support::assert_bad_cycles_have_reasons;
 use crate::support::world::{now, since, sleep};
 
-/// The line about this subject in the output of a check.
+/// The line of a check's output whose subject is `subject`.
 pub fn line<'a>(lines: &'a Value, subject: &str) -> &'a Value {
     lines.as_array().unwrap().iter().find(|line| line["subject"] == subject).unwrap()
 }
@@ -63,7 +63,7 @@ fn an_encoder_without_signal_needs_a_reason_for_a_run_which_is_in_the_file() {
         assert!(is_named(&writing.reason.unwrap()));
         assert_eq!(day.post("/start", &json!({"name": "four"})).await.1["answer"], "running");
         assert_eq!(day.post("/stop", &json!({})).await.0, 200);
-        // The end of the run does not end the problem, so the problem is not counted again.
+        // The problem is not over when the run ends, so it must not be counted a second time.
         sleep(Duration::from_secs(1)).await;
         assert_eq!(day.service.status().totals.problems["encoder_invalid"], 1);
         let events = day.recording("four").events;
@@ -83,10 +83,10 @@ fn the_check_has_a_line_for_each_thing_and_a_remedy_for_each_problem() {
             assert!(line(&before, subject)["remedy"].is_null(), "{before}");
         }
         for subject in ["real time", "clock"] {
-            // The content of this line depends on the machine, so the test only requires that it is not empty.
+            // The content of this line depends on the machine, so the test requires only that the content is not empty.
             assert!(!line(&before, subject)["finding"].as_str().unwrap().is_empty());
         }
-        // If a file appears while the service runs, only the line about such files changes.
+        // A file that appears while the service runs changes only the line about such files.
         std::fs::write(day.home().join("old.mcap.active"), "left").unwrap();
         let (_, after) = day.get("/check").await;
         for (before, after) in before.as_array().unwrap().iter().zip(after.as_array().unwrap()) {

@@ -1,5 +1,6 @@
-//! Injects a fault into each disk call of a service during a whole day: recovery of an earlier run, lists, check, a run, and
-//! the shutdown. The call fails, hangs, or transfers a single byte; or the disk fails from this call on.
+//! Injects a fault into each disk call of a service during a whole day. A day consists of the recovery of an earlier
+//! run, lists, a check, a run, and the shutdown. The call fails, hangs, or transfers a single byte. Or the disk
+//! fails from this call on.
 
 use std::path::Path;
 use std::rc::Rc;
@@ -15,23 +16,22 @@ use crate::support::runs::in_parallel;
 use crate::support::wall::{Call, Fault};
 use crate::support::world::{World, now, since, sleep};
 
-/// Duration of a hang that is longer than a check of the disk takes.
+/// Duration of a hang that exceeds the time of a check of the disk.
 const HANG: Duration = Duration::from_millis(1300);
 /// Duration of a hang that is longer than any client waits.
 const EVER: Duration = Duration::from_secs(8);
 /// Interval at which the service checks for commands and for its shutdown.
 const POLL: Duration = Duration::from_millis(100);
-/// Number of days that are simulated in parallel. A day needs processor time only.
+/// Number of days that are simulated in parallel. A simulated day never waits, so it keeps one processor busy.
 const AT_ONCE: usize = 4;
 
-/// Checks that every answer of the service agrees with its files, and that the service ends.
+/// Checks that every answer of the service agrees with the files on disk, and that the service ends.
 async fn check(day: &Day, fault: Fault) {
     let answers = day.record().await;
     check_answers(&answers, fault);
     day.service.shutdown("test over");
     assert!(day.has_ended_within(ENDS_WITHIN + HANG).await, "{:?}", day.service.status());
-    // Waits until the service has also released its claim on the directory, because another directory may
-    // get the same inode number.
+    // Wait until the service has also released its claim on the directory. Another directory may get the same inode number.
     day.service.join().unwrap();
     day.check_files();
 }
@@ -61,8 +61,8 @@ fn check_answers(answers: &Answers, fault: Fault) {
     }
 }
 
-/// Checks that the service reports a call that never returns. No answer may be late. The shutdown may be late only while
-/// cycles wait to be written.
+/// Checks that the service reports a call that never returns. No answer may be late. The shutdown may be late, but only
+/// while cycles wait to be written.
 async fn check_for_ever(day: Rc<Day>) {
     let other = Rc::clone(&day);
     World::here().unwrap().spawn(async move {
@@ -74,7 +74,7 @@ async fn check_for_ever(day: Rc<Day>) {
     let lines = day.get("/check").await;
     assert!(since(asked) < Duration::from_secs(1) + 2 * POLL, "check took {:?}", since(asked));
     assert_eq!(lines.0, 200, "{lines:?}");
-    // If a run has just begun, its data may take another second to reach the disk.
+    // If a run has just begun, its data may reach the disk up to a second later.
     let is_told = |status: &Status| {
         matches!(status.state, ServiceState::Waiting | ServiceState::Writing) || status.reason.is_some()
     };
@@ -113,7 +113,7 @@ fn whatever_becomes_of_any_call_of_a_service_what_it_answers_is_true_and_it_ends
     println!("{} calls, {} cases, 0 failures: {calls:?}", calls.values().sum::<usize>(), cases.len());
 }
 
-/// Injects faults into the first and the last call of each kind.
+/// Injects faults into the first and the last disk call of each kind.
 #[test]
 fn a_service_whose_first_or_last_call_of_a_kind_fails_answers_what_is_true() {
     let calls = live(None, async |day| {

@@ -36,7 +36,7 @@ fn a_file_that_was_missed_once_is_safe_again_when_it_is_in_its_place() {
     live(None, async |day| {
         day.wait_for(ServiceState::Waiting).await;
         day.start_run("missed").await;
-        // The next check of the file by the storage fails. The recorder checks the file itself and still finds it.
+        // The next check of the file by the storage fails. The recorder then checks the file, too, and still finds it.
         day.wall.strike_next(Call::IdAt, Fault::Fails);
         day.wait_until_struck().await;
         sleep(Duration::from_secs(3)).await;
@@ -62,7 +62,7 @@ fn a_run_that_has_no_place_left_is_no_success_for_whoever_stops_it() {
         let last = status.last.unwrap();
         assert!(last.error.as_ref().unwrap().contains("no part of the run is saved"), "{last:?}");
         assert_eq!((last.file, last.cycles), (None, 0));
-        // The directory accepts no files. It therefore gets no further runs, even after this run has been recovered.
+        // The directory accepts no files, so no later run uses it, even after this run has been recovered.
         day.wait_for(ServiceState::Waiting).await;
         let (status, refused) = day.post("/start", &json!({"name": "next"})).await;
         assert_eq!(status, 409);
@@ -77,8 +77,8 @@ fn a_run_left_behind_while_the_service_goes_on_is_recovered_when_the_next_one_st
         day.wait_for(ServiceState::Waiting).await;
         leave(&day.home(), "behind", 40, false);
         std::fs::write(day.home().join("empty.mcap.active"), "").unwrap();
-        // The file left by a crash keeps its name when it is recovered. The recovery comes before the new run,
-        // and the answer reports it.
+        // The file that a crash left keeps its name when it is recovered. The recovery takes place before the new run, and
+        // the answer reports it.
         let (status, refused) = day.post("/start", &json!({"name": "behind"})).await;
         let error = refused["error"].as_str().unwrap();
         assert!(

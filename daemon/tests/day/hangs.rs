@@ -1,4 +1,4 @@
-//! While the disk hangs, the service answers every request, and the answer is true.
+//! While the disk hangs, the service answers every request, and each answer is true.
 
 use std::cell::Cell;
 use std::io::{self, Write};
@@ -22,7 +22,7 @@ const HANG: Duration = Duration::from_secs(3);
 
 #[test]
 fn a_marker_that_is_set_while_the_disk_hangs_is_answered_at_once_and_has_its_instant() {
-    // Calls of the recorder. The test must pass no matter which of them hangs.
+    // Calls of the recorder. The test must pass with a hang of either call.
     let cases = [Call::Write, Call::Sync];
     in_parallel(&cases, cases.len(), |call| {
         let call = *call;
@@ -145,8 +145,8 @@ fn marks_that_the_disk_refuses_were_found_but_are_not_kept() {
     });
 }
 
-/// Runs a day in which creating the next file hangs for this time, then calls `then`. A run that is started there has no
-/// file until the hang ends.
+/// Runs a day in which creating the next file hangs for the duration `hang`, and then calls `then`. A run that `then` starts
+/// has no file until the hang ends.
 fn without_file<T: 'static>(hang: Duration, then: impl AsyncFnOnce(Rc<Day>) -> T + 'static) -> T {
     live(None, async move |day| {
         day.wait_for(ServiceState::Waiting).await;
@@ -183,7 +183,7 @@ fn while_the_disk_makes_no_file_everybody_is_answered_and_no_cycle_is_lost() {
         assert!(answered.get().is_some_and(|after| after >= HANG), "{answered:?}");
         day.end().await;
         let recording = Recording::open(&day.home().join("late.mcap")).unwrap();
-        // Cycles count from the request for the run, which was seconds before the file existed.
+        // The run begins with its request, seconds before the file existed. Its cycles are counted from that time.
         assert!(recording.cycles.len() > 300 && recording.end.cycles_lost == 0, "{:?}", recording.end);
         assert!(recording.cycles.iter().all(|cycle| cycle.is_valid()));
     });

@@ -1,5 +1,4 @@
-//! A day of a service on virtual time. Tests of this folder let the bus fail, or let the disk hang, refuse
-//! calls or fail for good.
+//! A day of a service in virtual time. In these tests the bus fails, or the disk hangs, refuses calls, or fails for good.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 mod bus;

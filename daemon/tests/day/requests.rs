@@ -76,7 +76,7 @@ fn whatever_a_run_is_called_its_file_lies_in_the_directory_under_a_plain_name() 
         }
         let asked = named(&day, &json!({"name": "???"})).await;
         assert!(asked.name.is_empty() && asked.problem.unwrap().contains("no letter or digit"));
-        // The page and the command both use the same default name: date, robot, bar and a number.
+        // The page and the command use the same default name. It consists of date, robot, bar and a number.
         let about = json!({"robot": "IRB 2400", "bar": "short"});
         let NameReply { name, .. } = named(&day, &about).await;
         assert!(name.ends_with("_irb-2400_short_01"), "{name}");

@@ -1,4 +1,4 @@
-//! A service with its API and a client. All of them run on virtual time in one thread.
+//! A service with its API and a client. All of them run in one thread, in virtual time.
 
 use std::collections::BTreeMap;
 use std::future::Future;
@@ -28,10 +28,10 @@ use crate::support::world::{World, now, since, sleep};
 const LEFT_CYCLES: u64 = 40;
 /// Interval at which a client polls the service.
 const POLL_PERIOD: Duration = Duration::from_millis(10);
-/// Longest time that a service needs for its shutdown if no run waits for the disk.
+/// Longest time that the shutdown of a service takes, if no run waits for the disk.
 pub const ENDS_WITHIN: Duration = Duration::from_secs(2);
 
-/// Status code and answer to each request. The key names the request.
+/// Status code and answer of each request, by the name of the request.
 pub type Answers = BTreeMap<&'static str, (u16, Value)>;
 
 pub struct Day {
@@ -41,7 +41,7 @@ pub struct Day {
     routes: Router,
 }
 
-/// Simulates a day on virtual time, with this fault of the disk.
+/// Simulates a day in virtual time. The disk has the given fault.
 pub fn live<T: 'static, F: Future<Output = T> + 'static>(
     fault: Option<(Call, usize, Fault)>,
     day: impl FnOnce(Rc<Day>) -> F + 'static,
@@ -49,7 +49,7 @@ pub fn live<T: 'static, F: Future<Output = T> + 'static>(
     World::live(async move { day(Rc::new(Day::begin(fault, &[]))).await })
 }
 
-/// Simulates a day on virtual time, with these faults of the bus. A run ends after three seconds without a valid sample.
+/// Simulates a day in virtual time. The bus has the given faults. A run ends after three seconds without a valid sample.
 pub fn live_on_bus<T: 'static, F: Future<Output = T> + 'static>(
     faults: &'static [&'static str],
     day: impl FnOnce(Rc<Day>) -> F + 'static,
@@ -83,7 +83,7 @@ impl Day {
         (status, String::from_utf8(answer.into()).unwrap())
     }
 
-    /// Content of a path as text, because it may not be JSON.
+    /// Content of a path of the service as text. It may not be JSON.
     pub async fn text(&self, path: &str) -> String {
         self.ask("GET", path, &json!({})).await.1
     }
@@ -110,7 +110,7 @@ impl Day {
         serde_json::from_value(self.get("/runs").await.1).unwrap()
     }
 
-    /// Waits until the condition holds, the service ends, or the time `within` has passed. Returns the last status.
+    /// Waits until the condition is true, the service ends, or the time `within` has passed. Returns the last status.
     pub async fn wait(&self, within: Duration, is_it: impl Fn(&Status) -> bool) -> Status {
         let begun = now();
         loop {
@@ -207,11 +207,11 @@ impl Day {
         Recording::open(&self.home().join(format!("{name}.mcap"))).unwrap()
     }
 
-    /// Recovers all unfinished files on a disk without faults. Each of them must be recovered exactly once.
+    /// Recovers all unfinished files on a disk without faults. Each file must be recovered exactly once.
     pub fn check_files(&self) {
         for place in [self.home(), self.spare()] {
             for leftover in recover_leftovers(&place) {
-                // If the disk failed before the first bytes were complete, the file of the run has no content to recover.
+                // If the disk failed while the first bytes were written, the file of the run contains nothing to recover.
                 let is_begun = leftover.file.file_stem().is_some_and(|name| name == "day.mcap");
                 let error = leftover.outcome.err().map_or(String::new(), |error| error.to_string());
                 assert!(

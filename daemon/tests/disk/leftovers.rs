@@ -1,6 +1,5 @@
-//! Injects a fault into each disk call of a recovery. The call fails or transfers a single byte, or the disk
-//! fails from this call on, as if the program were killed there. Afterwards every recording exists exactly
-//! once, either complete or unchanged.
+//! Injects a fault into each disk call of a recovery. The call fails or transfers a single byte. Or the disk fails from this
+//! call on, as if the program were killed there. Afterwards every recording must exist exactly once, complete or unchanged.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -16,7 +15,7 @@ const AT_ONCE: usize = 4;
 const CYCLES: u64 = 40;
 
 /// Writes the files that earlier runs may leave into one directory: unfinished, torn, damaged,
-/// empty and already recovered ones.
+/// empty, and already recovered files.
 fn fill(directory: &Path) {
     let active = |name: &str| directory.join(format!("{name}.mcap.active"));
     let finished = |name: &str| directory.join(format!("{name}.mcap"));
@@ -33,7 +32,7 @@ fn fill(directory: &Path) {
     damaged[middle] ^= 1;
     std::fs::write(finished("damaged"), damaged).unwrap();
     std::fs::rename(finished("named"), active("named")).unwrap();
-    // This file is already recovered, but its original was not removed yet.
+    // This file has already been recovered, but its original has not been removed yet.
     let twice = std::fs::read(active("twice")).unwrap();
     recover_file_on(&SystemDisk, &active("twice")).unwrap();
     std::fs::write(active("twice"), twice).unwrap();
@@ -45,7 +44,8 @@ fn fill(directory: &Path) {
     }
 }
 
-/// Recovers all unfinished files as the start of the service does, then the damaged file as `ballbard recover` does.
+/// Recovers all unfinished files, as the service does when it starts. Then recovers the damaged
+/// file, as `ballbard recover` does.
 fn recover(disk: &dyn shared::recording::Disk, directory: &Path) {
     let damaged = directory.join("damaged.mcap");
     let outcomes = recover_leftovers_on(disk, directory).into_iter().map(|leftover| leftover.outcome);
@@ -103,8 +103,8 @@ impl Clean {
         cases.filter(|(call, _, fault)| *fault != Fault::CutsShort || call.moves_bytes()).collect()
     }
 
-    /// Recovers the files with this fault of the disk. Then recovers them again on a disk without
-    /// faults, as the next start does.
+    /// Recovers the files on a disk with the given fault. Then recovers them again on a disk without faults, as the next
+    /// start of the service does.
     fn check(&self, fault: (Call, usize, Fault)) {
         let directory = tempfile::tempdir().unwrap();
         let directory = directory.path();
@@ -114,7 +114,8 @@ impl Clean {
         let now = finished(directory);
         assert!(now.keys().eq(self.finished.keys()), "{:?}", now.keys());
         for (name, cycles) in &self.finished {
-            // The file that was set aside may contain cycles that the disk did not return during the first recovery.
+            // The first recovery may have renamed this file. It may contain cycles that the disk did
+            // not return at that time.
             let torn = directory.join(format!("{name}.mcap.torn"));
             let is_kept = || {
                 [format!("{name}.mcap.active"), format!("{name}.mcap")].iter().any(|original| {

@@ -1,6 +1,6 @@
-//! Injects a fault into each write of the log: the write fails, hangs or transfers a single byte, or the disk
-//! fails from there on. A thread that logs never waits. The log states the number of missing lines at the
-//! position where they are missing.
+//! Injects a fault into each write of the log. The write fails, hangs or transfers a single byte. Or the disk
+//! fails from this write on. A thread that logs must never wait. If lines are missing, the log must state
+//! their number at this position.
 
 use std::fs::File;
 use std::path::Path;
@@ -13,7 +13,7 @@ use crate::support::runs::in_parallel;
 use crate::support::wall::{Call, Fault, Wall};
 
 const LINES: usize = 20;
-/// Duration of a hang. It is longer than the shutdown of the program may take, including the delay of a busy machine.
+/// Duration of a hang. It is longer than the shutdown of the program may take, even on a busy machine.
 const HANG: Duration = Duration::from_secs(10);
 
 fn check(nth: usize, fault: Fault) {
@@ -26,7 +26,7 @@ fn check(nth: usize, fault: Fault) {
     assert!(begun.elapsed() < HANG / 2, "it waited {:?}", begun.elapsed());
     lines.flush();
     assert!(begun.elapsed() < HANG, "its end waited {:?}", begun.elapsed());
-    // Only this test waits, either for the rest of a write that hung or for a busy machine.
+    // Only the test itself waits here: for the end of the write that hangs, or for a busy machine.
     wall.release();
     while !lines.flush() {}
     let text = std::fs::read_to_string(path).unwrap();

@@ -1,4 +1,4 @@
-//! A run of several days is drawn, and exported as a table, with no more memory than a short run needs.
+//! Drawing a run of several days, or exporting it as a table, needs no more memory than for a short run.
 
 use std::io;
 

@@ -1,4 +1,4 @@
-//! Effects of a hanging disk in real time: on threads that serve downloads, and on a cycle that
+//! Effects of a hanging disk in real time. The tests examine the threads that serve downloads, and a cycle that
 //! advances its own virtual time.
 
 use std::path::PathBuf;
@@ -99,7 +99,7 @@ fn runtime() -> tokio::runtime::Runtime {
     tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap()
 }
 
-/// Downloads the run `day` as `what` while the disk hangs and another run is recorded.
+/// Downloads the run `day` in the form `what`, while the disk hangs and another run is recorded.
 fn check_download(day: &Day, what: &str) {
     day.record(&format!("besides-{what}"));
     day.wall.strike_next(Call::Read, Fault::Hangs(SLACK));
@@ -145,8 +145,8 @@ fn a_download_that_waits_for_the_disk_holds_up_nobody_else() {
     day.service.join().unwrap();
 }
 
-/// Runs `ballbard record` with a run on its own virtual time. Interrupts it while the disk hangs at `call`, before the run
-/// has a file. The command must end soon and report the interruption and the disk.
+/// Runs `ballbard record` in virtual time of its own. Interrupts the command while the disk hangs at `call`, before the run
+/// has a file. The command must end soon, and must report both the interruption and the disk.
 fn check_record(call: Call) {
     let directory = tempfile::tempdir().unwrap();
     let daemon = daemon_in(directory.path());

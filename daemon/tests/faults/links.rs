@@ -16,12 +16,12 @@ fn a_noisy_cable_is_reported_with_its_place_while_every_cycle_is_still_valid() {
     assert!(rig.records.iter().all(|record| record.is_valid()));
     let told = rig.told();
     assert!(told.iter().all(|event| event.kind == EventKind::Bus), "{told:?}");
-    // Adjacent terminals are connected by contacts, not by cables, so the text names a contact.
+    // Adjacent terminals are connected by contacts and not by cables, so the text must name a contact.
     assert!(told[0].text.contains("bad contact between terminal 2 and terminal 3"), "{told:?}");
     assert_eq!(told[0].code, "link_errors");
     let errors = rig.acquisition.links().errors()[3][0];
     assert!((15..40).contains(&errors.receive_errors), "{errors:?}");
-    // A warning is issued each time the number of errors has doubled, not at each check.
+    // A warning is issued each time the number of errors has doubled, and not at each check.
     assert!((2..=5).contains(&told.len()), "{told:?}");
 }
 
@@ -31,7 +31,7 @@ fn counters_that_would_stop_are_cleared_and_counted_on() {
     rig.faults.begin(Fault::NoisyCable { position: 1, share: 1.0 });
     rig.run_to(2000);
     let errors = rig.acquisition.links().errors()[1][0].receive_errors;
-    // About 106 frames a second pass the cable for 20 s.
+    // About 106 frames per second pass the cable, for 20 s.
     assert!((1700..2300).contains(&errors), "{errors}");
 }
 

@@ -1,4 +1,4 @@
-//! The fault matrix. For each fault it lists the expected flags of the records, and how long they last.
+//! The fault matrix. Each row contains faults, the flags that the records may have, and how long samples may be invalid.
 
 use ballbard::problem::CODES;
 use ballbard::segment::faults::Fault;
@@ -6,12 +6,12 @@ use shared::recording::schema::{EventKind, flags};
 
 use super::rig::Rig;
 
-/// Number of the first cycle with faults.
+/// Number of the cycle at which the faults begin.
 const BEGIN: usize = 200;
 
 struct Row {
     name: &'static str,
-    /// Each fault, with the number of cycles that it lasts.
+    /// Each fault, with its duration in cycles.
     faults: &'static [(Fault, usize)],
     /// Flags that are permitted in cycles without a valid sample.
     flags: u32,
@@ -104,7 +104,7 @@ const ROWS: [Row; 30] = [
     powered_off(row("emergency after a power cycle", &[(gone(3), 20), (EMERGENCY, 20)], GONE | DOWN, 2 * BRING_UP + 60, &["attempts", "without power"])),
 ];
 
-/// Result of a row: number of cycles without a valid sample, their flags, and the number of cycles until recovery.
+/// Result of a row: number of cycles without a valid sample, flags of these cycles, and number of cycles until recovery.
 struct Outcome {
     flagged: usize,
     flags: u32,

@@ -1,4 +1,4 @@
-//! The acquisition while the simulated segment has faults. All tests run on virtual time.
+//! The acquisition on a simulated segment with faults. All tests run in virtual time.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 mod bus_time;

@@ -27,8 +27,8 @@ fn any_fault(random: &mut StdRng) -> Fault {
     }
 }
 
-/// Runs `cycles` cycles. Repeatedly starts up to three random faults at once, ends them, and waits
-/// for a time without faults.
+/// Runs `cycles` cycles. In a loop, starts up to three random faults at once, ends them, and
+/// then runs cycles without faults.
 fn play(mut rig: Rig, seed: u64, cycles: usize) -> Rig {
     let mut random = StdRng::seed_from_u64(seed);
     while rig.records.len() < cycles {

@@ -42,12 +42,12 @@ pub fn plan(period_ns: i64, distributed_clocks: bool) -> BusPlan {
 }
 
 impl Rig {
-    /// Brings the bus into OP at 100 Hz with distributed clocks. The next cycle is number 0 of a run.
+    /// Brings the bus into OP, at 100 Hz and with distributed clocks. The next cycle is cycle 0 of a run.
     pub fn new(seed: u64) -> Self {
         Self::with(seed, 10_000_000, true)
     }
 
-    /// Brings the bus into OP with this period \[ns\], with or without distributed clocks.
+    /// Brings the bus into OP, with this period \[ns\] and with or without distributed clocks.
     pub fn with(seed: u64, period_ns: i64, distributed_clocks: bool) -> Self {
         let config = SegmentConfig { seed, ..SegmentConfig::default() };
         let motion = SmoothMotion::new(TERMINALS, LINES, seed);
@@ -72,7 +72,7 @@ impl Rig {
         }
     }
 
-    /// All events up to now, in the form in which the file stores them.
+    /// All events so far, in the form in which the file stores them.
     pub fn told(&self) -> Vec<Event> {
         let names = BusNames {
             bus: "simulated".into(),
@@ -82,8 +82,8 @@ impl Rig {
         self.events.iter().map(|event| event.to_event(&names)).collect()
     }
 
-    /// Checks that each due cycle has exactly one record, that records are in order, and that their times advance at
-    /// the rate of the cycle.
+    /// Checks that each cycle that was due has exactly one record, and that the records are in order. Their times must
+    /// advance with the period of the cycle.
     pub fn assert_complete(&self) {
         for (number, record) in self.records.iter().enumerate() {
             assert_eq!(record.cycle, number as u64);
@@ -95,11 +95,11 @@ impl Rig {
         let (first, last) = (self.records.first().unwrap(), self.records.last().unwrap());
         let span_ns = last.sample_time.ns_since(first.sample_time);
         let due = 1 + (span_ns as f64 / self.period_ns as f64).round() as i64;
-        // The crystal of the bus is within 20 ppm, and the bus clock is set to within a few ms.
+        // The rate error of the bus' crystal is at most 20 ppm, and the bus clock is set with an error of a few ms.
         let tolerance = 1 + span_ns / self.period_ns / 40_000;
         assert!((self.records.len() as i64 - due).abs() <= tolerance, "{due} cycles were due");
         let now = self.clock.now().plus_ns(self.acquisition.utc_minus_monotonic_ns());
-        // The clock of a bus that has just recovered may have an error. The record states its uncertainty.
+        // Just after an outage, the clock of the bus may have an error. The record states the uncertainty of its time.
         let (late_ns, uncertain_ns) =
             (now.0 - last.sample_time.0, i64::from(last.sample_time_uncertainty_ns));
         assert!(
@@ -108,9 +108,9 @@ impl Rig {
         );
     }
 
-    /// Checks all valid counts, also in cycles where another encoder is invalid. Each must equal the count of the encoder at
-    /// the sample time. After a recorded change of origin, the two may differ by a constant whole number of periods. Returns
-    /// the number of valid records.
+    /// Checks all valid counts, even in cycles in which another encoder is invalid. Each count must equal the count of the
+    /// simulated encoder at the sample time. After a recorded change of origin, the two may differ by a constant number of
+    /// whole periods. Returns the number of valid records.
     pub fn assert_true(&self) -> usize {
         let mut origins = [Some(0i64); TERMINALS];
         let (mut valid, mut origin) = (0, 0);
@@ -120,8 +120,8 @@ impl Rig {
             }
             valid += usize::from(record.is_valid());
             let tolerance = 3.0 + 3e-9 * f64::from(record.sample_time_uncertainty_ns) * COUNTS_PER_S_MAX;
-            // If the uncertainty of the sample time exceeds a period, the period of the origin cannot be determined. The
-            // count may then be off by one period.
+            // If the sample time is so uncertain that the tolerance exceeds half a signal period, the whole period of the
+            // new origin cannot be determined. The count may then differ by one period.
             let tolerance = if tolerance > 2048.0 { tolerance + 4096.0 } else { tolerance };
             for (joint, (encoder, origin)) in record.encoders().iter().zip(&mut origins).enumerate() {
                 if !encoder.valid {

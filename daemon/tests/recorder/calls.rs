@@ -1,8 +1,8 @@
-//! Injects a fault into each disk call of a recorder. The call fails, hangs or transfers a single byte, or the disk
-//! fails from this call on.
+//! Injects a fault into each disk call of a recorder. The call fails, hangs or transfers a single byte. Or the disk fails
+//! from this call on.
 //!
-//! The method is that of SQLite's tests of I/O errors: a run without faults counts its calls. Each call then gets each
-//! fault in a separate run.
+//! The method is that of SQLite's tests of I/O errors. A run without faults counts the calls. Then each fault is injected
+//! into each call, in a separate run.
 
 use std::path::Path;
 use std::time::Duration;
@@ -14,9 +14,9 @@ use super::rig::{Look, Outcome, Plan, record};
 use crate::support::runs::in_parallel;
 use crate::support::wall::{Call, Fault, Wall};
 
-/// Duration of a hang that is longer than a check of the disk takes.
+/// Duration of a hang that exceeds the time of a check of the disk.
 const HANG: Duration = Duration::from_millis(1300);
-/// Number of runs in parallel. A run needs processor time only.
+/// Number of runs in parallel. A simulated run never waits, so it keeps one processor busy.
 const AT_ONCE: usize = 4;
 
 fn plan(cycles: u64) -> Plan {
@@ -32,7 +32,7 @@ fn plan(cycles: u64) -> Plan {
 
 /// Removes the file of the run, so that the recorder must copy its data to a new file.
 fn remove(home: &Path) {
-    // If a fault already moved the file, there is nothing to remove.
+    // If a fault has already moved the file, it does not exist here any more.
     let _ = std::fs::remove_file(home.join("run.mcap.active"));
 }
 
@@ -69,11 +69,11 @@ fn run_of(cycles: u64, is_removed: bool, fault: Option<(Call, usize, Fault)>) ->
     record(&Plan { interfere, ..plan(cycles) }, |home| Wall::new(home, fault))
 }
 
-/// Records a run with this fault. Data that were reported as safe must be kept, every report must be true, and the run must
-/// either continue or end as it reports.
+/// Records a run with this fault. Data that were reported as safe must still exist, and every report must be true. The run
+/// must either continue or end as it reports.
 fn check(case: &Case, cycles: u64) {
     let Case { call, nth, fault, is_removed } = *case;
-    // If a call hangs, the run must be long enough for a warning about the hang.
+    // If a call hangs, the run must last long enough for a warning about the hang.
     let cycles = if matches!(fault, Fault::Hangs(_)) { cycles.max(320) } else { cycles };
     let outcome = run_of(cycles, is_removed, Some((call, nth, fault)));
     match &outcome.result {
@@ -84,7 +84,7 @@ fn check(case: &Case, cycles: u64) {
             assert!(recording.cycles.iter().all(|cycle| cycle.is_valid() && cycle.flags & flags::LOST == 0));
             assert_eq!(recording.cycles.len() as u64, cycles);
             assert!(!summary.path.with_extension("mcap.active").exists());
-            // If the run moved to another directory, the recorder must have reported this with its reason.
+            // If the run has moved to another directory, the recorder must have reported the move and its reason.
             let is_elsewhere = |look: &Look| look.snapshot.file.starts_with(outcome.spare());
             assert!(!outcome.looks.iter().any(is_elsewhere) || outcome.was_told("the run continues in"));
             outcome.check_claims(&bytes);
@@ -93,7 +93,7 @@ fn check(case: &Case, cycles: u64) {
             let text = error.to_string();
             assert!(text.contains("run"), "no word of which file: {text}");
             if outcome.looks.is_empty() {
-                // The run did not start. Its directory must not contain a file that the recorder could have removed.
+                // The run did not start. The recorder must have removed every file that it could remove.
                 let left = std::fs::read_dir(outcome.home()).map_or(0, Iterator::count);
                 assert!(left == 0 || fault != Fault::Fails || call == Call::Remove, "{left} files left");
             } else {
@@ -102,7 +102,7 @@ fn check(case: &Case, cycles: u64) {
                     .iter()
                     .flat_map(|place| [place.join("run.mcap"), place.join("run.mcap.active")])
                     .find(|path| path.exists());
-                // If the test removed the file itself, there is nothing to check.
+                // If the test itself has removed the file, there is nothing to check.
                 if !is_removed {
                     outcome.check_claims(&std::fs::read(left.unwrap()).unwrap());
                 }

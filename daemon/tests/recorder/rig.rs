@@ -1,5 +1,5 @@
-//! A recorder on virtual time. Its input is a cycle that never waits, its output is a simulated disk,
-//! and an observer checks its reports.
+//! A recorder in virtual time. Its input is a simulated cycle that never waits. Its output is a simulated disk.
+//! An observer checks its reports.
 
 use std::cell::RefCell;
 use std::collections::HashMap;
@@ -35,7 +35,7 @@ pub struct Plan {
     pub ring_cycles: usize,
     /// Numbers of the cycles during which a marker is set.
     pub marks: Vec<u64>,
-    /// Number of a cycle, and the change of the run's directory that happens after it.
+    /// Number of a cycle, and a change that is made to the run's directory after this cycle.
     pub interfere: Option<(u64, Way)>,
 }
 
@@ -46,13 +46,13 @@ pub type Way = fn(&Path);
 #[derive(Debug)]
 pub struct Look {
     pub snapshot: Snapshot,
-    /// Problem of the disk as a place for recordings, if the storage reports one.
+    /// Problem of the disk that the storage reports, if there is one.
     pub problem: Option<Problem>,
-    /// Number of bytes of the run's file that would survive a power cut at this instant.
+    /// Number of bytes of the run's file that would survive a power cut at the time of the observation.
     pub synced_bytes: u64,
-    /// Number of bytes of the run's file that would survive a kill of the process at this instant.
+    /// Number of bytes of the run's file that would survive a kill of the process at the time of the observation.
     pub written_bytes: u64,
-    /// True if the file of the snapshot still existed when its bytes were counted.
+    /// Whether the file of the snapshot still existed when its bytes were counted.
     pub is_steady: bool,
     /// Time from the first cycle to the observation.
     pub at: Duration,
@@ -81,12 +81,12 @@ impl Outcome {
         self.directory.path().join("spare")
     }
 
-    /// Largest value of a duration over all observations. `of` gets the duration from a snapshot.
+    /// Largest value of a duration over all observations. `of` returns the duration of a snapshot.
     pub fn worst(&self, of: impl Fn(&Snapshot) -> f64) -> f64 {
         self.looks.iter().map(|look| of(&look.snapshot)).fold(0.0, f64::max)
     }
 
-    /// True if any observation has a problem whose text contains this word.
+    /// Whether any observation has a problem whose text contains this word.
     pub fn was_told(&self, word: &str) -> bool {
         let told = |look: &Look| {
             let is_in = |problem: &Problem| problem.text.contains(word);
@@ -95,9 +95,9 @@ impl Outcome {
         self.looks.iter().any(told)
     }
 
-    /// Checks the reports of all observations. `bytes` is the file at the end of the run, whose beginning is the
-    /// file at the time of an observation. All cycles that an observation reported as safe must be readable from the
-    /// bytes that were safe then.
+    /// Checks the reports of all observations. `bytes` is the content of the file at the end of the run. At the time of an
+    /// observation, the file was the beginning of these bytes. All cycles that an observation reported as safe must be
+    /// readable from the bytes that were safe at that time.
     pub fn check_claims(&self, bytes: &[u8]) {
         let mut known = HashMap::new();
         let mut cycles_in = |length| *known.entry(length).or_insert_with(|| cycles_in(bytes, length));
@@ -122,7 +122,7 @@ fn cycles_in(bytes: &[u8], length: u64) -> u64 {
         .map_or(0, |(salvaged, _)| salvaged.cycles - salvaged.cycles_lost)
 }
 
-/// Records the run on a simulated disk, on virtual time. If the run gets no file, the result
+/// Records the run on a simulated disk, in virtual time. If no file can be created for the run, the result
 /// is an error without observations.
 pub fn record(plan: &Plan, wall: impl FnOnce(&Path) -> Wall) -> Outcome {
     let world = World::begin();
@@ -150,7 +150,7 @@ fn record_in(world: &World, plan: &Plan, wall: impl FnOnce(&Path) -> Wall) -> Ou
         Ok(writer) => writer,
         Err(error) => return Outcome { result: Err(error), ..outcome },
     };
-    // The cycle drops records when the ring is full, as it does in real time. It never waits.
+    // If the ring is full, the cycle drops records, as it does in real time. It never waits.
     let (sink, source) = record::ring(plan.ring_cycles, record::FullRing::Drops);
     let limits = Limits {
         cycle_period: plan.period,
@@ -231,8 +231,8 @@ impl Stepper for Cycle {
         let sink = self.sink.as_mut()?;
         let (cycle, period_ns) = (self.next, self.plan.period.as_nanos() as i64);
         if cycle == self.plan.cycles || sink.is_abandoned() {
-            // Like the real cycle, sets this before the ring is dropped. The file then counts as present
-            // while it is being finished.
+            // The stop is set before the ring is dropped, as the real cycle does. While the file is being finished, it is
+            // then not reported as lost.
             self.stop.stop("test over");
             self.sink = None;
             self.ended.borrow_mut().last_cycle = now;
@@ -256,7 +256,7 @@ impl Stepper for Cycle {
     }
 }
 
-/// Polls the recorder, and finishes its file at the end of the run.
+/// Polls the recorder, and finishes the file at the end of the run.
 struct Writing {
     recorder: Option<Recorder>,
     ended: Rc<RefCell<Ended>>,
@@ -289,8 +289,8 @@ struct Looker {
 impl Stepper for Looker {
     fn poll(&mut self, now: MonoNs) -> Option<Duration> {
         let (problem, snapshot) = (self.storage.problem(), self.progress.get());
-        // Measures the lengths after taking the snapshot, because they must cover what the snapshot reports. All of
-        // them are from one file.
+        // The lengths are measured after the snapshot was taken, because they must include the data that the snapshot
+        // reports. All lengths are those of one file.
         let file = std::fs::metadata(&snapshot.file).ok();
         let written_bytes = file.as_ref().map_or(0, Metadata::len);
         let synced_bytes = file.as_ref().map_or(0, |file| self.wall.synced_bytes(file.ino()));

@@ -1,4 +1,4 @@
-//! The effects of slow disks on a recording, the time at which they occur, and the reports about them.
+//! Effects of slow disks on a recording. The tests check which effects occur, when they occur, and how they are reported.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -15,7 +15,7 @@ use super::rig::{Outcome, Plan, Way, record};
 use crate::support::runs::{in_parallel, metadata};
 use crate::support::wall::{Call, Fault, Wall};
 
-/// Interval at which the recorder empties the ring \[s\].
+/// Time between two calls of the recorder, which empty the ring \[s\].
 const SLACK_S: f64 = Recorder::PERIOD.as_millis() as f64 * 1e-3;
 
 fn plan(rate_hz: u32, seconds: f64) -> Plan {
@@ -33,7 +33,7 @@ fn recording_of(outcome: &Outcome) -> Recording {
     Recording::open(&outcome.result.as_ref().unwrap().path).unwrap()
 }
 
-/// Checks that each marker has the instant at which it was set, and the number of the cycle of that instant.
+/// Checks that each marker contains the instant at which it was set, and the number of the cycle at that instant.
 fn check_marks(plan: &Plan, outcome: &Outcome, recording: &Recording) {
     let found: Vec<_> = recording.events.iter().filter(|event| event.kind == EventKind::Marker).collect();
     assert_eq!(found.len(), plan.marks.len());
@@ -54,12 +54,13 @@ fn check_slow_sync(rate_hz: u32, sync: Duration) {
     assert_eq!((recording.cycles.len() as u64, lost), (plan.cycles, 0));
     outcome.check_claims(&std::fs::read(&outcome.result.as_ref().unwrap().path).unwrap());
     check_marks(&plan, &outcome, &recording);
-    // The disk of this machine adds to the duration of each synchronisation. The file states the total.
+    // The real disk also takes time for each synchronisation. The recording states the total time.
     let disk = recording.timing.unwrap().disk;
     let [longest_s, write_s] = [disk.sync_longest_ns, disk.write_longest_ns].map(|ns| ns as f64 * 1e-9);
     assert!(longest_s >= sync_s, "the file says {longest_s} s");
     let period_s = plan.sync_period.as_secs_f64();
-    // The data that a kill would lose do not depend on the disk's synchronisation. Those that a power cut would lose do.
+    // The data that a kill would lose do not depend on how long a synchronisation takes. The data that a
+    // power cut would lose do.
     let (kill_s, cut_s) = (outcome.worst(|seen| seen.backlog_s), outcome.worst(|seen| seen.unsynced_s));
     assert!(kill_s <= period_s + write_s + SLACK_S, "a kill costs {kill_s} s, a write {write_s} s");
     assert!(
@@ -69,7 +70,7 @@ fn check_slow_sync(rate_hz: u32, sync: Duration) {
     let is_reported = outcome.was_told("a power failure now would cost");
     assert_eq!(is_reported, cut_s > 2.0 * period_s, "{sync_s} s, a power cut costs {cut_s} s");
     assert!(is_reported || sync_s < 1.0, "{sync_s} s");
-    // Finishing waits for the synchronisation in progress and for the last one.
+    // Finishing the file waits for the synchronisation in progress, and then for the last one.
     let finishing_s = outcome.finishing.as_secs_f64();
     assert!(finishing_s < 2.0 * longest_s + 2.0, "finished {finishing_s} s after the end");
     println!(
@@ -105,7 +106,7 @@ fn while_a_write_hangs_cycles_and_markers_wait_and_that_is_reported() {
     let recording = recording_of(&outcome);
     assert!(recording.cycles.iter().all(|cycle| cycle.is_valid()) && recording.cycles.len() == 500);
     check_marks(&plan, &outcome, &recording);
-    // While no data is lost yet, a report must warn with a text and the true duration.
+    // While no data are lost yet, a warning must be reported that contains the true duration.
     assert!(outcome.was_told("wait to be written, above 60 s cycles are lost"));
     let backlog_s = outcome.worst(|seen| seen.backlog_s);
     assert!((2.9..3.5 + SLACK_S).contains(&backlog_s), "{backlog_s} s");
@@ -124,7 +125,7 @@ fn cycles_that_a_full_ring_refuses_are_counted_at_once() {
     let while_it_hung = |at: Duration| at > struck && at < struck + Duration::from_secs(2);
     let mut told: Vec<u64> =
         outcome.looks.iter().filter(|look| while_it_hung(look.at)).map(|look| look.snapshot.lost).collect();
-    // The lost cycles are counted one by one while the disk hangs, and the file states their final number.
+    // While the disk hangs, each report contains the number of lost cycles so far. The file contains the final number.
     told.dedup();
     assert!(told.len() > 20 && told.is_sorted(), "{told:?}");
     assert_eq!(outcome.looks.last().unwrap().snapshot.lost, summary.cycles_lost);
@@ -137,7 +138,7 @@ fn cycles_that_a_full_ring_refuses_are_counted_at_once() {
 #[test]
 fn a_file_or_directory_that_vanishes_is_reported_within_a_second_and_the_run_goes_on() {
     let file = |home: &Path| std::fs::remove_file(home.join("run.mcap.active")).unwrap();
-    // Renames the directory before removing it, because a run could add files while the directory is being removed.
+    // The directory is renamed before it is removed, because the run could otherwise add files during the removal.
     let directory = |home: &Path| {
         let gone = home.with_file_name("gone");
         std::fs::rename(home, &gone).unwrap();
@@ -146,7 +147,7 @@ fn a_file_or_directory_that_vanishes_is_reported_within_a_second_and_the_run_goe
     let moved = |home: &Path| std::fs::rename(home, home.with_file_name("elsewhere")).unwrap();
     let replaced = |home: &Path| {
         let in_the_way = home.with_file_name("in the way");
-        // A path that is not a directory accepts no files, so the run can only continue in the spare directory.
+        // A path that is not a directory accepts no files. The run can therefore continue only in the spare directory.
         std::fs::write(&in_the_way, "in the way").unwrap();
         renameat2(AT_FDCWD, &in_the_way, AT_FDCWD, home, RenameFlags::RENAME_EXCHANGE).unwrap();
         std::fs::remove_dir_all(in_the_way).unwrap();
@@ -166,8 +167,8 @@ fn a_file_or_directory_that_vanishes_is_reported_within_a_second_and_the_run_goe
     });
 }
 
-/// A check of a file takes as long as the disk needs. If the run moves during this time, its new file may have the path of
-/// the old one. The result of the check must not be applied to the new file.
+/// A check of a file takes as long as the disk needs. During this time, the run may move, and its new file may get the path
+/// of the old one. The result of the check must not be applied to the new file.
 #[test]
 fn a_look_that_began_before_a_run_moved_reports_nothing_about_its_new_file() {
     let (directory, period) = (tempfile::tempdir().unwrap(), Duration::from_millis(10));

@@ -1,4 +1,4 @@
-//! For any data on the wire, the segment does not panic and does not change the length of a frame.
+//! Whatever data a frame contains, the segment does not panic and does not change the length of the frame.
 
 use proptest::prelude::*;
 
@@ -31,7 +31,7 @@ fn any_datagram() -> impl Strategy<Value = Datagram> {
         .prop_map(|(command, device, memory, data)| datagram(command, device, memory, &data))
 }
 
-/// Any mailbox request whose header lets it reach the object dictionary.
+/// Any mailbox request with a valid header, so that the request reaches the object dictionary.
 fn any_mailbox_request() -> impl Strategy<Value = Datagram> {
     (prop::collection::vec(any::<u8>(), 128..=128), 0u16..140, any::<bool>()).prop_map(
         |(mut data, length, coe)| {

@@ -1,5 +1,5 @@
-//! Runs the futures of ethercrab against a segment on a virtual clock. Each exchange of frames advances this clock,
-//! and so does idle waiting.
+//! Runs the futures of ethercrab against a segment in virtual time. Each exchange of frames advances the clock. Waiting
+//! without a frame also advances it.
 
 use std::future::Future;
 use std::pin::pin;
@@ -63,7 +63,7 @@ impl Bench {
         }
     }
 
-    /// Transfers all frames that ethercrab wants to send. Returns false if there were none.
+    /// Transfers all frames that ethercrab wants to send. Returns false if there was no frame to send.
     fn carry_frames(&mut self) -> bool {
         let mut carried = false;
         while let Some(frame) = self.tx.next_sendable_frame() {

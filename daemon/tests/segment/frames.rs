@@ -1,4 +1,4 @@
-//! A master that sends single frames. The test defines the content of each frame.
+//! A master that sends single frames whose content the test defines.
 
 use ballbard::segment::simulated::{EncoderSource, Revision, SegmentConfig, SimulatedSegment};
 
@@ -27,7 +27,7 @@ pub const OP: u8 = 8;
 pub const STATION: u16 = 0x1000;
 pub const TERMINAL: u16 = STATION + 1;
 
-/// A datagram as it is sent, or as it returns from the devices.
+/// A datagram, either as it is sent or as it returns from the devices.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Datagram {
     pub command: u8,
@@ -183,7 +183,7 @@ impl Wire {
         assert_eq!(self.request(station, SAFEOP), (SAFEOP, 0));
     }
 
-    /// Activates SYNC0 every 10 ms. The first one is due 20 ms from now.
+    /// Activates SYNC0 with a period of 10 ms. The first pulse is due 20 ms from now.
     pub fn activate_dc(&mut self, station: u16, sync1_ns: u32, activation: u8) {
         let now = i64::from_le_bytes(self.read(station, 0x0910));
         self.start_dc(station, now + 20_000_000, sync1_ns, activation);
@@ -197,7 +197,8 @@ impl Wire {
         assert_eq!(self.write(station, 0x0981, &[activation]), 1);
     }
 
-    /// Exchanges process data with the mapped terminal. Sends control byte and set value; returns working counter and inputs.
+    /// Exchanges process data with the mapped terminal. Sends the control byte and the set value.
+    /// Returns working counter and inputs.
     pub fn process_data(&mut self, control: u8, value: u32) -> (u16, [u8; 10]) {
         let mut data = [0; 22];
         data[16] = control;
@@ -206,7 +207,7 @@ impl Wire {
         (reply.working_counter, reply.data[..10].try_into().unwrap())
     }
 
-    /// Sends an SDO request through the mailbox. Request and answer are the content after the CoE header.
+    /// Sends an SDO request through the mailbox and returns the answer. Both are without the header of CoE.
     pub fn sdo(&mut self, station: u16, content: &[u8]) -> Vec<u8> {
         let answer = self.mailbox(station, 3, &[&[0, 0x20], content].concat());
         answer[8..].to_vec()

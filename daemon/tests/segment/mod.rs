@@ -1,5 +1,5 @@
-//! The simulated segment as a master sees it. ethercrab brings it into operation, and single frames check that it
-//! follows the rules of EtherCAT.
+//! The simulated segment, as a master observes it. ethercrab brings it into operation. Single frames check that it follows
+//! the rules of EtherCAT.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 mod damage;

@@ -1,4 +1,4 @@
-//! The segment goes from INIT to OP with an unmodified ethercrab, and then exchanges cycles.
+//! An unmodified ethercrab brings the segment from INIT to OP, and then exchanges cycles with it.
 
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -18,7 +18,7 @@ const SYNC1: Duration = Duration::from_micros(25);
 pub type PreOpGroup = SubDeviceGroup<16, 128, DefaultLock, PreOp>;
 pub type OpGroup = SubDeviceGroup<16, 128, DefaultLock, Op, HasDc>;
 
-/// An encoder source whose position is a linear function of system time. Each encoder starts at a position of its own.
+/// An encoder source whose position is a linear function of system time. Each encoder has its own start position.
 pub struct Ramp;
 
 impl Ramp {
@@ -58,8 +58,8 @@ pub fn preop(bench: &mut Bench) -> PreOpGroup {
     bench.run(maindevice.init_single_group::<16, 128>(|| now_ns() as u64)).expect("PRE-OP")
 }
 
-/// Brings the group into OP as the daemon does it. SYNC0 occurs every 10 ms and SYNC1 25 us after it. Frames are sent half
-/// way between two SYNC0 events.
+/// Brings the group into OP in the same way as the daemon. SYNC0 occurs every 10 ms, and SYNC1 25 us after it. Frames are
+/// sent in the middle between two SYNC0 pulses.
 pub fn operational(bench: &mut Bench, mut group: PreOpGroup) -> OpGroup {
     let maindevice = bench.maindevice;
     for mut subdevice in group.iter_mut(maindevice) {
@@ -224,7 +224,7 @@ fn the_counter_follows_the_interpolation_that_is_set() {
     }
 }
 
-/// Passes an encoder source through and logs channel and time of each conversion.
+/// An encoder source that passes on the signals of another source. It logs channel and time of each conversion.
 struct Logged<S>(S, Arc<Mutex<Vec<(usize, Conversion)>>>);
 
 impl<S: EncoderSource> EncoderSource for Logged<S> {
@@ -270,7 +270,7 @@ fn the_bus_comes_back_after_a_restart_of_the_master() {
     let group = bench.run(group.into_safe_op(maindevice)).expect("OP to SAFE-OP");
     let group = bench.run(group.into_pre_op(maindevice)).expect("SAFE-OP to PRE-OP");
     bench.run(group.into_init(maindevice)).expect("PRE-OP to INIT");
-    // After the orderly shutdown, the master also restarts without any shutdown.
+    // The master was shut down in order before. Now it restarts without a shutdown.
     let group = preop(&mut bench);
     operational(&mut bench, group);
     let group = preop(&mut bench);
@@ -293,7 +293,7 @@ fn without_distributed_clocks_counts_are_one_cycle_old() {
         assert_eq!(response.working_counter, 6);
         let bytes: [u8; 10] = group.subdevice(maindevice, 1).unwrap().inputs_raw()[..].try_into().unwrap();
         let shown = u32::from_le_bytes(bytes[2..6].try_into().unwrap());
-        // The first terminal is one hop behind the coupler. A count lasts 4 us.
+        // The frame reaches the first terminal one hop after the coupler. The encoder turns by one count in 4 us.
         if number > 1 {
             assert!(Ramp::count(0, before_ns + 150, 10).abs_diff(shown) <= 1, "cycle {number}");
         }

@@ -12,7 +12,7 @@ fn preop() -> Wire {
     wire
 }
 
-/// A wire with a terminal in SAFE-OP that is synchronous with distributed clocks.
+/// A wire with a terminal in SAFE-OP that is synchronised with distributed clocks.
 fn safeop_on_clock(sync1_ns: u32) -> Wire {
     let mut wire = preop();
     wire.map(TERMINAL);

@@ -1,4 +1,4 @@
-//! A recording that is replayed passes through the bus unchanged.
+//! A recording that is replayed passes over the bus unchanged.
 
 use ballbard::segment::simulated::{
     Conversion, EncoderSource, Replay, ReplayError, SegmentConfig, Signal, SimulatedSegment,
@@ -76,14 +76,15 @@ fn without_distributed_clocks_rows_follow_the_frames() {
         shown.push(u32::from_le_bytes(wire.process_data(0, 0).1[2..6].try_into().unwrap()));
         wire.now_ns = frame_ns + PERIOD_NS;
     }
-    // A terminal that is synchronous with frames returns the conversion of the previous frame, so counts are one cycle late.
+    // A terminal that is synchronised with frames returns the conversion of the previous frame. Counts
+    // are therefore one cycle late.
     assert_eq!(shown[1..], counts);
     assert!(handle.has_ended());
 }
 
 #[test]
 fn after_the_clock_of_the_bus_was_set_encoders_stand_between_two_rows() {
-    // Counts increase by 1000 a row and pass the overflow of the counter.
+    // Counts increase by 1000 from row to row, and wrap once.
     let counts: Vec<u32> = (0..40u32).map(|row| (row * 1000).wrapping_sub(10_500)).collect();
     let (mut replay, handle) = Replay::new(counts.clone(), 1, PERIOD_NS).unwrap();
     handle.start_at(0);

@@ -1,12 +1,13 @@
-//! Functions of an EL5021 other than counting, used over the wire: C reset, set counter, errors and their counters,
-//! direction, and firmware with and without the newer objects.
+//! Functions of an EL5021 other than counting, tested over the wire: reset at C, setting the counter, errors and their
+//! counters, counting direction, and revisions with and without the newer objects.
 
 use ballbard::segment::simulated::{Conversion, EncoderSource, Periods, Revision, Signal};
 
 use super::frames::*;
 use super::refusal::{abort_code, download, upload};
 
-/// An encoder source at 5.5 periods. If `mark` is set, the encoder has a reference mark at 5.25 periods and is on it.
+/// An encoder source with the constant position 5.5 periods. If `mark` is set, the encoder is on its
+/// reference mark, at 5.25 periods.
 struct Still {
     periods_per_s: f64,
     amplitude: f64,
@@ -34,7 +35,7 @@ impl EncoderSource for Still {
 const LATCH: u8 = 0x01;
 const SET: u8 = 0x04;
 
-/// Writes these objects (index, subindex, value) to a terminal and brings it into OP, synchronous with frames.
+/// Writes these objects (index, subindex, value) to a terminal. Then brings it into OP, synchronised with frames.
 fn operating(source: Still, settings: &[(u16, u8, &[u8])]) -> Wire {
     let mut wire = Wire::new(1, source);
     wire.enter_preop(TERMINAL);
@@ -48,8 +49,8 @@ fn operating(source: Still, settings: &[(u16, u8, &[u8])]) -> Wire {
     wire
 }
 
-/// Status, counter and latch for this control word and set value. Each frame starts a conversion whose result the next frame
-/// returns, so the frame is sent several times.
+/// Status, counter and latch after this control word and set value were sent. Each frame starts a conversion, and the next
+/// frame returns the result. The frame is therefore sent several times.
 fn inputs(wire: &mut Wire, control: u8, value: u32) -> (u16, u32, u32) {
     for _ in 0..2 {
         wire.process_data(control, value);
@@ -78,7 +79,7 @@ fn the_counter_is_set_once_for_each_request_and_says_so() {
 fn c_resets_the_counter_only_where_it_is_set_to_and_the_latch_shows_where_c_was() {
     let mark = || Still { mark: true, ..Still::default() };
     let mut wire = operating(mark(), &[]);
-    // The expected status has the level of C and the valid latch.
+    // The expected status consists of two bits: the level of C, and the valid latch.
     assert_eq!(inputs(&mut wire, LATCH, 0), (1 << 10 | 1, 5 * 1024 + 512, 5 * 1024 + 256));
     let mut wire = operating(mark(), &[(0x8000, 0x01, &[1])]);
     assert_eq!(inputs(&mut wire, 0, 0), (1 << 10, 256, 0));

@@ -1,4 +1,4 @@
-//! Results of `ballbard check`, and the system calls that the process is allowed to make.
+//! Results of `ballbard check`, and the system calls that its sandbox permits.
 
 use std::path::Path;
 use std::process::Command;
@@ -11,11 +11,11 @@ use super::rig::{Running, changed, shipped, text};
 #[test]
 fn check_fails_where_a_run_would_need_a_reason_to_begin_and_not_for_less() {
     let service = Running::start();
-    // This limit of free space is larger than any disk.
+    // The required free space is larger than any disk.
     let config = changed("disk_floor_mb = 500", "disk_floor_mb = 4000000000");
     let full = Running::in_directory(tempfile::tempdir().unwrap(), config.path(), &[]);
     service.wait_for("waiting");
-    // A file that cannot be recovered and does not affect a run.
+    // A file that cannot be recovered. It does not affect later runs.
     std::fs::write(service.directory.path().join("torn.mcap.active"), "no recording").unwrap();
     let lines: Vec<CheckLine> = service.get("check");
     assert!(
@@ -47,7 +47,7 @@ fn the_unit_of_the_package_permits_every_system_call_of_the_service() {
         command.arg(&filter).arg(tests.join("debian/ballbard.service")).arg(program);
         command
     };
-    // The filter must be active. A program that uses a call outside the filter is therefore killed.
+    // Check that the filter is active: a program that uses a call outside the filter must be killed.
     assert_eq!(filtered("chroot").arg("/").status().unwrap().code(), None);
     let command = filtered(env!("CARGO_BIN_EXE_ballbard"));
     let directory = tempfile::tempdir().unwrap();

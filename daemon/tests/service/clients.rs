@@ -1,4 +1,4 @@
-//! Clients that send half a request or no request, and far too many clients at once.
+//! Clients that send half a request or no request. Also far too many clients at the same time.
 
 use std::io::{Read, Write};
 use std::net::TcpStream;
@@ -13,7 +13,7 @@ use serde_json::json;
 use super::rig::Running;
 use crate::support::assert_bad_cycles_have_reasons;
 
-/// Time until the service must have ended: two seconds, plus the delay of a busy machine.
+/// Longest time until the service has ended: two seconds, plus a delay for a busy machine.
 const END_WITHIN: Duration = Duration::from_secs(4);
 
 fn connect(service: &Running) -> TcpStream {
@@ -31,12 +31,12 @@ fn head(service: &Running, first: &str, length: usize) -> String {
     format!("{first} HTTP/1.1\r\n{host}Content-Length: {length}\r\n\r\n")
 }
 
-/// Waits until the service closes the connection. Returns the time that this took.
+/// Waits until the service closes the connection. Returns how long this took.
 fn closed_after(mut stream: &TcpStream) -> Duration {
     let begun = Instant::now();
     stream.set_read_timeout(Some(Duration::from_secs(30))).unwrap();
     let mut rest = Vec::new();
-    // A reset of the connection also counts as its end.
+    // A reset of the connection is also accepted as its end.
     let read = stream.read_to_end(&mut rest);
     assert!(!read.is_err_and(|error| error.kind() == std::io::ErrorKind::WouldBlock), "it is never closed");
     begun.elapsed()
@@ -70,7 +70,7 @@ fn a_client_that_does_not_say_what_it_wants_is_sent_away() {
         sent(&service, "GET /api/status HTTP/1.1\r\nHost: 127"),
         sent(&service, &format!("{}{{", head(&service, "POST /api/start", 100))),
     ];
-    // This client sends one byte after the other until the service closes the connection.
+    // This client sends single bytes until the service closes the connection.
     let mut slow = connect(&service);
     let begun = Instant::now();
     while slow.write_all(b"x").is_ok() {
@@ -86,8 +86,8 @@ fn a_client_that_does_not_say_what_it_wants_is_sent_away() {
 #[test]
 fn more_clients_than_a_process_has_files_for_change_nothing_for_a_run() {
     const FILES: u64 = 256;
-    // The kernel can keep all these connections waiting. If it refused some, each would try again only
-    // after a second or more.
+    // The kernel can keep all of these connections waiting. If the kernel refused a connection, the client would try again
+    // only after a second or more.
     const CLIENTS: u64 = FILES + 80;
     let mut service = Running::start();
     service.wait_for("waiting");
@@ -97,7 +97,7 @@ fn more_clients_than_a_process_has_files_for_change_nothing_for_a_run() {
     let limit = std::process::Command::new("prlimit").args([&files, "--pid", &pid]).status();
     assert!(limit.unwrap().success(), "prlimit of util-linux");
     let crowd: Vec<TcpStream> = (0..CLIENTS).map(|_| sent(&service, "GET /api/status HTT")).collect();
-    // Connections that the service has not accepted yet wait in the kernel.
+    // Connections that the service has not accepted yet are waiting in the kernel.
     std::thread::sleep(Duration::from_millis(300));
     let open = std::fs::read_dir(format!("/proc/{}/fd", service.child.id())).unwrap().count();
     assert!(open < 200, "{open} files are open");
@@ -121,7 +121,7 @@ fn resident_kb(pid: u32) -> u64 {
     line.trim_end_matches("kB").trim().parse().unwrap()
 }
 
-/// Random faults of the bus within these seconds, as command-line arguments of a service. Each fault
+/// Command-line arguments for a service: random faults of the bus during these seconds. Each fault
 /// ends after a limited time.
 fn faults(seed: u64, seconds: Range<f64>) -> Vec<String> {
     let mut random = StdRng::seed_from_u64(seed);
@@ -159,11 +159,11 @@ fn faults(seed: u64, seconds: Range<f64>) -> Vec<String> {
 #[ignore = "takes 30 seconds, or as many more as BALLBAR_SOAK_S says"]
 fn fifty_stuck_and_fifty_fast_clients_and_a_faulty_bus_cost_a_run_no_cycle_and_the_service_no_memory() {
     const CLIENTS: usize = 50;
-    /// After this time, buffers and threads of the first clients have been allocated.
+    /// After this time, the buffers and threads for the first clients have been allocated.
     const WARM_UP: Duration = Duration::from_secs(8);
-    /// Time without faults at the end, in which the service recovers from the last fault.
+    /// Time without faults at the end. The service recovers from the last fault during this time.
     const QUIET: Duration = Duration::from_secs(8);
-    /// Largest growth of memory \[kB\]. A leak in one of a thousand answers would add more.
+    /// Largest growth of memory \[kB\]. A leak in one of a thousand answers would cause a larger growth.
     const GROWTH_KB_MAX: u64 = 16 << 10;
     const LOOKS: u32 = 12;
     let soak_s = std::env::var("BALLBAR_SOAK_S").ok().and_then(|text| text.parse().ok()).unwrap_or(15);
@@ -187,7 +187,7 @@ fn fifty_stuck_and_fifty_fast_clients_and_a_faulty_bus_cost_a_run_no_cycle_and_t
                         ["GET /api/events", "GET /api/runs", "GET /api/live", "GET /api/st"][number % 4];
                     let asked = if number % 8 == 3 { first.into() } else { head(service, first, 0) };
                     let mut stream = connect(service);
-                    // A client that is refused tries again later.
+                    // If a client is refused, it tries again later.
                     let _ = stream.write_all(asked.as_bytes());
                     if number < CLIENTS {
                         std::thread::sleep(Duration::from_secs(3));

@@ -1,5 +1,5 @@
-//! Codes of problems in all outputs of the program: status, log, metrics, page, API and file. `day/codes.rs` tests this for
-//! each fault of the bus.
+//! Codes of problems in all outputs of the program: status, log, metrics, page, API and recording. For the faults of the
+//! bus, `day/codes.rs` contains these tests.
 
 use std::fs::File;
 use std::path::Path;
@@ -12,7 +12,7 @@ use shared::recording::Recording;
 use super::rig::{Running, agent};
 use crate::support::{has_problem, is_in_metrics};
 
-/// Waits until the status has the code, then checks all places except the file.
+/// Waits until the status contains the code. Then checks all other outputs except the recording.
 pub fn assert_reported(service: &Running, log: &Path, code: &str) {
     service.wait_until(code, |status| has_problem(status, code));
     let page = || service.get::<Value>("live").to_string().contains(&format!("\"code\":\"{code}\""));
@@ -21,7 +21,8 @@ pub fn assert_reported(service: &Running, log: &Path, code: &str) {
         is_in_metrics(&agent().get(&url).call().unwrap().body_mut().read_to_string().unwrap(), code)
     };
     let logged = || std::fs::read_to_string(log).unwrap().contains(&format!("code=\"{code}\""));
-    // The page lags behind the status, and lines of the log wait in a queue. Each output therefore gets some time.
+    // The page is later than the status, and lines of the log wait in a queue. The test therefore waits
+    // some time for each output.
     let places: [(&str, &dyn Fn() -> bool); 3] = [("page", &page), ("metrics", &metrics), ("log", &logged)];
     for (place, is_there) in places {
         let is_there = (0..200).any(|_| {
@@ -35,7 +36,7 @@ pub fn assert_reported(service: &Running, log: &Path, code: &str) {
     }
 }
 
-/// True if an event of the recording has the code.
+/// Whether an event of the recording has this code.
 pub fn is_in_file(recording: &Recording, code: &str) -> bool {
     recording.events.iter().any(|event| event.code == code)
 }

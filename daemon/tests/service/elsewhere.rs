@@ -1,5 +1,5 @@
-//! Commands that are sent to the service of another machine. The tests check their effect, and that they send
-//! nothing to any other machine.
+//! Commands that are sent to the service of another machine. The tests check the effect of the commands. They also check
+//! that nothing is sent to any third machine.
 
 use std::io::Read;
 use std::net::TcpListener;
@@ -19,7 +19,7 @@ use tokio_rustls::rustls::{ServerConfig, ServerConnection};
 use super::rig::{Running, text};
 use crate::support::ballbard;
 
-/// A service that accepts other machines, with the address, token and certificate that these need.
+/// A service that accepts other machines. The address, the token and the certificate are those that other machines need.
 struct Far {
     service: Running,
     url: String,
@@ -39,7 +39,7 @@ impl Far {
         self.service.directory.path().join("token")
     }
 
-    /// Runs a command of another machine. `directory` is its working directory there.
+    /// Runs a command as on another machine. `directory` is the working directory there.
     fn command(&self, directory: &Path, arguments: &[&str]) -> Output {
         ask(directory, arguments, &self.url, &self.token(), &self.fingerprint)
     }
@@ -83,7 +83,7 @@ fn a_run_is_recorded_marked_noted_and_exported_on_another_machine() {
     let fetched = std::fs::read_to_string(here.path().join("far.csv")).unwrap();
     assert_eq!(fetched, std::fs::read_to_string(&table).unwrap());
     assert!(fetched.contains("note: after") && fetched.contains("mark: half"));
-    // An existing table is not overwritten. A local file is not used in place of a run of the other machine.
+    // An existing table must not be overwritten. A local file must not be used in place of a run of the other machine.
     let again = far.command(here.path(), &["export", "far", "--csv"]);
     assert!(!again.status.success() && text(&again).contains("--force"), "{}", text(&again));
     let own = far.service.directory.path().join("far.mcap");
@@ -146,7 +146,7 @@ fn what_is_wrong_with_address_token_or_network_is_said_with_the_remedy() {
     refused(&nobody, &far.token(), &[&nobody, "refused", "ballbard run --listen"]);
     let plain = format!("https://127.0.0.1:{}", far.service.port);
     refused(&plain, &far.token(), &[&plain, "does not use TLS", "--listen"]);
-    // A missing token file, a token file that other users may read, and a wrong token.
+    // A token file that is missing, a token file that other users may read, and a wrong token.
     let token = here.path().join("token");
     refused(&far.url, &token, &["token", "copy the file `token`"]);
     std::fs::write(&token, "a".repeat(64)).unwrap();

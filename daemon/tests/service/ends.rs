@@ -1,4 +1,4 @@
-//! How runs end, and which files they leave.
+//! How runs end, and which files remain.
 
 use std::process::Command;
 use std::time::Duration;
@@ -14,7 +14,7 @@ use crate::support::runs::in_parallel;
 
 #[test]
 fn a_signal_ends_service_and_run_with_a_finished_file_that_the_list_calls_too_short() {
-    // The second signal is sent when the terminal of a program is closed.
+    // SIGHUP is sent when the terminal of a program is closed.
     let signals = [Signal::SIGTERM, Signal::SIGHUP];
     in_parallel(&signals, signals.len(), |signal| {
         let mut service = Running::start();

@@ -1,4 +1,4 @@
-//! Live data of a run, sent to an independent client of Foxglove's protocol and to a client that reads nothing.
+//! Live data of a run. One receiver is an independent client of Foxglove's protocol, another is a client that reads nothing.
 
 use std::net::TcpStream;
 use std::path::Path;
@@ -64,7 +64,7 @@ fn nobody_listens_to_a_service_that_was_not_asked_to_let_them_or_from_a_foreign_
     ] {
         assert_eq!(asked(&wider, origin, protocol).0, expected, "{origin:?}");
     }
-    // A page of this origin still has no access to the rest of the service.
+    // A page of this origin must still not have access to the rest of the service.
     let url = wider.url("status");
     assert_eq!(agent().get(&url).header("Origin", app).call().unwrap().status(), 403);
 }
@@ -99,7 +99,7 @@ fn served(directory: &Path, tap: &LiveTap) -> (Service, u16) {
     (service, at.recv().unwrap())
 }
 
-/// Reads up to the next text message. Returns it, and the log time of the last data message before it.
+/// Reads messages up to the next text message. Returns this message, and the log time of the last data message before it.
 fn next_text(socket: &mut WebSocket<TcpStream>) -> (Value, Option<u64>) {
     let mut latest = None;
     loop {
@@ -124,13 +124,13 @@ fn a_client_that_takes_nothing_misses_messages_is_told_so_and_holds_up_nobody() 
     let (mut socket, _) = tungstenite::client(request, stream).unwrap();
     assert_eq!(next_text(&mut socket).0["op"], "serverInfo");
     assert_eq!(next_text(&mut socket).0["op"], "advertise");
-    // The second subscription is refused. The refusal shows that the service has processed the first one.
+    // The second subscription is invalid. When it is refused, the service has also processed the first one.
     let subscribe = r#"{"op":"subscribe","subscriptions":[{"id":7,"channelId":0},{"id":8,"channelId":99}]}"#;
     socket.send(Message::text(subscribe)).unwrap();
     let (refused, _) = next_text(&mut socket);
     assert!(refused["message"].as_str().unwrap().contains("subscription 8"), "{refused}");
-    // The data have 40 MB, of which the kernel buffers only some. A service that waited for this
-    // client would therefore wait forever.
+    // The data have 40 MB, and the kernel buffers only some of them. If the service waited for this
+    // client, it would wait forever.
     let mut write = tap.writer_end();
     let mut longest = Duration::ZERO;
     for log_time_ns in 0..MESSAGES {
@@ -145,7 +145,7 @@ fn a_client_that_takes_nothing_misses_messages_is_told_so_and_holds_up_nobody() 
     let (told, latest) = next_text(&mut socket);
     assert!(told["message"].as_str().unwrap().contains("messages were not sent"), "{told}");
     assert!(latest.is_some_and(|latest| latest < MESSAGES - 1), "{latest:?}");
-    // After the loss, the stream continues with new data.
+    // After data were lost, the stream continues with new data.
     write(TOPICS[0], MESSAGES, &[1]);
     let newest = loop {
         if let Message::Binary(data) = socket.read().unwrap()
@@ -158,8 +158,8 @@ fn a_client_that_takes_nothing_misses_messages_is_told_so_and_holds_up_nobody() 
         (newest[0], &newest[1..5], &newest[13..]),
         (1, 7_u32.to_le_bytes().as_slice(), [1].as_slice())
     );
-    // When the recording has ended, the service still sends pings, so that it notices a lost client
-    // and can accept another one.
+    // After the end of the recording, the service still sends pings. It thereby notices a lost client
+    // and can accept another client.
     while !matches!(socket.read().unwrap(), Message::Ping(_)) {}
     service.shutdown("test over");
     service.join().unwrap();

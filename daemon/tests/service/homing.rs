@@ -38,7 +38,7 @@ fn marks_are_found_used_by_runs_and_forgotten_with_the_terminals_power() {
     assert!(states.len() > 5 && states.windows(2).all(|pair| pair[0] != pair[1]), "{states:?}");
     let asked: Vec<u8> = states.iter().filter_map(|state| state.joint).collect();
     assert!(asked.is_sorted() && asked.first() == Some(&1), "{asked:?}");
-    // A joint near its mark may turn for less time than passes between two polls. Its lines remain in the status.
+    // A joint near its mark may be turned for less time than between two polls. Its lines must still be in the status.
     let end = states.last().unwrap();
     let found = end.lines.iter().filter(|line| line.contains("mark at count")).count();
     assert!(end.is_over && end.error.is_none() && found == 5, "{end:?}");
@@ -52,8 +52,8 @@ fn marks_are_found_used_by_runs_and_forgotten_with_the_terminals_power() {
     assert_eq!(recorded_marks(&service, "homed"), marks);
     assert_eq!(marks_line(&service).remedy, None);
     assert!(!config.path().join("homing.toml").exists(), "configuration is only read");
-    // When a service process ends, its simulated terminals lose power. Earlier versions wrote the file with the marks beside
-    // the configuration. That file is used until a newer one exists.
+    // When the process of a service ends, its simulated terminals lose power. Earlier versions wrote the file with the marks
+    // to the directory of the configuration. That file is used until a newer file exists.
     std::fs::copy(service.directory.path().join("homing.toml"), config.path().join("homing.toml")).unwrap();
     let directory = tempfile::tempdir().unwrap();
     drop(service);
@@ -69,7 +69,7 @@ fn homing_is_stopped_like_a_run_and_keeps_runs_out() {
     service.wait_for("waiting");
     assert_eq!(service.granted("home", &json!({})).answer, Granted::Begun);
     service.wait_for("homing");
-    // A second client of the same homing only watches it. When this client leaves, the homing continues.
+    // A second client of the same homing only watches it. If the second client disconnects, the homing continues.
     assert_eq!(service.granted("home", &json!({})).answer, Granted::Homing);
     let mut other = ballbard();
     let mut other = other.args(["home", "--port", &service.port]).stdout(Stdio::piped()).spawn().unwrap();
@@ -82,7 +82,7 @@ fn homing_is_stopped_like_a_run_and_keeps_runs_out() {
     let (status, refused) = service.post("start", &json!({}));
     assert_eq!(status, 409);
     assert!(refused["error"].as_str().unwrap().contains("being homed"), "{refused}");
-    // The request is answered when the homing has ended, and the answer contains its result.
+    // The request is answered only when the homing has ended. The answer contains the result.
     let stopped = service.granted("stop", &json!({"cause": "enough"}));
     assert_eq!((stopped.answer, &stopped.homing), (Granted::Homing, &service.get::<Status>("status").homing));
     let homing = stopped.homing.unwrap();
@@ -108,7 +108,7 @@ fn a_homing_whose_marks_could_not_be_kept_is_refused_before_anybody_turns_a_join
     assert_eq!(status, 409);
     assert!(refused["error"].as_str().unwrap().contains("cannot be written"), "{refused}");
     assert!(service.get::<Status>("status").homing.is_none());
-    // `ballbard home` without a service must refuse in the same way.
+    // Without a service, `ballbard home` must refuse in the same way.
     let mut alone = ballbard();
     alone.args(["home", "--bus", "simulated", "--state"]).arg(&state).arg("--config").arg(shipped());
     let output = alone.output().unwrap();

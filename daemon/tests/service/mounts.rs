@@ -1,5 +1,5 @@
-//! File systems that are unmounted, become read-only or become full during a run. Each is mounted in a
-//! mount namespace of the service.
+//! File systems that are unmounted, become read-only or become full during a run. Each file system is mounted in the mount
+//! namespace of the service.
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -14,24 +14,24 @@ use super::codes::{assert_reported, is_in_file};
 use super::rig::{Running, copied};
 use crate::support::PROGRAM;
 
-/// Longest time until a report on a busy machine. Tests on virtual time check that the report comes within a second.
+/// Longest time until a problem is reported, on a busy machine. Tests in virtual time check the limit of one second.
 const REPORTED_WITHIN: Duration = Duration::from_secs(20);
 
-/// A service that records to a file system of its own, and has a run in progress.
+/// A service that records on a file system of its own. A run is in progress.
 struct Mounted {
     service: Running,
-    /// Holds the spare directory, the log, and the image of the file system if it has one.
+    /// Contains the spare directory, the log and, if the file system has one, its image.
     outside: tempfile::TempDir,
 }
 
 impl Mounted {
-    /// Starts the service and a run. The shell command `mount` mounts the file system at `$1` and may use the
-    /// file `$2` as its image.
+    /// Starts the service and a run. `mount` is a shell command that mounts the file system on `$1`. It may use the file
+    /// `$2` as the image of the file system.
     fn begin(mount: &str) -> Self {
         Self::with_ring(mount, 60)
     }
 
-    /// Like [`Self::begin`], with a ring of this length \[s\].
+    /// Like [`Self::begin`], with a ring of the length `ring_s` \[s\].
     fn with_ring(mount: &str, ring_s: u32) -> Self {
         let outside = tempfile::tempdir().unwrap();
         let config = copied();
@@ -54,7 +54,7 @@ impl Mounted {
         Self { service, outside }
     }
 
-    /// Runs a shell command in the namespace of the service. `$1` is the directory of its recordings.
+    /// Runs a shell command in the namespace of the service. `$1` is the directory of the service's recordings.
     fn does(&self, script: &str) {
         let mut command = Command::new("nsenter");
         command.arg("--target").arg(self.service.child.id().to_string()).args(["--mount", "sh", "-ec"]);
@@ -62,7 +62,7 @@ impl Mounted {
         assert!(status.success(), "{script}; namespaces and mounts need root");
     }
 
-    /// Runs the shell command during a run. Waits until status and log contain one of these words, and returns the status.
+    /// Runs a shell command during a run. Waits until status and log contain one of these words. Returns the status.
     fn reported_after(&self, script: &str, words: &[&str]) -> Status {
         let is_in = |text: &str| words.iter().any(|word| text.contains(word));
         self.does(script);
@@ -82,7 +82,7 @@ impl Mounted {
         std::fs::read_to_string(self.outside.path().join("log")).unwrap()
     }
 
-    /// Waits a second and stops the run. Reads the file that the answer names, which must be in the directory `place`.
+    /// Waits a second and stops the run. Reads the file that the answer names. The file must be in the directory `place`.
     fn stopped(&self, place: &Path) -> LastRun {
         let before = self.service.wait_for("writing").run.unwrap().cycles;
         std::thread::sleep(Duration::from_secs(1));
@@ -118,7 +118,7 @@ fn a_file_system_that_is_unmounted_in_mid_run_is_reported_and_no_cycle_is_lost()
 #[ignore = "needs root for a mount namespace and a loop device"]
 fn a_file_system_that_becomes_read_only_in_mid_run_is_reported_and_the_run_goes_on_in_the_spare_place() {
     let mounted = Mounted::begin(EXT4);
-    // The kernel remounts a damaged file system in the same way.
+    // The kernel remounts a file system as read-only in the same way when it detects damage.
     let told = mounted.reported_after("mount -o remount,abort \"$1\"", &["the run continues in"]);
     assert!(told.last.is_none(), "{told:?}");
     mounted.stopped(&mounted.spare());
@@ -137,7 +137,7 @@ fn a_file_system_that_takes_nothing_for_a_while_is_reported_in_status_and_log_an
         let reason = mounted.service.get::<Status>("status").reason.unwrap_or_default();
         reason.contains(word) && mounted.log().contains(word)
     };
-    // The warning comes after more than two periods of synchronisation.
+    // The warning must come after more than two synchronisation periods.
     while !is_reported() && frozen.elapsed() < REPORTED_WITHIN {
         std::thread::sleep(Duration::from_millis(20));
     }
@@ -152,8 +152,8 @@ fn a_file_system_that_takes_nothing_for_a_while_is_reported_in_status_and_log_an
 #[ignore = "needs root for a mount namespace"]
 fn a_run_on_a_file_system_that_becomes_full_at_once_is_whole_where_there_is_room() {
     let mounted = Mounted::begin(TMPFS);
-    // Fills the disk until even the end of the file does not fit. The run ends at the limit of free space. If the disk
-    // refuses a write of the recorder earlier, the run continues in the spare directory.
+    // Fill the disk until not even the end of the file fits. The run then ends at the limit of free space. If the disk
+    // refuses a write of the recorder before that, the run continues in the spare directory.
     let fill = "dd if=/dev/zero of=\"$1\"/others bs=65536 2>/dev/null || true";
     mounted.reported_after(fill, &["disk floor", "No space left"]);
     mounted.service.granted("stop", &json!({}));
@@ -180,11 +180,11 @@ fn a_run_whose_file_system_is_hidden_and_that_has_no_spare_place_is_no_success_f
     let (status, answer) = mounted.service.post("stop", &json!({}));
     let last = mounted.service.get::<Status>("status").last.or(told.last).unwrap();
     assert!(last.file.is_none() && last.error.is_some(), "{last:?}");
-    // The request came while the directory was missing (500), or after the run had ended (idle).
+    // The request may come while the directory is missing (500), or after the run has ended (idle).
     assert!(status == 500 || answer["answer"] == "idle", "{status} {answer}");
 }
 
-/// Applies a change to the file system during a run and reverses it. The problem must be reported everywhere with this code.
+/// Makes a change to the file system during a run, and reverses it. All outputs must report the problem with this code.
 fn check_code(mount: &str, ring_s: u32, [begin, end]: [&str; 2], code: &str) {
     let mounted = Mounted::with_ring(mount, ring_s);
     mounted.does(begin);

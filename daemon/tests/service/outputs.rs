@@ -1,4 +1,4 @@
-//! A service or command whose standard error or standard output is full, closed, or has no reader.
+//! A service or a command whose standard error or standard output is full, is closed, or is not read.
 
 use std::fs::{File, OpenOptions};
 use std::io::{PipeReader, Write, pipe};
@@ -16,7 +16,7 @@ use super::rig::{Running, shipped, text};
 use crate::support::ballbard;
 use crate::support::runs::in_parallel;
 
-/// A standard error for the service. If it is a pipe with a reader, the reader is kept so that the pipe stays open.
+/// A standard error for the service. If it is a pipe, its reading end is kept as well, so that the pipe stays open.
 type Log = (Stdio, Option<PipeReader>);
 
 /// Name of a log, and a function that creates it.
@@ -39,7 +39,7 @@ fn gone() -> Stdio {
     pipe().unwrap().1.into()
 }
 
-/// A full pipe that has a reading end, but nothing reads from it.
+/// A full pipe. Its reading end is open, but nothing reads from it.
 fn blocked() -> Log {
     let (reader, mut writer) = pipe().unwrap();
     let bytes = fcntl(&writer, FcntlArg::F_SETPIPE_SZ(4096)).unwrap();
@@ -47,7 +47,7 @@ fn blocked() -> Log {
     (writer.into(), Some(reader))
 }
 
-/// A standard error like that to the journal of a service manager that has died.
+/// A standard error that was connected to the journal of a service manager. The service manager has died.
 fn without_journal() -> Log {
     (OwnedFd::from(UnixStream::pair().unwrap().1).into(), None)
 }
@@ -64,7 +64,7 @@ fn a_log_that_cannot_be_written_costs_lines_and_nothing_else() {
         assert_eq!(service.recording("logged").cycles.len() as u64, last.cycles, "{name}");
         let lines: Vec<CheckLine> = service.get("check");
         let log = lines.iter().find(|line| line.subject == "log").unwrap();
-        // If nothing reads the pipe, lines stay in the queue until the queue is full. Until then no line is lost.
+        // If the pipe is not read, lines wait in the queue. Lines are lost only when the queue is full.
         assert_eq!(log.remedy.is_some(), *name != "without a reader", "{name}: {log:?}");
         service.signal(Signal::SIGTERM);
         assert!(service.ended(Duration::from_secs(20)).success(), "{name}");
@@ -91,7 +91,7 @@ fn a_run_is_recorded_whatever_becomes_of_the_log() {
         command.arg(shipped()).arg("--out").arg(out.path()).stderr(stderr).stdout(Stdio::null());
         assert!(command.status().unwrap().success(), "{name}");
         assert!(out.path().join("logged.mcap").exists(), "{name}");
-        // The last message of a command that fails cannot be written. This must not delay its end.
+        // The last message of a failing command cannot be written. The command must still end in time.
         command.arg("--replay").arg("nothing.mcap");
         assert_eq!(command.status().unwrap().code(), Some(1), "{name}");
     });
@@ -117,11 +117,12 @@ fn a_service_whose_standard_output_fails_serves() {
     });
 }
 
-/// Runs a command that prints, while the service records. `stdout` is its standard output.
+/// Runs a command that prints, while the service records. `stdout` is the standard output of the command.
 fn typed(service: &Running, arguments: &[&str], stdout: Stdio) -> Output {
     let mut command = ballbard();
     if arguments[0] == "stop" {
-        // If a run is stopped before its first cycle, it has no data and `stop` fails. So this waits for a cycle.
+        // If a run is stopped before its first cycle, it has no data, and `stop` fails. The test
+        // therefore waits for a cycle.
         service.wait_until("a cycle", |status| status.run.as_ref().is_some_and(|run| run.cycles > 0));
     }
     command.env("RUST_LOG", "off").args(arguments).stdout(stdout).stderr(Stdio::piped());
@@ -161,7 +162,7 @@ fn commands_whose_reader_has_gone_end_quietly_and_a_full_disk_is_an_error() {
         let output = typed(&service, arguments, gone());
         assert!(output.status.success() && output.stderr.is_empty(), "{arguments:?}: {}", text(&output));
     }
-    // The exit code must not depend on whether the details can be printed.
+    // The exit code must be the same whether or not the details can be printed.
     for arguments in [&["check"][..], &["tune", "--config", config]] {
         let verdicts = [gone(), Stdio::null()].map(|stdout| typed(&service, arguments, stdout));
         assert_eq!(verdicts[0].status, verdicts[1].status, "{}", text(&verdicts[0]));

@@ -50,7 +50,7 @@ fn events_come_ten_times_a_second_with_what_moves_and_end_with_the_service() {
     while next::<Live>(&mut events).unwrap().joints.iter().any(|joint| joint.speed_deg_per_s.is_none()) {}
     let moments: Vec<Live> = (0..10).map(|_| next(&mut events).unwrap()).collect();
     let (first, last) = (&moments[0], &moments[9]);
-    // A busy machine may need more time for 10 events, but never less.
+    // On a busy machine, 10 events may take more time, but never less.
     let lasted_ms = last.at_ms - first.at_ms;
     assert!(lasted_ms >= 800, "10 events in {lasted_ms} ms");
     assert_eq!(last.joints.len(), 5);
@@ -66,7 +66,7 @@ fn events_come_ten_times_a_second_with_what_moves_and_end_with_the_service() {
     for (angles, joint) in angles_deg.iter().zip(&first.joints) {
         assert!((angles[place].unwrap() - joint.angle_deg.unwrap()).abs() < 0.006, "{joint:?}");
     }
-    // If a busy machine delayed cycles, the headline is CHECK for a second.
+    // For a second after a busy machine has delayed cycles, the headline is CHECK.
     let mut words = (0..100).map(|_| next::<Live>(&mut events).unwrap().headline.word);
     assert!(words.any(|word| word == "READY"), "never READY in ten seconds");
     service.signal(nix::sys::signal::Signal::SIGTERM);
@@ -98,12 +98,12 @@ fn clients_that_take_no_event_hold_up_nobody_and_leave_places_for_others() {
     service.wait_for("writing");
     let stuck: Vec<_> = (0..50).map(|_| listen(&service)).collect();
     std::thread::sleep(Duration::from_millis(500));
-    // A subscriber beyond the limit gets an error with an alternative.
+    // A subscriber beyond the limit receives an error that names an alternative.
     let mut refused = listen(&service);
     let mut line = String::new();
     refused.read_line(&mut line).unwrap();
     assert!(line.contains("503"), "{line}");
-    // The subscribers read no events during the test, and the service still answers.
+    // The subscribers read no events during the test. The service must still answer.
     let live: Live = service.get("live");
     assert_eq!(live.status.run.unwrap().name, "watched");
     let last = service.granted("stop", &json!({})).last.unwrap();

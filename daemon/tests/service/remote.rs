@@ -1,4 +1,4 @@
-//! Access from other machines is possible only with the token. An independent client and a real browser check this.
+//! Access from other machines, which is possible only with the token. An independent client and a real browser are used.
 
 use std::fs;
 use std::io::{Read, Write};
@@ -45,7 +45,7 @@ fn over_tls_an_independent_client_is_served_with_the_token_and_with_nothing_else
         .output()
         .unwrap();
     assert!(said.status.success(), "{}", super::rig::text(&said));
-    // Local programs still need no token.
+    // Programs on the same machine still need no token.
     assert_eq!(service.get::<Status>("status").state, ServiceState::Waiting);
 }
 
@@ -75,7 +75,7 @@ fn a_browser_that_was_given_the_token_once_shows_the_page() {
     assert!(status.contains("waiting"), "{status}");
 }
 
-/// Sends a request over a stream as a reverse proxy does, byte by byte as given. Returns status code and answer.
+/// Sends a request over a stream, as a reverse proxy passes it on. Returns status code and answer.
 fn passed_on(mut stream: impl Read + Write, request: &str, headers: &[&str], body: &str) -> (u16, String) {
     let headers: String = headers.iter().map(|header| format!("{header}\r\n")).collect();
     let length = body.len();
@@ -105,7 +105,7 @@ fn through_a_reverse_proxy_nothing_is_reached_without_the_token_whatever_host_it
     let status = |headers: &[&str]| {
         passed_on(UnixStream::connect(&socket).unwrap(), "GET /api/status HTTP/1.1", headers, "")
     };
-    // nginx and Apache send one of these hosts by default. Some of them are names of loopback.
+    // By default, nginx and Apache send one of these hosts. Some of the hosts are names of the loopback interface.
     for host in ["localhost", "127.0.0.1:7311", "127.0.0.1", "[::1]:7311", "lab.example"] {
         for origin in [vec![], vec![format!("Origin: https://{host}")]] {
             let headers = [vec![format!("Host: {host}")], origin].concat();
@@ -132,7 +132,7 @@ fn through_a_reverse_proxy_nothing_is_reached_without_the_token_whatever_host_it
     }
     let (_, answer) = status(&["Host: lab.example"]);
     assert!(answer.contains("state directory") && answer.contains("?token="), "no remedy in: {answer}");
-    // The Host header does not match the origin, because the proxy does not pass on the Host of the browser.
+    // The Host header differs from the origin, because the proxy does not pass on the Host header of the browser.
     let (code, answer) = status(&["Host: localhost", "Origin: https://lab.example", &bearer]);
     assert!(code == 403 && answer.contains("proxy_set_header Host $http_host"), "{answer}");
     service.signal(nix::sys::signal::Signal::SIGTERM);
@@ -154,7 +154,7 @@ fn what_a_reverse_proxy_passes_on_to_the_loopback_port_is_refused_with_the_remed
         ("1.1", "Forwarded: for=192.0.2.7"),
         ("1.1", "X-Real-IP: 192.0.2.7"),
         ("1.1", "Via: 1.1 lab.example"),
-        // By default nginx sends this version and this header, and no others.
+        // By default, nginx sends this version and only this header.
         ("1.0", "Connection: close"),
     ] {
         let (code, answer) = ask(version, header);
@@ -169,8 +169,8 @@ fn what_a_reverse_proxy_passes_on_to_the_loopback_port_is_refused_with_the_remed
 fn a_request_of_a_system_account_is_refused_with_the_remedy_but_for_the_metrics() {
     let service = Running::start();
     service.wait_for("waiting");
-    // Sends a request as the current nginx does by default: HTTP/1.1 without additional headers. Sockets that this thread
-    // opens belong to the account.
+    // Sends a request as the current nginx does by default, which is HTTP/1.1 without additional headers. Sockets that this
+    // thread opens belong to `account`.
     let ask = |account: u32, path: &str| {
         std::thread::scope(|scope| {
             let asked = scope.spawn(|| {
@@ -235,7 +235,7 @@ fn token_and_key_are_made_once_for_their_owner_alone() {
     assert_eq!(first, second);
 }
 
-/// Starts a service whose state directory is `directory`. The service must refuse to start; returns its message.
+/// Starts a service whose state directory is `directory`. The service must refuse to start. Returns its message.
 fn refused(directory: &Path, arguments: &[&str]) -> String {
     let mut command = ballbard();
     command.env("STATE_DIRECTORY", directory).env("RUST_LOG", "off");

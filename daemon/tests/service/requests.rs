@@ -17,7 +17,7 @@ fn send(port: &str, request: &[u8]) -> TcpStream {
     stream
 }
 
-/// The status line of the reply; empty if there is none.
+/// The status line of the reply. Empty if there is no reply.
 fn status_line(mut stream: TcpStream) -> String {
     let mut answer = Vec::new();
     let _ = stream.read_to_end(&mut answer);
@@ -47,7 +47,7 @@ fn what_a_foreign_web_page_could_send_is_refused() {
         format!("Host: 127.0.0.1:{port}\r\nOrigin: http://evil.example\r\n{json}"),
         format!("Host: 127.0.0.1.evil.example\r\n{json}"),
         format!("Host: 127.0.0.1:{port}\r\nOrigin: null\r\n{json}"),
-        // If a header occurs twice, the second one is checked too.
+        // If a header occurs twice, the second one must also be checked.
         format!("Host: 127.0.0.1:{port}\r\nHost: evil.example\r\n{json}"),
         format!(
             "Host: 127.0.0.1:{port}\r\nOrigin: http://127.0.0.1:{port}\r\nOrigin: http://evil.example\r\n{json}"
@@ -56,7 +56,7 @@ fn what_a_foreign_web_page_could_send_is_refused() {
         let answer = raw_post(port, &headers, "{}");
         assert!(answer.contains("403"), "{headers}: {answer}");
     }
-    // Another host name that resolves to this machine gets neither the page nor its data.
+    // A request with another host name that resolves to this machine gets neither the page nor its data.
     for path in ["/", "/app.js", "/api/live", "/api/events", "/api/runs/x/mcap"] {
         let request = format!("GET {path} HTTP/1.1\r\nHost: evil.example:{port}\r\n\r\n");
         assert!(raw(port, request.as_bytes()).contains("403"), "{path}");
@@ -68,7 +68,7 @@ fn what_a_foreign_web_page_could_send_is_refused() {
     assert!(raw_post(port, &format!("{host}{json}"), &huge).contains("413"));
     for nonsense in [&b"\0\0\0\0"[..], b"GET / HTTP/9.9\r\n\r\n", b"\r\n\r\n", &[0xff; 4096]] {
         let stream = send(port, nonsense);
-        // Closes the sending direction, so that the service does not wait for the rest of the request.
+        // The sending direction is closed, so that the service does not wait for the rest of the request.
         let _ = stream.shutdown(Shutdown::Write);
         let answer = status_line(stream);
         assert!(answer.is_empty() || answer.contains(" 4") || answer.contains(" 5"), "{answer}");

@@ -15,8 +15,7 @@ pub fn shipped() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../config")
 }
 
-/// A command for a program that reacts to SIGHUP. If these tests run under `nohup`, child processes
-/// would otherwise ignore the signal.
+/// A command for a program that reacts to SIGHUP. Under `nohup`, child processes would otherwise ignore this signal.
 pub fn heeding_hangups(program: &str) -> Command {
     let ignored = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let ignored = ignored.lines().find_map(|line| line.strip_prefix("SigIgn:"));
@@ -46,7 +45,7 @@ impl Running {
         Self::logging_to(Stdio::null(), arguments)
     }
 
-    /// Starts a service whose log is written to `stderr`, which may fail.
+    /// Starts a service whose log is written to `stderr`. Writing to `stderr` may fail.
     pub fn logging_to(stderr: Stdio, arguments: &[&str]) -> Self {
         let mut command = heeding_hangups(PROGRAM);
         command.stderr(stderr);
@@ -60,7 +59,7 @@ impl Running {
         Self::by(command, directory, config, arguments)
     }
 
-    /// Starts a service by a command that replaces itself with the program.
+    /// Starts a service with the command `command`, which replaces itself with the program.
     pub fn by(mut command: Command, directory: tempfile::TempDir, config: &Path, arguments: &[&str]) -> Self {
         // The service must neither read nor change files of the user who runs the tests.
         command.env("STATE_DIRECTORY", directory.path());
@@ -89,8 +88,8 @@ impl Running {
         (response.status().as_u16(), response.body_mut().read_json().unwrap())
     }
 
-    /// Repeats a request until the service grants it, and returns the reply. On a busy machine, emulated terminals may
-    /// answer too late for a moment, and the start of a run is then refused.
+    /// Repeats a request until the service grants it, and returns the reply. The start of a run may be refused, because
+    /// emulated terminals on a busy machine may answer too late for a moment.
     pub fn granted(&self, path: &str, body: &Value) -> Reply {
         let begun = Instant::now();
         loop {
@@ -109,8 +108,7 @@ impl Running {
         self.wait_until(state, |status| json!(status.state) == state)
     }
 
-    /// Waits until the status meets the condition, and returns the status. After the time-out it
-    /// panics with the text `what`.
+    /// Waits until the status meets the condition, and returns the status. Panics with the text `what` after the time-out.
     pub fn wait_until(&self, what: &str, is_it: impl Fn(&Status) -> bool) -> Status {
         let begun = Instant::now();
         loop {
@@ -123,7 +121,7 @@ impl Running {
         }
     }
 
-    /// Waits until a run can be started without giving a reason. This takes a second after a busy machine delayed cycles.
+    /// Waits until the headline of the status is READY. If a busy machine has delayed cycles, this takes a second.
     pub fn wait_until_ready(&self) {
         self.wait_until("readiness", |status| status.headline().word == "READY");
     }
@@ -145,7 +143,7 @@ impl Running {
         nix::sys::signal::kill(pid, signal).unwrap();
     }
 
-    /// Waits until the process of the service has ended, without sending a signal.
+    /// Waits until the process of the service ends. No signal is sent.
     pub fn ended(&mut self, within: Duration) -> ExitStatus {
         let begun = Instant::now();
         loop {
@@ -186,7 +184,7 @@ pub fn copied() -> tempfile::TempDir {
     config
 }
 
-/// The shipped configuration with more frequent synchronisations, so that a run is reported as being written earlier.
+/// The shipped configuration with more frequent synchronisations. The data of a run are then reported as safe earlier.
 pub fn quick() -> tempfile::TempDir {
     changed("sync_period_ms = 1000", "sync_period_ms = 300")
 }

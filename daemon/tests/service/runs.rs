@@ -1,4 +1,4 @@
-//! Complete runs, requested by programs and by users.
+//! Complete runs. Programs and users request them.
 
 use std::time::Duration;
 
@@ -45,7 +45,7 @@ fn many_clients_at_once_get_one_run_at_a_time_and_every_file_is_whole() {
     }
 }
 
-/// Starts a service and waits until it is ready. All sections of a test share it, because a bring-up
+/// Starts a service and waits until it is ready. All sections of a test share this service, because a bring-up
 /// takes longer than a section.
 fn ready() -> Running {
     let service = Running::start();
@@ -137,8 +137,8 @@ fn a_note_is_changed_after_the_run_and_the_recorded_file_is_not(service: &Runnin
     }
     assert_eq!(listed(), "");
 
-    // If a recording is deleted, its note is deleted too. A note without its recording is not used for a new
-    // run of the same name.
+    // If a recording is deleted, its note is deleted as well. If a note has no recording, a new run of the same name does
+    // not use the note.
     let beside = service.directory.path().join("noted.note.json");
     let left = std::fs::read(&beside).unwrap();
     service.granted("delete", &json!({"name": "noted"}));
@@ -167,7 +167,7 @@ fn a_deleted_run_lies_in_the_bin_until_it_is_restored_or_the_bin_is_emptied(serv
     assert!(text(&deleted).contains("ballbard restore one"), "{}", text(&deleted));
     assert_eq!((names("runs"), names("bin")), (vec![], vec![named("one", "changed")]));
     assert_eq!(service.post("delete", &json!({"name": "one"})).0, 404);
-    // Another run gets the same name and is deleted too.
+    // Another run gets the same name and is also deleted.
     record("second");
     service.granted("delete", &json!({"name": "one"}));
     assert_eq!(names("bin"), [named("one-2", "second"), named("one", "changed")]);
@@ -248,7 +248,7 @@ fn what_the_service_knows_is_asked_for_by_name_and_as_json(service: &Running) {
     assert!(told.contains(&last.verdict.unwrap().to_string()), "{told}");
     assert!(stopped["last"]["simulated"] == true && listed[0]["simulated"] == true, "{stopped} {listed}");
     assert!(json(&["check"]).as_array().unwrap().len() > 5);
-    // The export finds the run by its name alone, which contains a dot, from any directory.
+    // The export finds the run by its name in any working directory. The name contains a dot.
     let elsewhere = tempfile::tempdir().unwrap();
     let mut export = ballbard();
     export.current_dir(&elsewhere).args(["export", "--csv", "asked.v2", "--port", &service.port]);

@@ -1,4 +1,4 @@
-//! Reports of the service are true while the bus, the encoders or another process fail.
+//! The reports of the service are true while the bus, the encoders or another process fail.
 
 use std::fs::File;
 use std::process::{Command, Stdio};
@@ -21,8 +21,8 @@ fn terminals_that_were_gone_are_in_the_log() {
     let service = Running::logging_to(stderr, &faults);
     service.wait_for("waiting");
     service.wait_for("fault");
-    // While the process is stopped, this PC misses cycles. Such cycles must not be taken as evidence
-    // that the terminals are back.
+    // While the process is stopped, it misses cycles. Missed cycles must not be treated as a sign
+    // that the terminals have returned.
     for _ in 0..3 {
         service.signal(Signal::SIGSTOP);
         std::thread::sleep(Duration::from_millis(100));
@@ -30,7 +30,7 @@ fn terminals_that_were_gone_are_in_the_log() {
         std::thread::sleep(Duration::from_millis(200));
     }
     service.wait_for("waiting");
-    // The log still contains the fault after its end.
+    // After the end of the fault, the log still contains the fault.
     let log = std::fs::read_to_string(log).unwrap();
     assert!(log.contains("WARN bus: no samples from"), "{log}");
     assert_eq!(log.matches("INFO bus: samples again after").count(), 1, "{log}");

@@ -16,12 +16,12 @@ use ballbard::segment::simulated::{Conversion, EncoderSource, Signal};
 use shared::config::EncoderConfig;
 use shared::recording::schema::CycleRecord;
 
-/// True if the status has a problem with this code.
+/// Whether the status contains a problem with this code.
 pub fn has_problem(status: &Status, code: &str) -> bool {
     status.problems.iter().chain(&status.bad_cables).any(|problem| problem.code() == code)
 }
 
-/// True if the metrics have a problem with this code, both as a current problem and in the totals.
+/// Whether the metrics contain a problem with this code, both as a current problem and in the totals.
 pub fn is_in_metrics(text: &str, code: &str) -> bool {
     text.contains(&format!("ballbard_problem{{code=\"{code}\""))
         && text.contains(&format!("ballbard_problems_total{{code=\"{code}\"}}"))
@@ -35,7 +35,7 @@ pub fn ballbard() -> Command {
     isolated(Command::new(PROGRAM))
 }
 
-/// Removes all environment variables from a command through which it could use state that the test did not create.
+/// Removes or replaces the environment variables through which a command could use state that the test did not create.
 pub fn isolated(mut command: Command) -> Command {
     const NOWHERE: &str = "/nonexistent";
     command.env("HOME", NOWHERE).env("STATE_DIRECTORY", NOWHERE);
@@ -45,8 +45,8 @@ pub fn isolated(mut command: Command) -> Command {
     command
 }
 
-/// Checks that some cycles are valid and that each invalid cycle is flagged. In real time, a busy machine may be late
-/// for any number of cycles.
+/// Checks that some cycles are valid and that each invalid cycle has a flag. In real time, any number of cycles may be late
+/// on a busy machine.
 pub fn assert_bad_cycles_have_reasons(cycles: &[CycleRecord]) {
     assert!(cycles.iter().any(CycleRecord::is_valid), "none of {} cycles is valid", cycles.len());
     assert!(cycles.iter().all(|cycle| cycle.is_valid() || cycle.flags != 0), "a bad cycle has no reason");
@@ -84,14 +84,14 @@ pub struct Stamped {
 }
 
 impl TrueInstants {
-    /// Wraps a source and returns it with the instants that it will store. They have room for `conversions` entries, so
-    /// that storing one allocates nothing.
+    /// Wraps a source. Returns the wrapper, and the instants that it will store. Memory for `conversions` entries is
+    /// reserved, so that storing an entry allocates nothing.
     pub fn watch<S: EncoderSource>(source: S, conversions: usize) -> (Watched<S>, Self) {
         let instants = Self(Arc::new(Mutex::new(Vec::with_capacity(conversions))));
         (Watched { source, instants: instants.clone() }, instants)
     }
 
-    /// Compares the sample times of valid records with the true instants, for terminals on distributed clocks.
+    /// Compares the sample times of valid records with the true instants. The terminals sample on distributed clocks.
     /// `utc_minus_true_ns` is the UTC of the records minus the true time \[ns\].
     pub fn judge(&self, records: &[CycleRecord], utc_minus_true_ns: i64) -> Vec<Stamped> {
         let instants = self.0.lock().unwrap();
@@ -104,8 +104,8 @@ impl TrueInstants {
         records.iter().filter(|record| record.is_valid()).filter_map(stamped).collect()
     }
 
-    /// Compares the sample times of valid records without distributed clocks. A frame then returns the last
-    /// sample before it was sent.
+    /// Compares the sample times of valid records with the true instants, without distributed clocks. A frame then returns
+    /// the last sample that was taken before the frame was sent.
     pub fn judge_free_running(&self, records: &[CycleRecord], utc_minus_true_ns: i64) -> Vec<Stamped> {
         let instants = self.0.lock().unwrap();
         let judge = |record: &CycleRecord| {

@@ -32,8 +32,8 @@ pub fn bar() -> BallBarConfig {
     config::parse(Kind::BallBar.built_in("ball_bar"), Path::new("ball_bar.toml")).unwrap()
 }
 
-/// Settings of a service on the simulated bus with these faults. The file with its reference marks is in
-/// the directory of its recordings.
+/// Settings of a service on the simulated bus with these faults. The file with the reference marks is in
+/// the directory of the recordings.
 pub fn settings(daemon: DaemonConfig, faults: &[&str]) -> Settings {
     Settings {
         bus: BusChoice::Simulated,
@@ -74,7 +74,7 @@ pub fn record_of(cycle: u64, time: UtcNs) -> CycleRecord {
     record
 }
 
-/// Writes a run of this many cycles to `directory`, either finished or in the form that a crash leaves.
+/// Writes a run with this number of cycles to `directory`. The file is either finished, or as a crash leaves it.
 pub fn leave(directory: &Path, name: &str, cycles: u64, is_finished: bool) {
     let period = Duration::from_millis(10);
     let run = RunMetadata { name: name.into(), ..metadata(period) };
@@ -86,7 +86,7 @@ pub fn leave(directory: &Path, name: &str, cycles: u64, is_finished: bool) {
             writer.cut().unwrap();
         }
     }
-    // Copies the file while its writer holds the lock. The copy itself is not locked, like the file of a killed process.
+    // The file is copied while its writer holds the lock. The copy is not locked, as the file of a killed process.
     let (file, _writer) = if is_finished {
         (writer.finish("test over", UtcNs(0)).unwrap(), None)
     } else {

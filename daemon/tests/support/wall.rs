@@ -1,4 +1,4 @@
-//! A disk that injects a fault into one call. It counts for each file the bytes that would survive a power cut.
+//! A disk that injects a fault into one call. For each file, it counts the bytes that would survive a power cut.
 
 use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
@@ -39,28 +39,28 @@ pub enum Call {
 }
 
 impl Call {
-    /// True for calls that still succeed on a disk that has failed, because the data that they need is in memory.
+    /// Whether the call still succeeds on a disk that has failed, because its data are in memory.
     fn asks_only(self) -> bool {
         use Call::{IdAt, IdOf, Length, List, Open, Read, Space};
         matches!(self, Open | List | Read | Length | IdAt | IdOf | Space)
     }
 
-    /// True for calls that transfer bytes.
+    /// Whether the call transfers bytes.
     pub fn moves_bytes(self) -> bool {
         matches!(self, Self::Write | Self::Read | Self::Append)
     }
 }
 
-/// Effect of a fault on the call that it hits, and on later calls.
+/// Effect of a fault on the call into which it is injected, and on later calls.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Fault {
     /// Refuses only this call.
     Fails,
-    /// Refuses this call, and all later calls that reach the run's own directory.
+    /// Refuses this call, and all later calls in the directory of the run.
     Dies,
     /// Refuses this call, and all later calls.
     DiesEverywhere,
-    /// Delays only this call. In real time, the hang also ends on [`Wall::release`].
+    /// Delays only this call. In real time, [`Wall::release`] ends the delay early.
     Hangs(Duration),
     /// Transfers a single byte in this call.
     CutsShort,
@@ -69,7 +69,7 @@ pub enum Fault {
 /// A simulated disk with one fault. Files are stored on the real disk.
 #[derive(Debug)]
 pub struct Wall {
-    /// Duration that each synchronisation takes in addition to that of the real disk.
+    /// Duration by which each synchronisation takes longer than on the real disk.
     sync_takes: Duration,
     /// The directory of the run. [`Fault::Dies`] affects only this directory.
     home: PathBuf,
@@ -79,18 +79,18 @@ pub struct Wall {
 
 #[derive(Debug, Default)]
 struct State {
-    /// The fault with its call and the number of this call among calls of the same kind, from 0.
+    /// The fault, with the kind of its call and the number of this call among the calls of this kind, from 0.
     fault: Option<(Call, usize, Fault)>,
     calls: BTreeMap<Call, usize>,
-    /// By inode: number of bytes that were written. `synced` counts those that were written before the
-    /// start of a completed synchronisation.
+    /// Number of bytes that were written, by inode. The next field counts only the bytes that were written
+    /// before a completed synchronisation started.
     written: HashMap<u64, u64>,
     synced: HashMap<u64, u64>,
     inodes: HashMap<u64, bool>,
     is_dead: bool,
     is_released: bool,
     struck: Option<Instant>,
-    /// Virtual time of the fault; `struck` is its real time.
+    /// Virtual time at which the fault occurred. The field `struck` is the real time.
     struck_at: Option<MonoNs>,
 }
 
@@ -106,7 +106,7 @@ impl Wall {
         Self { sync_takes: Duration::ZERO, home: home.to_owned(), state, released: Condvar::new() }
     }
 
-    /// A disk without faults on which each synchronisation takes this time.
+    /// A disk without faults. Each synchronisation takes the additional time `sync_takes`.
     pub fn slow(home: &Path, sync_takes: Duration) -> Self {
         Self { sync_takes, ..Self::new(home, None) }
     }
@@ -120,7 +120,7 @@ impl Wall {
         self.state().calls.clone()
     }
 
-    /// Injects this fault into the next call of this kind. It replaces the earlier fault.
+    /// Injects this fault into the next call of this kind. An earlier fault is replaced.
     pub fn strike_next(&self, call: Call, fault: Fault) {
         let mut state = self.state();
         let nth = state.calls.get(&call).copied().unwrap_or(0);
@@ -133,12 +133,12 @@ impl Wall {
         self.released.notify_all();
     }
 
-    /// Real time at which the fault occurred; `None` before.
+    /// Real time at which the fault occurred. `None` if it has not occurred.
     pub fn struck(&self) -> Option<Instant> {
         self.state().struck
     }
 
-    /// Virtual time at which the fault occurred; `None` before.
+    /// Virtual time at which the fault occurred. `None` if it has not occurred.
     pub fn struck_at(&self) -> Option<MonoNs> {
         self.state().struck_at
     }
@@ -282,7 +282,7 @@ impl Disk for Wall {
         file.read_at(&mut buffer[..length], offset)
     }
 
-    /// A synchronisation does not cover data that are written while it runs. A failed synchronisation covers no data.
+    /// Data that are written during a synchronisation are not covered by it. A synchronisation that fails covers no data.
     fn sync(&self, file: &File) -> io::Result<()> {
         let inode = file.metadata()?.ino();
         let covered = self.state().written.get(&inode).copied().unwrap_or(0);

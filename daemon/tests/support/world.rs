@@ -1,5 +1,6 @@
-//! Virtual time for time-outs and disk calls, in one thread. The clock advances from one stepper that is due to the next. If
-//! a call hangs, its stepper is busy until the call returns, while the other steppers continue.
+//! Virtual time for time-outs and disk calls, in one thread. Steppers are polled one after the other, and the clock
+//! advances to the time at which the next stepper is due. If a call hangs, its stepper is busy until the call
+//! returns. The other steppers continue.
 
 use std::cell::{Cell, RefCell};
 use std::future::Future;
@@ -24,7 +25,7 @@ struct Due {
     stepper: RefCell<Box<dyn Stepper>>,
 }
 
-/// The virtual clock with all its steppers. Clones share them.
+/// The virtual clock with all its steppers. Clones share the same clock and steppers.
 #[derive(Clone)]
 pub struct World {
     pub clock: Clock,
@@ -37,7 +38,7 @@ thread_local! {
 }
 
 impl World {
-    /// Starts virtual time in this thread, at zero.
+    /// Starts virtual time in this thread. Its first time is zero.
     pub fn begin() -> Self {
         let clock = Clock::virtual_from(UtcNs(0));
         let handle = Arc::new(Handle { clock: clock.clone(), begun: Mutex::default() });
@@ -57,7 +58,7 @@ impl World {
         self.steppers.borrow_mut().clear();
     }
 
-    /// Runs the actions of a client on virtual time, in a new world. Returns their result.
+    /// Runs the actions of a client in a new world, in virtual time. Returns the result of the actions.
     pub fn live<T: 'static>(person: impl Future<Output = T> + 'static) -> T {
         let world = Self::begin();
         let result = Rc::<Cell<Option<T>>>::default();
@@ -89,14 +90,14 @@ impl World {
         self.add(Person(Box::pin(person)));
     }
 
-    /// Polls the stepper that is due next, if it is due by `until` and not busy. Returns false if there is none.
+    /// Polls the next stepper that is due and not busy. Returns false if no such stepper is due by `until`.
     pub fn step(&self, until: MonoNs) -> bool {
         for begun in std::mem::take(&mut *self.handle.begun.lock().unwrap()) {
             self.add(Beginning::Begin(Some(begun)));
         }
         let idle =
             |due: &&Rc<Due>| due.stepper.try_borrow().is_ok() && due.at.get().is_some_and(|at| at <= until);
-        // Among steppers that are due at the same time, the first one is polled.
+        // If several steppers are due at the same time, the first of them is polled.
         let next = self.steppers.borrow().iter().filter(idle).min_by_key(|due| due.at.get()).cloned();
         let Some(due) = next else { return false };
         self.clock.sleep_until(due.at.get().unwrap_or(until));
@@ -108,7 +109,7 @@ impl World {
         true
     }
 
-    /// Lets time pass for the calling stepper. It is busy until then, while other steppers continue.
+    /// Lets time pass for the calling stepper. The stepper is busy during this time, and other steppers continue.
     pub fn pass(&self, time: Duration) {
         let until = self.clock.now().plus_ns(time.as_nanos() as i64);
         while self.step(until) {}
@@ -116,7 +117,7 @@ impl World {
     }
 }
 
-/// Lets time pass, on virtual time if this thread has a world, else in real time.
+/// Lets time pass: virtual time if this thread has a world, otherwise real time.
 pub fn pass(time: Duration) {
     match World::here() {
         Some(world) => world.pass(time),
@@ -133,12 +134,12 @@ pub fn since(begun: MonoNs) -> Duration {
     Duration::from_nanos(now().ns_since(begun).unsigned_abs())
 }
 
-/// Is ready after this time. Other steppers continue until then.
+/// A future that is ready after this time. Other steppers continue until then.
 pub async fn sleep(time: Duration) {
     World::here().unwrap().handle.sleep(time).await;
 }
 
-/// The scheduler of a world, which services use. It collects new steppers until [`World::step`] adds them.
+/// The scheduler of a world. Services use it to start steppers. It collects new steppers until [`World::step`] adds them.
 struct Handle {
     clock: Clock,
     begun: Mutex<Vec<Begin>>,
@@ -176,7 +177,7 @@ impl Scheduler for Handle {
     }
 }
 
-/// A stepper that is created in its first step, because its creation may hang.
+/// A stepper that is created in its first step. Its creation may hang, and the hang must not block the other steppers.
 enum Beginning {
     Begin(Option<Begin>),
     Begun(Box<dyn Stepper>),

@@ -5,7 +5,7 @@ use std::io::{BufRead, BufReader};
 use std::process::{Child, Command, Stdio};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// Only one test runs at a time, because each has a bus with a real-time cycle.
+/// Only one test runs at a time, because each test has a bus with a real-time cycle.
 static TURN: Mutex<()> = Mutex::new(());
 
 pub struct Namespace {

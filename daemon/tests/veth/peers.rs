@@ -1,5 +1,4 @@
-//! Independent programs at the other end: SOEM as the master of our simulated segment, and
-//! Wireshark's dissectors for our frames.
+//! Independent programs: SOEM is the master of our simulated segment, and Wireshark's dissectors check our frames.
 
 use std::f64::consts::TAU;
 use std::path::{Path, PathBuf};
@@ -77,16 +76,16 @@ fn soem_brings_the_segment_into_op_and_reads_the_counters_of_the_motion() {
     for pair in seen.cycles.windows(2) {
         let [before, cycle] = pair else { continue };
         assert!(cycle.dc_ns >= before.dc_ns, "the bus clock runs");
-        // If the frame was near a SYNC0, it is uncertain which sample it returned. If replies are
-        // missing, the cycle is incomplete.
+        // Cycles are not compared in two cases. If the frame was near a SYNC0, it is uncertain which sample the frame
+        // returned. If replies are missing, the cycle is incomplete.
         let phase_ns = cycle.dc_ns.rem_euclid(PERIOD_NS);
         if !(100_000..9_900_000).contains(&phase_ns) || cycle.working_counter != 15 {
             continue;
         }
         let bracket_ns = cycle.received_ns - cycle.sent_ns;
         let sampled_ns = cycle.sent_ns + bracket_ns / 2 - phase_ns;
-        // An encoder turns at most at 0.4 rad/s. The instant is known to half the time between sending and receiving, plus
-        // some us of delay on the wire.
+        // An encoder turns at 0.4 rad/s at most. The instant of the sample is uncertain by half the time between sending and
+        // receiving, plus some us of delay on the wire.
         let tolerance = 4.0 + 0.94e-3 * (bracket_ns as f64 / 2.0 + 5_000.0);
         for (joint, (status, counter)) in cycle.terminals.iter().enumerate() {
             assert_eq!(status & 0x4018, 0, "no frequency or amplitude error");
@@ -123,7 +122,7 @@ fn wireshark_finds_no_malformed_frame_in_what_soem_and_the_segment_say() {
         std::thread::sleep(Duration::from_millis(100));
     }
     run_soem(&namespace, &python);
-    // When it is interrupted, tshark writes all packets that it has captured.
+    // An interrupted tshark writes all packets that it has captured.
     let child = nix::unistd::Pid::from_raw(capture.0.id() as i32);
     nix::sys::signal::kill(child, nix::sys::signal::Signal::SIGINT).unwrap();
     capture.0.wait().unwrap();

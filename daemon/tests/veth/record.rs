@@ -19,7 +19,7 @@ fn record(namespace: &Namespace, out: &Path, duration: &str) -> Command {
     record
 }
 
-/// Waits until the run of `record` has its file. On a loaded machine the bring-up takes several seconds.
+/// Waits until the run of `record` has its file. On a busy machine the bring-up takes several seconds.
 fn wait_until_begun(out: &Path) {
     let deadline = Instant::now() + Duration::from_secs(60);
     while !out.join("veth.mcap.active").exists() {
@@ -77,7 +77,7 @@ fn an_interface_that_is_unplugged_and_plugged_in_again_is_found_again() {
     let running = record(&namespace, out.path(), "14s").spawn().unwrap();
     wait_until_begun(out.path());
     thread::sleep(Duration::from_secs(2));
-    // Removes both interfaces. The new ones have the same names, but other interface numbers.
+    // Remove both interfaces. The new interfaces have the same names but other numbers.
     namespace.link(&["delete", "near"]);
     thread::sleep(Duration::from_secs(2));
     namespace.plug_in();
