@@ -62,7 +62,7 @@ impl Bin {
     /// two limits for each factor of two.
     pub fn limit_of(duration_ns: u64) -> u64 {
         let octave_ns = |shift: u32| 1000u64.checked_shl(shift).unwrap_or(u64::MAX);
-        // A 64-bit number of ns is less than 2^54 us, so 54 factors of two are enough.
+        // A 64-bit number of ns has about 54 factors of two above one microsecond.
         (0..54)
             .flat_map(|shift| [octave_ns(shift), octave_ns(shift) / 2 * 3])
             .find(|limit_ns| duration_ns <= *limit_ns)

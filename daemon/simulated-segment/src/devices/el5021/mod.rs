@@ -175,8 +175,7 @@ impl Device for El5021 {
         self.counter.convert(signal, &self.outputs, &mut self.inputs);
         self.count_errors(before);
         self.inputs.sync_error = self.diagnosis.sync_error;
-        // Every event inverts the toggle bit. If several events occurred since the last conversion, the
-        // result depends on their number.
+        // Every event inverts the toggle bit, even if the master never read its data.
         self.inputs.toggle ^= step.event.count % 2 == 1;
         self.inputs.encode(step.inputs);
     }
