@@ -29,7 +29,7 @@ pub fn say(line: impl fmt::Display) -> io::Result<()> {
 /// Prints a text that contains its own line breaks.
 ///
 /// # Errors
-/// The same as those of [`say`].
+/// See [`say`].
 pub fn show(text: impl fmt::Display) -> io::Result<()> {
     let written = CAPTURED.with_borrow_mut(|output| output.as_mut().map(|output| write!(output, "{text}")));
     if written.is_some() {

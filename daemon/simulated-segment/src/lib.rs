@@ -80,7 +80,7 @@ pub struct SimulatedSegment {
 /// A device that has no power, because the first frame has not arrived yet.
 struct Unpowered {
     device: Box<dyn Device>,
-    /// Time since its power-up \[ns\]. Its local clock starts at this value.
+    /// Time since the power-up of the device \[ns\]. The local clock of the device starts at this value.
     on_for_ns: i64,
     drift_ppm: f64,
 }

@@ -54,7 +54,7 @@ type BusGroup<State, Dc> = SubDeviceGroup<DEVICES_MAX, PDI_BYTES_MAX, ethercrab:
 
 type BusDevice<'a> = SubDeviceRef<'static, SubDevicePdi<'a, PDI_BYTES_MAX, ethercrab::DefaultLock>>;
 
-/// The expected devices of the bus, and its timing.
+/// The expected devices and the timing of the bus.
 #[derive(Debug, Clone)]
 pub struct BusPlan {
     /// Network interface, or `simulated`. Used in messages.

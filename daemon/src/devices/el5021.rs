@@ -12,7 +12,7 @@ use std::time::Duration;
 
 /// Length of the TxPDO "ENC Status" (0x1A00) \[bytes\]. linuxcnc-ethercat and EtherLab describe the same layout.
 pub const INPUT_BYTES: usize = 10;
-/// Length of the RxPDO "ENC Control" (0x1600) \[bytes\], from the same sources.
+/// Length of the RxPDO "ENC Control" (0x1600) \[bytes\], from the same sources as the TxPDO.
 pub const OUTPUT_BYTES: usize = 6;
 /// Contribution of one terminal to the working counter of a read-write datagram: 1 for inputs, 2 for outputs (ETG.1000.4).
 pub const WORKING_COUNTER: u16 = 3;

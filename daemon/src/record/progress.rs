@@ -115,7 +115,7 @@ pub struct Snapshot {
     pub file: PathBuf,
     /// Problems of the disk.
     pub problems: Vec<Problem>,
-    /// Timing of the cycle; `None` on virtual time.
+    /// Timing of the cycle; `None` in virtual time.
     pub timing: Option<TimingSummary>,
     /// Invalid cycles that were written, grouped by joint and reason.
     pub flagged: Vec<Flagged>,

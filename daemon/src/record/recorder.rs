@@ -74,7 +74,7 @@ pub struct RunSummary {
     pub cause: String,
     /// Whether the counts are measured, simulated or replayed.
     pub provenance: Provenance,
-    /// Timing of the cycle; `None` on virtual time.
+    /// Timing of the cycle; `None` in virtual time.
     pub timing: Option<TimingSummary>,
 }
 
@@ -119,7 +119,7 @@ impl CycleSource {
         self.events.pop().ok()
     }
 
-    /// Timing of the cycle so far; `None` on virtual time.
+    /// Timing of the cycle so far; `None` in virtual time.
     pub fn timing(&mut self) -> Option<TimingSummary> {
         self.timing.drain();
         self.timing.summary()
@@ -150,7 +150,7 @@ impl CycleSink {
         let _ = self.events.push(event);
     }
 
-    /// Adds the timing of a cycle, without waiting. No effect on virtual time.
+    /// Adds the timing of a cycle, without waiting. No effect in virtual time.
     pub fn push_timing(&mut self, timing: CycleTiming) {
         if !self.waits {
             // If the ring is full, only one entry of a histogram is lost. It is not worthwhile to wait for that.
@@ -457,7 +457,7 @@ impl Recorder {
         self.write_timing().map(drop)
     }
 
-    /// Timing of cycle and disk so far. `None` on virtual time.
+    /// Timing of cycle and disk so far. `None` in virtual time.
     fn timing(&mut self) -> Option<TimingSummary> {
         let disk = self.link.progress.longest();
         self.source.timing().map(|timing| TimingSummary { disk, ..timing })

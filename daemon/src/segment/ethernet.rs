@@ -74,7 +74,7 @@ pub struct EthernetWire {
 }
 
 impl EthernetWire {
-    /// Opens an interface by its name, on real time.
+    /// Opens an interface by its name, in real time.
     pub fn open(name: &str) -> Result<Self, OpenError> {
         interface_index(name)?;
         let socket = open_socket(name).map_err(|source| refused(name, source))?;

@@ -86,7 +86,7 @@ pub fn leave(directory: &Path, name: &str, cycles: u64, is_finished: bool) {
             writer.cut().unwrap();
         }
     }
-    // The file is copied while its writer holds the lock. The copy is not locked, as the file of a killed process.
+    // The file is copied while its writer holds the lock. Like the file of a killed process, the copy is not locked.
     let (file, _writer) = if is_finished {
         (writer.finish("test over", UtcNs(0)).unwrap(), None)
     } else {

@@ -26,7 +26,7 @@ pub const fn bar_joint_name(joint: u8) -> &'static str {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct EncoderConfig {
-    /// Bar joint that it measures, 1 to 5.
+    /// Bar joint that the encoder measures, 1 to 5.
     pub joint: u8,
     /// Signal periods per revolution.
     pub lines: u32,

@@ -147,7 +147,8 @@ impl Source {
 
     /// The text of the configuration.
     ///
-    /// # Errors [`ConfigError::Unreadable`] if the file cannot be read, and [`ConfigError::Malformed`] if it is not UTF-8.
+    /// # Errors
+    /// [`ConfigError::Unreadable`] if the file cannot be read, and [`ConfigError::Malformed`] if it is not UTF-8.
     pub fn text(&self) -> Result<Cow<'static, str>, ConfigError> {
         let path = match self {
             Self::BuiltIn(_, text) => return Ok(Cow::Borrowed(text)),

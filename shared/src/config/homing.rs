@@ -21,7 +21,7 @@ use crate::time::UtcNs;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct HomedEncoder {
-    /// Bar joint that it measures, 1 to 5.
+    /// Bar joint that the encoder measures, 1 to 5.
     pub joint: u8,
     /// Signal periods per revolution, as configured at the time of homing.
     pub lines: u32,

@@ -146,8 +146,8 @@ impl AngleUnit {
 /// Converts what the robot logs to the joint variables of the model:
 /// `q = (raw * unit - raw_offset_rad) * raw_to_joint`, with row vectors.
 ///
-/// It covers logs of motor angles, with gear ratios and wrist coupling, and logs of joint angles with other signs. It also
-/// covers robots in which a parallel rod couples joints 2 and 3.
+/// This formula covers logs of motor angles, with gear ratios and wrist coupling, and logs of joint angles with other signs.
+/// It also covers robots in which a parallel rod couples joints 2 and 3.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LogConversion {

@@ -94,7 +94,7 @@ pub struct Recording {
     pub cycles: Vec<CycleRecord>,
     /// Events of the run, in order.
     pub events: Vec<Event>,
-    /// Timing of the loop; `None` on virtual time. In a recovered recording it may cover only part of the cycles, see
+    /// Timing of the loop; `None` in virtual time. In a recovered recording it may include only some of the cycles, see
     /// [`TimingSummary::cycles`].
     pub timing: Option<TimingSummary>,
     /// How the run ended.
@@ -196,7 +196,7 @@ struct Content {
 }
 
 impl Content {
-    /// Stores an item. A cycle is not stored: it is counted and returned if it is the next in order.
+    /// Stores an item. A cycle is not stored. It is counted and returned if its number is the next one.
     fn take(&mut self, item: Item) -> Result<Option<CycleRecord>, ReadErrorKind> {
         match item {
             Item::Run(run) => take_run(&mut self.run, *run)?,

@@ -11,7 +11,7 @@ use super::registers as reg;
 use super::sii::Sii;
 use super::sync_manager::{self, Access, Completion, ExpectedSyncManager, Permit, SyncManager};
 
-/// Use of the sync manager channels. It is the same in every device with a mailbox.
+/// Numbers of the sync manager channels. They are the same in every device with a mailbox.
 const MAILBOX_OUT: usize = 0;
 const MAILBOX_IN: usize = 1;
 const OUTPUTS: usize = 2;

@@ -318,7 +318,7 @@ impl FaultySegment {
         drawn
     }
 
-    /// Applies all scheduled switches that are due at `now_ns`, then those from a handle.
+    /// Applies all scheduled switches that are due at `now_ns`. Then applies the switches that a handle has sent.
     fn switch(&mut self, now_ns: i64) {
         self.segment.power_up(now_ns);
         let since_ns = now_ns - *self.first_frame_ns.get_or_insert(now_ns);

@@ -10,7 +10,7 @@ use shared::time::MonoNs;
 
 /// Number of agreeing readings that are needed for a decision.
 const READINGS_MIN: u32 = 3;
-/// After this number of readings without a decision, the first reading counts as misread.
+/// After this number of readings without a decision, the bus time of the first reading is treated as misread.
 const UNDECIDED_MAX: u32 = 100;
 /// If this many readings contradict each other, the clock is unusable, and is treated as stepped.
 const ERRATIC_MAX: u32 = 10;

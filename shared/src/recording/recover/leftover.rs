@@ -160,7 +160,7 @@ pub fn recover_leftovers_on(disk: &dyn Disk, directory: &Path) -> Vec<Leftover> 
         .inspect(|leftover| {
             if let Err(RecoverError::Salvage { source: SalvageError::NothingWhole(_), .. }) = leftover.outcome
             {
-                // Remove the file if it is empty. The disk may not have reported this before. Otherwise rename the file. If
+                // Remove the file if it is empty. An earlier check of its length may have failed. Otherwise rename the file. If
                 // both fail, the next start of the daemon tries again.
                 let _ = remove_if_empty(disk, &leftover.file) || set_aside(disk, &leftover.file).is_ok();
             }
