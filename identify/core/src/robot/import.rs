@@ -186,9 +186,9 @@ pub fn import(text: &str, base: Option<&str>, tip: Option<&str>) -> Result<Impor
 /// description of this assumption.
 ///
 /// The controller measures J3 from the horizontal, so J3 does not change when joint 2 turns. A URDF file measures joint 3
-/// from the upper arm. In ROS-Industrial models of FANUC robots, axes 2 and 3 have opposite directions, so joint 3 is J3
-/// + J2. In models of ABB robots, both have the same direction, so joint 3 is J3 - J2. If the axes have other directions,
-/// no coupling is written.
+/// from the upper arm. In ROS-Industrial models of FANUC robots, axes 2 and 3 have opposite directions, so joint 3 is
+/// `J3 + J2`. In models of ABB robots, both have the same direction, so joint 3 is `J3 - J2`. If the axes have other
+/// directions, no coupling is written.
 fn couple_joint_3(config: &mut RobotConfig, axes: &[AxisLine]) -> String {
     let (a_maker, factor, ros) = match config.maker() {
         Some(Maker::Fanuc) => ("a FANUC", 1.0, "has joint 3 already and"),
