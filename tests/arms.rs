@@ -60,7 +60,7 @@ fn by_python(modules: &[&str], arguments: &[&str], asked: &Value) -> Vec<[[f64; 
 }
 
 /// Largest difference between the entries of the homogeneous matrices of the chain and the expected entries \[m, 1\].
-fn apart(chain: &Chain, postures: &[Joints], expected: &[[[f64; 4]; 4]]) -> f64 {
+fn pose_error(chain: &Chain, postures: &[Joints], expected: &[[[f64; 4]; 4]]) -> f64 {
     assert_eq!(postures.len(), expected.len());
     let of = |(joints, expected): (&Joints, &[[f64; 4]; 4])| {
         let found = chain.forward(joints).to_homogeneous();
@@ -81,7 +81,7 @@ fn a_urdf_has_the_forward_kinematics_that_yourdfpy_gives_it() {
             &["urdf", path.to_str().unwrap(), arm.1, arm.2],
             &json!({ "joints": postures }),
         );
-        let off_m = apart(&flange_chain(&robot), &postures, &expected);
+        let off_m = pose_error(&flange_chain(&robot), &postures, &expected);
         println!("{}: {} axes, largest difference {off_m:.1e} m", arm.0, robot.axes());
         // One of the files contains right angles with nine decimals. The import rounds these values to exact right angles.
         assert!(off_m < 1e-8, "{}: {off_m:e}", arm.0);
@@ -129,8 +129,10 @@ fn a_calibrated_arm_is_the_same_for_yourdfpy_in_the_urdf_that_is_written() {
             &["urdf", path.to_str().unwrap(), "base", "flange"],
             &json!({ "joints": postures }),
         );
-        let (off_m, corrected_m) =
-            (apart(&chain, &postures, &expected), apart(&flange_chain(&robot), &postures, &expected));
+        let (off_m, corrected_m) = (
+            pose_error(&chain, &postures, &expected),
+            pose_error(&flange_chain(&robot), &postures, &expected),
+        );
         println!("{}: written {off_m:.1e} m off, nominal {corrected_m:.1e} m", arm.0);
         assert!(off_m < 1e-9 && corrected_m > 1e-3, "{}: {off_m:e} {corrected_m:e}", arm.0);
     }
@@ -163,7 +165,7 @@ fn tables_in_either_convention_have_the_forward_kinematics_that_numpy_gives_them
             let links: Vec<Value> = robot.links.iter().map(link).collect();
             let postures = postures(&robot, 50);
             let asked = json!({ "convention": convention, "links": links, "joints": postures });
-            let off_m = apart(&flange_chain(&robot), &postures, &by_python(&["numpy"], &["dh"], &asked));
+            let off_m = pose_error(&flange_chain(&robot), &postures, &by_python(&["numpy"], &["dh"], &asked));
             assert!(off_m < 1e-12, "{convention}: {off_m:e}");
         }
     }

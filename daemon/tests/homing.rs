@@ -140,7 +140,7 @@ fn obedient(hand: &Hand, joint: u8) {
     hand.turn(usize::from(joint) - 1);
 }
 
-fn kept(encoders: &[EncoderConfig], found: &[FoundMark]) -> HomingConfig {
+fn saved_marks(encoders: &[EncoderConfig], found: &[FoundMark]) -> HomingConfig {
     HomingConfig::new(UtcNs(0), encoders, &verify(encoders, found).unwrap())
 }
 
@@ -161,7 +161,7 @@ fn the_marks_found_are_the_true_ones() {
 fn after_a_power_cycle_and_homing_again_the_same_pose_reads_the_same_angle() {
     let mut bench = Bench::new(4);
     let first = bench.home(&encoders(), obedient).unwrap();
-    let homing = kept(&encoders(), &first);
+    let homing = saved_marks(&encoders(), &first);
     bench.assert_angles_are_those_from_the_true_marks(&homing);
     let counts = bench.record().encoders.map(|encoder| encoder.count);
 
@@ -178,7 +178,7 @@ fn after_a_power_cycle_and_homing_again_the_same_pose_reads_the_same_angle() {
 
     let again = bench.home(&encoders(), obedient).unwrap();
     assert!(first.iter().zip(&again).all(|(first, again)| first.reference_counts != again.reference_counts));
-    bench.assert_angles_are_those_from_the_true_marks(&kept(&encoders(), &again));
+    bench.assert_angles_are_those_from_the_true_marks(&saved_marks(&encoders(), &again));
 }
 
 fn miswired(found: &[FoundMark], encoders: &[EncoderConfig]) -> String {

@@ -93,7 +93,7 @@ fn by_urdf(text: &str, base: &str, tip: &str, joints: &[f64]) -> Matrix<f64> {
 }
 
 /// Largest difference between the entries of two poses.
-fn apart(found: &Pose, expected: &Matrix<f64>) -> f64 {
+fn pose_error(found: &Pose, expected: &Matrix<f64>) -> f64 {
     let found = found.to_homogeneous();
     (0..16).map(|at| (found[(at / 4, at % 4)] - expected[at / 4][at % 4]).abs()).fold(0.0, f64::max)
 }
@@ -113,8 +113,10 @@ fn a_urdf_becomes_a_configuration_with_the_same_forward_kinematics() {
         assert_eq!(flange_chain(&robot).forward(&[]).rotation.matrix().determinant().round(), 1.0);
         for _ in 0..50 {
             let joints = random_joints(&robot, &mut random);
-            let off =
-                apart(&flange_chain(&robot).forward(&joints), &by_urdf(&text(arm.0), arm.1, arm.2, &joints));
+            let off = pose_error(
+                &flange_chain(&robot).forward(&joints),
+                &by_urdf(&text(arm.0), arm.1, arm.2, &joints),
+            );
             assert!(off < 1e-12, "{}: {off:e}", arm.0);
         }
     }
@@ -149,8 +151,10 @@ fn axes_a_little_from_parallel_become_links_of_a_robot_s_size() {
         assert!(check(&robot).suspicious.is_empty(), "{roll_rad}: {:?}", check(&robot).suspicious);
         for _ in 0..20 {
             let joints = random_joints(&robot, &mut random);
-            let off =
-                apart(&flange_chain(&robot).forward(&joints), &by_urdf(&urdf, "base_link", "tool0", &joints));
+            let off = pose_error(
+                &flange_chain(&robot).forward(&joints),
+                &by_urdf(&urdf, "base_link", "tool0", &joints),
+            );
             assert!(off < 1e-12, "{roll_rad}: {off:e}");
         }
     }
@@ -509,7 +513,7 @@ fn a_table_is_read_in_either_convention_with_prismatic_axes() {
                 product(&pose, &link)
             });
             let expected = product(&last, &place(robot.flange.xyz_m, robot.flange.rpy_deg));
-            let off = apart(&flange_chain(&robot).forward(&joints), &expected);
+            let off = pose_error(&flange_chain(&robot).forward(&joints), &expected);
             assert!(off < 1e-13, "{convention}: {off:e}");
         }
     }
@@ -690,7 +694,7 @@ fn seven_axes_and_an_arm_on_a_track_are_calibrated_by_a_tracker_and_written_as_u
         let mut random = StdRng::seed_from_u64(6);
         for _ in 0..20 {
             let joints = random_joints(&robot, &mut random);
-            let off = apart(&chain.forward(&joints), &by_urdf(&written, "base", "flange", &joints));
+            let off = pose_error(&chain.forward(&joints), &by_urdf(&written, "base", "flange", &joints));
             assert!(off < 1e-12, "{}: {off:e}", arm.0);
         }
         // Exporting and importing again must restore the joints.
@@ -808,7 +812,7 @@ fn an_arm_on_a_lift_is_known_as_well_as_the_tracker_shows_it() {
 fn a_prismatic_axis_has_a_scale_but_no_waves_and_other_arms_have_loads_of_the_tool() {
     let robot = imported(ARMS[2]).config;
     let chain = flange_chain(&robot);
-    let drives = DriveTrain::of(&robot, &chain);
+    let drives = DriveTrain::from_robot(&robot, &chain);
     assert!(drives.has(0, JointTerm::Ratio) && !drives.has(0, JointTerm::Backlash));
     let eccentric = JointTerm::Wave(Period::Once, Phase::Sine);
     assert!(!drives.has(0, eccentric) && drives.has(1, eccentric));

@@ -114,7 +114,7 @@ fn run(noise: Noise, seed: u64) -> Channels {
     Channels { motion, y: one.into_iter().zip(other).map(<[f64; 2]>::from).collect() }
 }
 
-fn found(run: &Channels, false_alarms: f64) -> Option<Change> {
+fn find_change(run: &Channels, false_alarms: f64) -> Option<Change> {
     let loss = Loss { name: LossName::Cauchy, scale: 4.0 };
     let options = identify::solver::Options { loss, ..Default::default() };
     let (x, _) = minimise(run, &[0.0; COLUMNS], &options).unwrap();
@@ -137,7 +137,8 @@ fn runs_in_which_nothing_changes_show_a_change_no_more_often_than_stated() {
         Noise::Gear(40.0),
     ];
     for noise in kinds {
-        let alarms = |rate: f64| (0..RUNS).filter(|seed| found(&run(noise, *seed), rate).is_some()).count();
+        let alarms =
+            |rate: f64| (0..RUNS).filter(|seed| find_change(&run(noise, *seed), rate).is_some()).count();
         let often = alarms(0.05);
         let seldom = if often == 0 { 0 } else { alarms(1e-4) };
         println!("{noise:?}: {often} and {seldom} of {RUNS}");
@@ -154,7 +155,7 @@ fn a_step_is_found_where_and_as_large_as_it_is() {
         for seed in 0..10 {
             let mut stepped = run(Noise::Lasting(0.8), 100 + seed);
             stepped.y[at..].iter_mut().for_each(|y| y[1] += size);
-            let change = found(&stepped, 1e-4).unwrap();
+            let change = find_change(&stepped, 1e-4).unwrap();
             let Course::Step(found) = change.course else { panic!("{change:?}") };
             assert_eq!(change.alternative, OFFSETS[1], "{change:?}");
             assert!(found.abs_diff(at) <= 20, "{found} {at}");

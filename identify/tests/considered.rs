@@ -95,7 +95,7 @@ fn with_a_tracker(seed: u64) -> (f64, Expected) {
 }
 
 /// Counts errors within their stated 95 % interval, and errors below the upper end of this interval.
-fn held(name: &str, found: impl Iterator<Item = (f64, Expected)>) -> [usize; 2] {
+fn count_within(name: &str, found: impl Iterator<Item = (f64, Expected)>) -> [usize; 2] {
     let mut held = [0; 2];
     for (error_m, Expected { interval_m: [low, high], mean_m, .. }) in found {
         let [error, mean, low, high] = [error_m, mean_m, low, high].map(|one| one * 1e3);
@@ -118,12 +118,12 @@ fn campaign(seeds: u64) -> Vec<[usize; 2]> {
         ("position", 100.0, position),
     ];
     let of_bars = bars.iter().map(|(name, plate_u_um, config)| {
-        let held = held(name, (1..=seeds).map(|seed| with_the_bar(seed, *plate_u_um, config)));
+        let held = count_within(name, (1..=seeds).map(|seed| with_the_bar(seed, *plate_u_um, config)));
         println!("{name}: {held:?} of {seeds}");
         held
     });
     let of_bars: Vec<[usize; 2]> = of_bars.collect();
-    let of_tracker = held("tracker", (1..=seeds).map(with_a_tracker));
+    let of_tracker = count_within("tracker", (1..=seeds).map(with_a_tracker));
     println!("tracker: {of_tracker:?} of {seeds}");
     of_bars.into_iter().chain([of_tracker]).collect()
 }

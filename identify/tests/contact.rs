@@ -233,7 +233,7 @@ fn intervals_of_links_hold_95_percent_over_robots() {
 }
 
 /// Runs `identify` on files in this directory. Returns whether it succeeded, and its output as words.
-fn told(directory: &Path, rows: &str, sockets: &str) -> (bool, String) {
+fn run_identify(directory: &Path, rows: &str, sockets: &str) -> (bool, String) {
     let [rows, sockets, mapping] = [rows, sockets, "contact.toml"].map(|name| directory.join(name));
     let [rows, sockets, mapping] = [&rows, &sockets, &mapping].map(|path| path.to_str().unwrap());
     let arguments = ["calibrate", "contact", rows, "--sockets", sockets, "--mapping", mapping, "--verbose"];
@@ -303,7 +303,7 @@ fn a_red_verdict_leaves_its_page_also_in_a_new_directory() {
         exact.extend([option, "0"]);
     }
     assert!(identify(&exact, "irb120_3.toml", at).status.success());
-    let (done, text) = told(at, "contacts.csv", "sockets.toml");
+    let (done, text) = run_identify(at, "contacts.csv", "sockets.toml");
     assert!(
         !done && text.contains("verdict red") && text.contains("report.html shows what was found"),
         "{text}"
@@ -316,7 +316,7 @@ fn a_person_simulates_calibrates_and_repeats_it() {
     let directory = tempfile::tempdir().unwrap();
     let at = directory.path();
     assert!(identify(&["simulate", "contact"], "irb120_3.toml", at).status.success());
-    let (done, text) = told(at, "contacts.csv", "sockets.toml");
+    let (done, text) = run_identify(at, "contacts.csv", "sockets.toml");
     assert!(done && text.contains("verdict green") && text.contains("SIMULATED"), "{text}");
     assert!(text.contains("socket6_z") && text.contains("robot.urdf"), "{text}");
     let page = std::fs::read_to_string(at.join("out/report.html")).unwrap();
@@ -391,7 +391,7 @@ fn a_person_simulates_calibrates_and_repeats_it() {
     let with = |rows: String, sockets: String| {
         std::fs::write(at.join("rows.csv"), rows).unwrap();
         std::fs::write(at.join("table.toml"), sockets).unwrap();
-        told(at, "rows.csv", "table.toml")
+        run_identify(at, "rows.csv", "table.toml")
     };
     let header = rows.lines().next().unwrap();
     let of_sockets = |count: usize, names: &str| {
@@ -456,7 +456,7 @@ fn gear_errors_of_the_truth_seat_the_ball() {
         let mut model = Model::alone(&made.robot)
             .with_set_ups(Owner::Contact, [made.truth.sockets.len(), 1])
             .without_clocks()
-            .with_drives(DriveTrain::of(&robot, &made.robot));
+            .with_drives(DriveTrain::from_robot(&robot, &made.robot));
         let mut terms = 0;
         for (name, value) in made
             .truth

@@ -20,7 +20,7 @@ fn run(robot: &RobotConfig, seed: u64) -> Simulated {
 
 /// The shipped bar, whose stated plate length has the error `plate_off_mm` \[mm\]. If `rod_off_mm` is given, the rod length
 /// is also stated, with this error \[mm\].
-fn stated(run: &Simulated, plate_off_mm: f64, rod_off_mm: Option<f64>) -> BallBarConfig {
+fn bar_with_errors(run: &Simulated, plate_off_mm: f64, rod_off_mm: Option<f64>) -> BallBarConfig {
     let mut bar = bar();
     bar.plate_m += 1e-3 * plate_off_mm;
     if let Some(off_mm) = rod_off_mm {
@@ -63,7 +63,8 @@ fn quick() -> IdentifyConfig {
 fn a_plate_and_a_rod_that_contradict_each_other_widen_the_uncertainty() {
     let robot = irb2400();
     let run = run(&robot, 1);
-    let (found, [claimed_m, true_m]) = calibrated(&run, &robot, &stated(&run, 0.5, Some(0.0)), &quick());
+    let (found, [claimed_m, true_m]) =
+        calibrated(&run, &robot, &bar_with_errors(&run, 0.5, Some(0.0)), &quick());
     println!("stated {:.3} mm, true {:.3} mm", claimed_m * 1e3, true_m * 1e3);
     assert_eq!(contradicted(&found), ["bd3", "ra6"]);
     assert!(true_m > 0.3e-3 && true_m < claimed_m && claimed_m < 6.0 * true_m, "{true_m} {claimed_m}");
@@ -89,7 +90,7 @@ fn wrong_lengths_and_scales_are_within_the_uncertainty_if_data_contradict_them()
         for seed in 1..=size(1, 5) {
             let run = run(&robot, seed);
             for (plate_off_mm, rod_off_mm, expected) in cases {
-                let bar = stated(&run, plate_off_mm, rod_off_mm);
+                let bar = bar_with_errors(&run, plate_off_mm, rod_off_mm);
                 let (found, [claimed_m, true_m]) = calibrated(&run, &robot, &bar, &IdentifyConfig::default());
                 println!(
                     "{} {seed}: plate {plate_off_mm:+} mm, rod {rod_off_mm:?} mm: stated {:.3} mm, true {:.3} mm",
@@ -111,7 +112,7 @@ fn nothing_is_contradicted_in_good_runs() {
     for robot in [irb2400(), nj220()] {
         for seed in 1..=10 {
             let run = run(&robot, seed);
-            let bar = stated(&run, 0.0, (seed % 2 == 0).then_some(0.0));
+            let bar = bar_with_errors(&run, 0.0, (seed % 2 == 0).then_some(0.0));
             let (found, _) = calibrated(&run, &robot, &bar, &IdentifyConfig::default());
             assert!(contradicted(&found).is_empty(), "{} {seed}: {:?}", robot.name, found.contradicted);
         }

@@ -242,9 +242,9 @@ proptest! {
             *joint -= theta_rad;
         }
         let target = chain.forward(&b);
-        let own = Configuration::of(&chain.links, &b);
+        let own = Configuration::from_joints(&chain.links, &b);
         for (configuration, joints) in ball_bar_inverse(&chain, &target).unwrap() {
-            prop_assert_eq!(Configuration::of(&chain.links, &joints), configuration);
+            prop_assert_eq!(Configuration::from_joints(&chain.links, &joints), configuration);
             prop_assert!(pose_distance(&chain.forward(&joints), &target) < 1e-12);
             let carried = configuration.carry(&chain.links, &b);
             for (joint, carried) in joints.iter().zip(carried) {

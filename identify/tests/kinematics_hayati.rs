@@ -86,7 +86,7 @@ fn nominal(which: usize) -> Chain {
     robot_chain(&robots[which], &crate::support::bar())
 }
 
-fn apart(a: &Chain, b: &Chain, joints: &[f64; 6]) -> f64 {
+fn pose_error(a: &Chain, b: &Chain, joints: &[f64; 6]) -> f64 {
     (a.forward(joints).to_homogeneous() - b.forward(joints).to_homogeneous()).amax()
 }
 
@@ -112,12 +112,12 @@ proptest! {
         let hayati = with_hayati(&chain, link, d_m).unwrap();
         prop_assert_eq!(hayati.links[link].d_m, d_m);
         prop_assert!(hayati.links[link].beta_rad.abs() < 0.1);
-        prop_assert!(apart(&chain, &hayati, &joints) < 1e-9, "{}", apart(&chain, &hayati, &joints));
+        prop_assert!(pose_error(&chain, &hayati, &joints) < 1e-9, "{}", pose_error(&chain, &hayati, &joints));
         let back = with_standard(&hayati, link).unwrap();
         prop_assert_eq!(back.links[link].beta_rad, 0.0);
         // If the axes are nearly parallel, rounding errors are amplified by the inverse of the angle between them.
         let limit = 1e-13 / chain.links[link].alpha_rad.abs().powi(2) + 1e-10;
-        prop_assert!(apart(&chain, &back, &joints) < limit);
+        prop_assert!(pose_error(&chain, &back, &joints) < limit);
         prop_assert!((back.links[link].a_m - chain.links[link].a_m).abs() < limit);
         prop_assert!((back.links[link].d_m - chain.links[link].d_m).abs() < limit);
         prop_assert!((back.links[link].theta_rad - chain.links[link].theta_rad).sin().abs() < limit);
@@ -133,7 +133,7 @@ proptest! {
         chain.links[1].beta_rad = beta;
         let standard = with_standard(&chain, 1).unwrap();
         // The distance of the common normal is the length divided by the angle. This is metres to kilometres.
-        prop_assert!(apart(&chain, &standard, &joints) < 1e-12 / alpha.min(beta));
+        prop_assert!(pose_error(&chain, &standard, &joints) < 1e-12 / alpha.min(beta));
     }
 }
 
@@ -148,5 +148,5 @@ fn some_links_have_one_form_only() {
     // The floating-point cosine of pi/2 is not exactly zero. It must be treated as zero.
     assert!(with_hayati(&square, 2, 0.0).is_none());
     let same = with_hayati(&chain, 1, chain.links[1].d_m).unwrap();
-    assert!(apart(&chain, &same, &[0.3; 6]) < 1e-15);
+    assert!(pose_error(&chain, &same, &[0.3; 6]) < 1e-15);
 }

@@ -311,7 +311,7 @@ proptest! {
             let expected = here.turning(axis).cross_matrix();
             prop_assert!((turning - expected).amax() < 1e-8);
         }
-        let back = Placement::of(&here.pose());
+        let back = Placement::from_pose(&here.pose());
         prop_assert!((back.pose().rotation.matrix() - here.pose().rotation.matrix()).amax() < 1e-14);
     }
 }

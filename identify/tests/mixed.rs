@@ -61,7 +61,7 @@ impl Cell {
         // Errors of the last link cannot be separated from the pose of the instrument on the flange,
         // so this link is nominal.
         *truth.links.last_mut().unwrap() = *flange_chain(&robot).links.last().unwrap();
-        let gears = Gears::new(DriveTrain::of(&robot, &truth), &mut random);
+        let gears = Gears::new(DriveTrain::from_robot(&robot, &truth), &mut random);
         for q in run.robot_log.q_rad.iter_mut() {
             let error_rad = gears.error_rad(q);
             q.iter_mut().zip(error_rad).for_each(|(q, error)| *q += error);

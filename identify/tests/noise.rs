@@ -25,7 +25,7 @@ fn calibrated(run: &Simulated, robot: &RobotConfig, config: &IdentifyConfig) -> 
     calibrate_run(&run.cycles, &run.encoders, &run.robot_log, robot, &bar(), config).unwrap()
 }
 
-fn told(encoder_urad: f64, robot_urad: f64) -> IdentifyConfig {
+fn config_with_noise(encoder_urad: f64, robot_urad: f64) -> IdentifyConfig {
     IdentifyConfig { noise: NoiseConfig { encoder_urad, robot_urad }, ..IdentifyConfig::default() }
 }
 
@@ -62,7 +62,7 @@ fn campaign_of_noises_with_both_robots() {
             let truth = name.split_once(' ').and_then(|(noise, _)| noise.split_once('/'));
             let truth = truth.map(|(encoder, robot)| {
                 let urad = |text: &str| text.parse::<f64>().unwrap().max(0.5);
-                error_um(&told(urad(encoder), urad(robot)))
+                error_um(&config_with_noise(urad(encoder), urad(robot)))
             });
             let no_harmonics = IdentifyConfig { encoder_harmonics_urad: 0.0, ..IdentifyConfig::default() };
             println!(
@@ -85,8 +85,8 @@ fn the_noise_of_a_run_is_found_whatever_is_configured() {
     let robot = irb2400();
     let run = simulated(&robot, noise(100.0, 20.0), 1);
     let quick = |config: IdentifyConfig| IdentifyConfig { noise: config.noise, ..plain(CostName::Pose) };
-    let [usual, true_noise] =
-        [told(5.0, 15.0), told(100.0, 20.0)].map(|config| calibrated(&run, &robot, &quick(config)));
+    let [usual, true_noise] = [config_with_noise(5.0, 15.0), config_with_noise(100.0, 20.0)]
+        .map(|config| calibrated(&run, &robot, &quick(config)));
     let bar = &usual.runs[0].instrument;
     let Noise::Angles(AngleNoise { encoder_rad, robot_rad }) = bar.noise() else { panic!() };
     let [encoder_urad, robot_urad] = [encoder_rad, robot_rad].map(|rad| rad * 1e6);

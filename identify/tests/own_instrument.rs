@@ -12,8 +12,8 @@ use identify::instrument::{
 use identify::kinematics::{Chain, Joints, flange_chain};
 use identify::logs::JointMistake;
 use identify::model::{
-    Axis, Clock, Geometry, JointState, Model, ModelError, Observation, Owner, ParameterId, PerObservation,
-    Role,
+    Axis, ClockRelation, Geometry, JointState, Model, ModelError, Observation, Owner, ParameterId,
+    PerObservation, Role,
 };
 use identify::report::result::residuals::residuals_csv;
 use identify::report::rows::table;
@@ -121,7 +121,7 @@ impl Measures for Column {
         Ok(Box::new(LoopProblem::new(model, motion, &self.observations, Height(&self.heights_m), sigma)?))
     }
 
-    fn reported(&self, sample: usize, _: &Clock) -> Option<JointState> {
+    fn reported(&self, sample: usize, _: &ClockRelation) -> Option<JointState> {
         self.states.get(sample).copied()
     }
 

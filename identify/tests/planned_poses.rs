@@ -38,7 +38,7 @@ struct Rows {
 }
 
 impl Rows {
-    fn of(path: &Path, seed: u64, offered: usize, others: usize) -> Self {
+    fn read(path: &Path, seed: u64, offered: usize, others: usize) -> Self {
         let mapping: MeasuredPoseMapping = config::load(&repository("config/measured_pose.toml")).unwrap();
         let all: Vec<PoseRow> = MeasuredPoses::load(path, &mapping).unwrap().rows;
         let mixed =
@@ -78,7 +78,7 @@ impl Rows {
 #[test]
 #[ignore = "dozens of calibrations: most of a minute"]
 fn fifty_planned_rows_calibrate_a_real_robot_better_than_most_random_fifties() {
-    let rows = Rows::of(&repository("identify/tests/data/ur10/grid.csv"), 1, 250, 120);
+    let rows = Rows::read(&repository("identify/tests/data/ur10/grid.csv"), 1, 250, 120);
     let how = Alone { hold_out: Some(HoldOut::Rows), joint_waves: Some(30), ..Alone::default() };
     let planned = rows.error_m(&how, &rows.planned(MeasuredQuantity::Poses, 50));
     let random = rows.random(&how, 50, 5);
@@ -98,7 +98,7 @@ fn all_rows_of_the_real_grid_offer_poses_that_do_the_work_of_twice_as_many_rando
         let errors = |count: usize, planned: bool| {
             let mut errors: Vec<f64> = (1..=6)
                 .map(|seed| {
-                    let mut rows = Rows::of(&grid, seed, 2000, 1000);
+                    let mut rows = Rows::read(&grid, seed, 2000, 1000);
                     if measures == MeasuredQuantity::Positions {
                         rows.offered.iter_mut().chain(&mut rows.others).for_each(|row| row.rotation = None);
                     }
@@ -242,7 +242,7 @@ fn poses_of_any_arm_and_instrument_are_clear_within_limits_and_expected_to_be_be
 #[test]
 fn a_calibration_needs_as_many_poses_as_a_plan_states() {
     let needed = MeasuredQuantity::Poses.poses_min();
-    let rows = Rows::of(&repository("identify/tests/data/ur10/grid.csv"), 1, needed, 1).offered;
+    let rows = Rows::read(&repository("identify/tests/data/ur10/grid.csv"), 1, needed, 1).offered;
     let is_too_few = |rows: &[PoseRow]| {
         let result = Alone::quick().without_joint_errors().poses(rows, &ur10());
         result.is_err_and(|error| error.to_string().contains("remain for the fit"))
@@ -354,8 +354,8 @@ fn programs_stop_before_a_blocked_move_and_drive_through_the_postures_of_others(
     let mut robot = ur10();
     // A FANUC program needs this coupling of joints 2 and 3.
     robot.log.raw_to_joint[1][2] = -1.0;
-    let joints: Vec<Joints> = (1..=3).map(|pose| Joints::of([0.1 * f64::from(pose); 6])).collect();
-    let through = Joints::of([0.25; 6]);
+    let joints: Vec<Joints> = (1..=3).map(|pose| Joints::from_array([0.1 * f64::from(pose); 6])).collect();
+    let through = Joints::from_array([0.25; 6]);
     let planned = PlannedPoses {
         chosen: vec![0, 1, 2],
         ways: vec![Way::Straight, Way::Through(vec![through]), Way::Blocked],

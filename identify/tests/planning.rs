@@ -147,7 +147,7 @@ fn seven_axes() -> Cell {
     let robot = import(&text.unwrap(), Some("base"), Some("flange")).unwrap().config;
     let design = Design {
         base_m: [0.2, -0.3, 0.5],
-        posture_deg: Joints::of([-124.0, 26.0, 7.0, -116.0, 132.0, 108.0, 32.0]),
+        posture_deg: Joints::from_array([-124.0, 26.0, 7.0, -116.0, 132.0, 108.0, 32.0]),
         duration_s: 40.0,
         ..Design::for_robot(&robot)
     };
@@ -286,7 +286,7 @@ const IRB120_POSTURE: [f64; 6] = [-51.0, 18.0, -5.0, -67.0, 41.0, 162.0];
 fn of_all_sizes(duration_s: f64) -> [Cell; 4] {
     let load = |name: &str| config::load(&crate::support::repository("config/robots").join(name)).unwrap();
     let placed = |name: &str, [base_m, length_m, reach_m]: [[f64; 3]; 3], posture_deg: [f64; 6]| {
-        let posture_deg = Joints::of(posture_deg);
+        let posture_deg = Joints::from_array(posture_deg);
         let design = Design { base_m, posture_deg, duration_s, ..Design::IRB_2400 };
         let bar = BallBarConfig { plate_m: 0.1, length_m: length_m[0], ..bar() };
         Cell { bodies: Bodies::for_reach(reach_m[0]), ..Cell::with(load(name), bar, design) }
@@ -319,7 +319,7 @@ fn poses_alone_are_at_least_as_good_as_the_path_through_them_and_worth_more_the_
         checked.visited.bar_rad.iter().zip(&checked.visited.robot).zip(&alone.parts)
     {
         let one = Visited { bar_rad: vec![*bar_rad], robot: vec![*state] };
-        normal += &information.of(&one, 40.0 * part);
+        normal += &information.normal(&one, 40.0 * part);
     }
     let left_m = information.position(&normal).with_terms_m;
     assert!((left_m / alone.variance.sqrt() - 1.0).abs() < 1e-6, "{left_m} {alone:?}");
@@ -405,7 +405,7 @@ fn what_a_path_must_not_do_is_named_with_the_first_time() {
 #[test]
 fn lengths_that_no_path_tells_apart_leave_the_expected_error_of_positions_as_it_is() {
     let robot: RobotConfig = config::load(&crate::support::repository("config/robots/ur10.toml")).unwrap();
-    let posture_deg = Joints::of([-43.0, -85.0, 62.0, 6.0, -22.0, -63.0]);
+    let posture_deg = Joints::from_array([-43.0, -85.0, 62.0, 6.0, -22.0, -63.0]);
     let design = Design { base_m: [-0.9, 0.3, 0.45], posture_deg, duration_s: 40.0, ..Design::IRB_2400 };
     let bar = BallBarConfig { plate_m: 0.25, length_m: 0.4, ..bar() };
     let mut cell = Cell::with(robot, bar, design);
@@ -681,7 +681,7 @@ fn a_fanuc_program_is_refused_where_joint_3_of_the_robots_file_is_not_the_contro
     let joints = [0.0, 46.053, -29.842, 0.0, 30.0, 0.0].map(f64::to_radians);
     let poses = PlannedPoses {
         chosen: vec![0],
-        joints: vec![Joints::of(joints)],
+        joints: vec![Joints::from_array(joints)],
         ways: vec![Way::Straight],
         before_m: 0.0,
         position_m: 0.0,
@@ -705,7 +705,7 @@ fn a_fanuc_program_is_refused_where_joint_3_of_the_robots_file_is_not_the_contro
     robot.log.raw_to_joint[1][2] = 1.0;
     let text = pose_program(Language::Fanuc, &poses, &robot, 1.0).unwrap();
     assert!(text.contains("J2= 46.053 deg") && text.contains("J3= -75.895 deg"), "{text}");
-    assert_eq!(Language::of(&robot), Some(Language::Fanuc));
+    assert_eq!(Language::for_robot(&robot), Some(Language::Fanuc));
 }
 
 #[test]
@@ -714,7 +714,7 @@ fn a_fanuc_program_has_each_point_once_and_moves_to_them_in_order() {
     let path = cell.robot_path(&cell.search(1, 0));
     cell.robot = with_joint_log(cell.robot);
     cell.robot.name = "FANUC by name".into();
-    assert_eq!(Language::of(&cell.robot), Some(Language::Fanuc));
+    assert_eq!(Language::for_robot(&cell.robot), Some(Language::Fanuc));
     let text = program(Language::Fanuc, &path, &cell.robot, &cell.constraints()).unwrap();
     let sections: Vec<&str> = text.lines().filter(|line| line.starts_with('/')).collect();
     assert_eq!(sections, ["/PROG  BALLBAR_PATH", "/ATTR", "/MN", "/POS", "/END"]);
@@ -1137,7 +1137,7 @@ fn a_path_of_seven_axes_says_where_the_bar_stands_and_no_program_has_its_reason(
 
 #[test]
 fn a_program_is_that_of_the_maker_in_the_robots_name_however_it_is_written() {
-    let of = |name: &str| Language::of(&RobotConfig { name: name.into(), ..irb2400() });
+    let of = |name: &str| Language::for_robot(&RobotConfig { name: name.into(), ..irb2400() });
     for (name, language) in [
         ("abb_irb120_3_58", Some(Language::Rapid)),
         ("ABB IRB 2400/16", Some(Language::Rapid)),

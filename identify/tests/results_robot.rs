@@ -96,7 +96,7 @@ fn by_urdf(robot: &urdf_rs::Robot, end: &str, joints: &[f64; 6]) -> Matrix<f64> 
     })
 }
 
-fn apart(found: &Matrix<f64>, chain: &Chain, joints: &[f64; 6]) -> f64 {
+fn pose_error(found: &Matrix<f64>, chain: &Chain, joints: &[f64; 6]) -> f64 {
     let expected = chain.forward(joints).to_homogeneous();
     (0..4)
         .flat_map(|i| (0..4).map(move |j| (i, j)))
@@ -114,8 +114,8 @@ fn a_urdf_read_by_another_library_gives_the_poses_of_the_identified_robot() {
         flange.links[5].a_m -= bar.plate_m;
         flange.links[5].d_m -= bar.tool_m;
         for joints in &JOINTS {
-            assert!(apart(&by_urdf(&robot, "ball_bar_end", joints), &chain, joints) < 1e-12);
-            assert!(apart(&by_urdf(&robot, "flange", joints), &flange, joints) < 1e-12);
+            assert!(pose_error(&by_urdf(&robot, "ball_bar_end", joints), &chain, joints) < 1e-12);
+            assert!(pose_error(&by_urdf(&robot, "flange", joints), &flange, joints) < 1e-12);
         }
         let limits = &robot.joints.iter().find(|joint| joint.name == "joint_2").unwrap().limit;
         assert!((limits.lower.to_degrees() - config.joint_limits_deg[1][0]).abs() < 1e-9);

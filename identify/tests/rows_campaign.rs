@@ -115,7 +115,7 @@ pub fn rows(kind: Kind, robot: &RobotConfig, seed: u64, level: &Level) -> Rows {
             *number += 1e-3 * level.links * random.sample::<f64, _>(StandardNormal);
         }
     }
-    let drives = DriveTrain::of(robot, &truth);
+    let drives = DriveTrain::from_robot(robot, &truth);
     let gears = Gears::new(drives, &mut random);
     let (arm, gear_level, sag_level) = (truth.clone(), level.gears, level.sag);
     let stands = Rc::new(move |q: &Joints| {

@@ -207,7 +207,10 @@ fn other_configurations_of_the_bar_can_be_simulated() {
     for wanted in Configuration::ALL {
         let run =
             simulate::run(&Experiment { design: design_in(wanted), ..Experiment::new(robot, &bar) }).unwrap();
-        assert_eq!(Configuration::of(&ball_bar_chain(&bar).links, &run.motion.path.at(50.0)), wanted);
+        assert_eq!(
+            Configuration::from_joints(&ball_bar_chain(&bar).links, &run.motion.path.at(50.0)),
+            wanted
+        );
     }
 }
 
@@ -281,7 +284,8 @@ fn gear_errors_of_the_truth_correct_the_log() {
             .map(|(name, value)| (name.parse().unwrap(), *value))
             .collect();
         assert!(terms.len() >= 12 && clean.truth.parameters.keys().all(|name| !name.starts_with("rsin")));
-        let model = Model::ball_bar(&arm, &ball_bar_chain(&bar)).with_drives(DriveTrain::of(&robot, &arm));
+        let model =
+            Model::ball_bar(&arm, &ball_bar_chain(&bar)).with_drives(DriveTrain::from_robot(&robot, &arm));
         let mut model = model.with(terms.iter().map(|(id, _)| *id));
         for (id, value) in terms {
             model.set_value(id, value).unwrap();

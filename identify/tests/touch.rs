@@ -129,7 +129,7 @@ fn intervals_of_links_hold_95_percent_over_robots_that_touch() {
 }
 
 /// Runs `identify` in a directory. Returns whether it succeeded, and its output.
-fn told(directory: &Path, arguments: &[&str]) -> (bool, String) {
+fn run_identify(directory: &Path, arguments: &[&str]) -> (bool, String) {
     let run = Command::new(env!("CARGO_BIN_EXE_identify"))
         .current_dir(directory)
         .args(arguments)
@@ -146,23 +146,24 @@ fn told(directory: &Path, arguments: &[&str]) -> (bool, String) {
 fn a_simulated_block_is_inspected_and_calibrates_from_its_files_and_its_experiment() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
-    let done = told(at, &["simulate", "touch", "--robot", "irb120_3", "--out", "cube", "--gauge-mm", "5"]);
+    let done =
+        run_identify(at, &["simulate", "touch", "--robot", "irb120_3", "--out", "cube", "--gauge-mm", "5"]);
     assert!(done.0, "{}", done.1);
     let inspect = ["inspect", "cube/touches.csv", "--mapping", "cube/touch.toml", "--robot", "irb120_3"];
-    let (done, text) = told(at, &inspect);
+    let (done, text) = run_identify(at, &inspect);
     assert!(done && text.contains("faces 5: right, left, back, front, top"), "{text}");
     assert!(text.contains("nothing suspicious"), "{text}");
-    let (done, text) = told(at, &[&inspect[..5], &["nj220_2_7"]].concat());
+    let (done, text) = run_identify(at, &[&inspect[..5], &["nj220_2_7"]].concat());
     assert!(done && text.contains("differ from the nominal robot by more than"), "{text}");
     let calibrate = ["calibrate", "touch", "cube/touches.csv", "--mapping", "cube/touch.toml", "--verbose"];
     let known = ["--faces", "cube/faces.toml", "--robot", "irb120_3", "--out", "result"];
-    let (done, text) = told(at, &[&calibrate[..], &known].concat());
+    let (done, text) = run_identify(at, &[&calibrate[..], &known].concat());
     assert!(done && text.contains("verdict"), "{text}");
     assert!(text.contains("right face1 60"), "{text}");
     let page = std::fs::read_to_string(at.join("result/report.html")).unwrap();
     assert!(page.contains("SIMULATED") && page.contains("the distances between faces"));
     let again = ["calibrate", "--experiment", "result/experiment.toml", "--out", "again"];
-    let (done, text) = told(at, &again);
+    let (done, text) = run_identify(at, &again);
     assert!(done, "{text}");
     let [first, second] = ["result", "again"]
         .map(|out| std::fs::read_to_string(at.join(out).join("corrections.csv")).unwrap_or_default());
@@ -175,7 +176,7 @@ fn a_simulated_block_is_inspected_and_calibrates_from_its_files_and_its_experime
     std::fs::write(at.join("longer.toml"), faces.replacen(line, &format!("distance_mm = {}", mm + 1.0), 1))
         .unwrap();
     let wrong = ["--faces", "longer.toml", "--robot", "irb120_3", "--out", "wrong"];
-    let (done, text) = told(at, &[&calibrate[..], &wrong].concat());
+    let (done, text) = run_identify(at, &[&calibrate[..], &wrong].concat());
     assert!(done && text.contains("verdict amber"), "{text}");
     assert!(text.contains("the table of sockets or faces: the distance between faces `"), "{text}");
     // Known values of a face without rows are not used, and the command prints a warning.

@@ -27,7 +27,7 @@ fn joints_rad(row: usize) -> [f64; 6] {
 }
 
 /// The pose `tracker_from_probe` that the tracker measures at a row.
-fn seen(row: usize) -> Pose {
+fn observed_pose(row: usize) -> Pose {
     let tracker_from_base = Pose::from_parts(
         Translation3::new(3.1, -1.2, 0.4),
         UnitQuaternion::from_euler_angles(0.02, -0.03, 2.1).to_rotation_matrix(),
@@ -216,7 +216,7 @@ impl Style {
             match beside {
                 Beside::Time => {}
                 Beside::Tracker => {
-                    let pose = seen(row);
+                    let pose = observed_pose(row);
                     cells.extend(pose.translation.vector.iter().map(|x| self.number(x * 1e3)));
                     let (about_x, about_y, about_z) = pose.rotation.euler_angles();
                     cells.extend([about_x, about_y, about_z].map(|angle| self.number(angle.to_degrees())));
@@ -270,8 +270,12 @@ fn tables_of_a_tracker_are_read_through_the_mapping_proposed_for_them() {
         assert_eq!(poses.len(), ROWS);
         for (row, pose) in poses.iter().enumerate() {
             same(&pose.joints_rad, &joints_rad(row), number);
-            same(pose.position_m.as_slice(), seen(row).translation.vector.as_slice(), number);
-            same(pose.rotation.unwrap().matrix().as_slice(), seen(row).rotation.matrix().as_slice(), number);
+            same(pose.position_m.as_slice(), observed_pose(row).translation.vector.as_slice(), number);
+            same(
+                pose.rotation.unwrap().matrix().as_slice(),
+                observed_pose(row).rotation.matrix().as_slice(),
+                number,
+            );
         }
         assert!(proposal.notes.doubts.is_empty(), "style {number}: {:?}", proposal.notes.doubts);
     }
@@ -380,7 +384,7 @@ fn a_date_written_as_one_number_is_no_time_in_milliseconds() {
     let mut csv = String::from("Timestamp;q1;q2;q3;q4;q5;q6;tracker_x;tracker_y;tracker_z\n");
     for row in 0..60 {
         let q: Vec<String> = joints_rad(row).iter().map(|q| format!("{q:.6}")).collect();
-        let at = seen(row).translation.vector * 1e3;
+        let at = observed_pose(row).translation.vector * 1e3;
         csv += &format!("202007141639{row:02};{};{:.4};{:.4};{:.4}\n", q.join(";"), at.x, at.y, at.z);
     }
     let text = proposed(csv.as_bytes()).to_toml().unwrap();

@@ -236,7 +236,7 @@ fn a_late_drive_and_a_wrong_ratio_are_named_and_taken_out() {
 fn what_went_wrong_with_the_joints_of_a_log_is_named() {
     for robot in [irb2400(), nj220()] {
         let run = laboratory(&robot, 1);
-        let columns = JointConversion::of(&robot).unwrap();
+        let columns = JointConversion::from_robot(&robot).unwrap();
         let told = |change: &dyn Fn(&mut Joints)| {
             let mut run = run.clone();
             run.robot_log.q_rad.iter_mut().for_each(change);

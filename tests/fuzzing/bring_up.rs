@@ -43,7 +43,7 @@ pub fn any_replies(bytes: &[u8]) {
     thread_local!(static RIG: RefCell<BringUpRig> = RefCell::new(BringUpRig::new()));
     RIG.with_borrow_mut(|rig| {
         rig.wire.exchange_segment(segment(&rig.clock));
-        rig.wire.play(Script::of(bytes));
+        rig.wire.play(Script::for_robot(bytes));
         let begun = rig.clock.now();
         let plan = plan();
         // The EtherCAT stack of the previous bus is used again.

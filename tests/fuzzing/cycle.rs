@@ -60,14 +60,14 @@ impl CycleRig {
 pub fn any_replies(bytes: &[u8]) {
     thread_local!(static RIG: RefCell<CycleRig> = RefCell::new(CycleRig::new()));
     RIG.with_borrow_mut(|rig| {
-        rig.wire.play(Script::of(bytes));
+        rig.wire.play(Script::for_robot(bytes));
         for _ in 0..CYCLES_MAX {
             rig.cycle();
             if rig.wire.is_over() {
                 break;
             }
         }
-        rig.wire.play(Script::of(&[]));
+        rig.wire.play(Script::for_robot(&[]));
         let recovered = (0..RECOVERY_CYCLES_MAX).any(|_| {
             rig.cycle();
             rig.is_valid()

@@ -30,7 +30,7 @@ enum ReplyDamage {
 
 impl Script {
     /// Parses the entries of a script until the bytes end.
-    pub fn of(bytes: &[u8]) -> Self {
+    pub fn for_robot(bytes: &[u8]) -> Self {
         let mut input = UnusedBytes(bytes);
         let mut entries = Vec::new();
         while !input.is_empty() {
@@ -88,7 +88,7 @@ pub struct DamagedWire(Arc<Mutex<(InProcessWire, Script)>>);
 impl DamagedWire {
     /// A wire that does not damage its replies.
     pub fn new(segment: InProcessWire) -> Self {
-        Self(Arc::new(Mutex::new((segment, Script::of(&[])))))
+        Self(Arc::new(Mutex::new((segment, Script::for_robot(&[])))))
     }
 
     pub fn exchange_segment(&self, segment: InProcessWire) {

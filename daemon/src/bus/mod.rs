@@ -198,13 +198,14 @@ impl Bus {
             OperationalGroup::Dc(group) => {
                 exchange.run_until(group.tx_rx_dc(main), deadline).and_then(Result::ok).map(|response| {
                     let time = DcNs(response.extra.dc_system_time as i64);
-                    (response.working_counter, States::of(&response.subdevice_states), Some(time))
+                    (response.working_counter, States::from_devices(&response.subdevice_states), Some(time))
                 })
             }
-            OperationalGroup::FreeRun(group) => exchange
-                .run_until(group.tx_rx(main), deadline)
-                .and_then(Result::ok)
-                .map(|response| (response.working_counter, States::of(&response.subdevice_states), None)),
+            OperationalGroup::FreeRun(group) => {
+                exchange.run_until(group.tx_rx(main), deadline).and_then(Result::ok).map(|response| {
+                    (response.working_counter, States::from_devices(&response.subdevice_states), None)
+                })
+            }
         };
         let sent = exchange.sent_last;
         let Some((working_counter, states, dc_time)) = response else {
@@ -255,7 +256,7 @@ struct States {
 }
 
 impl States {
-    fn of(states: &[SubDeviceState]) -> Self {
+    fn from_devices(states: &[SubDeviceState]) -> Self {
         let positions = |is_wanted: fn(&SubDeviceState) -> bool| {
             states
                 .iter()

@@ -71,7 +71,7 @@ pub fn run(arguments: &RecordArguments) -> anyhow::Result<()> {
         Ok(run::record(&Setup { scheduler, storage, daemon, bar }, &request, &stop).await?)
     };
     let summary = on_signal(work, |signal| stop.stop(&format!("stopped by {signal}")))?;
-    let mut last = LastRun::of(name, summary);
+    let mut last = LastRun::from_summary(name, summary);
     let file = last.file.clone().map(PathBuf::from);
     last.verdict = file.and_then(|file| runs::finished(&SystemDisk, last.name.clone(), file).verdict);
     if !arguments.format.prints(&last)? {

@@ -37,7 +37,7 @@ struct RecoveryReport<'a> {
 }
 
 impl<'a> RecoveryReport<'a> {
-    fn of(recovery: &'a Recovery, asked: &Path) -> Self {
+    fn from_recovery(recovery: &'a Recovery, asked: &Path) -> Self {
         let (outcome, file, torn, content) = match recovery {
             Recovery::Whole { content } => ("whole", asked, None, content),
             Recovery::Renamed { file, content } => ("renamed", file.as_path(), None, content),
@@ -61,7 +61,7 @@ impl<'a> RecoveryReport<'a> {
 
 pub fn run(arguments: &RecoverArguments) -> anyhow::Result<()> {
     let recovery = recover_file(&arguments.file)?;
-    let outcome = RecoveryReport::of(&recovery, &arguments.file);
+    let outcome = RecoveryReport::from_recovery(&recovery, &arguments.file);
     if arguments.format.prints(&outcome)? {
         return Ok(());
     }

@@ -317,7 +317,7 @@ impl Observer {
         let has_had_time = run_s > MOVE_WITHIN_S;
         let turned = joints.iter().filter(|_| has_had_time).map(|joint| (joint.joint, joint.range_deg));
         (run.cycles > 0).then(|| {
-            Verdict::of(&GradeInput {
+            Verdict::grade(&GradeInput {
                 cycles: run.cycles,
                 cycles_valid: run.cycles_valid,
                 cycles_lost: run.cycles_lost,

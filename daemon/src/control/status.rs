@@ -218,7 +218,7 @@ pub struct LastRun {
 
 impl LastRun {
     /// Creates the status of a run that has a finished file.
-    pub fn of(name: String, summary: RunSummary) -> Self {
+    pub fn from_summary(name: String, summary: RunSummary) -> Self {
         let RunSummary { path, cycles, cycles_valid, cycles_lost, cause, provenance, timing } = summary;
         let file = path.display().to_string();
         let next = (cycles_valid > 0).then(|| next_command(&name, &file));

@@ -68,7 +68,7 @@ struct Reading {
 }
 
 impl Reading {
-    fn of(pair: ClockPair) -> Self {
+    fn from_pair(pair: ClockPair) -> Self {
         let width_ns = pair.received.ns_since(pair.sent).saturating_sub(pair.frame_ns).max(0);
         let at = pair.sent.plus_ns(width_ns / 2);
         Self { at, offset_ns: pair.dc.0.wrapping_sub(at.0), half_ns: width_ns as f64 / 2.0 }
@@ -78,7 +78,7 @@ impl Reading {
 impl ClockFit {
     /// Updates the fit with one pair.
     pub fn observe(&mut self, pair: ClockPair) -> PairStatus {
-        let reading = Reading::of(pair);
+        let reading = Reading::from_pair(pair);
         let Some(filter) = &mut self.filter else {
             self.filter = Some(Filter::first(&reading, self.known.as_ref()));
             return PairStatus::Followed;

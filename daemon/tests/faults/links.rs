@@ -14,7 +14,7 @@ fn a_noisy_cable_is_reported_with_its_place_while_every_cycle_is_still_valid() {
     rig.run_to(1000);
     rig.assert_true();
     assert!(rig.records.iter().all(|record| record.is_valid()));
-    let told = rig.told();
+    let told = rig.reported_events();
     assert!(told.iter().all(|event| event.kind == EventKind::Bus), "{told:?}");
     // Adjacent terminals are connected by contacts and not by cables, so the text must name a contact.
     assert!(told[0].text.contains("bad contact between terminal 2 and terminal 3"), "{told:?}");
@@ -44,7 +44,7 @@ fn a_terminal_that_comes_and_goes_is_a_lost_link_of_the_one_before() {
     rig.faults.end(Fault::DevicesGone { from: 4 });
     rig.run_to(1000);
     assert_eq!(rig.acquisition.links().errors()[3][1].lost_links, 1);
-    let told: Vec<_> = rig.told().into_iter().map(|event| event.text).collect();
+    let told: Vec<_> = rig.reported_events().into_iter().map(|event| event.text).collect();
     assert!(
         told.iter()
             .any(|text| text.contains("between terminal 3 and terminal 4") && text.contains("1 lost links")),

@@ -163,7 +163,7 @@ fn every_fault_is_survived_flagged_and_over_when_it_is_over() {
         assert!(outcome.recovered <= row.recovered_within, "{name}: {} cycles", outcome.recovered);
         assert_eq!(origins, u32::from(row.origin_changed), "{name}: {:?}", rig.events);
         assert!(rig.records.last().unwrap().is_valid(), "{name}");
-        let events = rig.told();
+        let events = rig.reported_events();
         for text in row.told {
             assert!(
                 events.iter().any(|event| event.text.contains(text)),
@@ -192,6 +192,6 @@ fn terminals_before_missing_ones_stay_in_use_until_all_are_back() {
     }
     let last = rig.records.iter().rposition(|record| !record.is_valid()).unwrap();
     assert!(last <= BEGIN + 500 + BRING_UP, "{last}");
-    let told: Vec<_> = rig.told().into_iter().map(|event| event.text).collect();
+    let told: Vec<_> = rig.reported_events().into_iter().map(|event| event.text).collect();
     assert!(told.iter().any(|text| text.contains("terminal 3 and all behind it do not answer")), "{told:?}");
 }

@@ -73,7 +73,7 @@ impl Rig {
     }
 
     /// All events so far, in the form in which the file stores them.
-    pub fn told(&self) -> Vec<Event> {
+    pub fn reported_events(&self) -> Vec<Event> {
         let names = BusNames {
             bus: "simulated".into(),
             devices: self.acquisition.devices().to_vec(),

@@ -171,7 +171,7 @@ fn fifty_stuck_and_fifty_fast_clients_and_a_faulty_bus_cost_a_run_no_cycle_and_t
     let faults = faults(soak_s, 4.0..(WARM_UP + soak).as_secs_f64());
     let faults: Vec<&str> = faults.iter().map(String::as_str).collect();
     println!("{} faults", faults.len() / 2);
-    let mut service = Running::given(&faults);
+    let mut service = Running::with_arguments(&faults);
     service.wait_for("waiting");
     service.granted("start", &json!({"name": "soaked"}));
     service.wait_for("writing");

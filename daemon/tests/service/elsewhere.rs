@@ -28,7 +28,7 @@ struct Far {
 
 impl Far {
     fn new() -> Self {
-        let service = Running::given(&["--listen", "127.0.0.1:0"]);
+        let service = Running::with_arguments(&["--listen", "127.0.0.1:0"]);
         let words = service.get::<Status>("status").remote.unwrap();
         let (url, rest) = words.split_once(", certificate SHA-256 ").unwrap();
         let fingerprint = rest.split(';').next().unwrap().to_owned();

@@ -88,7 +88,7 @@ fn a_disk_that_others_fill_ends_the_run_with_a_finished_file() {
 
 #[test]
 fn status_and_check_say_what_the_last_attempt_to_bring_the_bus_up_met() {
-    let service = Running::given(&["--fault", "gone:4"]);
+    let service = Running::with_arguments(&["--fault", "gone:4"]);
     let status = service.wait_until("the first attempt", |status| {
         status.reason.as_ref().is_some_and(|reason| reason.contains("terminal 4 and all"))
     });

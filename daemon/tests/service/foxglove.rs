@@ -22,7 +22,7 @@ use super::rig::{Running, agent, shipped, text};
 #[test]
 #[ignore = "needs Python with websocket-client, mcap and mcap-ros2-support: set BALLBAR_PYTHON"]
 fn an_independent_client_is_shown_what_is_recorded_and_nothing_else() {
-    let service = Running::given(&["--foxglove"]);
+    let service = Running::with_arguments(&["--foxglove"]);
     service.wait_for("waiting");
     let python =
         std::env::var_os("BALLBAR_PYTHON").expect("BALLBAR_PYTHON: a Python with tests/requirements.txt");
@@ -50,12 +50,12 @@ fn nobody_listens_to_a_service_that_was_not_asked_to_let_them_or_from_a_foreign_
     let silent = Running::start();
     let (status, said) = asked(&silent, None, protocol);
     assert!(status == 404 && said.contains("--foxglove"), "{status} {said}");
-    let open = Running::given(&["--foxglove"]);
+    let open = Running::with_arguments(&["--foxglove"]);
     let (status, said) = asked(&open, Some(app), protocol);
     assert!(status == 403 && said.contains("--foxglove-origin"), "{status} {said}");
     let (status, said) = asked(&open, None, "chat");
     assert!(status == 400 && said.contains(protocol), "{status} {said}");
-    let wider = Running::given(&["--foxglove", "--foxglove-origin", app]);
+    let wider = Running::with_arguments(&["--foxglove", "--foxglove-origin", app]);
     for (origin, expected) in [
         (None, 101),
         (Some(app), 101),

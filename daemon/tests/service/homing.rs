@@ -98,7 +98,7 @@ fn a_homing_whose_marks_could_not_be_kept_is_refused_before_anybody_turns_a_join
     let file = elsewhere.path().join("file");
     std::fs::write(&file, "").unwrap();
     let state = file.join("state");
-    let service = Running::given(&["--state", state.to_str().unwrap()]);
+    let service = Running::with_arguments(&["--state", state.to_str().unwrap()]);
     service.wait_for("waiting");
     let lines: Vec<CheckLine> = service.get("check");
     let line = lines.into_iter().find(|line| line.subject == "state").unwrap();

@@ -200,7 +200,7 @@ fn the_page_is_served_with_all_that_it_needs() {
 #[test]
 #[ignore = "needs Python with openapi-spec-validator and jsonschema: set BALLBAR_PYTHON"]
 fn every_answer_is_as_the_openapi_document_says_for_independent_validators() {
-    let service = Running::given(&["--listen", "127.0.0.1:0"]);
+    let service = Running::with_arguments(&["--listen", "127.0.0.1:0"]);
     service.wait_for("waiting");
     let python =
         std::env::var_os("BALLBAR_PYTHON").expect("BALLBAR_PYTHON: a Python with tests/requirements.txt");

@@ -15,7 +15,7 @@ use super::rig::{Running, quick, shipped};
 use crate::support::ballbard;
 
 fn open(arguments: &[&str]) -> Running {
-    Running::given(arguments)
+    Running::with_arguments(arguments)
 }
 
 fn token(service: &Running) -> String {

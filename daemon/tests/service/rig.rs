@@ -37,11 +37,11 @@ pub struct Running {
 
 impl Running {
     pub fn start() -> Self {
-        Self::given(&[])
+        Self::with_arguments(&[])
     }
 
     /// Starts a service with additional command-line arguments.
-    pub fn given(arguments: &[&str]) -> Self {
+    pub fn with_arguments(arguments: &[&str]) -> Self {
         Self::logging_to(Stdio::null(), arguments)
     }
 

@@ -39,7 +39,7 @@ fn terminals_that_were_gone_are_in_the_log() {
 
 #[test]
 fn an_encoder_without_signal_is_in_the_headline() {
-    let service = Running::given(&["--fault", "no-signal:2"]);
+    let service = Running::with_arguments(&["--fault", "no-signal:2"]);
     let named = |status: &Status| {
         status.reason.as_ref().is_some_and(|reason| reason.contains("no valid sample from joint 2 "))
     };
@@ -74,7 +74,7 @@ fn a_run_without_a_valid_cycle_is_no_success() {
         text(&output)
     );
     assert!(out.path().join("blind.mcap").exists());
-    let service = Running::given(&faults);
+    let service = Running::with_arguments(&faults);
     service.wait_for("waiting");
     let refused = service.command(&["start", "--name", "blind"]);
     assert!(!refused.status.success() && text(&refused).contains("--reason"), "{}", text(&refused));

@@ -68,7 +68,7 @@ pub struct Sizes {
 
 impl Sizes {
     /// Statistics of these sizes; zeros for an empty set.
-    pub fn of(sizes: impl Iterator<Item = f64>) -> Self {
+    pub fn from_values(sizes: impl Iterator<Item = f64>) -> Self {
         let mut sizes: Vec<f64> = sizes.collect();
         let (mean, rms) = (mean(&sizes), rms(&sizes));
         let [median, p95, max] = [0.5, 0.95, 1.0].map(|part| quantile(&mut sizes, part));

@@ -241,7 +241,8 @@ fn read_recording(py: Python<'_>, path: PathBuf) -> PyResult<RecordingTables> {
 /// Hexadecimal SHA-256 of a file, or of the built-in configuration with this name.
 #[pyfunction]
 fn checksum(path: PathBuf) -> PyResult<String> {
-    let read = InputFile::of("", &path).map_err(|error| py_error(format!("{}: {error}", path.display())))?;
+    let read =
+        InputFile::read("", &path).map_err(|error| py_error(format!("{}: {error}", path.display())))?;
     Ok(read.sha256)
 }
 

@@ -100,12 +100,12 @@ pub(super) fn calibrate(files: &Files, out: &Path) -> Output {
 fn calibrated(run: &Run, directory: &Path) -> Outcome {
     let (files, out) = (run.write(directory), directory.join("out"));
     let output = calibrate(&files, &out);
-    Outcome::of(run, &output, &out)
+    Outcome::from_output(run, &output, &out)
 }
 
 impl Outcome {
     /// Compares a successful calibration with the true values of its run.
-    pub(super) fn of(run: &Run, output: &Output, out: &Path) -> Self {
+    pub(super) fn from_output(run: &Run, output: &Output, out: &Path) -> Self {
         if !output.status.success() {
             let directory = format!("{}/", out.parent().unwrap().display());
             let text = String::from_utf8_lossy(&output.stderr).replace(&directory, "");

@@ -133,7 +133,7 @@ fn said_of(run: &Run, injected: Injected, part: f64) -> (String, Outcome) {
     let directory = tempfile::tempdir().unwrap();
     let (files, out) = (run.write_changed(injected, part, directory.path()), directory.path().join("out"));
     let output = calibrate(&files, &out);
-    let outcome = Outcome::of(run, &output, &out);
+    let outcome = Outcome::from_output(run, &output, &out);
     let said = match &outcome {
         Outcome::Refused(_) => outcome.to_string(),
         Outcome::Calibrated { .. } => std::fs::read_to_string(out.join("report.html")).unwrap(),

@@ -123,7 +123,7 @@ fn add_to_robot(run: &mut Simulated, robot: &RobotConfig, level: &Level, random:
     let azimuth = random.random_range(0.0..TAU);
     let truth = run.truth.clock;
     let tracer = Tracer::new(&run.motion.robot);
-    let drives = DriveTrain::of(robot, &run.motion.robot);
+    let drives = DriveTrain::from_robot(robot, &run.motion.robot);
     let mut trace = Trace::default();
     let rows = run.robot_log.q_rad.clone();
     let before_bar_start_ns = run.robot_log.q_rad.first_stamp_ns - truth.robot_at_bar_start_ns;
@@ -202,7 +202,7 @@ pub fn of_drive(
     drive: usize,
     shown: impl Fn(&[f64], usize) -> f64,
 ) {
-    let drives = DriveTrain::of(robot, &robot_chain(robot, &super::bar()));
+    let drives = DriveTrain::from_robot(robot, &robot_chain(robot, &super::bar()));
     let before: Vec<f64> = run.robot_log.q_rad.iter().map(|q| drives.of_drive(drive, q)).collect();
     for (row, q) in run.robot_log.q_rad.iter_mut().enumerate() {
         let by = shown(&before, row) - before[row];

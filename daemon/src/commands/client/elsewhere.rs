@@ -158,7 +158,7 @@ impl ServerCertVerifier for Pin {
         _: &[u8],
         _: UnixTime,
     ) -> Result<ServerCertVerified, rustls::Error> {
-        let shown = Fingerprint::of(end_entity);
+        let shown = Fingerprint::from_certificate(end_entity);
         if shown == self.fingerprint {
             return Ok(ServerCertVerified::assertion());
         }

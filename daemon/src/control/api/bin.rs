@@ -6,7 +6,7 @@ use axum::http::StatusCode;
 use axum::response::Response;
 use shared::recording::Disk;
 
-use super::{JsonBody, found, on_disk, refusal, reply};
+use super::{JsonBody, find_run, on_disk, refusal, reply};
 use crate::control::recordings::bin;
 use crate::control::recordings::runs::RunLine;
 use crate::control::service::Service;
@@ -21,7 +21,7 @@ pub(super) async fn delete(
     State(service): State<Service>,
     JsonBody(DeleteRequest { name }): JsonBody<DeleteRequest>,
 ) -> Result<Response, Response> {
-    let (file, _) = found(&service, Ok(extract::Path(name))).await?;
+    let (file, _) = find_run(&service, Ok(extract::Path(name))).await?;
     let put = move |disk: &dyn Disk| {
         let name = bin::put(disk, &file)?;
         tracing::warn!(file = %file.display(), "recording moved into the bin on request");

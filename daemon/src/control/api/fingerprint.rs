@@ -11,7 +11,7 @@ pub struct Fingerprint(String);
 
 impl Fingerprint {
     /// Digest of this certificate \[DER\].
-    pub fn of(certificate: &[u8]) -> Self {
+    pub fn from_certificate(certificate: &[u8]) -> Self {
         Self(hex(&Sha256::digest(certificate), ":"))
     }
 }

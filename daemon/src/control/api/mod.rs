@@ -366,7 +366,7 @@ async fn list_runs(State(service): State<Service>) -> Result<Json<Vec<RunLine>>,
 type Name = Result<extract::Path<String>, PathRejection>;
 
 /// Finds a finished recording. Returns its path and its name.
-async fn found(service: &Service, name: Name) -> Result<(PathBuf, String), Response> {
+async fn find_run(service: &Service, name: Name) -> Result<(PathBuf, String), Response> {
     let unknown =
         || refusal(StatusCode::NOT_FOUND, "no finished recording of that name; `ballbard runs` lists all");
     let extract::Path(name) = name.map_err(|_| unknown())?;
@@ -379,7 +379,7 @@ async fn download_mcap(
     State(ApiState { service, downloads, .. }): State<ApiState>,
     name: Name,
 ) -> Result<Response, Response> {
-    let (file, name) = found(&service, name).await?;
+    let (file, name) = find_run(&service, name).await?;
     let open = move |disk: &dyn Disk| {
         let opened = disk.open(&file)?;
         Ok((disk.length(&opened)?, opened))
@@ -395,7 +395,7 @@ async fn download_csv(
 ) -> Result<Response, Response> {
     let layout = Layout::from_query(query.as_deref().unwrap_or_default())
         .map_err(|problem| refusal(StatusCode::BAD_REQUEST, &problem))?;
-    let (file, name) = found(&service, name).await?;
+    let (file, name) = find_run(&service, name).await?;
     let what =
         Download { file_name: format!("{name}.csv"), media_type: "text/csv; charset=utf-8", length: None };
     let disk = service.disk();
@@ -406,7 +406,7 @@ async fn curves(
     State(ApiState { service, downloads, .. }): State<ApiState>,
     name: Name,
 ) -> Result<Response, Response> {
-    let (file, name) = found(&service, name).await?;
+    let (file, name) = find_run(&service, name).await?;
     let what = Download { file_name: format!("{name}.json"), media_type: "application/json", length: None };
     let disk = service.disk();
     Ok(downloads.send(&what, move |sink| Ok(serde_json::to_writer(sink, &runs::curves(&*disk, &file)?)?)))
@@ -417,7 +417,7 @@ async fn change_note(
     JsonBody(NoteRequest { name, note }): JsonBody<NoteRequest>,
 ) -> Result<Response, Response> {
     check_text(&note).map_err(unusable)?;
-    let (file, name) = found(&service, Ok(extract::Path(name))).await?;
+    let (file, name) = find_run(&service, Ok(extract::Path(name))).await?;
     on_disk(&service, move |disk| note::keep(disk, &file, note)).await?;
     Ok(reply(&service, Reply { answer: Granted::Noted, run: Some(name), ..Reply::default() }))
 }

@@ -152,7 +152,8 @@ mod tests {
     #[test]
     fn a_code_is_redeemed_once_within_five_minutes_and_only_the_latest_are_kept() {
         let now = MonoNs(0);
-        let pairing = Pairing::new(([127, 0, 0, 1], 7312).into(), Fingerprint::of(b"certificate"));
+        let pairing =
+            Pairing::new(([127, 0, 0, 1], 7312).into(), Fingerprint::from_certificate(b"certificate"));
         let PairReply { links, .. } = pairing.reply(now).unwrap();
         let [PairingLink { address, url, svg }] = &links[..] else { panic!("{links:?}") };
         let code = url.strip_prefix("https://127.0.0.1:7312/?pair=").unwrap();
@@ -171,7 +172,8 @@ mod tests {
     fn a_service_on_all_addresses_has_links_to_those_of_its_families() {
         let of_machine = ["192.0.2.1", "2001:db8::1", "fe80::1"].map(|ip| ip.parse::<IpAddr>().unwrap());
         let links = |listen: &str| {
-            let pairing = Pairing::new(listen.parse().unwrap(), Fingerprint::of(b"certificate"));
+            let pairing =
+                Pairing::new(listen.parse().unwrap(), Fingerprint::from_certificate(b"certificate"));
             pairing.addresses(&of_machine).iter().map(SocketAddr::to_string).collect::<Vec<_>>()
         };
         assert_eq!(links("0.0.0.0:7312"), ["192.0.2.1:7312"]);

@@ -316,7 +316,7 @@ fn tls(
         .and_then(Iterator::collect::<Result<Vec<_>, _>>)
         .map_err(|error| unread(&certificate_file, error))?;
     let first = certificates.first().ok_or_else(|| unread(&certificate_file, pem::Error::NoItemsFound))?;
-    let fingerprint = Fingerprint::of(first);
+    let fingerprint = Fingerprint::from_certificate(first);
     let key = PrivateKeyDer::from_pem_file(&key_file).map_err(|error| unread(&key_file, error))?;
     let provider = Arc::new(rustls::crypto::ring::default_provider());
     let config = ServerConfig::builder_with_provider(provider)

@@ -383,7 +383,7 @@ impl Controller {
             "run is over"
         );
         let last = match summary {
-            Some(summary) => LastRun { cause, error, ..LastRun::of(name, summary) },
+            Some(summary) => LastRun { cause, error, ..LastRun::from_summary(name, summary) },
             None => LastRun { name, cause, error, ..LastRun::default() },
         };
         self.answer_stops(&last);

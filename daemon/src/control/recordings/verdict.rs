@@ -56,7 +56,7 @@ pub struct GradeInput<'a> {
 
 impl Verdict {
     /// Grades a run with this content. A run that `identify calibrate` refuses by default is never graded as good.
-    pub fn of(content: &GradeInput<'_>) -> Self {
+    pub fn grade(content: &GradeInput<'_>) -> Self {
         let GradeInput { cycles, cycles_valid, cycles_lost, recovered, without_clocks, .. } = *content;
         let mut verdict = Self::default();
         if cycles == 0 {
@@ -113,7 +113,7 @@ impl Verdict {
     pub fn of_file(RunOverview { run, end }: &RunOverview) -> Self {
         let joints = run.encoders.iter().map(|encoder| encoder.joint);
         let turned_deg: Vec<_> = joints.zip(end.turned_deg.iter().copied()).collect();
-        Self::of(&GradeInput {
+        Self::grade(&GradeInput {
             cycles: end.cycles,
             cycles_valid: end.cycles_valid,
             cycles_lost: end.cycles_lost,
@@ -187,7 +187,7 @@ mod tests {
     };
 
     fn grade(content: &GradeInput<'_>) -> String {
-        Verdict::of(content).to_string()
+        Verdict::grade(content).to_string()
     }
 
     #[test]

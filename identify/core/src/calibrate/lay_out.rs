@@ -52,7 +52,7 @@ pub(super) fn lay_out<'w>(
             .map_err(|error| CalibrateError::Rows { data_set, error })?;
         let set = RowSet::new(file.grouped(&flange), contradicting, held_out);
         let model = file.instrument.fitted_out(Model::alone(&flange));
-        let model = model.with_drives(DriveTrain::of(robot, &flange)).with(config.named());
+        let model = model.with_drives(DriveTrain::from_robot(robot, &flange)).with(config.named());
         let mut run = Run { instrument: set.fitting(), model };
         place_instrument(&mut run, &set, data_set, config, watch, &flange)?;
         runs.push(run);
@@ -208,7 +208,7 @@ fn common_priors(runs: &[Run], tolerances: &[ParameterId], config: &IdentifyConf
 fn start_model(prepared: &Prepared, robot: &RobotConfig, bar: &BallBarConfig) -> Result<Model, ModelError> {
     let arm = robot_chain(robot, bar);
     let mut model = Model::ball_bar(&arm, &ball_bar_chain(bar))
-        .with_drives(DriveTrain::of(robot, &arm))
+        .with_drives(DriveTrain::from_robot(robot, &arm))
         .with(changed_offsets(prepared));
     for axis in Axis::ALL {
         model.set_value(ParameterId::Base { axis }, prepared.base_m[axis.index()])?;

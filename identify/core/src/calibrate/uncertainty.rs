@@ -111,7 +111,7 @@ impl Solver<'_> {
                 spread.add(UncertaintySource::LeftOut, &step);
             }
             of_covariance.extend(left_out.iter().map(|column| all[*column]));
-            let spread = spread.of(&estimated, &left_out);
+            let spread = spread.select(&estimated, &left_out);
             solution.covariance.replace_by_jackknife(spread, normals.folds(), left_out.len());
         }
         if let Some((considered, of_considered)) = self.considered(columns, solution.loss)? {

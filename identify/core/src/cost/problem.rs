@@ -114,7 +114,7 @@ impl<'a, R: Residual, M: RobotMotion> LoopProblem<'a, R, M> {
 
 /// Sines and cosines of the readings of the bar's encoders.
 pub(super) fn readings(observation: &Observation) -> [Turn; BAR_JOINTS] {
-    observation.bar_rad.map(Turn::of)
+    observation.bar_rad.map(Turn::from_angle)
 }
 
 /// Checks that the observation contains all values that the cost needs, and that they are finite.
@@ -179,7 +179,8 @@ impl LoopPoint {
         let origin_offsets_rad = self.geometry.offsets_of_origin(observation.origin);
         let correction_rad: [f64; BAR_JOINTS] =
             std::array::from_fn(|joint| origin_offsets_rad[joint] - errors_rad[joint]);
-        let bar_joints = readings.iter().zip(correction_rad).map(|(reading, rad)| reading.and(Turn::of(rad)));
+        let bar_joints =
+            readings.iter().zip(correction_rad).map(|(reading, rad)| reading.and(Turn::from_angle(rad)));
         // Set the length of the rod, elongated by the force and by the direction of the bar.
         if let Some(rod) = self.geometry.bar_links.get(ROD_LINK) {
             let rod_m = rod.d_m + self.geometry.extension_m(&observation.force, readings);

@@ -59,7 +59,7 @@ impl HeldOut {
 
 fn rms(segments: &[HeldOutSegment]) -> [PoseError; 3] {
     let errors = |stage: usize| segments.iter().flat_map(move |segment| &segment.stages[stage]);
-    [0, 1, 2].map(|stage| PoseFigures::of(errors(stage).map(|(_, error)| *error)).rms())
+    [0, 1, 2].map(|stage| PoseFigures::from_errors(errors(stage).map(|(_, error)| *error)).rms())
 }
 
 /// For each segment, the nominal robot with the bar fitted to this robot on the other samples of the run. `None` if

@@ -381,7 +381,7 @@ fn travel_deg(calibration: &Calibration) -> Vec<(usize, f64)> {
 
 /// Statistics of the distances between robot and bar \[m\].
 pub(super) fn gap_m<'a>(closures: impl Iterator<Item = &'a Closure>, by_encoders: bool) -> Sizes {
-    Sizes::of(closures.map(|closure| closure.gap_m(by_encoders)))
+    Sizes::from_values(closures.map(|closure| closure.gap_m(by_encoders)))
 }
 
 #[cfg(test)]

@@ -42,7 +42,7 @@ pub struct ModelDeviation {
 }
 
 impl ModelDeviation {
-    fn of(closures: &[Closure], of_signs: bool, by_encoders: bool) -> Self {
+    fn from_closures(closures: &[Closure], of_signs: bool, by_encoders: bool) -> Self {
         let radial_m = |closure: &Closure| {
             if by_encoders { closure.direction.dot(&closure.position_error_m) } else { closure.off_sphere_m }
         };
@@ -56,7 +56,7 @@ impl ModelDeviation {
         };
         let samples: Vec<OffSphere> = closures.iter().map(sample).collect();
         Self {
-            size_m: Sizes::of(samples.iter().map(|sample| sample.off_m.abs())),
+            size_m: Sizes::from_values(samples.iter().map(|sample| sample.off_m.abs())),
             unexplained_rms_m: rms(samples.iter().map(|sample| sample.unexplained_m)),
             samples,
         }
@@ -95,7 +95,7 @@ pub struct Elongation {
 
 impl Elongation {
     /// Elongation of the first run with a force measurement. `None` if no run has one.
-    pub fn of(calibration: &Calibration) -> Option<Self> {
+    pub fn from_calibration(calibration: &Calibration) -> Option<Self> {
         Self::all(calibration).into_iter().next()
     }
 
@@ -172,7 +172,7 @@ impl SphereDeviation {
             let elongation = Elongation::of_run(calibration, run, prepared, model);
             let of_signs = elongation.is_some_and(|elongation| elongation.parameter == ParameterId::BarPlay);
             let [before, after] = [&evidence.before, &evidence.after]
-                .map(|closures| ModelDeviation::of(closures, of_signs, first && second));
+                .map(|closures| ModelDeviation::from_closures(closures, of_signs, first && second));
             Self { before, after, elongation }
         };
         runs.iter().enumerate().zip(calibration.bar_runs()).map(of_run).collect()

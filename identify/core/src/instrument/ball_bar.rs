@@ -13,8 +13,8 @@ use crate::cost::{
 };
 use crate::kinematics::{BAR_JOINTS, Chain, LinkParameter};
 use crate::model::{
-    Axis, Clock, Geometry, JointState, Model, ModelError, Observation, Parameter, ParameterId, RobotMotion,
-    Role,
+    Axis, ClockRelation, Geometry, JointState, Model, ModelError, Observation, Parameter, ParameterId,
+    RobotMotion, Role,
 };
 use crate::prepare::Prepared;
 use crate::solver::LossName;
@@ -280,7 +280,7 @@ impl Measures for BallBar {
         }
     }
 
-    fn reported(&self, sample: usize, clock: &Clock) -> Option<JointState> {
+    fn reported(&self, sample: usize, clock: &ClockRelation) -> Option<JointState> {
         let t_s = self.prepared.observations.get(sample)?.t_s;
         self.prepared.motion.at(clock.robot_time_s(t_s))
     }

@@ -9,7 +9,7 @@ use super::{
 };
 use crate::cost::{CostError, DataSet};
 use crate::kinematics::{Chain, Joints};
-use crate::model::{Clock, Geometry, JointState, Model, ModelError, ParameterId};
+use crate::model::{ClockRelation, Geometry, JointState, Model, ModelError, ParameterId};
 use crate::prepare::Prepared;
 
 /// The interface of an instrument to the estimator.
@@ -51,11 +51,11 @@ pub trait Measures: Boxed + fmt::Debug + Send + Sync {
     fn samples(&self) -> usize;
 
     /// State that the robot reports at a sample; `None` outside its log.
-    fn reported(&self, sample: usize, clock: &Clock) -> Option<JointState>;
+    fn reported(&self, sample: usize, clock: &ClockRelation) -> Option<JointState>;
 
     /// Joints of the robot at each sample, before a fit changes the clock.
     fn joints(&self) -> Vec<Joints> {
-        let clock = Clock::default();
+        let clock = ClockRelation::default();
         (0..self.samples()).map(|sample| self.reported(sample, &clock).unwrap_or_default().q).collect()
     }
 

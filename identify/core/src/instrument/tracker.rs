@@ -15,8 +15,8 @@ use crate::cost::{CostError, DataSet, LoopProblem, MeasuredPose, MeasuredPositio
 use crate::kinematics::{Chain, Joints, Pose, rotation_vector};
 use crate::logs::{PoseRow, PoseUncertainty};
 use crate::model::{
-    Axis, Clock, Coordinate, Geometry, Group, JointState, Model, ModelError, Observation, Owner, ParameterId,
-    PerObservation, Placement, RobotMotion, Role, SetUp,
+    Axis, ClockRelation, Coordinate, Geometry, Group, JointState, Model, ModelError, Observation, Owner,
+    ParameterId, PerObservation, Placement, RobotMotion, Role, SetUp,
 };
 use crate::prepare::{Moving, PROBE_SIGMA_M, Sighted, all_placements};
 use crate::statistics::median_size;
@@ -223,7 +223,7 @@ impl Measures for Tracker {
         }
     }
 
-    fn reported(&self, sample: usize, clock: &Clock) -> Option<JointState> {
+    fn reported(&self, sample: usize, clock: &ClockRelation) -> Option<JointState> {
         match &self.moving {
             Some(moving) => moving.log.at(clock.robot_time_s(*moving.t_s.get(sample)?)),
             None => self.rows.states.get(sample).copied(),
@@ -247,7 +247,7 @@ impl Measures for Tracker {
         let sigmas = |error: fn(&PoseError) -> f64, stated: fn(&PoseUncertainty) -> Option<f64>| {
             let stated = || self.rows.rows.iter().map(move |row| stated(&row.uncertainty));
             let noise = RowNoise::behind(errors.iter().map(error).zip(stated()), MEDIAN_OF_THREE);
-            stated().map(|stated| noise.of(stated)).collect::<Vec<_>>()
+            stated().map(|stated| noise.sigma(stated)).collect::<Vec<_>>()
         };
         let position_m = sigmas(|error| error.position_m, |stated| stated.position_m);
         let rotation_rad = sigmas(|error| error.rotation_rad.unwrap_or(0.0), |stated| stated.rotation_rad);

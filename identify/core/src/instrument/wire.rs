@@ -18,7 +18,7 @@ use crate::cost::{CostError, DataSet, LoopProblem, MeasuredLength, Residual};
 use crate::kinematics::Chain;
 use crate::logs::LengthRow;
 use crate::model::{
-    Axis, Clock, Geometry, Group, JointState, Model, ModelError, Owner, ParameterId, Role, SetUp,
+    Axis, ClockRelation, Geometry, Group, JointState, Model, ModelError, Owner, ParameterId, Role, SetUp,
 };
 use crate::statistics::median_size;
 
@@ -193,7 +193,7 @@ impl Measures for Wire {
         Ok(Box::new(LoopProblem::new(model, &at.states, &at.observations, residual, sigma)?))
     }
 
-    fn reported(&self, sample: usize, _: &Clock) -> Option<JointState> {
+    fn reported(&self, sample: usize, _: &ClockRelation) -> Option<JointState> {
         self.rows.at.states.get(sample).copied()
     }
 

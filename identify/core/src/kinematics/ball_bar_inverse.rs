@@ -22,7 +22,7 @@ pub enum Side {
 }
 
 impl Side {
-    fn of(angle_rad: f64) -> Self {
+    fn from_angle(angle_rad: f64) -> Self {
         if angle_rad.sin() < 0.0 { Self::Negative } else { Self::Positive }
     }
 
@@ -57,14 +57,15 @@ impl Configuration {
     ];
 
     /// The configuration of a bar at these joint variables \[rad\].
-    pub fn of(bar_links: &[DhLink], bar_rad: &[f64; BAR_JOINTS]) -> Self {
+    pub fn from_joints(bar_links: &[DhLink], bar_rad: &[f64; BAR_JOINTS]) -> Self {
         let angles_rad = angles_from_joints(bar_links, bar_rad);
-        Self { gimbal: Side::of(angles_rad[1]), cardan: Side::of(angles_rad[3]) }
+        Self { gimbal: Side::from_angle(angles_rad[1]), cardan: Side::from_angle(angles_rad[3]) }
     }
 
     /// Converts joint variables to this configuration, without changing the pose. The results are in (-pi, pi].
     pub fn carry(self, bar_links: &[DhLink], bar_rad: &[f64; BAR_JOINTS]) -> [f64; BAR_JOINTS] {
-        let (from, angles_rad) = (Self::of(bar_links, bar_rad), angles_from_joints(bar_links, bar_rad));
+        let (from, angles_rad) =
+            (Self::from_joints(bar_links, bar_rad), angles_from_joints(bar_links, bar_rad));
         joints_from_angles(bar_links, &self.carry_from(from, &angles_rad))
     }
 

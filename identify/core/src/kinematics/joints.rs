@@ -28,7 +28,7 @@ impl Joints {
     }
 
     /// Joints from an array; usable in constants.
-    pub const fn of<const N: usize>(numbers: [f64; N]) -> Self {
+    pub const fn from_array<const N: usize>(numbers: [f64; N]) -> Self {
         let mut joints = Self::zeros(N);
         let mut axis = 0;
         while axis < joints.count {

@@ -72,7 +72,7 @@ pub struct Turn {
 impl Turn {
     /// Sine and cosine of an angle \[rad\].
     #[inline]
-    pub fn of(angle_rad: f64) -> Self {
+    pub fn from_angle(angle_rad: f64) -> Self {
         /// Below this angle the truncated series are exact up to rounding errors.
         const SMALL_RAD: f64 = 1e-3;
         if angle_rad.abs() > SMALL_RAD {
@@ -286,9 +286,9 @@ impl Tracer {
     pub fn new(chain: &Chain) -> Self {
         let links = chain.links.iter().map(|link| PreparedLink {
             joint: link.joint,
-            theta: Turn::of(link.theta_rad),
-            alpha: Turn::of(link.alpha_rad),
-            beta: (link.beta_rad != 0.0).then(|| Turn::of(link.beta_rad)),
+            theta: Turn::from_angle(link.theta_rad),
+            alpha: Turn::from_angle(link.alpha_rad),
+            beta: (link.beta_rad != 0.0).then(|| Turn::from_angle(link.beta_rad)),
             a_m: link.a_m,
             d_m: link.d_m,
         });
@@ -308,7 +308,7 @@ impl Tracer {
     pub fn trace(&self, joints: &[f64], trace: &mut Trace) {
         let joints = joints.iter().copied().chain(std::iter::repeat(0.0));
         self.pass(trace, joints, |link, joint| match link.joint {
-            JointKind::Revolute => (link.theta.and(Turn::of(joint)), link.d_m),
+            JointKind::Revolute => (link.theta.and(Turn::from_angle(joint)), link.d_m),
             JointKind::Prismatic => (link.theta, link.d_m + joint),
         });
     }

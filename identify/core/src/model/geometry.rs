@@ -77,14 +77,14 @@ impl BarElongation {
 
 /// Conversion from the bar's clock to the robot's clock.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct Clock {
+pub struct ClockRelation {
     /// Robot clock minus bar clock at the reference time \[s\].
     pub shift_s: f64,
     /// Relative rate of the robot's clock minus one.
     pub skew: f64,
 }
 
-impl Clock {
+impl ClockRelation {
     /// Converts bar time to robot time, both since the reference time: `t + shift + skew t` \[s\].
     pub fn robot_time_s(&self, t_s: f64) -> f64 {
         t_s + self.shift_s + self.skew * t_s
@@ -158,7 +158,7 @@ pub struct Geometry {
     /// Offsets added to the encoder angles for each counter origin except the first \[rad\].
     pub origin_offsets_rad: Vec<[f64; BAR_JOINTS]>,
     /// Relation between the clocks of bar and robot.
-    pub clock: Clock,
+    pub clock: ClockRelation,
     /// Draw-wire or telescoping bar, for measured lengths.
     pub wire: WireGeometry,
     /// Tracker and its targets, for measured positions and poses.
@@ -188,7 +188,7 @@ impl Geometry {
             bar_waves: Default::default(),
             encoder_waves: Default::default(),
             origin_offsets_rad: Vec::new(),
-            clock: Clock::default(),
+            clock: ClockRelation::default(),
             wire: WireGeometry::default(),
             tracker: TrackerGeometry::default(),
             scale: 0.0,

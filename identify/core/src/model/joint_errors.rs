@@ -76,7 +76,7 @@ impl DriveTrain {
     /// Drive train from the robot's file. The couplings are the matrix `raw_to_joint` of the log, with each row
     /// divided by its diagonal entry. If the log contains motor angles, gear ratios that are missing in the file are
     /// computed from this matrix.
-    pub fn of(robot: &RobotConfig, arm: &Chain) -> Self {
+    pub fn from_robot(robot: &RobotConfig, arm: &Chain) -> Self {
         let raw_to_joint = &robot.log.raw_to_joint;
         let axes = raw_to_joint.len();
         let joint_from_drive = DMatrix::from_fn(axes, axes, |i, j| raw_to_joint[i][j] / raw_to_joint[i][i]);
@@ -110,7 +110,7 @@ impl DriveTrain {
         for axis in 0..self.axes() {
             state.angle[axis] = self.of_drive(axis, &reported.q);
             state.rate[axis] = self.of_drive(axis, &reported.qd);
-            state.turn[axis] = Turn::of(state.angle[axis]);
+            state.turn[axis] = Turn::from_angle(state.angle[axis]);
         }
         state
     }
@@ -189,9 +189,9 @@ impl DriveTrain {
             match period {
                 Period::Once => (turn, rate),
                 Period::Twice => (turn.and(turn), n * rate),
-                Period::Cycloid | Period::Motor => (Turn::of(n * angle), n * rate),
+                Period::Cycloid | Period::Motor => (Turn::from_angle(n * angle), n * rate),
                 Period::JointOnce | Period::JointTwice => {
-                    (Turn::of(n * reported.q[axis]), n * reported.qd[axis])
+                    (Turn::from_angle(n * reported.q[axis]), n * reported.qd[axis])
                 }
             }
         };

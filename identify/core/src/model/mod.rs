@@ -13,8 +13,8 @@ mod tracker;
 mod waves;
 
 pub use geometry::{
-    BarElongation, BasePlacement, Clock, ContactGeometry, Face, Geometry, MovingJoints, TouchGeometry,
-    WireGeometry,
+    BarElongation, BasePlacement, ClockRelation, ContactGeometry, Face, Geometry, MovingJoints,
+    TouchGeometry, WireGeometry,
 };
 pub use joint_errors::{BACKLASH_SPEED_RAD_S, DriveState, DriveTrain, JointErrors};
 pub use joint_term::{JointTerm, Load, Period};

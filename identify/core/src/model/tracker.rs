@@ -53,7 +53,7 @@ pub struct Placement {
 
 impl Placement {
     /// Position and rotation vector of a transform.
-    pub fn of(pose: &Pose) -> Self {
+    pub fn from_pose(pose: &Pose) -> Self {
         // The conversion uses a quaternion, because the logarithm of the matrix loses digits near zero and near half a turn.
         let rotation = nalgebra::UnitQuaternion::from_rotation_matrix(&pose.rotation);
         Self { position_m: pose.translation.vector, rotation_rad: rotation.scaled_axis() }

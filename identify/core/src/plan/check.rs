@@ -148,7 +148,7 @@ pub fn check(
             checked.visited.robot.push(JointState { q, qd, qdd });
         }
     }
-    checked.normal = information.of(&checked.visited, CHECK_S * CHECKS_PER_POSE as f64);
+    checked.normal = information.normal(&checked.visited, CHECK_S * CHECKS_PER_POSE as f64);
     Ok(checked)
 }
 

@@ -41,7 +41,7 @@ impl Design {
     /// Design for an ABB IRB 2400/16 with a bar of 0.5 to 0.7 m.
     pub const IRB_2400: Self = Self {
         base_m: [1.0, 0.05, 0.35],
-        posture_deg: Joints::of([0.0, 20.0, 10.0, 0.0, 60.0, 0.0]),
+        posture_deg: Joints::from_array([0.0, 20.0, 10.0, 0.0, 60.0, 0.0]),
         bar_range_deg: [[-170.0, 170.0], [12.0, 85.0], [-170.0, 170.0], [75.0, 165.0], [-170.0, 170.0]],
         duration_s: 120.0,
         bar_speed_rad_s: 0.8,

@@ -112,7 +112,7 @@ impl Information {
         duration_s: f64,
     ) -> Result<Self, ModelError> {
         let config = IdentifyConfig::default();
-        let mut model = Model::ball_bar(arm, bar_chain).with_drives(DriveTrain::of(robot, arm));
+        let mut model = Model::ball_bar(arm, bar_chain).with_drives(DriveTrain::from_robot(robot, arm));
         let identifies = WhitenedPose::identifies;
         config.set_roles(&mut model, &[], identifies)?;
         let mut terms = Vec::new();
@@ -201,7 +201,7 @@ impl Information {
     }
 
     /// Normal equations of poses that are `period_s` apart. Each pose represents all samples of its period.
-    pub fn of(&self, poses: &Visited, period_s: f64) -> Normal {
+    pub fn normal(&self, poses: &Visited, period_s: f64) -> Normal {
         let folds = [(0..poses.bar_rad.len()).collect()];
         let normal = self.with_problem(poses, |problem, start| {
             let normals = Normals::new(problem, start, &Options::default(), &folds).ok()?;

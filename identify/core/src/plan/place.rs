@@ -228,7 +228,7 @@ impl PlaceRequest<'_> {
         for _ in 0..PATHS {
             // If no path is found in the first trial, the position has too little space, and no further trial is made.
             let Ok(route) = random_route_until(&tight, random, is_over) else { break };
-            let Ok(pieces) = Pieces::of(&tight, &information, &route, is_over) else { continue };
+            let Ok(pieces) = Pieces::divide(&tight, &information, &route, is_over) else { continue };
             let normal = pieces.total(&information);
             let (score, expected) = (information.score(&normal), information.position(&normal));
             if score.is_finite() && best.as_ref().is_none_or(|best| score < best.score) {

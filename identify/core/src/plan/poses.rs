@@ -360,7 +360,7 @@ impl<'a> PriorModel<'a> {
         // paths treat the plate in the same way.
         let instrument: Vec<ParameterId> = model.ids().into_iter().filter(is_of_instrument).collect();
         let waves = ParameterId::joint_waves(WAVES_PER_TURN_MAX);
-        let mut model = model.with_drives(DriveTrain::of(request.robot, &flange)).with(waves);
+        let mut model = model.with_drives(DriveTrain::from_robot(request.robot, &flange)).with(waves);
         IdentifyConfig::default().set_link_roles(&mut model)?;
         for id in model.ids() {
             match id {

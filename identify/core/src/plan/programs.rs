@@ -162,7 +162,7 @@ pub enum ProgramPurpose {
 
 impl Language {
     /// The language of the robot's maker, if the robot's name contains the name of a known maker.
-    pub fn of(robot: &RobotConfig) -> Option<Self> {
+    pub fn for_robot(robot: &RobotConfig) -> Option<Self> {
         Some(match robot.maker()? {
             Maker::Abb => Self::Rapid,
             Maker::Kuka => Self::Krl,

@@ -104,7 +104,7 @@ pub fn search(
         let until = if best.is_none() { budget } else { budget / 4 };
         let mut is_over = || begun.elapsed() > until || is_over(None);
         let route = random_route_until(constraints, &mut random, &mut is_over);
-        match route.and_then(|route| Pieces::of(constraints, information, &route, &mut is_over)) {
+        match route.and_then(|route| Pieces::divide(constraints, information, &route, &mut is_over)) {
             Ok(pieces) => {
                 let score = information.score(&pieces.total(information));
                 random_scores.push(score);
@@ -164,7 +164,7 @@ pub(super) fn tightened<'a>(constraints: &Constraints<'a>, design: &'a Design) -
 
 impl Pieces {
     /// Divides a path into pieces and computes their information.
-    pub(super) fn of(
+    pub(super) fn divide(
         constraints: &Constraints<'_>,
         information: &Information,
         route: &Route,
@@ -308,5 +308,5 @@ fn piece_information(
     let robot = looks.clone().map(state).collect();
     let bar_rad: Vec<[f64; 5]> = looks.map(|look| path.at(from_s + step_s * look as f64)).collect();
     let period_s = (until_s - from_s) / bar_rad.len().max(1) as f64;
-    information.of(&Visited { bar_rad, robot }, period_s)
+    information.normal(&Visited { bar_rad, robot }, period_s)
 }

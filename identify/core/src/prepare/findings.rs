@@ -5,7 +5,7 @@ use super::align::refine::Residuals;
 use super::samples::angle_errors::{AngleErrors, LocalShift, local_shifts};
 use super::{PrepareError, Prepared};
 use crate::kinematics::BAR_JOINTS;
-use crate::model::{Clock, Geometry, Observation};
+use crate::model::{ClockRelation, Geometry, Observation};
 
 /// Where in a run an error is, as far as it is known.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -32,7 +32,7 @@ pub struct Deviations {
     /// How the alignment varies along the run. Times count from the first valid sample.
     pub local_shifts: Vec<LocalShift>,
     /// Converts times since the first valid sample to times since the first stamp of the robot's log.
-    pub clock: Clock,
+    pub clock: ClockRelation,
 }
 
 impl Deviations {
@@ -43,7 +43,7 @@ impl Deviations {
         local_shifts: &[LocalShift],
         measured: [bool; BAR_JOINTS],
         t_ref_s: f64,
-        clock: Clock,
+        clock: ClockRelation,
     ) -> Self {
         let later = |shift: &LocalShift| LocalShift { t_s: shift.t_s + t_ref_s, ..*shift };
         Self {

@@ -121,7 +121,8 @@ fn likely_mistake(
     /// Largest range of values in a column that counts as constant. It allows for rounding.
     const CONSTANT: f64 = 1e-9;
     let joints = tried_joints(log);
-    let conversion = JointConversion::of(config).ok().filter(|conversion| conversion.axes() == log.axes());
+    let conversion =
+        JointConversion::from_robot(config).ok().filter(|conversion| conversion.axes() == log.axes());
     let columns: Option<Vec<Joints>> =
         conversion.as_ref().map(|conversion| joints.iter().map(|q| conversion.to_raw(q)).collect());
     // The sphere of the given joints, if it has the bar's length and enough inliers.

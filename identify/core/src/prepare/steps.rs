@@ -56,7 +56,7 @@ pub fn prepare(
     check(angles, log, options)?;
     // Step 2: find the bar's base from the sphere on which the robot's positions lie. The log is interpolated in parallel.
     let (arm, bar_chain) = (robot_chain(robot, bar), ball_bar_chain(bar));
-    let gravity = DriveTrain::of(robot, &arm).gravity;
+    let gravity = DriveTrain::from_robot(robot, &arm).gravity;
     let fit_sphere = || sphere_of_log(log, &arm, robot, bar.length_m, options);
     let (interpolated, sphere) = threads::both(|| log.spline(), fit_sphere);
     let (interpolated, sphere) = (interpolated?, sphere?);

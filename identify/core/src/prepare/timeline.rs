@@ -14,7 +14,7 @@ use super::readings::standstill::{Jitter, MOVING_RAD_S, Readings, Standstill, st
 use super::{Averaged, EncoderMap, Predictor};
 use crate::kinematics::{BAR_JOINTS, Configuration, Joints, wrapped};
 use crate::logs::Unwrapped;
-use crate::model::Clock;
+use crate::model::ClockRelation;
 use crate::statistics::largest_difference;
 use crate::threads::rows;
 
@@ -117,7 +117,7 @@ pub(super) struct PreparedRun<'a> {
     /// Reference time on the bar's clock.
     pub t_ref: UtcNs,
     /// Converts bar time since `t_ref` to the time of the robot's log, counted from its first stamp.
-    pub clock: Clock,
+    pub clock: ClockRelation,
     /// Status of every cycle.
     pub statuses: &'a [SampleStatus],
     /// Samples of all valid cycles, in the order of time.

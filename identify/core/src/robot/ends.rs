@@ -35,7 +35,7 @@ pub(super) struct Ends<'a> {
 
 impl<'a> Ends<'a> {
     /// Returns the requested base and tip. If `base` or `tip` is `None`, its default is used.
-    pub(super) fn of(urdf: &'a Urdf, base: Option<&str>, tip: Option<&str>) -> Result<Self, ImportError> {
+    pub(super) fn find(urdf: &'a Urdf, base: Option<&str>, tip: Option<&str>) -> Result<Self, ImportError> {
         for link in [base, tip].into_iter().flatten() {
             if !urdf.links.iter().any(|known| known == link) {
                 return Err(ImportError::UnknownLink {

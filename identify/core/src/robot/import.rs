@@ -124,7 +124,7 @@ pub struct Imported {
 pub fn import(text: &str, base: Option<&str>, tip: Option<&str>) -> Result<Imported, ImportError> {
     let urdf = Urdf::read(text)?;
     check_unique(&urdf)?;
-    let Ends { base, tip, joints, left_out } = Ends::of(&urdf, base, tip)?;
+    let Ends { base, tip, joints, left_out } = Ends::find(&urdf, base, tip)?;
     let mut assumed = Vec::new();
     let (mut axes, mut names) = (Vec::new(), Vec::new());
     let (mut limits_deg, mut limits_m) = (Vec::new(), Vec::new());

@@ -82,7 +82,7 @@ impl Arm {
             phase_rad: drawn.random_range(0.0..TAU),
         };
         let gears = chain.links.iter().map(gear).collect();
-        let drives = DriveTrain::of(robot, &chain);
+        let drives = DriveTrain::from_robot(robot, &chain);
         Self {
             tracer: Tracer::new(&chain),
             errors,

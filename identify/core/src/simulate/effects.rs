@@ -199,7 +199,7 @@ impl BarEncoders {
     }
 
     /// Readings of the encoders at the true joints `true_rad` \[rad\].
-    pub fn of(&mut self, true_rad: &[f64; 5]) -> [f64; 5] {
+    pub fn read(&mut self, true_rad: &[f64; 5]) -> [f64; 5] {
         let errors = self.angle_errors.errors_and_noise_rad(true_rad);
         let quantised = |rad: f64| {
             if self.step_rad > 0.0 { ((rad / self.step_rad).floor() + 0.5) * self.step_rad } else { rad }
@@ -271,7 +271,7 @@ impl RobotReading {
 
     /// Readings of the joints at the true joints `true_rad` \[rad\]. Because of backlash, the readings also depend
     /// on the previous call.
-    pub fn of(&mut self, true_rad: &Joints) -> Joints {
+    pub fn read(&mut self, true_rad: &Joints) -> Joints {
         let gears = RowDVector::from_row_slice(true_rad) * &self.gears_from_joints;
         let gears = gears.as_slice();
         // A motor moves only when the gear reaches an end of the backlash.

@@ -42,10 +42,10 @@ pub fn pairs(
     for &t_s in &t_s {
         near_rad =
             motion.robot_joints(t_s, &near_rad).map_err(|source| SimulateError::Follow { t_s, source })?;
-        robot_rad.push(reading.of(&near_rad));
+        robot_rad.push(reading.read(&near_rad));
     }
     let mut reading = experiment.bar_reading();
     let of_pairs = t_s.iter().skip(LEAD_ROWS).take(count);
-    let bar_rad = of_pairs.map(|t_s| reading.of(&path.bar_rad(t_s + time_difference_s))).collect();
+    let bar_rad = of_pairs.map(|t_s| reading.read(&path.bar_rad(t_s + time_difference_s))).collect();
     Ok(Pairs { t_s, robot_rad, bar_rad, truth })
 }

@@ -49,7 +49,7 @@ pub(super) fn robot_log(
         near_rad =
             motion.robot_joints(t_s, &near_rad).map_err(|source| SimulateError::Follow { t_s, source })?;
         stamps_s.push((row * ROBOT_PERIOD_NS) as f64 * 1e-9);
-        q_rad.push(reading.of(&near_rad));
+        q_rad.push(reading.read(&near_rad));
         let noise: f64 = force_random.sample(StandardNormal);
         let force_n = motion.force_n(t_s) + experiment.load.noise_n * noise;
         forces.push([force_n].into());
@@ -82,7 +82,7 @@ pub(super) fn recording(
     let mut reading = experiment.bar_reading();
     let cycles = (motion.path.duration_s * 1e9 / CYCLE_NS as f64).round() as i64 + 1;
     let angles: Vec<[f64; 5]> =
-        (0..cycles).map(|k| reading.of(&motion.path.at((k * CYCLE_NS) as f64 * 1e-9))).collect();
+        (0..cycles).map(|k| reading.read(&motion.path.at((k * CYCLE_NS) as f64 * 1e-9))).collect();
     let mut first_counts = random(experiment.seed, RandomStream::EncoderOffsets);
     let truth: Vec<EncoderTruth> = encoders
         .iter()

@@ -39,7 +39,7 @@ pub fn wire_rows(
         let attachment_in_base_m: Vector3<f64> = (robot.forward(&q_rad) * Point3::from(ATTACHMENT_M)).coords;
         let error_m = noise_m * noise.sample::<f64, _>(StandardNormal);
         let length_m = (attachment_in_base_m - Vector3::from(ANCHOR_M)).norm() + OFFSET_M + error_m;
-        LengthRow { joints_rad: robot_reading.of(&q_rad), length_m, ..LengthRow::default() }
+        LengthRow { joints_rad: robot_reading.read(&q_rad), length_m, ..LengthRow::default() }
     };
     Ok(((0..count).map(row).collect(), truth))
 }

@@ -89,7 +89,7 @@ impl Conditions {
     ///
     /// # Errors
     /// [`ConditionError`].
-    pub fn of(study: &StudyFile, series: &FigureSeries, x: f64) -> Result<Self, ConditionError> {
+    pub fn from_study(study: &StudyFile, series: &FigureSeries, x: f64) -> Result<Self, ConditionError> {
         let mut conditions = Self {
             points: 0,
             measured: [true; 5],

@@ -79,7 +79,7 @@ impl Definition {
             PathChoice { seed: Some(seed), .. } => Reference::Same(*seed),
             PathChoice { planned: Some(file), .. } => Reference::Planned(config::load(&beside(file))?),
             PathChoice { log: Some(file), .. } => {
-                Reference::Driven(Driven::of(&logs::load(&beside(file), &robot)?, &robot, &bar)?)
+                Reference::Driven(Driven::from_bytes(&logs::load(&beside(file), &robot)?, &robot, &bar)?)
             }
             PathChoice { .. } => Reference::Random,
         };

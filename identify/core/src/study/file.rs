@@ -265,7 +265,7 @@ impl StudyFile {
             let problem = "no sizes, or one that is not a finite number";
             Violation::unless(are_sizes, key("x"), problem, "give finite numbers")?;
             for &x in &series.x {
-                let conditions = Conditions::of(self, series, x).map_err(|error| {
+                let conditions = Conditions::from_study(self, series, x).map_err(|error| {
                     let named = error.key();
                     let place = match (series.vary.contains_key(named), series.with.contains_key(named)) {
                         (true, _) => key(&format!("vary.{named}")),

@@ -75,7 +75,11 @@ impl Driven {
     ///
     /// # Errors
     /// [`ReferenceError`].
-    pub fn of(log: &RobotLog, robot: &RobotConfig, bar: &BallBarConfig) -> Result<Self, ReferenceError> {
+    pub fn from_bytes(
+        log: &RobotLog,
+        robot: &RobotConfig,
+        bar: &BallBarConfig,
+    ) -> Result<Self, ReferenceError> {
         let (arm, mut bar) = (robot_chain(robot, bar), ball_bar_chain(bar));
         let mut last_s = f64::NEG_INFINITY;
         let rows = log.q_rad.filter_map(0..log.q_rad.len(), |row, q_rad| {

@@ -29,7 +29,7 @@ pub struct ErrorQuantiles {
 }
 
 impl ErrorQuantiles {
-    fn of(mut values: Vec<f64>) -> Self {
+    fn from_values(mut values: Vec<f64>) -> Self {
         let [median, lower_quartile, upper_quartile, worst] =
             [0.5, 0.25, 0.75, 1.0].map(|part| quantile(&mut values, part));
         Self { median, lower_quartile, upper_quartile, worst }
@@ -203,7 +203,7 @@ fn point(x: f64, of_curve: &[&&PlacedRow<'_>]) -> CurvePoint {
         for measure in Measure::ALL {
             let values: Vec<f64> = rows.iter().filter_map(|row| row.error(measure)).collect();
             if !values.is_empty() {
-                errors.insert(measure, ErrorQuantiles::of(values));
+                errors.insert(measure, ErrorQuantiles::from_values(values));
             }
         }
     }
@@ -399,7 +399,8 @@ fn affected_table(of_figure: &[&PlacedRow<'_>]) -> FigureTable {
         }
     }
     let rows = keys.into_iter().zip(errors_by_key).map(|((series, estimator), errors)| {
-        let medians = errors.into_iter().map(|(name, values)| (name, ErrorQuantiles::of(values).median));
+        let medians =
+            errors.into_iter().map(|(name, values)| (name, ErrorQuantiles::from_values(values).median));
         let mut affected: Vec<(&str, f64)> = medians.filter(|(_, error)| *error > AFFECTED_MM_MRAD).collect();
         affected.sort_by(|(_, a), (_, b)| b.total_cmp(a));
         let names = affected.iter().map(|(name, error)| format!("{name} ({})", short(*error)));

@@ -61,7 +61,8 @@ pub fn run(definition: &Definition, trial: &Trial<'_>) -> TrialRows {
 /// One row for each of the named estimators. An error if the experiment cannot be simulated.
 fn solve_all(definition: &Definition, trial: &Trial<'_>, names: &[String]) -> Result<Vec<ResultRow>, String> {
     let study = &definition.study;
-    let conditions = Conditions::of(study, trial.series, trial.x).map_err(|error| error.to_string())?;
+    let conditions =
+        Conditions::from_study(study, trial.series, trial.x).map_err(|error| error.to_string())?;
     let estimators = || names.iter().map(|name| study.estimator(name));
     let is_of_bar = |estimator: &Estimator| estimator.instrument == StudyInstrument::BallBar;
     // All estimators of the ball-bar solve the same simulated readings.

@@ -433,7 +433,7 @@ fn write_programs(
     out: &Path,
     program: impl Fn(Language) -> Result<String, ProgramError>,
 ) -> anyhow::Result<()> {
-    let of_maker = Language::of(robot).filter(|_| asked.is_empty());
+    let of_maker = Language::for_robot(robot).filter(|_| asked.is_empty());
     if asked.is_empty() && of_maker.is_none() {
         say(format_args!(
             "no program is written: the maker of `{}` is unknown; select a language with --program",

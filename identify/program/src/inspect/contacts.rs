@@ -87,7 +87,8 @@ fn closure(inspection: &mut Inspection, mut contact: Contact, chain: &Chain, row
     let geometry = model.geometry(&[]);
     let errors = contact.errors(&geometry);
     let is_used = |row: usize| contact.rejected().iter().all(|rejected| rejected.row != row);
-    let sizes = Sizes::of((0..errors.len()).filter(|row| is_used(*row)).map(|row| errors[row].position_m));
+    let sizes =
+        Sizes::from_values((0..errors.len()).filter(|row| is_used(*row)).map(|row| errors[row].position_m));
     inspection.fact(
         "nominal robot",
         format!("ball {:.2} mm (RMS) from its socket, {:.2} mm at most", sizes.rms * 1e3, sizes.max * 1e3),

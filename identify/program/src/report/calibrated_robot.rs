@@ -86,7 +86,7 @@ impl CalibratedRobot {
         bar: Option<&BallBarConfig>,
     ) -> Result<Self, CalibratedRobotError> {
         let nominal = bar.map_or_else(|| flange_chain(robot), |bar| robot_chain(robot, bar));
-        let drives = DriveTrain::of(robot, &nominal);
+        let drives = DriveTrain::from_robot(robot, &nominal);
         let mut geometry = Geometry { joints: JointErrors::none(drives), ..Geometry::new(nominal, None) };
         for entry in &file.parameters {
             let Some(id) = robot_parameter(&entry.name) else { continue };

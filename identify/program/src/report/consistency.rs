@@ -139,7 +139,7 @@ fn ends_apart(one: &CalibrationFile, other: &CalibrationFile) -> Option<Sizes> {
             robots.each_ref().map(|(identified, nominal)| position(identified, &q) - position(nominal, &q));
         (correction - other_correction).norm()
     });
-    Some(Sizes::of(apart))
+    Some(Sizes::from_values(apart))
 }
 
 fn compared(id: ParameterId, files: &[CalibrationFile]) -> ParameterEstimates {

@@ -357,7 +357,7 @@ mod tests {
         let kinds = [JointKind::Prismatic, JointKind::Revolute];
         let links = kinds.map(|joint| DhLink { joint, ..DhLink::default() }).to_vec();
         let arm = Chain::new(Pose::identity(), links);
-        let rates = Joints::of([0.5, 1.25]);
+        let rates = Joints::from_array([0.5, 1.25]);
         let text = joint_rows(&[[1.0, 1.5], [-1.0, 0.5]], [&rates; 3], &arm);
         let lines: Vec<&str> = text.lines().collect();
         assert_eq!(lines[0], "robot joint, lowest [deg,mm]   1000.0    -57.3");

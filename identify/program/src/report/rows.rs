@@ -166,7 +166,7 @@ fn sections(set: &RowSet, instrument: &Instrument, errors: &[PoseError], unseen:
     let is_used = |row: &&usize| set.rejected.binary_search_by_key(*row, |one| one.row).is_err();
     for Section { name, parameters, samples } in &sections {
         let used = samples.iter().filter(is_used).filter_map(|row| errors.get(*row).copied());
-        let PoseFigures { rows, position_m, .. } = PoseFigures::of(used);
+        let PoseFigures { rows, position_m, .. } = PoseFigures::from_errors(used);
         let predicted = unseen.iter().find(|part| part.name == *name);
         let predicted = predicted.map(|part| format!("{:>24.4}", part.predicted.position_m.rms * 1e3));
         let predicted = predicted.unwrap_or_default();

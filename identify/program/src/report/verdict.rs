@@ -85,7 +85,7 @@ pub(super) struct Predicted {
 impl Predicted {
     /// Errors in position and, if `nominal`, `calibrated` and `fitted` all have a rotation, also in rotation. Empty without
     /// an error of the calibrated robot.
-    fn of(errors: HeldOutErrors) -> Vec<Self> {
+    fn from_errors(errors: HeldOutErrors) -> Vec<Self> {
         let HeldOutErrors { what, independent, nominal, calibrated, fitted } = errors;
         let Some(calibrated) = calibrated else { return Vec::new() };
         let predicted = |of: &str, unit, is_position, value: &dyn Fn(PoseError) -> Option<f64>| {
@@ -141,7 +141,7 @@ impl CalibrationFile {
         self.limits = limits.to_vec();
         let after_serious = limits.iter().rposition(|limit| limit.serious).map_or(0, |last| last + 1);
         self.limits.splice(after_serious..after_serious, largest_contribution(workspace));
-        self.expected = Some(ExpectedEntry::of(workspace));
+        self.expected = Some(ExpectedEntry::from_workspace(workspace));
         let predicted = self.predicted();
         let better = (!predicted.is_empty()).then(|| predicted.iter().all(Predicted::is_better));
         let worse = predicted.iter().find(|one| one.is_worse_beyond_chance());
@@ -213,7 +213,7 @@ impl CalibrationFile {
             }
         };
         let held_out = self.held_out_with(Deployment::Full).into_iter();
-        held_out.chain(self.validations.iter().map(of_file)).flat_map(Predicted::of).collect()
+        held_out.chain(self.validations.iter().map(of_file)).flat_map(Predicted::from_errors).collect()
     }
 }
 

@@ -21,13 +21,15 @@ pub struct PoseFigures {
 
 impl PoseFigures {
     /// Computes the statistics of these errors.
-    pub fn of(errors: impl IntoIterator<Item = PoseError>) -> Self {
+    pub fn from_errors(errors: impl IntoIterator<Item = PoseError>) -> Self {
         let errors: Vec<PoseError> = errors.into_iter().collect();
         let angles: Option<Vec<f64>> = errors.iter().map(|error| error.rotation_rad).collect();
         Self {
             rows: errors.len(),
-            position_m: Sizes::of(errors.iter().map(|error| error.position_m)),
-            rotation_rad: angles.filter(|a| !a.is_empty()).map(|angles| Sizes::of(angles.into_iter())),
+            position_m: Sizes::from_values(errors.iter().map(|error| error.position_m)),
+            rotation_rad: angles
+                .filter(|a| !a.is_empty())
+                .map(|angles| Sizes::from_values(angles.into_iter())),
         }
     }
 

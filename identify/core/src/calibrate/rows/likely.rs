@@ -53,7 +53,7 @@ pub(super) fn placed(instrument: Instrument, model: Model) -> Result<Option<Mode
 pub fn misfit(instrument: &Instrument, robot: &Chain) -> Option<PoseError> {
     instrument.contradicting(robot).ok().filter(|_| instrument.samples() >= instrument.samples_min())?;
     let model = placed(instrument.clone(), Model::alone(robot)).ok()??;
-    Some(PoseFigures::of(instrument.errors(&model.geometry(&[]))).rms())
+    Some(PoseFigures::from_errors(instrument.errors(&model.geometry(&[]))).rms())
 }
 
 /// Thins the samples evenly. Few samples are sufficient to compare robots and mistakes,

@@ -329,8 +329,9 @@ impl RowSet {
 
     /// Statistics of the errors of the chosen rows after each stage.
     fn figures(&self, chosen: &[usize]) -> Stages {
-        let of =
-            |errors: &[PoseError]| PoseFigures::of(chosen.iter().filter_map(|&row| errors.get(row).copied()));
+        let of = |errors: &[PoseError]| {
+            PoseFigures::from_errors(chosen.iter().filter_map(|&row| errors.get(row).copied()))
+        };
         let Stages { nominal, offsets, links, joints } = &self.errors;
         Stages { nominal: of(nominal), offsets: of(offsets), links: of(links), joints: of(joints) }
     }

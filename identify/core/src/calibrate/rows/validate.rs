@@ -45,7 +45,7 @@ pub fn validate(
     let errors = [predicted(&instrument, &Model::alone(&nominal))?, predicted(&instrument, &robot_only)?];
     let is_gross = gross_rows(&errors[0], &errors[1], &instrument.relative_noise());
     let (gross, kept): (Vec<usize>, Vec<usize>) = (0..is_gross.len()).partition(|row| is_gross[*row]);
-    let figures = errors.map(|errors| PoseFigures::of(kept.iter().map(|row| errors[*row])));
+    let figures = errors.map(|errors| PoseFigures::from_errors(kept.iter().map(|row| errors[*row])));
     Ok(Validated { figures, gross })
 }
 

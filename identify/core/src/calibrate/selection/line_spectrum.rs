@@ -435,7 +435,7 @@ fn joints_only(model: &Model) -> Option<Model> {
 
 /// Sine and cosine of each order at a drive's angle, from the lowest order.
 fn sin_cos_of_orders(angle_rad: f64) -> impl Iterator<Item = [f64; 2]> {
-    let step = Turn::of(angle_rad);
+    let step = Turn::from_angle(angle_rad);
     let turns = std::iter::successors(Some(step.times(ORDER_MIN)), move |turn| Some(turn.and(step)));
     turns.map(|Turn { sin, cos }| [sin, cos])
 }

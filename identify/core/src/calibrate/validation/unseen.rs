@@ -75,7 +75,7 @@ pub fn unseen_parts(calibration: &Calibration) -> Vec<UnseenPart> {
         without_part.adopt(&columns.values(part.data_set, &x?));
         let figures = |model: &Model| {
             let errors = instrument.errors(&model.geometry(&[]));
-            PoseFigures::of(part.rows.iter().filter_map(|row| errors.get(*row).copied()))
+            PoseFigures::from_errors(part.rows.iter().filter_map(|row| errors.get(*row).copied()))
         };
         Some(UnseenPart {
             data_set: part.data_set + 1,

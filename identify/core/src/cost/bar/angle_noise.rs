@@ -6,7 +6,7 @@
 //! that for robot joints of unit variance, and `K` the known covariance from other sources. The variances `s_e^2` and
 //! `s_r^2` are maximum likelihood estimates, by Fisher scoring.
 //!
-//! Stages: `FoundNoise::of` repeats `scoring_step` until both variances converge, and then computes the
+//! Stages: `FoundNoise::estimate` repeats `scoring_step` until both variances converge, and then computes the
 //! correlation of successive residuals.
 //!
 //! A scoring step computes the weights `W = V^-1` from the variances of the previous step. With `V_1 = E` and `V_2 = Q`, the
@@ -86,7 +86,7 @@ const FALSE_REJECTION: f64 = 1e-3;
 impl FoundNoise {
     /// Estimates the noise from samples in order of time, after a fit of `columns` parameters. A sample without a value is
     /// `None`. The iteration begins at `start`. Returns `None` if there are too few samples.
-    pub(in crate::cost) fn of(
+    pub(in crate::cost) fn estimate(
         samples: &[Option<NoisySample>],
         columns: usize,
         start: AngleNoise,
@@ -251,7 +251,7 @@ mod tests {
         for (encoder, robot) in [(5.0, 15.0), (200.0, 1.5), (200.0, 50.0), (0.5, 200.0), (2.0, 3.0)] {
             let truth = AngleNoise { encoder_rad: encoder * 1e-6, robot_rad: robot * 1e-6 };
             for outliers in [false, true] {
-                let found = FoundNoise::of(&samples(truth, outliers), 0, start);
+                let found = FoundNoise::estimate(&samples(truth, outliers), 0, start);
                 let FoundNoise { noise, autocorrelation, autocorrelation_sigma } =
                     found.unwrap_or_else(|| panic!("nothing"));
                 // The smaller of two very different variances is poorly determined.

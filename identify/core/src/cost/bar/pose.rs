@@ -70,7 +70,7 @@ impl<const ENCODER_3: bool> PoseByNoise<ENCODER_3> {
         start: AngleNoise,
     ) -> Option<FoundNoise> {
         let samples: Vec<_> = Self::noisy_samples(geometry, motion, observations).collect();
-        FoundNoise::of(&samples, columns, start)
+        FoundNoise::estimate(&samples, columns, start)
     }
 
     /// The residual of each observation, with its covariances. `None` if the robot's log does not cover the observation.

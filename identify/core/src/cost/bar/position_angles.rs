@@ -46,7 +46,8 @@ impl Residual for PositionAngles {
     fn local(&self, scene: &Scene<'_>) -> Option<ComparedAngles> {
         let (chain, tracer) = (scene.bar_chain, scene.bar_tracer);
         let implied = ImpliedBar::new(chain, tracer, scene.robot.end(), &measured(scene.observation)).ok()?;
-        let differences = COMPARED.map(|joint| Turn::of(implied.joints_rad[joint] - scene.bar_rad[joint]));
+        let differences =
+            COMPARED.map(|joint| Turn::from_angle(implied.joints_rad[joint] - scene.bar_rad[joint]));
         Some(ComparedAngles { implied, differences })
     }
 

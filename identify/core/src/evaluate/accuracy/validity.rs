@@ -24,7 +24,7 @@ pub struct Validity {
 
 impl Validity {
     /// Computes the intervals from the measured poses. Without poses there are no intervals.
-    pub fn of(poses: impl Iterator<Item = Joints>, robot: &Chain) -> Self {
+    pub fn from_poses(poses: impl Iterator<Item = Joints>, robot: &Chain) -> Self {
         let is_prismatic = |joint: &usize| robot.links[*joint].joint == JointKind::Prismatic;
         let poses: Vec<Joints> = poses.collect();
         let axes = poses.first().map_or(0, |q| q.len());
@@ -88,7 +88,7 @@ mod tests {
         let kinds = [JointKind::Revolute, JointKind::Prismatic];
         let links = kinds.map(|joint| DhLink { joint, ..DhLink::default() }).to_vec();
         let arm = Chain::new(Pose::identity(), links);
-        let validity = Validity::of((0..20).map(pose), &arm);
+        let validity = Validity::from_poses((0..20).map(pose), &arm);
         assert_eq!(validity.to_string(), "joint 1 0..109, joint 2 0 mm and 1000 mm");
         assert_eq!(validity.joints, [vec![[0.0, 0.1 * 19.0]], vec![[0.0, 0.0], [1.0, 1.0]]]);
         let outside =

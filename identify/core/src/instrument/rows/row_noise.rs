@@ -63,13 +63,13 @@ impl RowNoise {
     }
 
     /// Standard deviation of a row with this stated uncertainty.
-    pub(in crate::instrument) fn of(&self, stated: Option<f64>) -> f64 {
+    pub(in crate::instrument) fn sigma(&self, stated: Option<f64>) -> f64 {
         self.factor * stated.unwrap_or(0.0).hypot(self.added)
     }
 
     /// Standard deviation of each row, divided by that of the median row.
     pub(in crate::instrument) fn relative(&self, stated: impl Iterator<Item = Option<f64>>) -> Vec<f64> {
-        let sigmas: Vec<f64> = stated.map(|stated| self.of(stated)).collect();
+        let sigmas: Vec<f64> = stated.map(|stated| self.sigma(stated)).collect();
         let median = median_size(sigmas.iter().copied());
         sigmas.into_iter().map(|sigma| sigma / median).collect()
     }

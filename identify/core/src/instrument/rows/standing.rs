@@ -184,7 +184,7 @@ mod tests {
     /// The first axis is prismatic, so its values are in metres instead of radians.
     #[test]
     fn a_pose_ends_where_a_joint_moves_by_more_than_a_millimetre_or_a_milliradian() {
-        let rows = [[0.5, 1.0], [0.5008, 1.0], [0.5012, 1.0], [0.5012, 1.0012]].map(Joints::of);
+        let rows = [[0.5, 1.0], [0.5008, 1.0], [0.5012, 1.0], [0.5012, 1.0012]].map(Joints::from_array);
         assert_eq!(poses(&rows), [0, 0, 1, 2]);
     }
 }

@@ -27,7 +27,7 @@ use super::{
 use crate::cost::{CostError, DataSet, LoopProblem, Residual};
 use crate::kinematics::{Chain, Pose};
 use crate::logs::TipRow;
-use crate::model::{Clock, Geometry, JointState, Model, ModelError, Owner, ParameterId, Role, SetUp};
+use crate::model::{ClockRelation, Geometry, JointState, Model, ModelError, Owner, ParameterId, Role, SetUp};
 
 /// Standard deviation of the prior of the tip's position on the flange \[m\]. The prior is weak: it has an effect only if
 /// the poses do not determine the tip.
@@ -204,7 +204,7 @@ impl<A: Artefact> Measures for Tip<A> {
         Ok(Box::new(problem.with_knowns(artefact)))
     }
 
-    fn reported(&self, sample: usize, _: &Clock) -> Option<JointState> {
+    fn reported(&self, sample: usize, _: &ClockRelation) -> Option<JointState> {
         self.rows.at.states.get(sample).copied()
     }
 

@@ -98,7 +98,7 @@ impl ForceLog {
     /// Converts torques on the axes of the robot's log to those of the model's joints.
     fn on_joints(mut self, robot: &RobotConfig) -> Result<Self, LogError> {
         if self.kind == ForceKind::JointTorques {
-            let conversion = JointConversion::of(robot)?;
+            let conversion = JointConversion::from_robot(robot)?;
             self.values.iter_mut().for_each(|row| *row = conversion.to_joint_torque(row));
         }
         Ok(self)

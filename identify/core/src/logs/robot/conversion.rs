@@ -59,7 +59,7 @@ impl JointConversion {
     ///
     /// # Errors
     /// As [`Self::new`].
-    pub fn of(robot: &RobotConfig) -> Result<Self, LogError> {
+    pub fn from_robot(robot: &RobotConfig) -> Result<Self, LogError> {
         Ok(Self::new(&robot.log)?.with_prismatic(robot))
     }
 

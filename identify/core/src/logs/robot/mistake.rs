@@ -64,7 +64,8 @@ mod tests {
     #[test]
     fn another_unit_of_angles_leaves_prismatic_axes_as_they_are() {
         let kinds = [JointKind::Prismatic, JointKind::Revolute];
-        let undone = |mistake: JointMistake| mistake.undone(&Joints::of([1.5, 1.0]), kinds.iter().copied());
+        let undone =
+            |mistake: JointMistake| mistake.undone(&Joints::from_array([1.5, 1.0]), kinds.iter().copied());
         assert_eq!(undone(JointMistake::InRadians), [1.5, 1f64.to_degrees()]);
         assert_eq!(undone(JointMistake::InDegrees), [1.5, 1f64.to_radians()]);
     }

@@ -14,7 +14,7 @@ use crate::logs::{ForceKind, JointConversion, RobotLog};
 /// # Errors
 /// Errors of the sink, and an error of kind `Other` if the robot's conversion cannot be inverted.
 pub fn write(log: &RobotLog, robot: &RobotConfig, sink: impl Write) -> std::io::Result<()> {
-    let conversion = JointConversion::of(robot).map_err(std::io::Error::other)?;
+    let conversion = JointConversion::from_robot(robot).map_err(std::io::Error::other)?;
     let mut sink = std::io::BufWriter::new(sink);
     for (key, value) in [
         ("robot", log.robot.as_deref().unwrap_or(&robot.name)),

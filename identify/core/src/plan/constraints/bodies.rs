@@ -47,7 +47,7 @@ pub struct Skeleton {
 
 impl Skeleton {
     /// Computes the centre lines for a posture of the robot.
-    pub fn of(robot: &Chain, robot_rad: &[f64]) -> Self {
+    pub fn at_posture(robot: &Chain, robot_rad: &[f64]) -> Self {
         let mut frame = robot.root_from_base;
         let mut links = Vec::with_capacity(robot.links.len());
         for (link, joint) in robot.links.iter().zip(robot_rad) {
@@ -84,7 +84,7 @@ impl Bodies {
     /// - boxes with the rod, the plate and all links except the first,
     /// - the floor with the plate and all links except the first.
     pub fn clearance_m(&self, robot: &Chain, bar: &Chain, robot_rad: &[f64]) -> f64 {
-        let Skeleton { links, end } = Skeleton::of(robot, robot_rad);
+        let Skeleton { links, end } = Skeleton::at_posture(robot, robot_rad);
         let gimbal = bar.root_from_base.translation.vector;
         let plate = self.rod([links.last().map_or(end, |[_, corner, _]| *corner), end]);
         let rod = self.rod([gimbal, end]);
@@ -119,7 +119,7 @@ impl Bodies {
     }
 
     fn arm_clearance_m(&self, arm: &Chain, robot_rad: &[f64]) -> f64 {
-        let Skeleton { links, .. } = Skeleton::of(arm, robot_rad);
+        let Skeleton { links, .. } = Skeleton::at_posture(arm, robot_rad);
         self.cell_clearance_m(&links, &[], None).min(self.own_clearance_m(&links))
     }
 

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use crate::kinematics::Joints;
 use crate::logs::CubicSpline;
-use crate::model::{Clock, JointState, RobotMotion};
+use crate::model::{ClockRelation, JointState, RobotMotion};
 
 /// An interpolated robot log. Its time counts from the reference time instead of from the log's first stamp.
 #[derive(Debug, Clone, PartialEq)]
@@ -26,8 +26,8 @@ impl AlignedLog {
 
     /// Converts a clock that a solve has estimated with this motion. The robot times of this clock count from the zero of
     /// the motion. The robot times of the returned clock count from the log's first stamp.
-    pub(in crate::prepare) fn solved(&self, clock: Clock) -> Clock {
-        Clock { shift_s: self.origin_s + clock.shift_s, skew: clock.skew }
+    pub(in crate::prepare) fn solved(&self, clock: ClockRelation) -> ClockRelation {
+        ClockRelation { shift_s: self.origin_s + clock.shift_s, skew: clock.skew }
     }
 
     /// Whether the log has values at `tau_s`, at `tau_s - edge_s` and at `tau_s + edge_s` \[s\].

@@ -1,7 +1,7 @@
 //! Prior knowledge about the clock `tau = t + shift + skew t`. The clock converts bar time `t` to robot time `tau`. Each of
 //! the two times counts from its own zero.
 
-use crate::model::Clock;
+use crate::model::ClockRelation;
 
 /// Standard deviation of the shift that the correlation of speeds finds \[s\].
 pub(in crate::prepare) const SHIFT_SIGMA_S: f64 = 0.05;
@@ -12,7 +12,7 @@ pub(in crate::prepare) const SKEW_SIGMA: f64 = 100e-6;
 /// one sample reaches the end of the log.
 pub(in crate::prepare) const EDGE_S: f64 = 2.0 * SHIFT_SIGMA_S;
 
-impl Clock {
+impl ClockRelation {
     /// Returns the same clock for bar times whose zero is `by_s` later. The zero of robot times does not change.
     pub(in crate::prepare) fn counted_from(&self, by_s: f64) -> Self {
         Self { shift_s: self.robot_time_s(by_s), skew: self.skew }

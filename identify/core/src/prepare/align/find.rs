@@ -19,7 +19,7 @@ use super::speeds::{grid_step_s, measured_speeds, predicted_speeds, without_orde
 use super::window::{Best, CANDIDATES, WINDOW_S, best, extended, liveliest, no_match, overlap_min_s};
 use crate::kinematics::{BAR_JOINTS, Chain, Joints, mirroring_joints};
 use crate::logs::{CubicSpline, Stream};
-use crate::model::{Clock, Observation};
+use crate::model::{ClockRelation, Observation};
 use crate::prepare::encoders::encoder_map::{AnglePair, EncoderMap, EncoderMapReport, find_encoder_map};
 use crate::prepare::encoders::segments::{OffsetFit, fit_offsets};
 use crate::prepare::encoders::slip::large_slip;
@@ -78,7 +78,7 @@ const SAME_STEPS: f64 = 5.0;
 /// A clock with the encoder map and the offsets that were found from the angles at this clock, before refinement.
 pub(in crate::prepare) struct Hypothesis {
     matched: Match,
-    clock: Clock,
+    clock: ClockRelation,
     encoder_map: EncoderMapReport,
     offset_fit: OffsetFit,
 }
@@ -229,7 +229,7 @@ impl AlignmentSearch<'_> {
 
     /// Whether the difference between two clocks is less than the accuracy of the correlation of speeds
     /// ([`SHIFT_SIGMA_S`]) in the whole window.
-    fn is_same(&self, window: &Range<usize>, clock: Clock, other: Clock) -> bool {
+    fn is_same(&self, window: &Range<usize>, clock: ClockRelation, other: ClockRelation) -> bool {
         let ends_s = [window.start, window.end.saturating_sub(1)].map(|sample| self.time_s(sample));
         ends_s
             .into_iter()
@@ -317,7 +317,7 @@ impl AlignmentSearch<'_> {
         (skew, matched): (f64, Match),
         step_s: f64,
     ) -> Result<Hypothesis, PrepareError> {
-        let since_window = Clock { shift_s: matched.shift * step_s, skew };
+        let since_window = ClockRelation { shift_s: matched.shift * step_s, skew };
         let clock = since_window.counted_from(-self.time_s(window.start));
         let pairs = self.pairs(window, clock);
         let slip = large_slip(&pairs, &self.readings.t_s, self.recorded_joints, self.options);
@@ -336,7 +336,7 @@ impl AlignmentSearch<'_> {
 
     /// Pairs of measured and predicted angles at samples of the window, spread over the motion. A segment ends at singular
     /// poses of the bar, at changes of the counters' origin and at gaps.
-    fn pairs(&self, window: &Range<usize>, clock: Clock) -> Vec<AnglePair> {
+    fn pairs(&self, window: &Range<usize>, clock: ClockRelation) -> Vec<AnglePair> {
         let window_s = self.time_s(window.end.saturating_sub(1)) - self.time_s(window.start);
         let stride = if window_s > 1.1 * WINDOW_S { LONG_STRIDE } else { 1 };
         let mut pairs: Vec<AnglePair> = Vec::new();
@@ -381,7 +381,7 @@ impl AlignmentSearch<'_> {
         &self,
         offset_fit: &OffsetFit,
         measured: &[bool; BAR_JOINTS],
-        clock: Clock,
+        clock: ClockRelation,
         start: Option<&AlignmentFit>,
     ) -> Option<AlignmentFit> {
         let angles: Vec<[f64; BAR_JOINTS]> = offset_fit.fitting.iter().map(|(_, angles)| *angles).collect();

@@ -1,7 +1,7 @@
 //! Aligns the clock of the robot's log with the clock of a recording of the bar (`find`) or of a tracker's log (`tracker`).
 //!
 //! A first alignment compares speeds, which do not depend on offsets (`speeds`, `rate`, `correlate`). A fit of
-//! angles (`refine`) or positions (`tracker`) then improves it. The result is a [`Clock`](crate::model::Clock) and
+//! angles (`refine`) or positions (`tracker`) then improves it. The result is a [`ClockRelation`](crate::model::Clock) and
 //! a reference time (`reference`).
 
 pub(super) mod aligned;

@@ -49,7 +49,7 @@ pub fn placements(
     }
     let turns = turns.zip(flanges).filter_map(|(turn, flange)| Some((flange, &tracker, turn?)));
     let probe = Pose::from_parts(probe_m.into(), mean_turn(turns));
-    Some([Placement::of(&tracker), Placement::of(&probe)])
+    Some([Placement::from_pose(&tracker), Placement::from_pose(&probe)])
 }
 
 /// Rotation of the probe on the flange: the mean over all rows. A row is the pose of the flange, the pose of the tracker,
@@ -122,7 +122,7 @@ pub fn all_placements(rows: &[Sighted]) -> Option<Placements> {
         probes.insert(largest[0].seen.set_up.target, probe.pose());
     }
     let as_placements = |poses: BTreeMap<usize, Pose>| {
-        poses.iter().map(|(number, pose)| (*number, Placement::of(pose))).collect()
+        poses.iter().map(|(number, pose)| (*number, Placement::from_pose(pose))).collect()
     };
     Some(Placements { places: as_placements(places), probes: as_placements(probes) })
 }

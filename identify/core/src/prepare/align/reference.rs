@@ -4,7 +4,7 @@ use shared::time::UtcNs;
 
 use super::correlate::Match;
 use crate::logs::RobotLog;
-use crate::model::Clock;
+use crate::model::ClockRelation;
 use crate::prepare::Alignment;
 
 /// The reference time, to which all times of the result refer: the middle of the overlap of both logs. The *other log* is
@@ -17,13 +17,13 @@ pub(in crate::prepare) struct ReferenceTime {
     /// Reference time on the other log's clock.
     pub t_ref: UtcNs,
     /// Converts times of the other log since the reference time to times since the first stamp of the robot's log.
-    pub clock: Clock,
+    pub clock: ClockRelation,
 }
 
 impl ReferenceTime {
     /// Finds the reference time. The samples of the other log begin at `first` and end `end_s` later \[s\]. The times of the
     /// other log in `clock` count from `first`.
-    pub fn new(first: UtcNs, end_s: f64, clock: Clock, log_duration_s: f64) -> Self {
+    pub fn new(first: UtcNs, end_s: f64, clock: ClockRelation, log_duration_s: f64) -> Self {
         let other_time_s = |tau_s: f64| (tau_s - clock.shift_s) / (1.0 + clock.skew);
         let from_s = other_time_s(0.0).clamp(0.0, end_s);
         let overlap_s = [from_s, other_time_s(log_duration_s).clamp(from_s, end_s)];

@@ -19,7 +19,9 @@ use crate::kinematics::{
     singularity_margin_rad, wrapped,
 };
 use crate::logs::CubicSpline;
-use crate::model::{Clock, Geometry, Group, Model, ModelError, Observation, ParameterId, RobotMotion, Role};
+use crate::model::{
+    ClockRelation, Geometry, Group, Model, ModelError, Observation, ParameterId, RobotMotion, Role,
+};
 use crate::prepare::AlignedLog;
 use crate::prepare::samples::angle_errors::AngleErrors;
 use crate::solver::{
@@ -60,7 +62,7 @@ const SIGMA_MIN_RAD: f64 = 1e-7;
 #[derive(Debug, Clone, PartialEq)]
 pub(in crate::prepare) struct AlignmentFit {
     /// Converts bar times, counted as in the samples of the fit, to times since the first stamp of the robot's log.
-    pub clock: Clock,
+    pub clock: ClockRelation,
     /// Fitted chains and base.
     pub geometry: Geometry,
     /// Corrections to be added to the offsets, by origin \[rad\].
@@ -231,7 +233,7 @@ pub(in crate::prepare) fn refine(
     base_m: Vector3<f64>,
     measured: &[bool; BAR_JOINTS],
     samples: &[Observation],
-    coarse: Clock,
+    coarse: ClockRelation,
     start: Option<&AlignmentFit>,
 ) -> Option<AlignmentFit> {
     // Times are counted from the mean of the samples' times, because shift and skew are then nearly independent.
@@ -403,7 +405,7 @@ impl<'a> Residuals<'a> {
         self.robot_tracer.trace(&self.geometry.corrected(&state).q, &mut robot);
         let encoders_rad = std::array::from_fn(|joint| self.measured[joint].then_some(bar_rad[joint]));
         let implied = ImpliedBar::new(&self.bar, &self.bar_tracer, robot.end(), &encoders_rad).ok()?;
-        let encoder_error_rad = self.geometry.encoder_errors_rad(&bar_rad.map(Turn::of));
+        let encoder_error_rad = self.geometry.encoder_errors_rad(&bar_rad.map(Turn::from_angle));
         let error_rad = std::array::from_fn(|joint| {
             if self.measured[joint] {
                 wrapped(bar_rad[joint] - encoder_error_rad[joint] - implied.joints_rad[joint])

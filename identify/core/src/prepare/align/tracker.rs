@@ -31,8 +31,8 @@ use crate::cost::{LoopProblem, MeasuredPosition, PoseNoise};
 use crate::kinematics::{Chain, Joints, Pose};
 use crate::logs::{CubicSpline, PoseRow, RobotLog, SPEED_M_S_MAX, Stream, TimedPoses, travel};
 use crate::model::{
-    Axis, Clock, Coordinate, JointState, Model, ModelError, Observation, Owner, ParameterId, Placement,
-    RobotMotion, Role, SetUp,
+    Axis, ClockRelation, Coordinate, JointState, Model, ModelError, Observation, Owner, ParameterId,
+    Placement, RobotMotion, Role, SetUp,
 };
 use crate::prepare::samples::select::select;
 use crate::prepare::steps::{check_length, require_motion};
@@ -199,7 +199,7 @@ struct TrackerSearch<'a> {
 
 /// Clock and position of the target at which the rows fit the nominal robot.
 struct TrackerFit {
-    clock: Clock,
+    clock: ClockRelation,
     /// Position of the target in the flange frame \[m\].
     probe_m: Vector3<f64>,
     /// Robust standard deviation of a coordinate, estimated from the 90 % quantile of the rows \[m\].
@@ -249,7 +249,7 @@ impl TrackerSearch<'_> {
         let shifts = candidates(&of_flange, &observed, overlap_min, CANDIDATES);
         let first_s = self.observed_m.t_s.get(window.start).copied().unwrap_or_default();
         // The clock for a shift between the first row of the window and the first stamp of the robot's log.
-        let clock = |shift: f64| Clock { shift_s: shift * self.step_s - first_s, skew: 0.0 };
+        let clock = |shift: f64| ClockRelation { shift_s: shift * self.step_s - first_s, skew: 0.0 };
         let fits: Vec<TrackerFit> = if self.stop_and_go() {
             let clocks = shifts.iter().flat_map(|near| self.clocks_at_standstills(window, clock(near.shift)));
             clocks.filter_map(|clock| self.fit_at_standstills(window, clock)).collect()
@@ -356,7 +356,7 @@ impl TrackerSearch<'_> {
     }
 
     /// Rows of a window that are within the robot's log, with a margin, selected so that they are spread over the motion.
-    fn rows_to_fit(&self, window: &Range<usize>, clock: Clock) -> Vec<usize> {
+    fn rows_to_fit(&self, window: &Range<usize>, clock: ClockRelation) -> Vec<usize> {
         let log = AlignedLog::new(self.log.clone(), 0.0);
         let stays = |row: &usize| log.covers(clock.robot_time_s(self.observed_m.t_s[*row]), EDGE_S);
         let stride = window.len().div_ceil(20 * FIT_MAX).max(1);
@@ -367,7 +367,7 @@ impl TrackerSearch<'_> {
 
     /// Fits the clock, the pose of the tracker and the position of the target, starting from the clock `coarse`. `None` if
     /// the rows do not determine them.
-    fn fit(&self, window: &Range<usize>, coarse: Clock) -> Option<TrackerFit> {
+    fn fit(&self, window: &Range<usize>, coarse: ClockRelation) -> Option<TrackerFit> {
         let rows = self.rows_to_fit(window, coarse);
         // Times are counted from the mean of the rows' times, because shift and skew are then nearly independent.
         let middle_s = mean(rows.iter().map(|row| self.observed_m.t_s[*row]));

@@ -11,7 +11,7 @@ use super::bar_angles::{BarAngles, bar_angles};
 use super::standstill::Standstill;
 use super::unwrap::{unwrapped_counters, unwrapped_log};
 use crate::logs::{RobotLog, Unwrapped};
-use crate::model::Clock;
+use crate::model::ClockRelation;
 use crate::prepare::{EncoderMap, PrepareError, PrepareOptions};
 use crate::threads::both;
 
@@ -58,7 +58,7 @@ impl<'a> BothLogs<'a> {
     pub fn averaged(
         &self,
         t_ref: UtcNs,
-        clock: Clock,
+        clock: ClockRelation,
         encoder_map: &EncoderMap,
         standstills: &[Standstill],
     ) -> Option<Averaged> {

@@ -175,7 +175,7 @@ impl Spread {
     /// Selects rows: first the rows `places`, then the rows `left_out` of terms that were left out of the solution. A prior
     /// of a column that is not among `places` becomes [`UncertaintySource::LeftOut`].
     #[must_use]
-    pub fn of(&self, places: &[usize], left_out: &[usize]) -> Self {
+    pub fn select(&self, places: &[usize], left_out: &[usize]) -> Self {
         let source = |source: &UncertaintySource| match *source {
             UncertaintySource::Prior { column } => match places.iter().position(|place| *place == column) {
                 Some(column) => UncertaintySource::Prior { column },
@@ -428,8 +428,8 @@ mod tests {
             UncertaintySource::Prior { column: 0 },
             UncertaintySource::LeftOut,
         ];
-        assert_eq!(spread.of(&[2, 0], &[1]).sources, expected);
-        let of = spread.of(&[2, 0], &[]);
+        assert_eq!(spread.select(&[2, 0], &[1]).sources, expected);
+        let of = spread.select(&[2, 0], &[]);
         assert_eq!(of.sources, expected);
         assert_eq!(of.covariance(), DMatrix::from_row_slice(2, 2, &[63.0, 33.0, 33.0, 19.0]));
     }

@@ -74,7 +74,7 @@ pub(super) fn calibrate(
     // Collect the content of calibration.toml.
     let mut file = calibration_file(inputs, robot, &bars, &beside, &calibration, &evidence);
     file.noise = NoiseEntry::all(&calibration.runs, experiment.identify.noise);
-    let validity = Validity::of(calibration.poses(), &flange_chain(robot));
+    let validity = Validity::from_poses(calibration.poses(), &flange_chain(robot));
     let tables = Tables::of_rows(&calibration, &evidence.unseen, &rows, &beside, &others, robot, &validity)?;
     file.rows = tables.entries;
     file.validations = tables.validations;
@@ -188,7 +188,7 @@ fn calibration_file(
     .with_separation(calibration.model(), solution)
     .with_validation(evidence);
     file.clocks = bar_clocks.chain(tracker_clocks).collect();
-    file.forces = evidence.spheres.iter().filter_map(ForceEntry::of).collect();
+    file.forces = evidence.spheres.iter().filter_map(ForceEntry::from_deviation).collect();
     let tables = beside.iter().filter_map(|beside| MeasurementEntry::of_table(beside.simulated));
     file.measured = bars.iter().filter_map(RunFiles::measured).chain(tables).collect();
     file.candidates.clone_from(&calibration.solved.candidates);

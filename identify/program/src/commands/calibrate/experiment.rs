@@ -180,7 +180,7 @@ impl ExperimentFile {
     /// Every file of the calibration with its checksum. Files of rows come first.
     pub(super) fn inputs(&self) -> anyhow::Result<Vec<InputFile>> {
         let input = |(role, path): (&str, &mut PathBuf)| {
-            InputFile::of(role, path).with_context(|| format!("cannot read {}", path.display()))
+            InputFile::read(role, path).with_context(|| format!("cannot read {}", path.display()))
         };
         self.clone().files_mut().into_iter().map(input).collect()
     }

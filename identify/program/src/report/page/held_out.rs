@@ -84,7 +84,7 @@ fn panels(held_out: &HeldOut, run: usize) -> Markup {
 /// Draws one figure of errors over time: of the prediction by the calibrated robot if `calibrated` is true, otherwise
 /// of the nominal robot.
 fn panel(title: &str, y: &str, segments: &[&HeldOutSegment], calibrated: bool, value: Value) -> Markup {
-    let time = TimeAxis::of(segments.iter().flat_map(|segment| segment.span_s()));
+    let time = TimeAxis::spanning(segments.iter().flat_map(|segment| segment.span_s()));
     // Indices of the stages of a segment: 0 nominal, 1 predicted without the segment, 2 fitted with the segment.
     // Neighbouring segments have different colours.
     let (stage, colours) = if calibrated { (1, [BLUE, GREEN]) } else { (0, [GREY, LIGHT_GREY]) };
@@ -108,7 +108,7 @@ fn panel(title: &str, y: &str, segments: &[&HeldOutSegment], calibrated: bool, v
 fn table(page: &Page<'_>, held_out: &HeldOut) -> Markup {
     let several = page.evidence.runs.len() > 1;
     let spans = held_out.segments.iter().flat_map(|segment| segment.span_s());
-    let time = TimeAxis::of(spans);
+    let time = TimeAxis::spanning(spans);
     html! {
         table {
             caption { "RMS on each segment: nominal, calibrated without it, fitted with it" }

@@ -128,7 +128,7 @@ pub fn log_corrections(
     let (conversion, columns): (_, Vec<(String, &str, f64)>) =
         match mapping.and_then(RobotLogMapping::with_joints) {
             None => (
-                JointConversion::of(robot)?,
+                JointConversion::from_robot(robot)?,
                 own_columns(robot).into_iter().zip(robot.joint_kinds()).map(column_of_robot).collect(),
             ),
             Some(mapping) => {

@@ -71,7 +71,7 @@ pub struct InputFile {
 
 impl InputFile {
     /// Computes the checksum of a file, or of a built-in configuration that was selected by its name.
-    pub fn of(role: &str, path: &Path) -> io::Result<Self> {
+    pub fn read(role: &str, path: &Path) -> io::Result<Self> {
         let mut hash = Sha256::new();
         match Source::find(path) {
             Source::File(file) => drop(io::copy(&mut File::open(file)?, &mut hash)?),

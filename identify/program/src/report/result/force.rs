@@ -39,7 +39,7 @@ pub struct ForceEntry {
 
 impl ForceEntry {
     /// Entry of a run; `None` if the run has no force.
-    pub fn of(sphere: &SphereDeviation) -> Option<Self> {
+    pub fn from_deviation(sphere: &SphereDeviation) -> Option<Self> {
         let elongation = sphere.elongation?;
         let positive = match elongation.positive {
             PositiveForce::Tension => "tension",

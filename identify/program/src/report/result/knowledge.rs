@@ -221,7 +221,7 @@ pub struct ExpectedEntry {
 
 impl ExpectedEntry {
     /// Entry with the expected errors over the workspace.
-    pub fn of(workspace: &WorkspaceError) -> Self {
+    pub fn from_workspace(workspace: &WorkspaceError) -> Self {
         let WorkspaceError { before, after, cube, .. } = *workspace;
         Self { nominal: before, calibrated: after, deployed: workspace.deployed.clone(), cube }
     }

@@ -10,7 +10,7 @@ use nalgebra::Vector3;
 
 use super::{TrackerFit, TrackerSearch};
 use crate::kinematics::Pose;
-use crate::model::Clock;
+use crate::model::ClockRelation;
 use crate::prepare::align::clock::SKEW_SIGMA;
 use crate::prepare::align::placement::placements;
 use crate::prepare::readings::standstill::MOVING_RAD_S;
@@ -62,19 +62,23 @@ impl TrackerSearch<'_> {
     /// Finds clocks near `coarse` at which the robot is at rest at nearly all rows. Several rates are tried, each with many
     /// shifts. The rate with the largest number of rows at rest, summed over the shifts, is selected. Each range of
     /// consecutive shifts at this rate gives one clock, with the shift in the middle of the range.
-    pub(super) fn clocks_at_standstills(&self, window: &Range<usize>, coarse: Clock) -> Vec<Clock> {
+    pub(super) fn clocks_at_standstills(
+        &self,
+        window: &Range<usize>,
+        coarse: ClockRelation,
+    ) -> Vec<ClockRelation> {
         let resting = self.resting();
         let times_s = self.observed_m.t_s.get(window.clone()).unwrap_or_default();
         let middle_s = 0.5 * (times_s.first().unwrap_or(&0.0) + times_s.last().unwrap_or(&0.0));
         let reach = (0.5 * self.period_s / self.step_s) as i64;
         // The shift is defined at the middle of the window, so that a change of the rate does not change the robot times there.
-        let clock = |steps: i64, skew: f64| Clock {
+        let clock = |steps: i64, skew: f64| ClockRelation {
             shift_s: coarse.shift_s + steps as f64 * self.step_s - skew * middle_s,
             skew,
         };
         // Number of rows at which the robot is at rest. `None` if they are less than [`AT_REST_MIN`] of the rows
         // within the robot's log.
-        let rows_at_rest = |clock: &Clock| {
+        let rows_at_rest = |clock: &ClockRelation| {
             let (mut covered, mut at_rest) = (0, 0);
             for rests in times_s.iter().filter_map(|t_s| self.rests_at(&resting, clock.robot_time_s(*t_s))) {
                 covered += 1;
@@ -104,7 +108,11 @@ impl TrackerSearch<'_> {
     }
 
     /// Computes the poses of tracker and target from rows at standstills, for a fixed clock.
-    pub(super) fn fit_at_standstills(&self, window: &Range<usize>, clock: Clock) -> Option<TrackerFit> {
+    pub(super) fn fit_at_standstills(
+        &self,
+        window: &Range<usize>,
+        clock: ClockRelation,
+    ) -> Option<TrackerFit> {
         let flange_and_position = |row: usize| {
             let flange = self.flange(clock.robot_time_s(self.observed_m.t_s[row]))?;
             Some((flange, self.observed_m[row]))

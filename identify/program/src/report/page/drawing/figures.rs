@@ -40,7 +40,7 @@ pub(in crate::report::page) struct TimeAxis {
 
 impl TimeAxis {
     /// The axis for all of these times.
-    pub fn of(times_s: impl Iterator<Item = f64>) -> Self {
+    pub fn spanning(times_s: impl Iterator<Item = f64>) -> Self {
         /// Longest range of times that is displayed in seconds, and in minutes \[s\].
         const SECONDS_MAX: f64 = 900.0;
         const MINUTES_MAX: f64 = 3.0 * 3600.0;
@@ -54,7 +54,7 @@ impl TimeAxis {
     }
 
     fn of_run(run: &RunEvidence) -> Self {
-        Self::of(run.after.iter().map(|closure| closure.t_s))
+        Self::spanning(run.after.iter().map(|closure| closure.t_s))
     }
 
     /// Label of the axis for times that count from the middle of the run.
@@ -155,7 +155,7 @@ pub(in crate::report::page) fn shift(title: &str, curve: &ShiftCurve) -> Markup 
 
 /// Figure of the time shift between the logs over time. Each point is the shift in a short part of the run.
 pub(in crate::report::page) fn local_shifts(shifts: &[LocalShift]) -> Markup {
-    let time = TimeAxis::of(shifts.iter().map(|shift| shift.t_s));
+    let time = TimeAxis::spanning(shifts.iter().map(|shift| shift.t_s));
     let points = shifts.iter().map(|shift| (time.at(shift.t_s), shift.shift_s * 1e3));
     let series = vec![dots("", BLUE, points.collect())];
     Panel::new("Along the run", [&time.label(), "shift of 5 s parts [ms]"], THIRD, series).draw()
@@ -180,7 +180,7 @@ pub(in crate::report::page) fn coverage(evidence: &Evidence) -> Markup {
 /// Distance of the bar from singular poses over time.
 pub(in crate::report::page) fn margin(evidence: &Evidence) -> Markup {
     let times = evidence.runs.iter().flat_map(|run| &run.after).map(|closure| closure.t_s);
-    let time = TimeAxis::of(times);
+    let time = TimeAxis::spanning(times);
     let series = by_run(evidence, |one| (time.at(one.t_s), one.margin_rad.to_degrees()));
     let title = "Distance of the bar from a singular pose";
     Panel::new(title, [&time.label(), "[deg]"], ROUND, series).with_zero().draw()

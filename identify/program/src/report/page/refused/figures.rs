@@ -18,7 +18,7 @@ const PARTS_MAX: usize = 200;
 pub(super) fn joints(curves: &[JointTrace], at_s: Option<f64>) -> Vec<Markup> {
     let figure = |curve: &JointTrace| {
         let points = || curve.parts.iter().flatten();
-        let time = TimeAxis::of(points().map(|(t_s, _)| *t_s));
+        let time = TimeAxis::spanning(points().map(|(t_s, _)| *t_s));
         let at = |(t_s, value): &(f64, f64)| (time.at(*t_s), *value);
         let series = if curve.parts.len() > PARTS_MAX {
             vec![dots("", BLUE, points().map(at).collect())]
@@ -36,7 +36,7 @@ pub(super) fn joints(curves: &[JointTrace], at_s: Option<f64>) -> Vec<Markup> {
 /// of one encoder alone is a slip. Steps of several encoders at the same time are a clock step.
 pub(super) fn deviations(deviations: &Deviations, at_s: Option<f64>) -> Vec<Markup> {
     let samples = &deviations.samples;
-    let time = TimeAxis::of(samples.iter().map(|(t_s, _)| *t_s));
+    let time = TimeAxis::spanning(samples.iter().map(|(t_s, _)| *t_s));
     let measured = deviations.measured.iter().enumerate().filter(|(_, measured)| **measured);
     let of_joint = |joint: usize| {
         let points = samples.iter().map(|(t_s, error_rad)| (time.at(*t_s), error_rad[joint] * 1e3));

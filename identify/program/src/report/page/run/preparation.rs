@@ -43,7 +43,7 @@ pub(in crate::report::page) fn section(prepared: &Prepared) -> Markup {
 }
 
 fn time_axis(timeline: &Timeline) -> TimeAxis {
-    TimeAxis::of(timeline.points.iter().map(|point| point.t_s))
+    TimeAxis::spanning(timeline.points.iter().map(|point| point.t_s))
 }
 
 /// Speed of the robot's and of the bar's fastest joint over time.

@@ -48,7 +48,7 @@ fn percent(part: f64) -> String {
 
 /// Two figures of a reading over time: as in the file, and continuous.
 fn pair(reading: &Unwrapped) -> Markup {
-    let time = TimeAxis::of(reading.points.iter().map(|point| point.t_s));
+    let time = TimeAxis::spanning(reading.points.iter().map(|point| point.t_s));
     let panel = |title: &str, unit: &str, scale: f64, colour, angle_rad: fn(&UnwrappedPoint) -> f64| {
         let points = reading.points.iter().map(|point| (time.at(point.t_s), angle_rad(point) * scale));
         let series = vec![Series::new("", colour, Mark::Line, points.collect())];
@@ -99,7 +99,7 @@ pub(in crate::report::page) fn moving_average(averaged: Option<&Averaged>) -> Ma
 /// readings and from averages. The second figure shows the difference between readings and averages.
 fn excerpt(name: &str, joints: &AveragedJoints, colour: plotters::style::RGBColor) -> Markup {
     let points = &joints.fastest;
-    let time = TimeAxis::of(points.iter().map(|point| point.t_s));
+    let time = TimeAxis::spanning(points.iter().map(|point| point.t_s));
     let curve = |value: fn(&AveragedPoint) -> f64| -> Vec<(f64, f64)> {
         points.iter().map(|point| (time.at(point.t_s), value(point))).collect()
     };

@@ -104,7 +104,7 @@ fn force_text(elongation: &Elongation) -> Markup {
 
 /// Deviations of the nominal and the calibrated robot over time.
 fn deviation_over_time(sphere: &SphereDeviation) -> Markup {
-    let time = TimeAxis::of(sphere.after.samples.iter().map(|one| one.t_s));
+    let time = TimeAxis::spanning(sphere.after.samples.iter().map(|one| one.t_s));
     let series = |name: &str, colour, deviation: &ModelDeviation, off_m: fn(&OffSphere) -> f64| {
         let point = |sample: &OffSphere| (time.at(sample.t_s), off_m(sample) * 1e6);
         dots(name, colour, deviation.samples.iter().map(point).collect())
@@ -126,7 +126,7 @@ fn forces(after: &ModelDeviation, elongation: &Elongation) -> Markup {
     let has_only_signs = elongation.parameter == ParameterId::BarPlay;
     let axis = if has_only_signs { "sign of the force" } else { "force along the bar [N]" };
     let samples = &after.samples;
-    let time = TimeAxis::of(samples.iter().map(|one| one.t_s));
+    let time = TimeAxis::spanning(samples.iter().map(|one| one.t_s));
     let [low, high] = if has_only_signs { [-1.0, 1.0] } else { elongation.measured.range };
     let line = [low, high].map(|force| (force, elongation.value * force * 1e6));
     let force = dots("", ORANGE, samples.iter().map(|one| (time.at(one.t_s), one.force)).collect());

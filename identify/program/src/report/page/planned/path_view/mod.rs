@@ -58,10 +58,10 @@ struct PathScene<'a> {
 }
 
 impl<'a> PathScene<'a> {
-    fn of(view: &View<'_>, bodies: &'a Bodies) -> Self {
+    fn from_view(view: &View<'_>, bodies: &'a Bodies) -> Self {
         let arm = view.arm;
         let (times_s, skeletons): (Vec<f64>, Vec<Skeleton>) =
-            view.motion.iter().map(|(t_s, q)| (*t_s, Skeleton::of(arm, q))).unzip();
+            view.motion.iter().map(|(t_s, q)| (*t_s, Skeleton::at_posture(arm, q))).unzip();
         // `points` contains, for each point, its positions in all frames. Each capsule connects a point
         // with the previous point.
         let mut points: Vec<Vec<Vector3<f64>>> = Vec::new();
@@ -128,7 +128,7 @@ fn gimbal_or_target(view: &View<'_>) -> Vec<Vector3<f64>> {
 /// HTML of the animation with its controls.
 pub(super) fn view(view: &View<'_>) -> Markup {
     let default_bodies = Bodies::for_reach(view.arm.reach_m());
-    let scene = PathScene::of(view, view.bodies.unwrap_or(&default_bodies));
+    let scene = PathScene::from_view(view, view.bodies.unwrap_or(&default_bodies));
     let (what, when, as_thick) = match view.carried {
         Carried::Bar(_) => {
             ("The robot and the bar along the path", "Time along the path", "Links, plate and rod")
