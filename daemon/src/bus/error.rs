@@ -94,7 +94,7 @@ mod tests {
         let all = "expected [device0, device1, device2]";
         let gone = text(1);
         assert!(gone.contains("terminal 1 and all behind it do not answer") && gone.contains(all), "{gone}");
-        assert!(gone.contains("found [device0]; check terminal 1 (bus position 1)"), "{gone}");
+        assert!(gone.contains("found [device0]; check the power of terminal 1 (bus position 1)"), "{gone}");
         let more = text(4);
         assert!(more.contains("terminal 3 is not configured") && more.contains(all), "{more}");
         assert!(

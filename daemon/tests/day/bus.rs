@@ -153,7 +153,9 @@ fn a_short_fault_leaves_the_run_as_it_is_and_the_status_says_so() {
         assert_eq!(valid, [true, true, false, false, false]);
         // While the run continues, the reason names the expected and the detected devices.
         let reason = troubled.reason.unwrap();
-        for part in ["joint 3, 4, 5: terminal 3", "found [EK1100", "check terminal 3 (bus position 3)"] {
+        for part in
+            ["joint 3, 4, 5: terminal 3", "found [EK1100", "check the power of terminal 3 (bus position 3)"]
+        {
             assert!(reason.contains(part), "`{part}` is missing in: {reason}");
         }
         let [expected, found] = ["expected [", "found ["]

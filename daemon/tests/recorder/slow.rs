@@ -107,7 +107,7 @@ fn while_a_write_hangs_cycles_and_markers_wait_and_that_is_reported() {
     assert!(recording.cycles.iter().all(|cycle| cycle.is_valid()) && recording.cycles.len() == 500);
     check_marks(&plan, &outcome, &recording);
     // While no data are lost yet, a warning must be reported that contains the true duration.
-    assert!(outcome.was_told("wait to be written, above 60 s cycles are lost"));
+    assert!(outcome.was_told("wait to be written; above 60 s cycles are lost"));
     let backlog_s = outcome.worst(|seen| seen.backlog_s);
     assert!((2.9..3.5 + SLACK_S).contains(&backlog_s), "{backlog_s} s");
     let told = recording.timing.unwrap().disk;

@@ -93,7 +93,7 @@ fn status_and_check_say_what_the_last_attempt_to_bring_the_bus_up_met() {
         status.reason.as_ref().is_some_and(|reason| reason.contains("terminal 4 and all"))
     });
     let reason = status.reason.unwrap();
-    for part in ["expected [EK1100", "found [EK1100", "check terminal 4 (bus position 4)"] {
+    for part in ["expected [EK1100", "found [EK1100", "check the power of terminal 4 (bus position 4)"] {
         assert!(reason.contains(part), "`{part}` is missing in: {reason}");
     }
     let checked = text(&service.command(&["check"]));
