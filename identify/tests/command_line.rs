@@ -737,7 +737,7 @@ fn a_result_of_the_simulated_bus_says_so_first_and_one_of_a_robot_does_not() {
         let text = String::from_utf8_lossy(&output.stdout);
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
         assert_eq!(text.starts_with("SIMULATED: "), simulated, "{text}");
-        // The sheet names the source of the scale, and says what happens if the plate has another length.
+        // The sheet names the source of the scale, and states what happens if the plate has another length.
         let words = text.split_whitespace().collect::<Vec<_>>().join(" ");
         let scale = "scale: the offset plate of 250.000 mm within 0.010 mm (one sigma), as ball_bar.toml states; a plate longer by \
                      0.1 mm would move positions by ";

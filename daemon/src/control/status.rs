@@ -15,7 +15,7 @@ use crate::problem::Problem;
 use crate::record::RunSummary;
 use crate::run::About;
 
-/// State of the service. The figures of a run count only what is safe on disk, unless a field says otherwise.
+/// State of the service. The figures of a run count only what is safe on disk, unless the description of a field states otherwise.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Status {
     /// What the service is doing.

@@ -259,7 +259,7 @@ fn rows_that_jump_out_and_back_are_no_new_origins_but_marked_and_named() {
     assert_follows(&log, 1e-6);
     let message = inspect::bar_log(&log).suspicious.join("\n");
     assert!(message.contains("4 of 200 lines") && message.contains("line 42, 43, 92, 122"), "{message}");
-    // So many faulty rows cannot be faults of single rows.
+    // This number of faulty rows is too large for faults of single rows.
     let many = table(|row, joint| if row % 7 == 3 { "0".into() } else { shown(row, joint) });
     let message = self::message(many.as_bytes(), None);
     assert!(

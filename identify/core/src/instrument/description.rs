@@ -1,5 +1,5 @@
 //! Descriptions of an instrument for reports: the source of its scale, its noise, groups of its samples, and
-//! reasons for doubts about its results.
+//! reasons why its results may be wrong.
 
 use super::Contradiction;
 use crate::cost::AngleNoise;

@@ -19,8 +19,8 @@ use crate::threads::{on_threads, threads_there};
 const PART_SAMPLES_MIN: usize = 128;
 /// Highest number of parts, to bound the memory of partial sums.
 const PARTS_MAX: usize = 64;
-/// A pass uses one more thread for each this many Jacobian entries. So many entries take about a millisecond; starting a
-/// thread takes some 50 us.
+/// A pass uses one more thread for each multiple of this number of Jacobian entries. This number of entries takes about a
+/// millisecond; the start of a thread takes some 50 us.
 const ENTRIES_PER_THREAD: usize = 1 << 17;
 
 /// Residual, loss and weight of one sample in a pass.

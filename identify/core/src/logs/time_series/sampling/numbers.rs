@@ -91,8 +91,8 @@ pub(super) fn number_rows(t_s: &[f64], motion: &[Option<f64>], period_s: f64, ro
         let number = match motion {
             Some(periods) => {
                 let number = before + periods;
-                // So many rows cannot be missing in a motion at constant speed, so the clock was set here. After a smaller
-                // deviation the phase is kept, because the number of periods by the motion may be wrong.
+                // If more rows than `lasting_rows` seem to be missing in a motion at constant speed, the clock was set here.
+                // After a smaller deviation the phase is kept, because the number of periods by the motion may be wrong.
                 if ((t_s[row] - phase_s) / period_s - number).abs() > lasting_rows as f64 {
                     let delay = lasting_delay(number);
                     phase_s += if delay.abs() > lasting_rows as f64 { delay * period_s } else { 0.0 };
