@@ -32,6 +32,19 @@ pub enum TimeUnit {
 }
 
 impl TimeUnit {
+    /// Name of the unit, as in mapping files.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::S => "s",
+            Self::Ms => "ms",
+            Self::Us => "us",
+            Self::Ns => "ns",
+            Self::Cycles => "cycles",
+            Self::Filetime => "filetime",
+            Self::DateTime => "date_time",
+        }
+    }
+
     /// Whether times in this unit have a date. Times without a date count from an unknown zero.
     pub const fn is_dated(self) -> bool {
         matches!(self, Self::DateTime | Self::Filetime)

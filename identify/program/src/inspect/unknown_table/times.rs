@@ -11,13 +11,9 @@ const TIMES: &str = "t time timestamp stamp zeit clock ipoc utc date datetime ti
 /// Units that a header may state, from the largest to the smallest.
 const UNITS: [TimeUnit; 4] = [TimeUnit::S, TimeUnit::Ms, TimeUnit::Us, TimeUnit::Ns];
 
-fn name_of(unit: TimeUnit) -> String {
-    format!("{unit:?}").to_lowercase()
-}
-
 /// Unit of the times according to the header.
 fn stated_unit(column: &TableColumn) -> Option<TimeUnit> {
-    UNITS.into_iter().find(|unit| column.unit == Some(name_of(*unit).as_str()))
+    UNITS.into_iter().find(|unit| column.unit == Some(unit.name()))
 }
 
 /// Whether a number is a date such as `20161122101500`: year, month, day, hours, minutes and seconds, written as one number.
@@ -65,15 +61,15 @@ pub(super) fn time(columns: &[&TableColumn], notes: &mut Notes) -> Option<TimeCo
         _ if step < 9e5 => (TimeUnit::Us, format!("stamps are {step:.0} apart")),
         _ => (TimeUnit::Ns, format!("stamps are {step:.0} apart")),
     };
-    notes.reason(format!("`{}` is the time in {}: {why}", column.name, name_of(unit)));
+    notes.reason(format!("`{}` is the time in {}: {why}", column.name, unit.name()));
     // A slower log in the next larger unit can have the same steps.
     let larger = UNITS.windows(2).find(|pair| pair[1] == unit).map(|pair| pair[0]);
     if let Some(larger) = larger.filter(|_| stated.is_none()) {
         notes.doubt(format!(
             "`{}` has no unit: {} is taken, because robots log faster than 1 Hz; if it is in {}, correct `unit` of [time]",
             column.name,
-            name_of(unit),
-            name_of(larger)
+            unit.name(),
+            larger.name()
         ));
     }
     Some(TimeColumn::new(&column.name, unit))
