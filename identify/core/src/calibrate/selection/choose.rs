@@ -37,6 +37,9 @@ impl CommonPrior {
     /// Factors to try for the offsets of joints. Some robots have offsets within the tolerance of links. On others, such as
     /// cobots, the offsets were set by hand, with errors of up to a degree.
     pub const ZEROS: &'static [f64] = &[1.0, 2.0, 5.0, 10.0, 20.0];
+    /// Factors to try for the assumed sizes of rejected terms. They are equally spaced, so the factor has a uniform prior
+    /// (Gelman 2006).
+    const REJECTED: &'static [f64] = &[0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875, 1.0];
 
     /// Creates the common prior of the parameters `ids`. A parameter that has a prior in none of the models is omitted.
     pub fn new(runs: &[Run], ids: impl Iterator<Item = ParameterId>, scales: &'static [f64]) -> Self {
@@ -47,6 +50,37 @@ impl CommonPrior {
             })
         };
         Self { sigmas: ids.filter_map(sigma).collect(), scales }
+    }
+
+    /// Priors with this value of the common factor. `ids` are the parameters of the columns.
+    fn priors_at(&self, scale: f64, priors: &[Prior], ids: &[ParameterId]) -> Vec<Prior> {
+        let scaled = |prior: &Prior| {
+            let sigma = self.sigmas.get(&ids[prior.column]).map_or(prior.sigma, |sigma| sigma * scale);
+            Prior { sigma, ..*prior }
+        };
+        priors.iter().map(scaled).collect()
+    }
+
+    /// Each factor with the logarithm of its evidence, see [`Normals::evidence`]. Accounts for correlated errors.
+    fn evidence(&self, normals: &Normals, ids: &[ParameterId]) -> Vec<(f64, f64)> {
+        let dispersion = normals.overdispersion().unwrap_or(1.0).max(1.0);
+        let evidence = |&scale: &f64| {
+            Some((scale, normals.evidence(&self.priors_at(scale, normals.priors(), ids), dispersion)?))
+        };
+        self.scales.iter().filter_map(evidence).collect()
+    }
+
+    /// Root of the mean square of the factor, weighted by the evidence. 1 if the evidence is unknown.
+    fn mean_scale(&self, normals: &Normals, ids: &[ParameterId]) -> f64 {
+        let evidence = self.evidence(normals, ids);
+        let best = evidence.iter().map(|(_, evidence)| *evidence).fold(f64::NEG_INFINITY, f64::max);
+        let (mut weights, mut squares) = (0.0, 0.0);
+        for (scale, evidence) in evidence {
+            let weight = (evidence - best).exp();
+            weights += weight;
+            squares += weight * scale * scale;
+        }
+        if weights > 0.0 { (squares / weights).sqrt() } else { 1.0 }
     }
 }
 
@@ -99,7 +133,7 @@ impl Solver<'_> {
             .filter(|group| group.group != TermGroup::LineSpectrum)
             .collect();
         accepted.extend(self.choose_axes(&rejected, solution.loss, &mut report)?);
-        self.consider_rejected(&rejected, &accepted)?;
+        self.consider_rejected(&rejected, &accepted, solution.loss)?;
         let scale = self.widen_tolerances(&offered, &accepted)?;
         Ok((report, scale))
     }
@@ -143,21 +177,36 @@ impl Solver<'_> {
     /// Gives rejected terms the role [`Role::Considered`], so that they are a source of uncertainty,
     /// unless all data sets are ball-bar runs.
     ///
-    /// Rejected terms resemble errors of links, except waves of high order. Their assumed size is the smallest one that was
-    /// tried, because left-out groups did not require a larger one. With a ball-bar, the encoders separate error terms from
+    /// Rejected terms resemble errors of links, except waves of high order. Their assumed size is at most the smallest one
+    /// that was tried, because left-out groups did not require a larger one. If the samples are more probable with
+    /// smaller errors, the assumed size is smaller. With a ball-bar, the encoders separate error terms from
     /// links. The stated uncertainty is then correct without rejected terms (for 95 % of 185 simulated runs).
     fn consider_rejected(
         &mut self,
         rejected: &[&CandidateGroup],
         accepted: &[ParameterId],
-    ) -> Result<(), ModelError> {
+        loss: Loss,
+    ) -> Result<(), CalibrateError> {
         if self.residual_unit_of().is_some() {
             return Ok(());
         }
+        let mut groups = Vec::new();
         for group in rejected {
             let is_excluded = |id: &ParameterId| !accepted.contains(id);
             let excluded: Vec<ParameterId> = group.ids.iter().copied().filter(is_excluded).collect();
-            self.set_roles(&excluded, Role::Considered { sigma: group.sigma })?;
+            self.set_roles(&excluded, Role::Prior { value: 0.0, sigma: group.sigma })?;
+            groups.push(CommonPrior::new(self.runs, excluded.into_iter(), CommonPrior::REJECTED));
+        }
+        let (_, ids, mut normals) = self.normals_here(loss, LEFT_OUT)?;
+        for group in groups {
+            let scale = normals.as_ref().map_or(1.0, |normals| group.mean_scale(normals, &ids));
+            normals = normals.map(|normals| {
+                let priors = group.priors_at(scale, normals.priors(), &ids);
+                normals.with_priors(priors)
+            });
+            for (id, sigma) in group.sigmas {
+                self.set_roles(&[id], Role::Considered { sigma: sigma * scale })?;
+            }
         }
         Ok(())
     }
@@ -306,7 +355,7 @@ impl Solver<'_> {
     }
 
     /// Sets the common factor of each group of priors to the value for which the samples are most probable (empirical Bayes:
-    /// type-II maximum likelihood, Berger 1985). Accounts for correlated errors.
+    /// type-II maximum likelihood, Berger 1985).
     ///
     /// For example, if encoders have no eccentricity, the priors of their harmonics become narrow, and the
     /// harmonics do not increase the uncertainty. If the configured standard deviation is too small, it is
@@ -318,21 +367,12 @@ impl Solver<'_> {
         }
         let (_, ids, normals) = self.normals_here(loss, LEFT_OUT)?;
         let Some(mut normals) = normals else { return Ok(()) };
-        for CommonPrior { sigmas, scales } in &plan.common {
-            let dispersion = normals.overdispersion().unwrap_or(1.0).max(1.0);
-            let priors_at = |scale: f64| -> Vec<Prior> {
-                let scaled = |prior: &Prior| {
-                    let sigma = sigmas.get(&ids[prior.column]).map_or(prior.sigma, |sigma| sigma * scale);
-                    Prior { sigma, ..*prior }
-                };
-                normals.priors().iter().map(scaled).collect()
-            };
-            let evidence = |&scale: &f64| Some((scale, normals.evidence(&priors_at(scale), dispersion)?));
-            let best = scales.iter().filter_map(evidence).max_by(|a, b| a.1.total_cmp(&b.1));
-            let Some((scale, _)) = best else { continue };
-            let best_priors = priors_at(scale);
+        for common in &plan.common {
+            let evidence = common.evidence(&normals, &ids);
+            let Some((scale, _)) = evidence.into_iter().max_by(|a, b| a.1.total_cmp(&b.1)) else { continue };
+            let best_priors = common.priors_at(scale, normals.priors(), &ids);
             normals = normals.with_priors(best_priors);
-            self.set_sigmas(|id, _| sigmas.get(&id).map(|sigma| sigma * scale))?;
+            self.set_sigmas(|id, _| common.sigmas.get(&id).map(|sigma| sigma * scale))?;
         }
         Ok(())
     }
