@@ -579,7 +579,7 @@ fn a_smoke_test_ends_with_0_only_if_all_passed_and_always_with_a_report() {
     let text = String::from_utf8_lossy(&healthy.stdout);
     assert!(healthy.status.success() && text.contains("passed    pulled cable"), "{text}");
     assert!(
-        text.contains("not done  homing: `homing = false`") && text.contains("smoke-simulated.json"),
+        text.contains("disabled  homing: `homing = false`") && text.contains("smoke-simulated.json"),
         "{text}"
     );
     let noisy = smoke(&["--fault", "noise:2,0.1", "--json", "--report", "noisy.json"]);

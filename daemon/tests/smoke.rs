@@ -124,9 +124,12 @@ fn what_is_not_asked_for_is_not_missed_and_what_nobody_can_do_is() {
     assert!(report.is_good(), "{:#?}", report.checks);
     let stop = Stop::default();
     stop.stop("stopped by SIGINT");
-    let (report, _) = tested_until(&asked, &[], &stop);
+    let (report, told) = tested_until(&asked, &[], &stop);
     let stopped = Outcome::NotDone { because: Reason::Stopped("stopped by SIGINT".into()) };
     assert!(!report.is_good() && report.checks.iter().filter(|check| check.outcome == stopped).count() > 10);
+    // The summary counts the lines that begin with these words.
+    let is_bad = |line: &&String| ["FAILED", "not done"].iter().any(|word| line.starts_with(word));
+    assert_eq!(told.iter().filter(is_bad).count(), report.bad_checks(), "{told:#?}");
 }
 
 #[test]

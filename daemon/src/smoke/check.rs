@@ -148,6 +148,8 @@ impl fmt::Display for Check {
         let word = match &self.outcome {
             Outcome::Passed { .. } => "passed",
             Outcome::Failed { .. } => "FAILED",
+            // A disabled check is good, so the number of bad checks does not include it.
+            Outcome::NotDone { because: Reason::NotAsked(_) } => "disabled",
             Outcome::NotDone { .. } => "not done",
         };
         write!(f, "{word:8}  {}", self.subject)?;
