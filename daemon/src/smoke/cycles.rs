@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use serde::Serialize;
 use shared::recording::TimingSummary;
-use shared::recording::schema::{CycleRecord, PortCounts, flags};
+use shared::recording::schema::{CycleRecord, PortCounts, SIMULATED_BUS, flags};
 use shared::time::{DcNs, UtcNs};
 
 use super::check::{Outcome, Reason, Subject};
@@ -256,13 +256,19 @@ impl Figures {
         if bad <= allowed && self.cycles >= wanted.cycles() {
             return Outcome::passed(found);
         }
+        let bus = &self.names.bus;
         let problem = Problem::from(match self.flags.get("no_reply") {
-            Some(_) => Fact::BusNoAnswer { bus: self.names.bus.clone() },
+            Some(_) => Fact::BusNoAnswer { bus: bus.clone() },
             None => Fact::CyclesLate {},
         });
-        let remedy = match self.working_counters.is_empty() {
+        // Without any reply, the bus is the cause. Otherwise this PC may be late.
+        let is_silent = self.flags.contains_key("no_reply") && self.working_counters.is_empty();
+        let interface = if bus == SIMULATED_BUS { String::new() } else { format!(" --interface {bus}") };
+        let remedy = match is_silent {
             true => problem.remedy.clone(),
-            false => "run `ballbard tune`; if this PC is not late, replace the cable to the coupler".into(),
+            false => format!(
+                "run `ballbard tune{interface}`; if this PC is not late, replace the cable to the coupler"
+            ),
         };
         let expected = format!("{} cycles, of which at most {allowed} are bad", wanted.cycles());
         Outcome::Failed { expected, found, remedy, code: Some(problem.code()) }
@@ -334,5 +340,22 @@ impl Figures {
         let Some(first) = problems.first() else { return Outcome::passed("no port has counted an error") };
         let found = problems.iter().map(|problem| problem.text.as_str()).collect::<Vec<_>>().join("; ");
         Outcome::failed("no error of any port", first, Some(found))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_remedy_for_late_cycles_names_the_interface_of_the_bus() {
+        for (bus, command) in [("eth1", "`ballbard tune --interface eth1`"), ("simulated", "`ballbard tune`")]
+        {
+            let names = BusNames { bus: bus.into(), ..BusNames::default() };
+            let figures = Figures { cycles: 10, bad_cycles: 5, names, ..Figures::default() };
+            let outcome = figures.cycles_outcome(CyclesConfig { rate_hz: 10, duration_s: 1 }, 0);
+            let Outcome::Failed { remedy, .. } = outcome else { panic!("{outcome:?}") };
+            assert!(remedy.contains(command), "{remedy}");
+        }
     }
 }
