@@ -289,7 +289,10 @@ impl Observer {
             .tracks
             .iter()
             .enumerate()
-            .map(|(index, track)| track.joint(status.encoders.get(index), now))
+            .map(|(index, track)| {
+                let sample = status.encoders.get(index).filter(|_| !status.is_without_bus());
+                track.joint(sample, now)
+            })
             .collect();
         let disk_hours =
             status.disk_usable_mb.map(|usable_mb| hours_left(usable_mb * 1_000_000, self.rate_hz));

@@ -134,6 +134,12 @@ impl Status {
         };
         Headline { word: word.into(), level: level.max(self.severity) }
     }
+
+    /// Whether no encoder has valid samples because of the bus, which was never in operation or has a problem.
+    pub fn is_without_bus(&self) -> bool {
+        let has_problem = |joint: u8| self.problems.iter().any(|problem| problem.joints.contains(&joint));
+        self.encoders.iter().all(|encoder| has_problem(encoder.joint))
+    }
 }
 
 /// State of the current run.

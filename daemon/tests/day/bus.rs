@@ -126,6 +126,9 @@ fn a_bus_that_is_gone_for_good_ends_the_run_and_the_service_is_ready_again_when_
         assert!(last.cause.contains("`full_fault_s`") && last.cause.contains("bus_down"), "{}", last.cause);
         let (status, refused) = day.post("/start", &json!({"name": "refused"})).await;
         assert_eq!((status, refused["error"].as_str()), (409, Some(reason.as_str())));
+        // The line about the encoders is the same as before the bus was in operation for the first time.
+        let (_, lines) = day.get("/check").await;
+        assert_eq!(line(&lines, "encoders")["finding"], "no sample in the last second", "{lines}");
         let recording = day.recording("day");
         assert_eq!(recording.end.cause, last.cause);
         let blind = recording.cycles.iter().rev().take_while(|cycle| !cycle.is_valid()).count();

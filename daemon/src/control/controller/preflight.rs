@@ -100,7 +100,8 @@ fn bus(controller: &Controller, status: &Status) -> CheckResult {
 }
 
 fn encoders(status: &Status) -> CheckResult {
-    if status.sample_age_ms.is_none_or(|age| age > SAMPLE_AGE_MS_MAX) {
+    // Without replies of the bus, the samples contain neither counts nor status words, so no encoder is named.
+    if status.is_without_bus() || status.sample_age_ms.is_none_or(|age| age > SAMPLE_AGE_MS_MAX) {
         return Err(vec![Fact::NoSamples {}.into()]);
     }
     // The limits are those of the grade of a run. If an encoder is silent now, its fraction of valid samples is set to zero.
@@ -262,6 +263,20 @@ mod tests {
             "encoders",
             encoders(&Status { sample_age_ms: Some(1), encoders: vec![good, other], ..Status::default() }),
         )
+    }
+
+    #[test]
+    fn without_a_bus_the_cause_is_reported_and_not_each_encoder() {
+        let encoders = [1, 2].map(|joint| EncoderStatus { joint, silent: true, ..EncoderStatus::default() });
+        let line_for = |joints: Vec<u8>| {
+            let problem = Problem::from(Fact::BusNoAnswer { bus: "eth1".into() }).with_joints(joints, true);
+            let (problems, encoders) = (vec![problem], encoders.to_vec());
+            let status = Status { sample_age_ms: Some(1), problems, encoders, ..Status::default() };
+            super::line("encoders", super::encoders(&status))
+        };
+        assert_eq!(line_for(vec![1, 2]).problems, [Problem::from(Fact::NoSamples {})]);
+        // Joint 1 has no valid samples either, but not because of the bus.
+        assert_eq!(line_for(vec![2]).problems[0].code(), "encoder_invalid");
     }
 
     #[test]
