@@ -201,6 +201,16 @@ fn what_goes_wrong_on_the_simulated_bus_is_chosen_by_hand() {
 }
 
 #[test]
+fn faults_are_listed_on_request() {
+    for verb in ["record", "run", "smoke", "segment"] {
+        let output = ballbard().args([verb, "--fault", "list"]).output().unwrap();
+        let listed = String::from_utf8_lossy(&output.stdout);
+        assert!(output.status.success() && output.stderr.is_empty(), "{verb}: {}", said(&output));
+        assert!(listed.lines().any(|line| line == "gone:POSITION"), "{verb}: {listed}");
+    }
+}
+
+#[test]
 fn a_bus_gone_for_good_ends_the_run_with_a_finished_file_that_says_so() {
     let out = tempfile::tempdir().unwrap();
     // The limit `full_fault_s` ends the run long before its requested duration.

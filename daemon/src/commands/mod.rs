@@ -2,6 +2,7 @@
 
 mod client;
 mod configuration;
+mod fault;
 mod home;
 mod record;
 mod recover;

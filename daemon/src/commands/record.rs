@@ -11,6 +11,7 @@ use shared::recording::schema::SIMULATED_BUS;
 
 use super::client::text::{ensure_usable, last_run};
 use super::configuration::{ConfigurationFiles, StateDirectory};
+use super::fault::FaultParser;
 use super::{Format, bus_choice, on_signal};
 use crate::clock::Clock;
 use crate::control::recordings::runs;
@@ -36,9 +37,10 @@ pub struct RecordArguments {
     /// If the bus does not come up, print the problem and retry until it does
     #[arg(long, help_heading = "Connection")]
     wait: bool,
-    /// Inject a fault into the simulated bus, such as lost:0.01 or gone:3@10s-15s (repeatable; an
-    /// invalid fault lists all faults)
-    #[arg(long = "fault", help_heading = "Simulation", value_name = "FAULT[@FROM[-UNTIL]]")]
+    /// Inject a fault into the simulated bus, such as lost:0.01 or gone:3@10s-15s (repeatable; `list` prints all
+    /// faults)
+    #[arg(long = "fault", help_heading = "Simulation", value_name = "FAULT[@FROM[-UNTIL]]",
+        value_parser = FaultParser)]
     faults: Vec<FaultWindow>,
     /// Run on virtual time, as fast as the machine allows (simulated bus only)
     #[arg(long, help_heading = "Simulation")]

@@ -11,6 +11,7 @@ use clap::Args;
 use shared::output::say;
 use shared::time::{MonoNs, NS_PER_S};
 
+use super::fault::FaultParser;
 use super::on_signal;
 use crate::clock::Clock;
 use crate::run::{open_replay, replaying_segment};
@@ -42,9 +43,10 @@ pub struct SegmentArguments {
     /// Seed of the motion, of the clocks of the devices and of random faults
     #[arg(long, help_heading = "Simulation", default_value_t = SegmentConfig::default().seed)]
     seed: u64,
-    /// Inject a fault, such as lost:0.01 or gone:3@10s-15s (repeatable; an invalid fault lists all faults). Lines such as
+    /// Inject a fault, such as lost:0.01 or gone:3@10s-15s (repeatable; `list` prints all faults). Lines such as
     /// `on gone:3` and `off gone:3` on standard input also switch faults
-    #[arg(long = "fault", help_heading = "Simulation", value_name = "FAULT[@FROM[-UNTIL]]")]
+    #[arg(long = "fault", help_heading = "Simulation", value_name = "FAULT[@FROM[-UNTIL]]",
+        value_parser = FaultParser)]
     faults: Vec<FaultWindow>,
 }
 

@@ -14,6 +14,7 @@ use tokio::net::TcpListener;
 
 use super::bus_choice;
 use super::configuration::{ConfigurationFiles, StateDirectory};
+use super::fault::FaultParser;
 use super::signals::Signals;
 use crate::control::api::{self, Remote, RemoteSettings};
 use crate::control::live_tap::LiveTap;
@@ -34,9 +35,10 @@ pub struct RunArguments {
     /// Network interface to which the coupler is connected, such as eth1; `simulated` serves generated data without hardware
     #[arg(long, help_heading = "Connection", value_name = "INTERFACE")]
     bus: Option<String>,
-    /// Inject a fault into the simulated bus, such as lost:0.01 or gone:3@10s-15s (repeatable; an
-    /// invalid fault lists all faults)
-    #[arg(long = "fault", help_heading = "Simulation", value_name = "FAULT[@FROM[-UNTIL]]")]
+    /// Inject a fault into the simulated bus, such as lost:0.01 or gone:3@10s-15s (repeatable; `list` prints all
+    /// faults)
+    #[arg(long = "fault", help_heading = "Simulation", value_name = "FAULT[@FROM[-UNTIL]]",
+        value_parser = FaultParser)]
     faults: Vec<FaultWindow>,
     /// Directory for the recordings; default: `directory` of daemon.toml
     #[arg(long, help_heading = "Output", value_name = "DIR")]

@@ -10,6 +10,7 @@ use shared::output::{explained, say, show};
 use shared::recording::SystemDisk;
 
 use super::configuration::ConfigurationFiles;
+use super::fault::FaultParser;
 use super::{Format, UsageError, bus_choice, on_signal};
 use crate::clock::Clock;
 use crate::run::{BusChoice, RunRequest, Stop};
@@ -29,8 +30,9 @@ pub struct SmokeArguments {
     /// Output file of the report; default: smoke-INTERFACE.json in the current directory
     #[arg(long, help_heading = "Output", value_name = "FILE")]
     report: Option<PathBuf>,
-    /// Inject a fault into the simulated bus, such as lost:0.01 or noise:3,0.1 (repeatable; an invalid fault lists all faults)
-    #[arg(long = "fault", help_heading = "Simulation", value_name = "FAULT[@FROM[-UNTIL]]")]
+    /// Inject a fault into the simulated bus, such as lost:0.01 or noise:3,0.1 (repeatable; `list` prints all faults)
+    #[arg(long = "fault", help_heading = "Simulation", value_name = "FAULT[@FROM[-UNTIL]]",
+        value_parser = FaultParser)]
     faults: Vec<FaultWindow>,
     /// Run on virtual time, as fast as the machine allows (simulated bus only)
     #[arg(long, help_heading = "Simulation")]

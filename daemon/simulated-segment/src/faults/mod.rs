@@ -12,7 +12,7 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
 use rand::{Rng, SeedableRng, rngs::StdRng};
 
-pub use text::{FaultSwitch, FaultWindow, InvalidFault};
+pub use text::{FAULT_INTERVAL, FAULTS, FaultSwitch, FaultWindow, InvalidFault};
 
 use super::FRAME_BYTES_MAX;
 use crate::SimulatedSegment;

@@ -37,14 +37,34 @@ pub struct FaultSwitch {
     pub on: bool,
 }
 
+/// The faults, as they are written, for messages.
+pub const FAULTS: [&str; 15] = [
+    "lost:SHARE",
+    "late:SHARE,TIME",
+    "duplicated:SHARE",
+    "corrupted:SHARE",
+    "short:SHARE,BY",
+    "noise:POSITION,SHARE",
+    "gone:POSITION",
+    "safe-op:POSITION,CODE",
+    "no-signal:POSITION",
+    "too-fast:POSITION",
+    "abort:POSITION,CODE",
+    "silent:POSITION",
+    "emergency:POSITION,CODE",
+    "link-down",
+    "clock-step:TIME",
+];
+/// How the interval of a fault is written, for messages.
+pub const FAULT_INTERVAL: &str =
+    "each may be followed by @FROM or @FROM-UNTIL, times since the first frame, such as gone:3@10s-15s";
+
 /// Error: the text is neither a fault nor a switch. The message quotes the text.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "`{0}` is not a fault; write one of lost:SHARE, late:SHARE,TIME, duplicated:SHARE, corrupted:SHARE, \
-     short:SHARE,BY, noise:POSITION,SHARE, gone:POSITION, safe-op:POSITION,CODE, \
-     no-signal:POSITION, too-fast:POSITION, abort:POSITION,CODE, silent:POSITION, \
-     emergency:POSITION,CODE, link-down, clock-step:TIME; each may be followed by @FROM or @FROM-UNTIL, times since \
-     the first frame, such as gone:3@10s-15s; to switch a fault now, write `on` or `off` before it, and no times"
+    "`{0}` is not a fault; write one of {faults}; {FAULT_INTERVAL}; to switch a fault now, write `on` or `off` \
+     before it, and no times",
+    faults = FAULTS.join(", ")
 )]
 pub struct InvalidFault(String);
 
