@@ -598,8 +598,11 @@ fn a_smoke_test_ends_with_0_only_if_all_passed_and_always_with_a_report() {
     let written = std::fs::read(out.path().join("noisy.json")).unwrap();
     assert_eq!(serde_json::from_slice::<serde_json::Value>(&written).unwrap(), printed);
     assert_eq!(smoke(&["--checks", "daemon"]).status.code(), Some(1));
-    let on_interface = ballbard().args(["smoke", "--bus", "eth9", "--fast"]).output().unwrap();
-    assert_eq!(on_interface.status.code(), Some(2));
+    for arguments in [&["--bus", "eth9", "--fast"][..], &["--fault", "lost:0.01"]] {
+        let refused = ballbard().arg("smoke").args(arguments).output().unwrap();
+        assert_eq!(refused.status.code(), Some(2));
+        assert!(said(&refused).contains("type --bus simulated"), "{}", said(&refused));
+    }
 }
 
 #[test]

@@ -8,12 +8,13 @@ use clap::Args;
 use shared::config;
 use shared::output::{explained, say, show};
 use shared::recording::SystemDisk;
+use shared::recording::schema::SIMULATED_BUS;
 
 use super::configuration::ConfigurationFiles;
 use super::fault::FaultParser;
 use super::{Format, UsageError, bus_choice, on_signal};
 use crate::clock::Clock;
-use crate::run::{BusChoice, RunRequest, Stop};
+use crate::run::{RunRequest, Stop};
 use crate::scheduler::Threads;
 use crate::segment::faults::FaultWindow;
 use crate::smoke::{self, Bench, Report, SmokeConfig};
@@ -45,10 +46,11 @@ pub struct SmokeArguments {
 
 pub fn run(arguments: SmokeArguments) -> anyhow::Result<()> {
     let SmokeArguments { bus, checks, report: file, faults, fast, format, configuration } = arguments;
-    let request = RunRequest { bus: bus_choice(bus.as_deref())?, faults, fast, ..RunRequest::default() };
-    if request.bus != BusChoice::Simulated && (fast || !request.faults.is_empty()) {
-        return Err(UsageError("--fast and --fault need --bus simulated; omit them".into()).into());
+    if bus.as_deref() != Some(SIMULATED_BUS) && (fast || !faults.is_empty()) {
+        let error = "--fast and --fault need the simulated bus; type --bus simulated, or omit them";
+        return Err(UsageError(error.into()).into());
     }
+    let request = RunRequest { bus: bus_choice(bus.as_deref())?, faults, fast, ..RunRequest::default() };
     let smoke: SmokeConfig = config::load(&checks)?;
     let (daemon, bar) = (configuration.daemon()?, configuration.ball_bar()?);
     let stop = Stop::default();
