@@ -63,7 +63,8 @@ pub struct RunArguments {
     #[arg(long, help_heading = "Connection")]
     foxglove: bool,
     /// Additional allowed origin for /foxglove, such as https://app.foxglove.dev (repeatable)
-    #[arg(long, help_heading = "Connection", value_name = "ORIGIN", requires = "foxglove")]
+    #[arg(long, help_heading = "Connection", value_name = "ORIGIN", requires = "foxglove",
+        value_parser = web_origin)]
     foxglove_origin: Vec<String>,
     #[command(flatten)]
     state: StateDirectory,
@@ -115,6 +116,17 @@ fn socket_path(text: &str) -> Result<PathBuf, String> {
         Ok(path)
     } else {
         Err("give an absolute path, such as /run/ballbard/proxy.sock".into())
+    }
+}
+
+/// Parses a web origin in the form in which browsers send it. Any other text would never admit a page.
+fn web_origin(text: &str) -> Result<String, String> {
+    let is_allowed = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || "+-._:[]".contains(c);
+    let is_part = |part: &str| !part.is_empty() && part.chars().all(is_allowed);
+    if text.split_once("://").is_some_and(|(scheme, host)| is_part(scheme) && is_part(host)) {
+        Ok(text.to_owned())
+    } else {
+        Err("give scheme and host in lower case without a path, such as https://app.foxglove.dev".into())
     }
 }
 
@@ -192,6 +204,17 @@ mod tests {
 
     use super::*;
     use crate::control::service::tests::{record, simulated};
+
+    #[test]
+    fn an_origin_that_no_browser_sends_is_refused() {
+        for origin in ["https://app.foxglove.dev", "http://127.0.0.1:8080", "http://[::1]:8080"] {
+            assert_eq!(web_origin(origin).as_deref(), Ok(origin));
+        }
+        let page = "https://app.foxglove.dev/";
+        for text in ["", "foo bar", "app.foxglove.dev", "https://", "https://a b", "HTTPS://App.dev", page] {
+            assert!(web_origin(text).is_err(), "{text}");
+        }
+    }
 
     fn runtime() -> tokio::runtime::Runtime {
         tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap()
