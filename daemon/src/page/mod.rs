@@ -58,6 +58,7 @@ struct File {
     plain: Bytes,
     /// Empty if compression failed.
     compressed: Bytes,
+    /// Weak, because both versions have the same tag (RFC 9110, section 8.8.1).
     tag: Option<HeaderValue>,
 }
 
@@ -71,16 +72,16 @@ impl File {
             media_type,
             plain: plain.into(),
             compressed: compressed.unwrap_or_default().into(),
-            tag: HeaderValue::from_str(&format!("\"{tag}\"")).ok(),
+            tag: HeaderValue::from_str(&format!("W/\"{tag}\"")).ok(),
         }
     }
 
     fn answer(&self, request: &HeaderMap) -> Response {
-        // Whether the list in a header of the request contains an item. The prefix `W/` of a weak tag is ignored.
+        // Whether the list in a header of the request contains an item.
         let lists = |name: HeaderName, wanted: &[u8]| {
             let values = request.get_all(name).iter();
             let mut items = values.flat_map(|value| value.as_bytes().split(|byte| *byte == b','));
-            items.any(|item| item.trim_ascii().strip_prefix(b"W/").unwrap_or(item.trim_ascii()) == wanted)
+            items.any(|item| item.trim_ascii() == wanted)
         };
         let is_cached = self.tag.as_ref().is_some_and(|tag| lists(header::IF_NONE_MATCH, tag.as_bytes()));
         let is_compressed = !self.compressed.is_empty() && lists(header::ACCEPT_ENCODING, b"gzip");

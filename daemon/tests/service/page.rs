@@ -83,6 +83,11 @@ fn files_of_the_page_are_compressed_and_sent_again_only_if_they_changed() {
     let length = plain.body_mut().read_to_vec().unwrap().len();
     let mut compressed = agent().get(&url).header("accept-encoding", "br, gzip").call().unwrap();
     assert_eq!(compressed.headers().get("content-encoding").unwrap(), "gzip");
+    // Both versions have the same tag, so it must be weak.
+    assert!(tag.as_bytes().starts_with(b"W/\"") && compressed.headers().get("etag") == Some(&tag), "{tag:?}");
+    for version in [&plain, &compressed] {
+        assert_eq!(version.headers().get("vary").unwrap(), "accept-encoding");
+    }
     let bytes = compressed.body_mut().read_to_vec().unwrap();
     assert!(bytes.starts_with(&[0x1f, 0x8b]) && 2 * bytes.len() < length, "{} of {length}", bytes.len());
     let mut known = agent().get(&url).header("if-none-match", &tag).call().unwrap();
