@@ -551,8 +551,9 @@ fn expected_and_found(expected: &[String], found: &[String]) -> String {
 }
 
 /// Describes a bad link at a port. Returns the text and the remedy. Port 0 leads to the preceding device and port 1 to the
-/// next terminal. Port 2 of the coupler leads to its OUT socket. The links of the coupler
-/// to this PC and at its OUT socket are cables. All other links are contacts between adjacent devices.
+/// next terminal. Port 2 of the coupler leads to its OUT socket. The links of the coupler to this PC and at its OUT socket are
+/// cables. All other links are contacts between adjacent devices. An EK1100 has no port 3, and an EL5021 has neither port 2
+/// nor port 3. A port that does not exist counts no errors, so it is never reported.
 fn link(position: usize, port: usize) -> (String, String) {
     let cable = "push the plug in, or replace the cable";
     match (position, port) {
@@ -595,6 +596,7 @@ mod tests {
         assert!(link(0, 0).0.contains("cable or plug between this PC and the coupler"));
         assert_eq!(link(1, 0).0, "bad contact between the coupler and terminal 1");
         assert_eq!(link(0, 1).0, link(1, 0).0);
+        assert!(link(0, 2).0.contains("cable or plug at the OUT socket"));
         assert_eq!(link(3, 0).0, "bad contact between terminal 2 and terminal 3");
         assert_eq!(link(2, 1).0, link(3, 0).0);
     }
