@@ -21,18 +21,18 @@ pub struct RunMark {
     pub text: String,
 }
 
-/// Cycles that are invalid for the same reason, in one encoder or in all encoders.
+/// These cycles of a run are invalid for the same reason, in one encoder or in all encoders.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Flagged {
-    /// Bar joint of the encoder, 1 to 5; absent if all encoders are invalid.
+    /// The encoder of this bar joint (1 to 5) is invalid; absent if all encoders are invalid.
     pub joint: Option<u8>,
-    /// The reason, as text.
+    /// The text states why the cycles are invalid.
     pub reason: String,
-    /// Number of the first of these cycles in the run.
+    /// The first of these cycles has this number, counted from 0 at the beginning of the run.
     pub first: u64,
-    /// How many cycles of the run are invalid for this reason.
+    /// This number of cycles is invalid for this reason, from the beginning of the run until now or until its end.
     pub cycles: u64,
-    /// Number of uninterrupted sequences that these cycles form.
+    /// These cycles form this number of uninterrupted sequences.
     pub periods: u64,
 }
 

@@ -29,30 +29,32 @@ pub struct Bin {
     pub cycles: u64,
 }
 
-/// Longest waits of the recorder for the disk.
+/// These are the longest waits of the recorder for the disk since the run began.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(default)]
 pub struct DiskTiming {
-    /// Longest synchronisation. A power failure may lose the cycles of this time and of one synchronisation period \[ns\].
+    /// The longest synchronisation lasted this time, from its beginning until the disk reported its end \[ns\]. A power failure
+    /// may lose the cycles of this time and of one synchronisation period.
     pub sync_longest_ns: u64,
-    /// Longest write. A crash of the program may lose the cycles of this time and of one writing period \[ns\].
+    /// The longest write lasted this time, from its beginning until the disk reported its end \[ns\]. A crash of the program may
+    /// lose the cycles of this time and of one writing period.
     pub write_longest_ns: u64,
-    /// Longest duration of the cycles that waited to be written \[ns\].
+    /// When a write began, the cycles that waited to be written had at most this duration \[ns\].
     pub backlog_longest_ns: u64,
 }
 
-/// Timing of the real-time cycle. Runs on virtual time have no timing.
+/// These times were measured in the cycles of a run until now or until its end. A run on virtual time has no timing.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct TimingSummary {
-    /// Number of cycles whose timing was measured.
+    /// The times were measured in this number of cycles.
     pub cycles: u64,
-    /// Lateness: time from a cycle's deadline until the cycle thread ran.
+    /// The lateness of a cycle is the time from its deadline until its thread ran.
     pub lateness: Durations,
-    /// Round trip: time from sending the frame until the reply arrived. Only cycles with a reply are included.
+    /// The round trip is the time from sending the frame until its reply arrived. Cycles without a reply are not included.
     pub round_trip: Durations,
-    /// Duration of a cycle: time from the wake-up of its thread until its record was passed to the recorder.
+    /// The duration of a cycle is the time from the wake-up of its thread until its record was passed to the recorder.
     pub duration: Durations,
-    /// Longest waits of the recorder for the disk.
+    /// The recorder waited for the disk for at most these times.
     #[serde(default)]
     pub disk: DiskTiming,
 }
