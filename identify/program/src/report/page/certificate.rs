@@ -96,16 +96,16 @@ pub(super) fn identity(
         values.dedup();
         values.join("; ")
     };
-    // If the recording has the robot's name in this field, the serial number is unknown.
-    let serial_number = |recorded: String, name: &str| {
-        if recorded.eq_ignore_ascii_case(name) { String::new() } else { recorded }
+    // A text that only repeats the line above does not identify the device, so this line is blank.
+    let recorded = |text: String, above: &str| {
+        if text.eq_ignore_ascii_case(above) { String::new() } else { text }
     };
     let started = Some(field(|one| to_the_second(&one.started))).filter(|started| !started.is_empty());
     let lines = [
         ("Robot", Some(robot.to_owned())),
-        ("Serial number of the robot", Some(serial_number(field(|one| one.robot.clone()), robot))),
+        ("Name or serial number", Some(recorded(field(|one| one.robot.clone()), robot))),
         ("Instrument", Some(instrument.to_owned())),
-        ("Serial number of the instrument", Some(serial_number(field(|one| one.bar.clone()), instrument))),
+        ("Name or serial number", Some(recorded(field(|one| one.bar.clone()), instrument))),
         ("Measured", Some(started.or(dated).unwrap_or_default())),
         ("Operator", Some(field(|one| one.operator.clone()))),
         ("Payload", Some(field(|one| one.payload.clone()))),
