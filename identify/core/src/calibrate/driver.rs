@@ -54,9 +54,8 @@ pub fn calibrate(
     };
     // If a mistake in a file of rows explains the error, report the mistake.
     if let Some(likely) = rows::likely_of_all(&data.rows, &flange_chain(robot)) {
-        // Keep only the problem from the message, without its remedy, because the mistake has a remedy of its own.
-        let found = error.to_string().split("; ").take(1).collect();
-        return Err(CalibrateError::Implausible { found, likely: Some(likely) });
+        // The remedy of the error is omitted, because the mistake has a remedy of its own.
+        return Err(CalibrateError::Implausible { found: error.problem(), likely: Some(likely) });
     }
     // Without the held-out rows, the data may be too few. Try again with all rows.
     if !error.is_of_solve() {

@@ -45,6 +45,13 @@ impl CalibrateError {
         matches!(self, Self::Rows { error: RowError::OtherRobot { .. }, .. }) || self.is_of_solve()
     }
 
+    /// The message of an error that [may be a mistake](Self::may_be_a_mistake), without its remedy. In these messages the
+    /// problem ends at the first semicolon, which a test checks for each of them.
+    pub(super) fn problem(&self) -> String {
+        let message = self.to_string();
+        message.split_once("; ").map_or(message.as_str(), |(problem, _)| problem).to_owned()
+    }
+
     /// Whether this error means that a solve failed because of the samples.
     pub(super) fn is_of_solve(&self) -> bool {
         match self {
@@ -58,4 +65,38 @@ impl CalibrateError {
 /// Whether the samples caused this error of a solve. False if no parameter was free or the solve was cancelled.
 fn solve_is_of_data(error: &SolveError) -> bool {
     !matches!(error, SolveError::NothingFree | SolveError::Cancelled { .. })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::solver::{NotConverged, Summary, Termination, Unidentifiable};
+
+    #[test]
+    fn the_problem_of_an_error_that_may_be_a_mistake_is_its_message_without_the_remedy() {
+        let (what, fix) = ("ra1|ox; rd2|rd3".into(), "ra1,rd2".into());
+        let summary = Summary {
+            termination: Termination::NoDecrease,
+            iterations: 7,
+            evaluations: 9,
+            cost_start: 1.0,
+            cost_end: 1.0,
+            residual_rms_start: 1.0,
+            residual_rms: 1.0,
+            samples_used: 50,
+            samples_left_out: 0,
+        };
+        let other_robot = RowError::OtherRobot { rejected: 40, rows: 80, median_mm: 300.0 };
+        let cases: [(CalibrateError, &str); 6] = [
+            (CalibrateError::Rows { data_set: 2, error: other_robot }, "by 300 mm in the median"),
+            (SolveError::NoSamples { samples: 80 }.into(), "at the initial values"),
+            (SolveError::NotFinite { sample: 3 }.into(), "at the initial values"),
+            (SolveError::Dependent.into(), "depend on each other"),
+            (Unidentifiable { rank: 1, columns: 3, what, fix }.into(), "parameters are identified"),
+            (NotConverged { summary }.into(), "residual RMS 1.000e0)"),
+        ];
+        for (error, end) in cases {
+            assert!(error.may_be_a_mistake() && error.problem().ends_with(end), "{}", error.problem());
+        }
+    }
 }
