@@ -429,15 +429,18 @@ impl Controller {
     }
 
     fn poll_run(&mut self) {
+        // The outcome must be read before the progress. Otherwise a run could create its file and end between the two
+        // readings, and the machine would wait for the file for ever.
+        let outcome = self.run.as_ref().and_then(ActiveRun::outcome);
         if self.is_opening() && self.run.as_ref().is_some_and(|run| run.progress.is_open()) {
             tracing::info!(run = self.machine.run(), "run begins");
             self.answer_starts(Ok(()));
         }
-        let Some(run) = &self.run else { return };
-        if let Some(outcome) = run.outcome() {
+        if let Some(outcome) = outcome {
             self.run_is_over(outcome);
             return;
         }
+        let Some(run) = &self.run else { return };
         if run.stop.is_stopped() {
             let cause = run.stop.cause();
             self.handle(MachineEvent::Ended(cause));
