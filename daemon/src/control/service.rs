@@ -5,7 +5,7 @@
 //! Requests that need the disk first run in a task with a time limit, because a disk may hang.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::path::Path;
+use std::path::PathBuf;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TryRecvError, TrySendError, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
@@ -198,7 +198,7 @@ impl Service {
     /// The name that a run would get; `None` if the disk does not respond in time.
     pub(super) async fn name(&self, request: NameRequest) -> Option<NameReply> {
         let find = move |settings: &Settings, disk: &dyn Disk| {
-            name_reply(&request, disk, &settings.daemon.directory)
+            name_reply(&request, disk, &settings.daemon.directories())
         };
         self.ask_disk(DISK_TIMEOUT, find).await
     }
@@ -365,7 +365,7 @@ fn details(request: StartRequest, settings: &Settings, disk: &dyn Disk) -> Resul
     let duration =
         request.duration_s.map(|seconds| checked_duration(seconds, daemon.cycle_period())).transpose()?;
     let about = request.about();
-    let automatic = || runs::automatic_name(disk, &daemon.directory, &about.robot, &about.bar);
+    let automatic = || runs::automatic_name(disk, &daemon.directories(), &about.robot, &about.bar);
     let name = request.name.map_or_else(|| Ok(automatic()), |typed| run::typed_name(&typed));
     let name = name.map_err(Refusal::new)?;
     Ok(RunDetails { name, about, duration, homing })
@@ -385,15 +385,15 @@ fn checked_duration(seconds: f64, cycle_period: Duration) -> Result<Duration, Re
 fn name_reply(
     NameRequest { name, robot, bar }: &NameRequest,
     disk: &dyn Disk,
-    directory: &Path,
+    directories: &[PathBuf],
 ) -> NameReply {
     if name.trim().is_empty() {
-        return NameReply { name: runs::automatic_name(disk, directory, robot, bar), problem: None };
+        return NameReply { name: runs::automatic_name(disk, directories, robot, bar), problem: None };
     }
     match run::typed_name(name) {
         Ok(name) => {
             let taken = || format!("run {name} exists and is never overwritten; choose another name");
-            let problem = runs::is_taken(disk, directory, &name).then(taken);
+            let problem = runs::is_taken(disk, directories, &name).then(taken);
             NameReply { name, problem }
         }
         Err(problem) => NameReply { name: String::new(), problem: Some(problem) },
@@ -404,6 +404,7 @@ fn name_reply(
 pub(crate) mod tests {
     use std::fs::File;
     use std::io;
+    use std::path::Path;
     use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
     use std::time::Instant;
 

@@ -9,7 +9,7 @@ use std::time::Duration;
 use shared::config;
 use shared::recording::schema::{DeviceInfo, EncoderInfo, Provenance, ReplayOrigin, RunMetadata};
 use shared::recording::{
-    Disk, RecordingWriter, Recovery, RunFile, Salvaged, Tap, WriteError, recover_file_on,
+    Disk, FINISHED_ENDING, RecordingWriter, Recovery, RunFile, Salvaged, Tap, WriteError, recover_file_on,
 };
 use shared::time::{MonoNs, UtcNs};
 
@@ -431,7 +431,13 @@ fn create(link: &RunLink, run: &RunMetadata) -> Result<RecordingWriter<RunFile>,
     if let Some(full) = storage.full(storage.directory()) {
         return Err(RunError::Disk(full));
     }
-    let created = RecordingWriter::create_on(storage.disk(), storage.directory(), run);
+    // Recordings are selected by name, so a run in the spare directory must not have this name either.
+    let spare = storage.spare().join(format!("{}.{FINISHED_ENDING}", run.name));
+    let created = if storage.disk().has(&spare).unwrap_or(false) {
+        Err(WriteError::Exists(spare))
+    } else {
+        RecordingWriter::create_on(storage.disk(), storage.directory(), run)
+    };
     let writer = created.map_err(|error| match error {
         WriteError::Exists(file) if recovered.contains(&file) => RunError::NameRecovered(file),
         error => error.into(),

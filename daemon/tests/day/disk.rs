@@ -134,6 +134,12 @@ fn runs_that_had_to_go_on_in_the_spare_place_are_listed_with_the_others() {
         let (_, lines) = day.get("/check").await;
         let finding = line(&lines, "left-over files")["finding"].as_str().unwrap();
         assert!(finding.contains("three.mcap.active"), "{finding}");
+        // A request names a recording, so no other run may get the name.
+        let (_, asked) = day.post("/name", &json!({"name": "two"})).await;
+        assert!(asked["problem"].as_str().unwrap().contains("choose another name"), "{asked}");
+        let (status, refused) = day.post("/start", &json!({"name": "two"})).await;
+        let error = refused["error"].as_str().unwrap();
+        assert!(status == 409 && error.contains("spare/two.mcap exists already"), "{refused}");
         day.end().await;
     });
 }

@@ -25,7 +25,7 @@ pub fn list(disk: &dyn Disk, directories: &[PathBuf]) -> io::Result<Vec<RunLine>
 pub fn restore(disk: &dyn Disk, directories: &[PathBuf], name: &str) -> io::Result<Option<String>> {
     let Some(file) = runs::find(disk, &bins(directories), name)? else { return Ok(None) };
     let Some(directory) = file.parent().and_then(Path::parent) else { return Ok(None) };
-    move_to_free_name(disk, &file, directory).map(Some)
+    move_to_free_name(disk, &file, directory, directories).map(Some)
 }
 
 /// Removes all recordings in the bins, with their notes, from the disk. Returns the number of removed recordings.
@@ -43,13 +43,18 @@ pub fn empty(disk: &dyn Disk, directories: &[PathBuf]) -> io::Result<u64> {
 pub fn put(disk: &dyn Disk, recording: &Path) -> io::Result<String> {
     let bin = recording.parent().unwrap_or(Path::new(".")).join(FOLDER);
     disk.make_directory(&bin)?;
-    move_to_free_name(disk, recording, &bin)
+    move_to_free_name(disk, recording, &bin, std::slice::from_ref(&bin))
 }
 
-/// Moves a recording and its note to a free name. The note is moved last, because a note is found only
-/// through the recording next to it.
-fn move_to_free_name(disk: &dyn Disk, file: &Path, directory: &Path) -> io::Result<String> {
-    let name = free_name(disk, directory, &stem(file, FINISHED_ENDING).unwrap_or_default());
+/// Moves a recording and its note into `directory`, to a name that is free in all of `directories`. The note is moved last,
+/// because a note is found only through the recording next to it.
+fn move_to_free_name(
+    disk: &dyn Disk,
+    file: &Path,
+    directory: &Path,
+    directories: &[PathBuf],
+) -> io::Result<String> {
+    let name = free_name(disk, directories, &stem(file, FINISHED_ENDING).unwrap_or_default());
     let new_file = directory.join(format!("{name}.{FINISHED_ENDING}"));
     disk.rename(file, &new_file)?;
     unless_absent(disk.replace(&note::beside(file), &note::beside(&new_file)))?;

@@ -83,17 +83,17 @@ pub fn list(disk: &dyn Disk, directories: &[PathBuf]) -> io::Result<Vec<RunLine>
     Ok(lines)
 }
 
-/// Returns `base`, or `base-2`, `base-3` and so on if a recording has that name already.
-pub(in crate::control) fn free_name(disk: &dyn Disk, directory: &Path, base: &str) -> String {
+/// Returns `base`, or `base-2`, `base-3` and so on if a recording in these directories has that name already.
+pub(in crate::control) fn free_name(disk: &dyn Disk, directories: &[PathBuf], base: &str) -> String {
     let numbered = (2..NUMBERS_MAX).map(|number| format!("{base}-{number}"));
     let mut names = std::iter::once(base.to_owned()).chain(numbered);
-    names.find(|name| !is_taken(disk, directory, name)).unwrap_or_else(|| base.to_owned())
+    names.find(|name| !is_taken(disk, directories, name)).unwrap_or_else(|| base.to_owned())
 }
 
 /// Default name of a run, such as `2026-11-26_irb-2400_short_01`: date, robot, bar and the first free number.
 pub(in crate::control) fn automatic_name(
     disk: &dyn Disk,
-    directory: &Path,
+    directories: &[PathBuf],
     robot: &str,
     bar: &str,
 ) -> String {
@@ -104,14 +104,15 @@ pub(in crate::control) fn automatic_name(
     });
     let base = std::iter::once(date).chain(parts.into_iter().flatten()).collect::<Vec<_>>().join("_");
     let mut names = (1..NUMBERS_MAX).map(|number| format!("{base}_{number:02}"));
-    names.find(|name| !is_taken(disk, directory, name)).unwrap_or(base)
+    names.find(|name| !is_taken(disk, directories, name)).unwrap_or(base)
 }
 
-/// Whether a recording has this name. If the disk returns an error, the name counts as free. Creating the file of the run
-/// then fails if the file exists.
-pub(in crate::control) fn is_taken(disk: &dyn Disk, directory: &Path, name: &str) -> bool {
-    let exists = |ending| disk.has(&directory.join(format!("{name}.{ending}"))).unwrap_or(false);
-    [FINISHED_ENDING, ACTIVE_ENDING].into_iter().any(exists)
+/// Whether a recording in one of these directories has this name. If the disk returns an error, the name counts as free.
+/// Creating the file of the run then fails if the file exists.
+pub(in crate::control) fn is_taken(disk: &dyn Disk, directories: &[PathBuf], name: &str) -> bool {
+    let exists = |file: PathBuf| disk.has(&file).unwrap_or(false);
+    let files = [FINISHED_ENDING, ACTIVE_ENDING].map(|ending| format!("{name}.{ending}"));
+    directories.iter().any(|directory| files.iter().any(|file| exists(directory.join(file))))
 }
 
 /// Finds the finished recording of this name. The name is only compared with existing names and never becomes part of a path,
@@ -312,6 +313,19 @@ mod tests {
             curve.add(EncoderSample { count, valid: true, ..EncoderSample::default() }, origin, true);
         }
         assert_eq!(curve.curve.angle_deg, [0.0, 90.0, 0.0, 90.0].map(Some));
+    }
+
+    #[test]
+    fn a_name_in_the_spare_directory_is_not_given_again() {
+        let home = tempfile::tempdir().unwrap();
+        let directories = ["runs", "spare"].map(|name| home.path().join(name));
+        fs::create_dir(&directories[1]).unwrap();
+        let named = || automatic_name(&SystemDisk, &directories, "IRB 2400", "short");
+        let first = named();
+        fs::write(directories[1].join(format!("{first}.mcap")), "").unwrap();
+        let second = named();
+        assert!(first.ends_with("_irb-2400_short_01") && second.ends_with("_02"), "{first}, {second}");
+        assert_eq!(free_name(&SystemDisk, &directories, &first), format!("{first}-2"));
     }
 
     #[test]
