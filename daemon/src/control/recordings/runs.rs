@@ -21,8 +21,10 @@ use crate::control::status::next_command;
 
 /// Highest number that is appended to a base name.
 const NUMBERS_MAX: u32 = 10_000;
-/// Length limit of robot and bar in an automatic name \[characters\].
+/// Length limits of robot and bar in an automatic name. Letters of some scripts need up to four bytes each, and the name
+/// with date and number must be a valid name of a run.
 const PART_CHARS_MAX: usize = 30;
+const PART_BYTES_MAX: usize = 48;
 
 /// One recording of the list.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -100,7 +102,9 @@ pub(in crate::control) fn automatic_name(
     let date = chrono::Local::now().format("%Y-%m-%d").to_string();
     let parts = [robot, bar].map(|text| {
         let plain = text.to_lowercase().replace(['.', '+', '_'], " ");
-        run_name(&plain.chars().take(PART_CHARS_MAX).collect::<String>())
+        let fits = |(at, c): &(usize, char)| at + c.len_utf8() <= PART_BYTES_MAX;
+        let part = plain.char_indices().take(PART_CHARS_MAX).take_while(fits);
+        run_name(&part.map(|(_, c)| c).collect::<String>())
     });
     let base = std::iter::once(date).chain(parts.into_iter().flatten()).collect::<Vec<_>>().join("_");
     let mut names = (1..NUMBERS_MAX).map(|number| format!("{base}_{number:02}"));
@@ -313,6 +317,16 @@ mod tests {
             curve.add(EncoderSample { count, valid: true, ..EncoderSample::default() }, origin, true);
         }
         assert_eq!(curve.curve.angle_deg, [0.0, 90.0, 0.0, 90.0].map(Some));
+    }
+
+    #[test]
+    fn an_automatic_name_of_any_script_can_be_the_name_of_a_run() {
+        let home = tempfile::tempdir().unwrap();
+        let directories = [home.path().to_owned()];
+        for (robot, bar) in [("ж", "я"), ("機", "棒"), ("\u{20000}", "\u{20000}"), ("x", "y")] {
+            let name = automatic_name(&SystemDisk, &directories, &robot.repeat(200), &bar.repeat(200));
+            assert_eq!(run_name(&name).as_deref(), Some(name.as_str()));
+        }
     }
 
     #[test]
