@@ -517,6 +517,13 @@ def main():
             page.pictures(pictures, "plot")
             assert "stopped on the page" in page.shown("#plot-text")
             page.run("document.getElementById('plot').close()")
+            # A recording that is damaged in its middle has no plot, and the page reports this.
+            service(f"damage a copy of {second}")
+            reload(page)
+            page.wait("document.querySelector('#runs [data-run=damaged] .tools button')", "the damaged recording")
+            page.click("#runs [data-run=damaged] .tools button")
+            page.wait("document.getElementById('said').innerText.includes('ended early')", "the reason")
+            assert not page.run("document.getElementById('plot').open")
             page.click(f"#runs [data-run={json.dumps(second)}] .tools button[aria-label^=Note]")
             page.wait("document.getElementById('ask').open", "the question for the note")
             # A note may have several lines. Enter begins a new line, and Ctrl with Enter saves the note.

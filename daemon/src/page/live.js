@@ -87,8 +87,10 @@ export async function ask(path, body) {
   } catch {
     throw new Error("the service does not answer; check that it is running: ballbard run");
   }
-  const reply = await response.json().catch(() => ({ error: `the service replied ${response.status}` }));
-  if (!response.ok) throw new Error(reply.error);
+  const reply = await response.json().catch(() => undefined);
+  if (!response.ok) throw new Error(reply?.error ?? `the service replied ${response.status}`);
+  // The service aborts a reply if it cannot read the recording to its end.
+  if (reply === undefined) throw new Error("the reply of the service ended early; its log shows why");
   return reply;
 }
 

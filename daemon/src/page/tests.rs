@@ -52,8 +52,15 @@ impl Bench {
         }
     }
 
-    /// Executes a command of the browser script: it turns a joint, makes the state directory unusable, or switches a fault.
+    /// Executes a command of the browser script: it turns a joint, makes the state directory unusable, damages a copy of a
+    /// recording, or switches a fault.
     fn handle(&self, asked: &str) {
+        if let Some(name) = asked.strip_prefix("damage a copy of ") {
+            let mut bytes = std::fs::read(self.directory.path().join(format!("{name}.mcap"))).unwrap();
+            let middle = bytes.len() / 2;
+            bytes[middle] ^= 0x10;
+            return std::fs::write(self.directory.path().join("damaged.mcap"), bytes).unwrap();
+        }
         let bus = self.bus.lock().unwrap();
         let (faults, hand) = bus.as_ref().unwrap();
         let state = self.directory.path().join("state");

@@ -55,8 +55,11 @@ impl Downloads {
             let mut sink = BufWriter::with_capacity(PIECE_BYTES, Pipe(pieces.clone()));
             let written = write(&mut sink).and_then(|()| Ok(sink.flush()?));
             if let Err(error) = written {
+                let error = explained(error.as_ref());
                 // If the client has disconnected, the error is not needed.
-                let _ = pieces.blocking_send(Err(io::Error::other(explained(error.as_ref()))));
+                if pieces.blocking_send(Err(io::Error::other(error.clone()))).is_ok() {
+                    tracing::warn!("a download was aborted: {error}");
+                }
             }
             drop(permit);
         });
