@@ -310,6 +310,26 @@ def second_run(page):
     return stop(page)
 
 
+def stop_of_another_run(page):
+    """The confirmation of a stop applies only to the run that it names."""
+    def post(path, body):
+        request = f"{{method: 'POST', headers: {{'Content-Type': 'application/json'}}, body: {json.dumps(json.dumps(body))}}}"
+        assert page.run(f"fetch('/api/{path}', {request}).then(reply => reply.ok)"), path
+
+    post("start", {"name": "one", "reason": "test"})
+    word(page, "RECORDING")
+    page.click("#stop")
+    page.wait("document.getElementById('ask').open", "the question")
+    post("stop", {})
+    post("start", {"name": "other", "reason": "test"})
+    page.wait("document.getElementById('run-name').textContent === 'other'", "the other run")
+    page.click("#ask-yes")
+    page.wait("document.getElementById('said').innerText.includes('one is over')", "the end of the first run")
+    word(page, "RECORDING")
+    post("stop", {})
+    word(page, "READY")
+
+
 def begin_homing(page):
     page.wait("!document.getElementById('home').disabled", "a free homing")
     page.click("#home")
@@ -542,6 +562,7 @@ def main():
             page.wait("document.querySelectorAll('#runs li').length === 0", "an empty search")
             page.type("#search", f"12 kg {verdict}")
             page.wait("document.querySelectorAll('#runs li').length === 1", "the run that is searched")
+            stop_of_another_run(page)
             # Values that were typed are still there after the page is opened again.
             page.call("Page.reload")
             word(page, "READY")

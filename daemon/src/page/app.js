@@ -337,12 +337,21 @@ function mark() {
   if (can_mark()) put_mark(undefined, performance.now());
 }
 
+// Returns whether a dialog still applies to the run for which it was opened. While it was open, the run may have ended, and
+// another client may have begun another run.
+function applies_to(run) {
+  if (!latest || latest.status.run?.name === run.name) return true;
+  say("check", `${run.name} is over, so nothing was changed`);
+  return false;
+}
+
 // Sets a marker with a text. The time of the marker is the time before the text was typed.
 async function note() {
   if (!can_mark()) return;
+  const { run } = latest.status;
   const since_ms = performance.now();
   const said = await choose({ title: "Note at this moment", label: "Text", required: true, yes: "Put into the run" });
-  if (said) put_mark(said, since_ms);
+  if (said && applies_to(run)) put_mark(said, since_ms);
 }
 
 async function stop() {
@@ -351,7 +360,7 @@ async function stop() {
   const yes = await choose({
     title: `Stop ${run.name}?`, text: `After ${duration(latest.run_s ?? 0)}; its file will be finished.`, yes: "Stop the run", danger: true,
   });
-  if (!yes) return;
+  if (!yes || !applies_to(run)) return;
   try {
     await act("stop", { cause: "stopped on the page" });
   } catch (error) {
