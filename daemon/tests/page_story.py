@@ -310,24 +310,43 @@ def second_run(page):
     return stop(page)
 
 
+def post(page, path, body):
+    """Sends a request as another client would."""
+    request = f"{{method: 'POST', headers: {{'Content-Type': 'application/json'}}, body: {json.dumps(json.dumps(body))}}}"
+    assert page.run(f"fetch('/api/{path}', {request}).then(reply => reply.ok)"), path
+
+
 def stop_of_another_run(page):
     """The confirmation of a stop applies only to the run that it names."""
-    def post(path, body):
-        request = f"{{method: 'POST', headers: {{'Content-Type': 'application/json'}}, body: {json.dumps(json.dumps(body))}}}"
-        assert page.run(f"fetch('/api/{path}', {request}).then(reply => reply.ok)"), path
-
-    post("start", {"name": "one", "reason": "test"})
+    post(page, "start", {"name": "one", "reason": "test"})
     word(page, "RECORDING")
     page.click("#stop")
     page.wait("document.getElementById('ask').open", "the question")
-    post("stop", {})
-    post("start", {"name": "other", "reason": "test"})
+    post(page, "stop", {})
+    post(page, "start", {"name": "other", "reason": "test"})
     page.wait("document.getElementById('run-name').textContent === 'other'", "the other run")
     page.click("#ask-yes")
     page.wait("document.getElementById('said').innerText.includes('one is over')", "the end of the first run")
     word(page, "RECORDING")
-    post("stop", {})
+    post(page, "stop", {})
     word(page, "READY")
+
+
+def bin_that_changes(page):
+    """The bin is emptied only if it contains exactly what the question lists."""
+    page.run("(field => { field.value = ''; field.dispatchEvent(new Event('input')); })(document.getElementById('search'))")
+    page.wait("document.querySelector('#runs [data-run=other] .verdict')", "the other run in the list")
+    page.click("#runs [data-run=one] .tools button[aria-label^=Delete]")
+    page.wait("document.getElementById('ask').open", "the question before a run is deleted")
+    page.click("#ask-yes")
+    page.wait("document.getElementById('bin-count').textContent === '1'", "a run in the bin")
+    page.run("document.getElementById('bin').open = true")
+    page.click("#bin-empty")
+    page.wait("document.getElementById('ask').open && document.getElementById('ask-text').textContent.startsWith('one: ')", "the question")
+    post(page, "delete", {"name": "other"})
+    page.click("#ask-yes")
+    page.wait("document.getElementById('said').innerText.includes('the bin has changed')", "the refusal")
+    page.wait("document.getElementById('bin-count').textContent === '2'", "both runs in the bin")
 
 
 def begin_homing(page):
@@ -563,6 +582,7 @@ def main():
             page.type("#search", f"12 kg {verdict}")
             page.wait("document.querySelectorAll('#runs li').length === 1", "the run that is searched")
             stop_of_another_run(page)
+            bin_that_changes(page)
             # Values that were typed are still there after the page is opened again.
             page.call("Page.reload")
             word(page, "READY")

@@ -81,13 +81,22 @@ async function remove(run) {
 }
 
 async function empty_bin() {
+  // Another client may have deleted recordings since the list was loaded. It may also do so while the dialog is open.
+  await refresh();
+  if (!deleted.length) return;
+  const names = deleted.map((run) => run.name).join(", ");
   const size_mb = deleted.reduce((sum, run) => sum + run.bytes, 0) / 1e6;
   const yes = await choose({
-    title: "Empty the bin?",
-    text: `${deleted.map((run) => run.name).join(", ")}: ${size_mb.toFixed(1)} MB. They cannot be restored.`,
-    yes: "Remove permanently", danger: true,
+    title: "Empty the bin?", text: `${names}: ${size_mb.toFixed(1)} MB. They cannot be restored.`, yes: "Remove permanently",
+    danger: true,
   });
-  const reply = yes && await change("bin/empty", {});
+  if (!yes) return;
+  await refresh();
+  if (deleted.map((run) => run.name).join(", ") !== names) {
+    say("check", "the bin has changed, so nothing was removed; check its content, then empty it again");
+    return;
+  }
+  const reply = await change("bin/empty", {});
   if (reply) say("good", `recordings removed: ${reply.removed}`);
 }
 
