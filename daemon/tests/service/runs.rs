@@ -248,8 +248,9 @@ fn what_the_service_knows_is_asked_for_by_name_and_as_json(service: &Running) {
     assert!(told.contains(&last.verdict.unwrap().to_string()), "{told}");
     assert!(stopped["last"]["simulated"] == true && listed[0]["simulated"] == true, "{stopped} {listed}");
     assert!(json(&["check"]).as_array().unwrap().len() > 5);
-    // The export finds the run by its name in any working directory. The name contains a dot.
+    // The export finds the run by its name in any working directory. The name contains a dot. A directory has the same name.
     let elsewhere = tempfile::tempdir().unwrap();
+    std::fs::create_dir(elsewhere.path().join("asked.v2")).unwrap();
     let mut export = ballbard();
     export.current_dir(&elsewhere).args(["export", "--csv", "asked.v2", "--port", &service.port]);
     let output = export.output().unwrap();

@@ -113,8 +113,9 @@ fn find(recording: &Path, service: &ServiceArguments) -> anyhow::Result<(Recordi
     // The name of a run may contain dots, but it does not have the extension of a recording.
     let is_name = recording.components().count() == 1
         && recording.extension().is_none_or(|ending| ending != FINISHED_ENDING);
-    // With a service on another machine, local files are not considered.
-    if (recording.exists() || !is_name) && !service.is_elsewhere() {
+    // With a service on another machine, local files are not considered. A directory with the name of a run is not
+    // considered either: it contains the results that `identify calibrate` has computed from the run.
+    if (recording.is_file() || !is_name) && !service.is_elsewhere() {
         return Ok((RecordingLocation::File(recording.to_owned()), recording.to_owned()));
     }
     let name = recording.to_string_lossy();
