@@ -68,6 +68,27 @@ fn a_replay_in_real_time_is_the_same_bit_for_bit() {
 }
 
 #[test]
+fn a_sample_that_is_not_valid_is_not_valid_in_a_replay_either() {
+    let directory = tempfile::tempdir().unwrap();
+    let bar = ball_bar();
+    let mut first = request("first", BusChoice::Simulated, Some(Duration::from_secs(20)), true);
+    first.faults = vec!["lost:0.02@1s-19s".parse().unwrap()];
+    let (path, original) = record(directory.path(), &first, &bar);
+    assert!(original.cycles.iter().any(|cycle| !cycle.is_valid()));
+    let (_, replayed) =
+        record(directory.path(), &request("second", BusChoice::Replay(path), None, true), &bar);
+    let samples = |recording: &Recording| -> Vec<Vec<Option<u32>>> {
+        let valid_counts = |cycle: &CycleRecord| -> Vec<Option<u32>> {
+            cycle.encoders().iter().map(|encoder| encoder.valid.then_some(encoder.count)).collect()
+        };
+        recording.cycles.iter().map(valid_counts).collect()
+    };
+    assert_eq!(samples(&replayed), samples(&original));
+    // A count of 0 in the gaps would look like counters that restarted.
+    assert!(replayed.cycles.iter().all(|cycle| cycle.origin == 0));
+}
+
+#[test]
 fn a_replay_carries_the_origin_of_what_it_plays() {
     let directory = tempfile::tempdir().unwrap();
     let bar = ball_bar();

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use shared::config::{BallBarConfig, DaemonConfig, EncoderConfig};
 use shared::recording::Recording;
-use shared::recording::schema::{EncoderInfo, ReplayOrigin, SIMULATED_BUS};
+use shared::recording::schema::{EncoderInfo, EncoderSample, ReplayOrigin, SIMULATED_BUS};
 use shared::time::UtcNs;
 
 use super::error::RunError;
@@ -121,12 +121,13 @@ fn in_process(
     Ok((Box::new(InProcessWire::with_faults(segment, setup.scheduler.clock().clone())), handle))
 }
 
-/// Reads a recording. Returns the recording, a source that repeats the encoder counts of the recording,
+/// Reads a recording. Returns the recording, a source that repeats the valid encoder counts of the recording,
 /// and the handle that starts this source.
 pub fn open_replay(path: &Path) -> Result<(Recording, Replay, ReplayHandle), RunError> {
     let recording = Recording::open(path)?;
-    let counts =
-        recording.cycles.iter().flat_map(|record| record.encoders().iter().map(|encoder| encoder.count));
+    // A sample that is not valid may have any count, such as 0 in a cycle without a reply.
+    let valid_count = |encoder: &EncoderSample| encoder.valid.then_some(encoder.count);
+    let counts = recording.cycles.iter().flat_map(|record| record.encoders().iter().map(valid_count));
     let (source, handle) =
         Replay::new(counts.collect(), recording.run.encoders.len(), recording.run.cycle_period_ns as i64)
             .map_err(|error| RunError::ReplayContent { path: path.to_owned(), problem: error.to_string() })?;

@@ -14,11 +14,15 @@ fn recording(rows: usize, channels: usize) -> Vec<u32> {
     (0..rows * channels).map(|_| random.random()).collect()
 }
 
+fn valid(counts: &[u32]) -> Vec<Option<u32>> {
+    counts.iter().copied().map(Some).collect()
+}
+
 #[test]
 fn every_recorded_row_arrives_bit_for_bit_one_a_cycle_on_drifting_clocks() {
     const ROWS: usize = 2000;
     let counts = recording(ROWS, 5);
-    let (replay, handle) = Replay::new(counts.clone(), 5, PERIOD_NS).unwrap();
+    let (replay, handle) = Replay::new(valid(&counts), 5, PERIOD_NS).unwrap();
     let config = SegmentConfig { drift_ppm: 50.0, ..SegmentConfig::default() };
     let mut bench = Bench::new(SimulatedSegment::new(&config, Box::new(replay)));
     let group = preop(&mut bench);
@@ -44,7 +48,7 @@ fn every_recorded_row_arrives_bit_for_bit_one_a_cycle_on_drifting_clocks() {
 fn a_replay_that_starts_at_the_next_cycle_shows_every_row_and_can_be_repeated() {
     const ROWS: usize = 20;
     let counts = recording(ROWS, 5);
-    let (replay, handle) = Replay::new(counts.clone(), 5, PERIOD_NS).unwrap();
+    let (replay, handle) = Replay::new(valid(&counts), 5, PERIOD_NS).unwrap();
     let mut bench = Bench::new(SimulatedSegment::new(&SegmentConfig::default(), Box::new(replay)));
     let group = preop(&mut bench);
     let group = operational(&mut bench, group);
@@ -62,7 +66,7 @@ fn a_replay_that_starts_at_the_next_cycle_shows_every_row_and_can_be_repeated() 
 #[test]
 fn without_distributed_clocks_rows_follow_the_frames() {
     let counts = recording(20, 1);
-    let (replay, handle) = Replay::new(counts.clone(), 1, PERIOD_NS).unwrap();
+    let (replay, handle) = Replay::new(valid(&counts), 1, PERIOD_NS).unwrap();
     let mut wire = Wire::new(1, replay);
     wire.enter_safeop(TERMINAL);
     wire.process_data(0, 0);
@@ -86,7 +90,7 @@ fn without_distributed_clocks_rows_follow_the_frames() {
 fn after_the_clock_of_the_bus_was_set_encoders_stand_between_two_rows() {
     // Counts increase by 1000 from row to row, and wrap once.
     let counts: Vec<u32> = (0..40u32).map(|row| (row * 1000).wrapping_sub(10_500)).collect();
-    let (mut replay, handle) = Replay::new(counts.clone(), 1, PERIOD_NS).unwrap();
+    let (mut replay, handle) = Replay::new(valid(&counts), 1, PERIOD_NS).unwrap();
     handle.start_at(0);
     for (row, &recorded) in counts.iter().enumerate().take(39) {
         let nominal_ns = row as i64 * PERIOD_NS;
@@ -103,10 +107,22 @@ fn after_the_clock_of_the_bus_was_set_encoders_stand_between_two_rows() {
 }
 
 #[test]
+fn in_a_row_without_a_valid_count_the_input_has_no_signal() {
+    let (mut replay, handle) = Replay::new(vec![Some(7), None, Some(9)], 1, PERIOD_NS).unwrap();
+    handle.start_at(0);
+    let shown = [0, 1, 2].map(|row| {
+        let now_ns = row * PERIOD_NS;
+        replay.signal(0, Conversion { true_time_ns: now_ns, system_time_ns: Some(now_ns) })
+    });
+    let expected = [Signal::Recorded { count: 7 }, Signal::NOT_CONNECTED, Signal::Recorded { count: 9 }];
+    assert_eq!(shown, expected);
+}
+
+#[test]
 fn a_table_that_is_not_whole_is_refused() {
     for (counts, channels) in [(0, 5), (7, 5), (5, 0)] {
-        let refused = Replay::new(vec![0; counts], channels, PERIOD_NS);
+        let refused = Replay::new(vec![Some(0); counts], channels, PERIOD_NS);
         assert_eq!(refused.unwrap_err(), ReplayError::Shape { counts, channels });
     }
-    assert_eq!(Replay::new(vec![0; 5], 5, 0).unwrap_err(), ReplayError::Period(0));
+    assert_eq!(Replay::new(vec![Some(0); 5], 5, 0).unwrap_err(), ReplayError::Period(0));
 }

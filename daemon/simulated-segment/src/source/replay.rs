@@ -1,4 +1,5 @@
-//! Plays recorded counts. A *row* contains one count for each terminal. One row is played per bus cycle.
+//! Plays recorded counts. A *row* contains one count for each terminal. One row is played per bus cycle. If a row has no
+//! valid count of a terminal, its input has no signal in this cycle, so that the terminal reports an amplitude error.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, AtomicUsize, Ordering};
@@ -45,7 +46,7 @@ struct ReplayState {
 /// is nearest in true time.
 #[derive(Debug)]
 pub struct Replay {
-    counts: Vec<u32>,
+    counts: Vec<Option<u32>>,
     channels: usize,
     period_ns: i64,
     /// Timing of the SYNC0 pulses, for each channel.
@@ -82,13 +83,13 @@ impl PulseTiming {
 pub struct ReplayHandle(Arc<ReplayState>);
 
 impl Replay {
-    /// Plays `counts`, which consist of rows of `channels` counts each. Every `period_ns`, the next row is played. Until the
-    /// handle starts the replay, the first row is played.
+    /// Plays `counts`, which consist of rows of `channels` counts each. A count is `None` if the recorded one is not valid.
+    /// Every `period_ns`, the next row is played. Until the handle starts the replay, the first row is played.
     ///
     /// # Errors
     /// If the counts are not at least one complete row, or the period is not positive.
     pub fn new(
-        counts: Vec<u32>,
+        counts: Vec<Option<u32>>,
         channels: usize,
         period_ns: i64,
     ) -> Result<(Self, ReplayHandle), ReplayError> {
@@ -124,22 +125,27 @@ impl Replay {
         Some(row.min(self.shared.rows - 1))
     }
 
-    /// Count of a channel at the time `after_ns` after the time of a row, by linear interpolation. 0 for a terminal that is
-    /// not in the recording.
-    fn count(&self, channel: usize, row: usize, after_ns: i64) -> u32 {
+    /// Count of a channel at the time `after_ns` after the time of a row, by linear interpolation. `None` without a valid
+    /// count, and for a terminal that is not in the recording.
+    fn count(&self, channel: usize, row: usize, after_ns: i64) -> Option<u32> {
+        let last = self.shared.rows - 1;
         let recorded = |row: usize| {
             let counts_of_row = self.counts.get(row * self.channels..)?.get(..self.channels)?;
-            counts_of_row.get(channel).copied()
+            counts_of_row.get(channel).copied().flatten()
         };
         let rows_later =
             usize::try_from(after_ns.div_euclid(self.period_ns).unsigned_abs()).unwrap_or(usize::MAX);
         let row = if after_ns < 0 { row.saturating_sub(rows_later) } else { row.saturating_add(rows_later) };
-        let Some(before) = recorded(row.min(self.shared.rows - 1)) else { return 0 };
-        let Some(after) = recorded(row.saturating_add(1)) else { return before };
+        let row = row.min(last);
+        let before = recorded(row)?;
+        let part_ns = after_ns.rem_euclid(self.period_ns);
+        if part_ns == 0 || row == last {
+            return Some(before);
+        }
         // Counters wrap, so the difference is taken as a signed number.
-        let step = f64::from(after.wrapping_sub(before) as i32);
-        let part = after_ns.rem_euclid(self.period_ns) as f64 / self.period_ns as f64;
-        before.wrapping_add((step * part).round() as i64 as u32)
+        let step = f64::from(recorded(row + 1)?.wrapping_sub(before) as i32);
+        let part = part_ns as f64 / self.period_ns as f64;
+        Some(before.wrapping_add((step * part).round() as i64 as u32))
     }
 }
 
@@ -157,7 +163,8 @@ impl EncoderSource for Replay {
             }
             _ => 0,
         };
-        Signal::Recorded { count: self.count(channel, row_now.unwrap_or_default(), delay_ns) }
+        self.count(channel, row_now.unwrap_or_default(), delay_ns)
+            .map_or(Signal::NOT_CONNECTED, |count| Signal::Recorded { count })
     }
 }
 

@@ -111,7 +111,10 @@ impl Counter {
     /// Performs one conversion. The inputs are computed from the encoder's signal and from the requests in the outputs.
     pub fn convert(&mut self, signal: Signal, outputs: &Outputs, inputs: &mut Inputs) {
         match signal {
-            Signal::Recorded { count } => inputs.counter = count,
+            Signal::Recorded { count } => {
+                inputs.counter = count;
+                (inputs.frequency_error, inputs.amplitude_error) = (false, false);
+            }
             Signal::Turning { position, periods_per_s, amplitude, reference_mark, on_reference_mark } => {
                 let frequency_hz = periods_per_s.abs();
                 let directed = self.directed(position);
