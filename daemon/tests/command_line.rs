@@ -592,10 +592,12 @@ fn a_smoke_test_ends_with_0_only_if_all_passed_and_always_with_a_report() {
         text.contains("disabled  homing: `homing = false`") && text.contains("smoke-simulated.json"),
         "{text}"
     );
+    // A link is followed and not replaced.
+    std::os::unix::fs::symlink("linked.json", out.path().join("noisy.json")).unwrap();
     let noisy = smoke(&["--fault", "noise:2,0.1", "--json", "--report", "noisy.json"]);
     assert_eq!(noisy.status.code(), Some(1));
     let printed: serde_json::Value = serde_json::from_slice(&noisy.stdout).unwrap();
-    let written = std::fs::read(out.path().join("noisy.json")).unwrap();
+    let written = std::fs::read(out.path().join("linked.json")).unwrap();
     assert_eq!(serde_json::from_slice::<serde_json::Value>(&written).unwrap(), printed);
     assert_eq!(smoke(&["--checks", "daemon"]).status.code(), Some(1));
     for arguments in [&["--bus", "eth9", "--fast"][..], &["--fault", "lost:0.01"]] {

@@ -1,9 +1,10 @@
 //! `ballbard smoke`: checks a bus before its first use.
 
+use std::fs;
 use std::io::{self, IsTerminal};
 use std::path::{Path, PathBuf};
 
-use anyhow::bail;
+use anyhow::{Context, bail};
 use clap::Args;
 use shared::config;
 use shared::output::{explained, say, show};
@@ -74,8 +75,13 @@ pub fn run(arguments: SmokeArguments) -> anyhow::Result<()> {
 }
 
 fn finish(report: &Report, file: &Path, format: Format) -> anyhow::Result<()> {
-    let text = serde_json::to_string_pretty(report)?;
-    whole_file::write(&SystemDisk, file, &(text + "\n"))?;
+    let text = serde_json::to_string_pretty(report)? + "\n";
+    // A device such as /dev/null, a pipe or a link must not be replaced by a file. The test of a bus often runs as root.
+    if fs::symlink_metadata(file).is_ok_and(|found| !found.is_file()) {
+        fs::write(file, text).with_context(|| format!("cannot write {}", file.display()))?;
+    } else {
+        whole_file::write(&SystemDisk, file, &text)?;
+    }
     if !format.prints(report)? {
         show(report)?;
         say(format_args!("all figures are in {}; send it with these lines", file.display()))?;
