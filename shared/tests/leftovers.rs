@@ -3,7 +3,7 @@
 
 use std::fs::File;
 use std::io;
-use std::os::unix::fs::FileExt;
+use std::os::unix::fs::{FileExt, symlink};
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 
@@ -166,6 +166,20 @@ fn a_crash_during_recovery_leaves_nothing_to_choose_between() {
     assert!(recover_leftovers(directory.path())[0].outcome.is_ok());
     assert_eq!(Recording::open(&directory.path().join("twice.mcap")).unwrap().cycles.len(), 40);
     assert!(directory.path().join("twice.mcap.torn").exists() && !left.exists());
+}
+
+#[test]
+fn a_link_in_the_place_of_the_new_file_is_not_followed() {
+    let directory = tempfile::tempdir().unwrap();
+    let left = left_behind(directory.path(), "linked");
+    let other = directory.path().join("other");
+    std::fs::write(&other, "precious").unwrap();
+    symlink(&other, directory.path().join("linked.mcap.recovering")).unwrap();
+    assert!(recover_file(&left).is_err());
+    assert_eq!(std::fs::read(&other).unwrap(), b"precious");
+    // The link is removed like an incomplete copy, so the next attempt succeeds.
+    recover_file(&left).unwrap();
+    assert_eq!(std::fs::read(&other).unwrap(), b"precious");
 }
 
 #[test]

@@ -8,12 +8,13 @@ use std::fmt::{self, Debug};
 use std::fs::{File, Metadata, OpenOptions};
 use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::os::fd::BorrowedFd;
-use std::os::unix::fs::{FileExt, MetadataExt};
+use std::os::unix::fs::{FileExt, MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use nix::errno::Errno;
 use nix::fcntl::{AT_FDCWD, Flock, FlockArg, RenameFlags, renameat2};
+use nix::libc::O_NOFOLLOW;
 use nix::sys::statvfs::statvfs;
 use nix::unistd::{AccessFlags, access, write};
 
@@ -57,9 +58,11 @@ pub trait Disk: Debug + Send + Sync {
         std::fs::create_dir_all(directory)
     }
 
-    /// Opens a new file for reading and writing. An existing file is emptied.
+    /// Opens a new file for reading and writing. An existing file is emptied. Fails if the name is a symbolic link: in a
+    /// directory of another user, the link could lead to any file.
     fn create(&self, path: &Path) -> io::Result<File> {
-        OpenOptions::new().read(true).write(true).create(true).truncate(true).open(path)
+        let mut options = OpenOptions::new();
+        options.read(true).write(true).create(true).truncate(true).custom_flags(O_NOFOLLOW).open(path)
     }
 
     /// Opens an existing file for reading.
