@@ -4,7 +4,7 @@
 //! The end of an MCAP file is a summary, followed by a footer. The footer contains the offset of the summary. The summary
 //! contains the offsets of the metadata records.
 
-use std::io::{Read, Seek, SeekFrom};
+use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
 
 use crc32fast::Hasher;
@@ -53,55 +53,58 @@ impl RunOverview {
     }
 }
 
-/// Offsets and lengths of the metadata records, from the summary. The summary is parsed here and not by the MCAP library,
-/// because the library checks lengths only after it has allocated memory (see [`parse_record`]).
+/// Offsets and lengths of the metadata records, from the summary, whose checksum is checked. The summary is read record by
+/// record, because it contains a record for each chunk: the summary of a run of days is longer than any record may be.
+/// Records are parsed here and not by the MCAP library, because the library checks lengths only after it has allocated
+/// memory (see [`parse_record`]).
 fn metadata_indexes(file: &mut OpenFile<'_>) -> Result<Vec<MetadataIndex>, ReadErrorKind> {
-    let summary = summary_of(file)?;
-    let mut rest = &summary[..];
-    let mut indexes = Vec::new();
-    while let Some((opcode, length, behind)) = split_prefix(rest) {
-        let (content, next) = behind.split_at_checked(length).ok_or(McapError::UnexpectedEof)?;
-        if let Record::MetadataIndex(index) = parse_record(opcode, content)? {
-            indexes.push(index);
-        }
-        rest = next;
-    }
-    Ok(indexes)
-}
-
-/// Reads the summary and checks its checksum.
-fn summary_of(file: &mut OpenFile<'_>) -> Result<Vec<u8>, ReadErrorKind> {
-    let end = file.seek(SeekFrom::End(0))?;
-    let footer_at = end.checked_sub((FOOTER_BYTES + MAGIC.len()) as u64).ok_or(McapError::UnexpectedEof)?;
-    file.seek(SeekFrom::Start(footer_at))?;
-    let mut tail = [0; FOOTER_BYTES];
-    file.read_exact(&mut tail)?;
-    let mut magic = [0; MAGIC.len()];
-    file.read_exact(&mut magic)?;
-    if magic != *MAGIC {
-        return Err(McapError::BadMagic.into());
-    }
+    let (footer_at, footer) = read_footer(file)?;
     let Record::Footer(Footer { summary_start, summary_crc, .. }) =
-        parse_record(tail[0], &tail[PREFIX_BYTES..])?
+        parse_record(footer[0], &footer[PREFIX_BYTES..])?
     else {
         return Err(McapError::BadFooter.into());
     };
     if summary_start == 0 {
         return Err(ReadErrorKind::Unfinished);
     }
-    let length = footer_at.checked_sub(summary_start).and_then(|length| usize::try_from(length).ok());
-    let length = length.filter(|length| *length <= RECORD_LENGTH_BYTES_MAX).ok_or(McapError::BadFooter)?;
+    let mut unread = footer_at.checked_sub(summary_start).ok_or(McapError::BadFooter)?;
     file.seek(SeekFrom::Start(summary_start))?;
-    let mut summary = vec![0; length];
-    file.read_exact(&mut summary)?;
-    let mut hasher = Hasher::new();
-    hasher.update(&summary);
-    hasher.update(&tail[..FOOTER_BYTES - CHECKSUM_BYTES]);
+    let mut summary = BufReader::new(file.take(unread));
+    let (mut hasher, mut indexes, mut record) = (Hasher::new(), Vec::new(), Vec::new());
+    while unread > 0 {
+        record.resize(PREFIX_BYTES, 0);
+        summary.read_exact(&mut record)?;
+        let (opcode, length, _) = split_prefix(&record).ok_or(McapError::UnexpectedEof)?;
+        let bytes = PREFIX_BYTES.saturating_add(length);
+        unread = unread.checked_sub(bytes as u64).ok_or(McapError::UnexpectedEof)?;
+        if length > RECORD_LENGTH_BYTES_MAX {
+            return Err(McapError::BadFooter.into());
+        }
+        record.resize(bytes, 0);
+        summary.read_exact(&mut record[PREFIX_BYTES..])?;
+        hasher.update(&record);
+        if let Record::MetadataIndex(index) = parse_record(opcode, &record[PREFIX_BYTES..])? {
+            indexes.push(index);
+        }
+    }
+    hasher.update(&footer[..FOOTER_BYTES - CHECKSUM_BYTES]);
     let calculated = hasher.finalize();
     if calculated != summary_crc {
         return Err(McapError::BadSummaryCrc { saved: summary_crc, calculated }.into());
     }
-    Ok(summary)
+    Ok(indexes)
+}
+
+/// Reads the footer. Returns its offset in the file and its bytes.
+fn read_footer(file: &mut OpenFile<'_>) -> Result<(u64, [u8; FOOTER_BYTES]), ReadErrorKind> {
+    let end = file.seek(SeekFrom::End(0))?;
+    let footer_at = end.checked_sub((FOOTER_BYTES + MAGIC.len()) as u64).ok_or(McapError::UnexpectedEof)?;
+    file.seek(SeekFrom::Start(footer_at))?;
+    let mut footer = [0; FOOTER_BYTES];
+    file.read_exact(&mut footer)?;
+    let mut magic = [0; MAGIC.len()];
+    file.read_exact(&mut magic)?;
+    if magic == *MAGIC { Ok((footer_at, footer)) } else { Err(McapError::BadMagic.into()) }
 }
 
 /// Reads the metadata record with this name. The summary contains its offset.
