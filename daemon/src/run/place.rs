@@ -1,8 +1,8 @@
 //! The directory of the recordings: claiming it for this process, and recovering crashed runs in it.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use shared::recording::{Leftover, Recovery, recover_leftovers_on};
+use shared::recording::{Leftover, Recovery, RunOverview, Salvaged, recover_leftovers_on, set_aside};
 
 use super::error::RunError;
 use crate::claim::Claim;
@@ -23,7 +23,8 @@ pub(crate) fn claim_directory(storage: &Storage) -> Result<Option<Claim>, RunErr
 
 /// Finishes the recordings of crashed runs, logs each of them, and returns their files.
 pub fn finish_leftovers(storage: &Storage) -> Vec<PathBuf> {
-    let (disk, places) = (storage.disk(), [storage.directory(), storage.spare()]);
+    // The spare directory is first, because `has_moved` needs its finished recordings.
+    let (disk, places) = (storage.disk(), [storage.spare(), storage.directory()]);
     let leftovers = places.into_iter().flat_map(|place| recover_leftovers_on(&*disk, place));
     let mut finished = Vec::new();
     for Leftover { file, outcome } in leftovers {
@@ -34,11 +35,32 @@ pub fn finish_leftovers(storage: &Storage) -> Vec<PathBuf> {
                     cycles = content.cycles,
                     "a run left behind by a crash was recovered"
                 );
-                finished.push(file);
+                if has_moved(storage, &file, &content) {
+                    let aside = set_aside(&*disk, &file).map_or_else(
+                        |error| error.to_string(),
+                        |torn| format!("it is now {}", torn.display()),
+                    );
+                    tracing::warn!(file = %file.display(), "the whole run is in the spare directory; {aside}");
+                } else {
+                    finished.push(file);
+                }
             }
             Ok(Recovery::Whole { .. }) => {}
             Err(error) => tracing::warn!(file = %file.display(), "a file left behind: {error}"),
         }
     }
     finished
+}
+
+/// Whether a recovered file has only the beginning of a run that moved to the spare directory. The old file of such a run
+/// remains if it cannot be removed, for example because its file system has become read-only.
+fn has_moved(storage: &Storage, file: &Path, content: &Salvaged) -> bool {
+    let Some(moved) = file.file_name().map(|name| storage.spare().join(name)) else { return false };
+    let disk = storage.disk();
+    let is_other_file =
+        || matches!((disk.id_at(&moved), disk.id_at(file)), (Ok(one), Ok(other)) if one != other);
+    let has_all = |moved: RunOverview| {
+        moved.run == content.run && moved.end.cycles >= content.cycles && is_other_file()
+    };
+    RunOverview::open_on(&*disk, &moved).is_ok_and(has_all)
 }

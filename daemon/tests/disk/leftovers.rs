@@ -4,10 +4,14 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use ballbard::clock::Clock;
+use ballbard::record::Storage;
+use ballbard::run::finish_leftovers;
+use ballbard::scheduler::Threads;
 use shared::recording::schema::CycleRecord;
 use shared::recording::{Recording, Recovery, SystemDisk, recover_file_on, recover_leftovers_on};
 
-use crate::support::runs::{in_parallel, leave};
+use crate::support::runs::{daemon_in, in_parallel, leave};
 use crate::support::wall::{Call, Fault, Wall};
 
 /// Number of faults that are tested in parallel.
@@ -151,4 +155,23 @@ fn whichever_call_of_a_recovery_goes_wrong_nothing_is_lost_and_the_next_one_fini
     let cases = clean.cases();
     in_parallel(&cases, AT_ONCE, |case| clean.check(*case));
     println!("{} calls, {} cases, 0 failures", clean.calls.values().sum::<usize>(), cases.len());
+}
+
+#[test]
+fn the_beginning_of_a_run_that_has_moved_is_not_a_second_recording_of_its_name() {
+    let directory = tempfile::tempdir().unwrap();
+    let daemon = daemon_in(directory.path());
+    let [home, spare] = daemon.directories();
+    for place in [&home, &spare] {
+        std::fs::create_dir(place).unwrap();
+    }
+    leave(&home, "crashed", 20, false);
+    leave(&home, "moved", 20, false);
+    leave(&spare, "moved", CYCLES, true);
+    let storage = Storage::new(&daemon, &*Threads::on(Clock::Real)).unwrap();
+    assert_eq!(finish_leftovers(&storage), [home.join("crashed.mcap")]);
+    assert_eq!(finished(&home).into_keys().collect::<Vec<_>>(), ["crashed"]);
+    assert_eq!(finished(&spare)["moved"].len() as u64, CYCLES);
+    // The beginning is kept under the name of a file that is not a recording.
+    assert!(home.join("moved.mcap.torn").exists());
 }

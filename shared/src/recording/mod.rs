@@ -28,7 +28,7 @@ pub use reader::{Outline, ReadError, ReadErrorKind, Recording};
 pub use records::lengths::{parse_record, up_to_broken_chunk};
 pub use recover::{
     Damage, Leftover, RecoverError, Recovery, SalvageError, Salvaged, is_in_use, recover_file,
-    recover_file_on, recover_leftovers, recover_leftovers_on, salvage, verify,
+    recover_file_on, recover_leftovers, recover_leftovers_on, salvage, set_aside, verify,
 };
 pub use run_file::{ACTIVE_ENDING, FINISHED_ENDING, RunFile, RunPlace, RunSync, TORN_ENDING, run_name};
 pub use timing::{Bin, DiskTiming, Durations, TimingSummary};

@@ -259,8 +259,8 @@ fn keep_existing(
     }
 }
 
-/// Renames a file to `.mcap.torn`.
-fn set_aside(disk: &dyn Disk, path: &Path) -> Result<PathBuf, WriteError> {
+/// Renames a file to `.mcap.torn`, so that it is not a recording of the list any more. Returns the new path.
+pub fn set_aside(disk: &dyn Disk, path: &Path) -> Result<PathBuf, WriteError> {
     let torn = free_torn_name(disk, path)?;
     rename(disk, path, &torn)?;
     Ok(torn)

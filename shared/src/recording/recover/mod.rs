@@ -24,7 +24,7 @@ use crate::time::{NS_PER_S, UtcNs};
 
 pub use leftover::{
     Leftover, RecoverError, Recovery, is_in_use, recover_file, recover_file_on, recover_leftovers,
-    recover_leftovers_on,
+    recover_leftovers_on, set_aside,
 };
 pub use resync::Damage;
 use resync::{Refused, for_each_proven_record};
