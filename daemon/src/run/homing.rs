@@ -105,9 +105,7 @@ impl ActiveHoming {
             && let Some(outcome) = received(&self.outcomes)
         {
             self.is_over = true;
-            if outcome.is_ok() {
-                claim::set_activity("between runs");
-            }
+            claim::set_activity("between runs");
             let cause = || if self.stop.is_stopped() { self.stop.cause() } else { CYCLE_ENDED.into() };
             self.outcome = Some(outcome.unwrap_or_else(|Died| Err(HomingError::Stopped(cause()))));
         }
