@@ -12,13 +12,17 @@ fn standstills_jitter_angles_and_statuses_are_those_of_the_simulated_run() {
     let effects = Effects { robot_noise_urad: 15.0, encoder_noise_urad: 5.0, ..Effects::default() };
     let design = Design { duration_s: 60.0, ..Design::for_robot(&robot) };
     let mut run = simulate::run(&Experiment { effects, design, ..Experiment::new(&robot, &bar) }).unwrap();
-    for cycle in &mut run.cycles[2000..2003] {
+    for invalid in [1, 2000, 2001, 2002] {
+        let cycle = &mut run.cycles[invalid];
         cycle.flags = flags::STALE_INPUT;
         cycle.encoders[1].valid = false;
     }
     let prepared =
         prepare(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, &PrepareOptions::default())
             .unwrap();
+    // Times in messages count from the first valid sample. The first point of the timeline shows the invalid cycle after it.
+    let first_s = run.cycles[0].sample_time.seconds_since(prepared.t_ref);
+    assert!(prepared.first_s == first_s && prepared.timeline.points[0].t_s > first_s);
     let Timeline { points, cycles_per_point, standstills, jitter, .. } = prepared.timeline;
     assert!(points.len() <= Timeline::POINTS_MAX && points.len() * cycles_per_point >= run.cycles.len());
     assert!(points.windows(2).all(|pair| pair[0].t_s < pair[1].t_s));

@@ -222,7 +222,7 @@ impl Measures for BallBar {
     }
 
     fn first_s(&self) -> Option<f64> {
-        Some(self.prepared.first_s())
+        Some(self.prepared.first_s)
     }
 
     fn doubts(&self, _: &Geometry) -> Vec<Doubt> {

@@ -56,7 +56,7 @@ impl Deviations {
 
     /// Computes the residuals of the samples of a solve at the geometry that the solve found.
     pub(crate) fn at(prepared: &Prepared, geometry: Geometry) -> Self {
-        let (measured, first_s) = (prepared.measured, prepared.first_s());
+        let (measured, first_s) = (prepared.measured, prepared.first_s);
         let since_reference = prepared.motion.solved(geometry.clock);
         let residuals = Residuals::new(&prepared.motion, geometry.clone(), measured);
         let offsets = |origin| geometry.offsets_of_origin(origin);

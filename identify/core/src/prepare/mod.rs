@@ -232,6 +232,8 @@ impl Alignment {
 pub struct Prepared {
     /// Reference time on the bar's clock: the middle of the overlap.
     pub t_ref: UtcNs,
+    /// Time of the first valid sample of the recording, counted from `t_ref` \[s\]. Times in messages count from it.
+    pub first_s: f64,
     /// The samples of the solve: times since `t_ref`, and encoder angles to which the offsets have not been added.
     pub observations: Vec<Observation>,
     /// The robot's motion as a function of robot time. According to the alignment, this time is zero at `t_ref`.
@@ -274,10 +276,12 @@ impl Prepared {
         base_m: Vector3<f64>,
     ) -> Self {
         let kept = observations.len();
-        let overlap_s =
-            observations.last().zip(observations.first()).map_or(0.0, |(last, first)| last.t_s - first.t_s);
+        let [first_s, last_s] =
+            [observations.first(), observations.last()].map(|sample| sample.map_or(0.0, |sample| sample.t_s));
+        let overlap_s = last_s - first_s;
         Self {
             t_ref,
+            first_s,
             observations,
             motion,
             measured,
@@ -293,11 +297,5 @@ impl Prepared {
             poor_fit: None,
             force: None,
         }
-    }
-
-    /// Time of the first point of the timeline, counted from `t_ref` \[s\]. This is close to the time of
-    /// the first valid sample.
-    pub fn first_s(&self) -> f64 {
-        self.timeline.points.first().map_or(0.0, |point| point.t_s)
     }
 }

@@ -98,6 +98,7 @@ pub fn prepare(
     let context =
         ForceContext { t_ref, alignment: &alignment, motion: &motion, robot: &arm, base_m, gravity };
     let force = with_force(&mut sorted.observations, &mut statuses, log, &context)?;
+    let first_valid = cycles.iter().find(|cycle| cycle.is_valid());
     let run = PreparedRun {
         cycles,
         both: &both_logs,
@@ -111,6 +112,7 @@ pub fn prepare(
     };
     Ok(Prepared {
         t_ref,
+        first_s: first_valid.map_or(0.0, |cycle| cycle.sample_time.seconds_since(t_ref)),
         measured: found.encoder_map.used.measured(),
         base_m,
         alignment,
