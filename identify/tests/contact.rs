@@ -13,6 +13,7 @@ use identify::kinematics::{Chain, Pose, flange_chain};
 use identify::logs::{ContactMapping, TipRow};
 use identify::model::{DriveTrain, Geometry, JointState, Model, Owner};
 use identify::report::result::residuals::residuals_csv;
+use identify::report::result::validation::UnseenEntry;
 use identify::robot::import;
 use identify::simulate::ArmErrors;
 use identify::simulate::contact::{self, ContactExperiment, SimulatedContacts};
@@ -85,6 +86,7 @@ fn rows_at_an_unseen_socket_are_predicted_as_by_a_calibration_without_them() {
         found.iter().map(|part| part.name.as_str()).collect::<Vec<_>>(),
         ["A", "B", "C", "D", "E", "F"]
     );
+    assert!(found.iter().all(|part| part.data_set == 0 && UnseenEntry::from(part).data_set == 1));
     for part in &found {
         let left_out = table.names().iter().position(|name| *name == part.name).unwrap();
         let others: Vec<TipRow> = rows.iter().filter(|row| row.part != left_out).copied().collect();

@@ -7,11 +7,10 @@ use std::path::Path;
 use crate::support::command::identify;
 use crate::support::{irb2400, lengths, repository};
 use identify::calibrate::rows::{PoseFigures, Stages};
-use identify::calibrate::validation::unseen::UnseenPart;
 use identify::evaluate::{Budget, Expected, Limit, WorkspaceError};
 use identify::instrument::{HoldOut, PoseError};
 use identify::report::result::file::{CalibrationFile, SolveEntry};
-use identify::report::result::validation::{HeldOutEntry, RowsEntry, ValidationEntry};
+use identify::report::result::validation::{HeldOutEntry, RowsEntry, UnseenEntry, ValidationEntry};
 use identify::report::verdict::{CalibrationVerdict, Grade};
 use identify::statistics::Sizes;
 use rand::Rng;
@@ -133,7 +132,7 @@ fn green_needs_unseen_parts_within_the_claim_beyond_chance() {
         let (mut file, workspace) = file(0.3e-3, [1.0, 0.05], [1.0, 0.1]);
         file.rows.push(rows_entry(30, [2.0, fitted_mm]));
         file.unseen = ["A", "B", "C", "D"]
-            .map(|name| UnseenPart {
+            .map(|name| UnseenEntry {
                 data_set: 1,
                 name: name.into(),
                 predicted: figures(30, predicted_mm),

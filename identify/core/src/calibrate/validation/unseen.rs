@@ -2,8 +2,6 @@
 //! calibration at places without any fitted row. It requires that the position of the part follows from the other parts and
 //! their known geometry, as for the sockets of a plate.
 
-use serde::{Deserialize, Serialize};
-
 use crate::calibrate::Calibration;
 use crate::calibrate::pipeline::{Solved, problem};
 use crate::calibrate::rows::PoseFigures;
@@ -12,9 +10,9 @@ use crate::model::Model;
 use crate::solver::{LeastSquares, Normals, Options};
 
 /// Result for the rows at one part of an instrument. A fit to all other data predicts these rows.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct UnseenPart {
-    /// Number of the data set, from 1.
+    /// Index of the data set, from 0.
     pub data_set: usize,
     /// Name of the part.
     pub name: String,
@@ -78,7 +76,7 @@ pub fn unseen_parts(calibration: &Calibration) -> Vec<UnseenPart> {
             PoseFigures::from_errors(part.rows.iter().filter_map(|row| errors.get(*row).copied()))
         };
         Some(UnseenPart {
-            data_set: part.data_set + 1,
+            data_set: part.data_set,
             predicted: figures(&without_part),
             fitted: figures(model),
             name: part.name,

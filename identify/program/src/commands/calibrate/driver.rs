@@ -248,7 +248,7 @@ impl Tables {
             let validations = others.iter().map(validate).collect::<anyhow::Result<Vec<_>>>()?;
             tables.validation_lines.extend(validations.iter().map(rows_report::Validation::line));
             tables.validations.extend(validations.iter().map(|validation| validation.entry.clone()));
-            let unseen: Vec<&UnseenPart> = unseen.iter().filter(|part| part.data_set == number + 1).collect();
+            let unseen: Vec<&UnseenPart> = unseen.iter().filter(|part| part.data_set == number).collect();
             let table = rows_report::table(set, run, &beside.lines, &validations, &unseen);
             tables.text += &format!("\n{name}\n{table}{}", beside.set_ups());
             tables.text.extend(beside.aligned.as_ref().map(Aligned::line));

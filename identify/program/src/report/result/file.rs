@@ -18,11 +18,10 @@ use super::deployments::DeploymentEntry;
 use super::earlier::remove_page;
 use super::force::ForceEntry;
 use super::knowledge::{CovarianceEntry, ExpectedEntry, Knowledge, NoiseEntry};
-use super::validation::{HeldOutEntry, RowsEntry, ValidationEntry};
+use super::validation::{HeldOutEntry, RowsEntry, UnseenEntry, ValidationEntry};
 use crate::calibrate::Calibration;
 use crate::calibrate::selection::terms::Candidate;
 use crate::calibrate::validation::deployment::Deployment;
-use crate::calibrate::validation::unseen::UnseenPart;
 use crate::evaluate::{Budget, Limit, Validity, not_separated};
 use crate::instrument::Run;
 use crate::logs::LogError;
@@ -344,7 +343,7 @@ pub struct CalibrationFile {
     /// Prediction errors on the rows at each part of an instrument, such as a socket. Each part was predicted by a fit
     /// to all other data.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub unseen: Vec<UnseenPart>,
+    pub unseen: Vec<UnseenEntry>,
     /// Prediction errors on rows of other files.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub validations: Vec<ValidationEntry>,

@@ -51,6 +51,26 @@ pub struct RowsEntry {
     pub independent: Option<usize>,
 }
 
+/// Errors on the rows at one part of an instrument, such as a socket. A fit to all other data predicts these rows.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct UnseenEntry {
+    /// Number of the data set, from 1.
+    pub data_set: usize,
+    /// Name of the part.
+    pub name: String,
+    /// Errors of the prediction from all other data.
+    pub predicted: PoseFigures,
+    /// Errors of the calibration, whose fit includes these rows.
+    pub fitted: PoseFigures,
+}
+
+impl From<&UnseenPart> for UnseenEntry {
+    fn from(part: &UnseenPart) -> Self {
+        let UnseenPart { data_set, name, predicted, fitted } = part.clone();
+        Self { data_set: data_set + 1, name, predicted, fitted }
+    }
+}
+
 /// Errors on the rows of a file that the calibration did not use.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ValidationEntry {
@@ -88,7 +108,7 @@ impl CalibrationFile {
                 let [nominal, calibrated, fitted] = held_out.rms();
                 HeldOutEntry { segments: held_out.segments.len(), nominal, calibrated, fitted }
             });
-        self.unseen.clone_from(&evidence.unseen);
+        self.unseen = evidence.unseen.iter().map(UnseenEntry::from).collect();
         // The error of a deployment is comparable only if the deployment predicted as many segments as the calibration did.
         let comparable =
             |held_out: &HeldOut| Some(held_out.segments.len()) == self.held_out.map(|all| all.segments);
@@ -140,7 +160,7 @@ impl CalibrationFile {
     /// all other data. `None` if no part was predicted.
     fn at_unseen_parts(&self, rows: &RowsEntry) -> Option<HeldOutErrors> {
         let parts = || self.unseen.iter().filter(|part| part.data_set == rows.data_set);
-        let rms = |errors: fn(&UnseenPart) -> &PoseFigures| {
+        let rms = |errors: fn(&UnseenEntry) -> &PoseFigures| {
             let position_m =
                 pooled_rms(parts().map(errors).map(|figures| (figures.rows, figures.position_m.rms)));
             PoseError { position_m, rotation_rad: None }
