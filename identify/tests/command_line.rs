@@ -160,6 +160,9 @@ fn freeing_what_cannot_be_identified_is_refused_with_its_name() {
     let out = tempfile::tempdir().unwrap();
     let unknown = calibrate(&recording, &log, &["--free", "rgamma3"], out.path());
     refused(&unknown, &["no parameter is called `rgamma3`"], out.path());
+    let unknown = calibrate(&recording, &log, &["--free", "foo"], out.path());
+    let why = ["no parameter is called `foo`; names are such as `ra1`", "\"Parameters of the model\""];
+    refused(&unknown, &why, out.path());
 }
 
 #[test]

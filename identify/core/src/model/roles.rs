@@ -52,10 +52,14 @@ pub struct Parameter {
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ModelError {
     /// No parameter has this name.
-    #[error("no parameter is called `{name}`; {}", nearest.as_ref().map_or_else(
-        || format!("choose from {}", ranges()),
-        |nearest| format!("did you mean `{nearest}`?")
-    ))]
+    #[error(
+        "no parameter is called `{name}`; {} The page \"Parameters of the model\" of the documentation lists all \
+         names",
+        nearest.as_ref().map_or_else(
+            || "names are such as `ra1`, `rtheta6` and `ox`.".to_owned(),
+            |nearest| format!("did you mean `{nearest}`?")
+        )
+    )]
     UnknownName {
         /// The name as given.
         name: String,
@@ -78,23 +82,6 @@ pub enum ModelError {
         /// Standard deviation as given, SI.
         sigma: f64,
     },
-}
-
-/// First and last name of each type of parameter, for the message about an unknown name.
-fn ranges() -> String {
-    let mut ranges: Vec<(String, [String; 2])> = Vec::new();
-    for name in ParameterId::all().map(|id| id.to_string()) {
-        let letters: String = name.chars().filter(|letter| !letter.is_ascii_digit()).collect();
-        let type_name = letters.trim_end_matches(['x', 'y', 'z']);
-        match ranges.iter_mut().find(|(other_type, _)| other_type == type_name) {
-            Some((_, [_, last])) => *last = name,
-            None => ranges.push((type_name.to_owned(), [name.clone(), name])),
-        }
-    }
-    let range = |(_, [first, last]): (String, [String; 2])| {
-        if first == last { first } else { format!("{first} .. {last}") }
-    };
-    ranges.into_iter().map(range).collect::<Vec<_>>().join(", ")
 }
 
 /// A parameter fixed at its value in a geometry. `None` if the geometry does not contain the parameter.
