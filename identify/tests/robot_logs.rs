@@ -444,6 +444,23 @@ fn cycles_of_a_controller_are_times_also_where_their_counter_begins_anew() {
     }
 }
 
+#[test]
+fn dates_with_the_day_first_are_read_if_their_order_is_certain() {
+    let table = |date: &str| {
+        let row = |row: u32| {
+            let (s, ms) = (row / 50, 20 * (row % 50));
+            format!("{date} 10:15:{s:02}.{ms:03},{},0,0,0,0,0\n", 0.5 * f64::from(row))
+        };
+        "cycle,A1,A2,A3,A4,A5,A6\n".to_owned() + &(0..200).map(row).collect::<String>()
+    };
+    let read = |date: &str| read_cycles(&table(date), "unit = \"date_time\"");
+    assert_eq!(read("05.11.2026").unwrap().q_rad, read("2026-11-05").unwrap().q_rad);
+    for date in ["05/11/2026", "05.11.26"] {
+        let refusal = message(read(date));
+        assert!(refusal.contains("line 2") && refusal.contains("is not a date"), "{refusal}");
+    }
+}
+
 /// The last row before the wrap is exchanged with the first row after it. If this counted as another wrap, the rest of the
 /// log would be 262 s late.
 #[test]

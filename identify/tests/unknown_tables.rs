@@ -393,6 +393,17 @@ fn a_date_written_as_one_number_is_no_time_in_milliseconds() {
 }
 
 #[test]
+fn dates_with_the_day_first_are_proposed_as_times() {
+    let mut csv = String::from("Zeit;q1;q2;q3;q4;q5;q6\n");
+    for row in 0..60 {
+        let q: Vec<String> = joints_rad(row).iter().map(|q| format!("{q:.6}")).collect();
+        csv += &format!("22.11.2026 10:15:{row:02};{}\n", q.join(";"));
+    }
+    let text = proposed(csv.as_bytes()).to_toml().unwrap();
+    assert!(text.contains("`Zeit` has dates") && text.contains("unit = \"date_time\""), "{text}");
+}
+
+#[test]
 fn what_is_no_table_of_joints_is_refused_with_what_was_found() {
     let message =
         |text: &str| propose(text.as_bytes(), Path::new("table.txt"), &irb2400()).unwrap_err().to_string();

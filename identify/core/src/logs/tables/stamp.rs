@@ -27,7 +27,8 @@ pub enum TimeUnit {
     Cycles,
     /// Windows FILETIME, the number of 100 ns intervals since 1601, as exported by TwinCAT.
     Filetime,
-    /// Date and time of day as text, such as `2026-11-22T10:15:00.25Z`. A time without a zone is in UTC.
+    /// Date and time of day as text, such as `2026-11-22T10:15:00.25Z` or `22.11.2026 10:15:00.25`. The zone is UTC if
+    /// the text has none.
     DateTime,
 }
 
@@ -212,8 +213,10 @@ impl StampColumn {
 
 /// The beginning of 1970 as a FILETIME, in 100 ns since 1601.
 const FILETIME_1970: i64 = 116_444_736_000_000_000;
-/// Formats of date and time of day without a zone: with `T`, with a blank, and as in TwinCAT.
-const DATES: [&str; 3] = ["%Y-%m-%dT%H:%M:%S%.f", "%Y-%m-%d %H:%M:%S%.f", "%Y-%m-%d-%H:%M:%S%.f"];
+/// Formats of date and time of day without a zone: with `T`, with a blank, as in TwinCAT, and with the day first. In dates
+/// with points the day is always first. Dates with slashes are refused, because their order differs between countries.
+const DATES: [&str; 4] =
+    ["%Y-%m-%dT%H:%M:%S%.f", "%Y-%m-%d %H:%M:%S%.f", "%Y-%m-%d-%H:%M:%S%.f", "%d.%m.%Y %H:%M:%S%.f"];
 
 fn date_ns(row: &CsvRow<'_>, column: &CsvColumn) -> Result<i64, LogError> {
     let text = row.text(column);

@@ -10,7 +10,9 @@ pub(super) fn number(cell: &str, decimal_comma: bool) -> Option<f64> {
 
 pub(super) fn is_date(cell: &str) -> bool {
     let digits = cell.bytes().filter(u8::is_ascii_digit).count();
-    digits >= 12 && cell.contains(':') && cell.contains('-')
+    // With points, the day is first: `22.11.2026 10:15:00`.
+    let has_day = cell.contains('-') || cell.matches('.').count() >= 2;
+    digits >= 12 && cell.contains(':') && has_day
 }
 
 fn cells(line: &str, delimiter: char) -> Vec<&str> {
