@@ -333,6 +333,8 @@ fn formats_are_told_by_content_and_refused_where_there_is_none() {
     assert_eq!(detect(b"SQLite format 3\0", "bag_0.db3").unwrap(), LogFormat::Ros2Db3);
     assert_eq!(detect(b"\n  <Rob>", "x.log").unwrap(), LogFormat::Rsi);
     assert_eq!(detect(b"timestamp actual_q_0 actual_q_1\n", "x.csv").unwrap(), LogFormat::UrRtde);
+    let latin_1 = b"# Zelle M\xfcller\ntimestamp note_\xb5 actual_q_0 actual_q_1\n";
+    assert_eq!(detect(latin_1, "x.csv").unwrap(), LogFormat::UrRtde);
     assert_eq!(detect(b"# robot: x\nt_s,joint1_deg\n", "x.csv").unwrap(), LogFormat::Csv);
     assert_eq!(detect(b"\x2d\x0a\x07", "capture.EGM").unwrap(), LogFormat::Egm);
     let message = detect(b"\x7fELF\x02\x01\x01\0", "x.bin").unwrap_err().to_string();

@@ -59,8 +59,9 @@ impl LogFormat {
         if has_control_bytes && !is_utf_16 {
             return Err(LogError::UnknownFormat { path: path.to_owned() });
         }
-        let beginning = text.get(..HEADER_BYTES_MAX).unwrap_or(text);
-        let header = header_line(beginning.utf8_chunks().next().map_or("", |text| text.valid()));
+        // Comments may contain characters of another encoding. The names of the columns are ASCII.
+        let beginning = String::from_utf8_lossy(text.get(..HEADER_BYTES_MAX).unwrap_or(text));
+        let header = header_line(&beginning);
         let is_rtde = header.contains("timestamp")
             && ["actual_q_0", "target_q_0"].iter().any(|name| header.contains(name));
         Ok(if is_rtde { Self::UrRtde } else { Self::Csv })
