@@ -128,7 +128,8 @@ fn a_mapping_of_a_robot_log_names_the_force_or_takes_the_torques() {
     let force = mapped("force = { columns = [\"Load\"], unit = \"lbf\" }").unwrap().force.unwrap();
     let expected = log().force.unwrap().values[10][0] * 4.448_221_615_260_5;
     assert!((force.values[10][0] - expected).abs() < 1e-9);
-    let six = (1..=6).map(|_| "\"Load\"").collect::<Vec<_>>().join(", ");
+    let columns = |count: u8| (1..=count).map(|n| format!("\"joint{n}_deg\"")).collect::<Vec<_>>().join(", ");
+    let six = columns(6);
     let torques = mapped(&format!("torques = [{six}]\nforce = {{ unit = \"Nm\" }}")).unwrap();
     assert_eq!(torques.force.unwrap().kind, ForceKind::JointTorques);
     assert!(mapped(&format!("torques = [{six}]")).unwrap().force.is_none());
@@ -136,7 +137,7 @@ fn a_mapping_of_a_robot_log_names_the_force_or_takes_the_torques() {
     assert!(none.force.is_none() && none.quality.remarks.iter().any(|remark| remark.contains("not used")));
     let told = mapped("force = { columns = [\"Force\"], unit = \"N\" }").unwrap_err().to_string();
     assert!(told.contains("`Force` is missing") && told.contains("[force]"), "{told}");
-    let five = (1..=5).map(|_| "\"Load\"").collect::<Vec<_>>().join(", ");
+    let five = columns(5);
     let told = mapped(&format!("force = {{ columns = [{five}], unit = \"Nm\" }}")).unwrap_err().to_string();
     assert!(told.contains("5 torques under [force]") && told.contains("has 6 axes"), "{told}");
     let all = mapped(&format!("force = {{ columns = [{six}], unit = \"Nm\" }}")).unwrap();

@@ -319,6 +319,7 @@ fn impossible_mappings_are_refused_by_key() {
     let encoders = "[[encoders]]\njoint = 1\ncolumn = \"a\"\n";
     for (text, key) in [
         (format!("{encoders}{encoders}"), "encoders[1].joint"),
+        (encoders.to_owned() + &encoders.replace('1', "2"), "encoders[1].column"),
         (encoders.replace('1', "6"), "encoders[0].joint"),
         ("encoders = []".into(), "encoders"),
         (format!("wraps_at = 2\n{encoders}"), "wraps_at"),
@@ -368,7 +369,8 @@ fn encoders_among_the_joints_of_a_bag_are_found_by_name_and_followed_over_full_t
             assert_shown(&log, std::f64::consts::TAU);
         }
     }
-    let named = ["1", "2"].map(|joint| format!("[[encoders]]\njoint = {joint}\ncolumn = \"gripper\"\n"));
+    let named = [(1, "gripper"), (2, "gripper2")];
+    let named = named.map(|(joint, name)| format!("[[encoders]]\njoint = {joint}\ncolumn = \"{name}\"\n"));
     for (text, parts) in [
         (None, &["bar_joint_1 to bar_joint_5", "gripper"][..]),
         (Some(named.concat().replace("gripper", "axis")), &["gripper", "--recording-mapping"]),

@@ -138,6 +138,14 @@ fn an_error_in_a_mapped_table_names_the_line_of_the_file_and_the_column() {
     assert!(message.contains("`J4` is missing") && message.contains("axis4"), "{message}");
 }
 
+#[test]
+fn a_column_that_a_mapping_gives_to_two_joints_is_refused() {
+    let mut twice = shipped_mapping();
+    twice.joints[4].column = "J4".into();
+    let refusal = read_as(&german_table(80), Some(twice)).unwrap_err().to_string();
+    assert!(refusal.contains("the mapping names `J4` twice"), "{refusal}");
+}
+
 /// If several columns are missing, the message names the one whose key is first in the type of the mapping.
 #[test]
 fn of_several_columns_that_are_missing_the_first_of_the_mapping_is_named() {

@@ -160,6 +160,20 @@ impl LogError {
         if rows < needed { Err(Self::TooFewRows { path: path.to_owned(), rows, needed }) } else { Ok(()) }
     }
 
+    /// Refuses names of columns or joints in a mapping if two of them are equal.
+    pub(super) fn unless_distinct(path: &Path, names: &[impl AsRef<str>]) -> Result<(), Self> {
+        let names: Vec<&str> = names.iter().map(AsRef::as_ref).collect();
+        let repeated = names.iter().enumerate().find(|(index, name)| names[..*index].contains(name));
+        match repeated {
+            None => Ok(()),
+            Some((_, name)) => Err(Self::Content {
+                path: path.to_owned(),
+                problem: format!("the mapping names `{name}` twice"),
+                remedy: "each joint or component has a column of its own: correct one of the two names".into(),
+            }),
+        }
+    }
+
     /// [`Self::TimeNotIncreasing`] for two successive rows, each with its line number in the file and its stamp \[ns\].
     pub(super) fn time_not_increasing(
         path: &Path,

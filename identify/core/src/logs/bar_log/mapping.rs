@@ -84,6 +84,13 @@ impl Validate for BarLogMapping {
                 format!("joint {joint} has two encoders"),
                 "list each joint once",
             )?;
+            let is_first = self.encoders[..index].iter().all(|other| other.column != encoder.column);
+            Violation::unless(
+                is_first,
+                format!("encoders[{index}].column"),
+                format!("column `{}` is given for two encoders", encoder.column),
+                "give each encoder its own column",
+            )?;
         }
         Ok(())
     }

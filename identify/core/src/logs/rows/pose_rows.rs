@@ -311,8 +311,9 @@ pub(super) struct JointColumns<'a>(Vec<(CsvColumn, &'a JointColumn)>);
 
 impl<'a> JointColumns<'a> {
     pub fn find(table: &CsvTable<'_>, joints: &'a [JointColumn]) -> Result<Self, LogError> {
-        let found = joints.iter().map(|joint| Ok((table.column(&joint.column, REMEDY)?, joint)));
-        found.collect::<Result<_, LogError>>().map(Self)
+        let names: Vec<&str> = joints.iter().map(|joint| joint.column.as_str()).collect();
+        let columns = table.columns(&names, REMEDY)?;
+        Ok(Self(columns.into_iter().zip(joints).collect()))
     }
 
     /// Joint variables of a row \[rad, m\].

@@ -130,9 +130,11 @@ impl<'a> CsvTable<'a> {
         Ok(CsvColumn { index, name: name.to_owned() })
     }
 
-    /// The columns with these names.
+    /// The columns with these names, which must be different.
     pub fn columns(&self, names: &[impl AsRef<str>], remedy: &str) -> Result<Vec<CsvColumn>, LogError> {
-        names.iter().map(|name| self.column(name.as_ref(), remedy)).collect()
+        let columns = names.iter().map(|name| self.column(name.as_ref(), remedy));
+        let columns = columns.collect::<Result<Vec<_>, LogError>>()?;
+        LogError::unless_distinct(self.path(), names).map(|()| columns)
     }
 
     /// Like [`Self::column`]; `None` without a name.

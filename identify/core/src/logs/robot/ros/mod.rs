@@ -62,6 +62,7 @@ pub(in crate::logs) fn read(
     let joint_mapping = mapping.and_then(RobotLogMapping::with_joints);
     let (topic, names) =
         bag.choose(path, topic, &JOINTS, |found| joints_among(found, robot.axes(), joint_mapping))?;
+    LogError::unless_distinct(path, &names)?;
     let meaning = match joint_mapping {
         Some(mapping) => Meaning::mapped(robot, mapping, names, path)?,
         None => Meaning::of_controller(robot, AngleUnit::Rad, names, format, path)?,
