@@ -173,6 +173,8 @@ fn no_option_is_taken_and_ignored() {
         refused(&calibrate(&recording, &log, extra, out.path()), why, out.path())
     };
     refused(&["--free", "rd1", "--fix", "rd1"], &["rd1 is in --free and in --fix"]);
+    let without_force = identify(&["simulate", "bar", "--force-noise-n", "2"], IRB, &out.path().join("run"));
+    fails(&without_force, &["--force-n <N>"]);
     let mapping = config("bar_log.toml");
     refused(&["--recording-mapping", mapping.to_str().unwrap()], &["--recording-mapping", "leave it out"]);
     // An option of the command line has priority over the configuration file.

@@ -217,7 +217,7 @@ struct SimulateBarArguments {
     #[arg(long, value_name = "UM", default_value_t = 0.0, requires = "force_n")]
     bar_play_um: f64,
     /// White noise of the force in the log [N]
-    #[arg(long, value_name = "N", default_value_t = 1.0)]
+    #[arg(long, value_name = "N", default_value_t = 1.0, requires = "force_n")]
     force_noise_n: f64,
 }
 
