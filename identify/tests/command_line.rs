@@ -197,6 +197,10 @@ fn no_option_is_taken_and_ignored() {
     let (bar, robot) = (bar.to_str().unwrap(), robot.to_str().unwrap());
     for (arguments, why) in [
         (vec!["plan", "check", log, "--bar", bar, "--robot", robot, "--criterion", "worst"], "--criterion"),
+        (
+            vec!["plan", "check", log, "--bar", bar, "--robot", robot, "--linear-speed-m-s", "1"],
+            "--linear-speed-m-s: ABB IRB 2400/16 has no linear axis",
+        ),
         (vec!["inspect", log, "--robot", robot, "--bar", bar, "--propose", "mapping.toml"], "--bar"),
         (vec!["examine", "--robot", robot, "--bar", bar, "--poses", "0"], "--poses"),
         (

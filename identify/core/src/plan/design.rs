@@ -21,8 +21,11 @@ pub struct Design {
     pub duration_s: f64,
     /// Highest speed of a bar joint \[rad/s\].
     pub bar_speed_rad_s: f64,
-    /// Highest speed of a robot joint \[rad/s, m/s\].
+    /// Highest speed of a revolute joint of the robot \[rad/s\].
     pub robot_speed_rad_s: f64,
+    /// Highest speed of a prismatic joint of the robot \[m/s\]. If absent, it is the number of `robot_speed_rad_s`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub robot_speed_m_s: Option<f64>,
     /// Duration of a standstill \[s\]. The bar stands still after every third move. The standstills at the beginning and at
     /// the end of the path are twice as long.
     pub standstill_s: f64,
@@ -46,6 +49,7 @@ impl Design {
         duration_s: 120.0,
         bar_speed_rad_s: 0.8,
         robot_speed_rad_s: 1.2,
+        robot_speed_m_s: None,
         standstill_s: 1.0,
         bar_margin_deg: 10.0,
         wrist_margin_deg: 12.0,
@@ -55,6 +59,14 @@ impl Design {
 
     /// Design for a Comau NJ 220-2.7 with a bar of 0.5 to 1.0 m.
     pub const NJ_220: Self = Self { base_m: [1.7, 0.05, 0.6], ..Self::IRB_2400 };
+
+    /// Highest speed of each joint of an arm \[rad/s, m/s\].
+    pub fn speeds_max(&self, robot: &Chain) -> impl Iterator<Item = f64> {
+        robot.links.iter().map(|link| match link.joint {
+            JointKind::Revolute => self.robot_speed_rad_s,
+            JointKind::Prismatic => self.robot_speed_m_s.unwrap_or(self.robot_speed_rad_s),
+        })
+    }
 
     /// The robot's posture near which the motion begins \[rad, m\]. It is the design's posture, or a random posture within
     /// `limits` if the robot has another number of axes.

@@ -162,7 +162,8 @@ pub(super) fn random_poses(
         let next_rad: [f64; 5] = std::array::from_fn(|i| bar_rad[i] + part * by_rad[i]);
         let Ok(next) = constraints.inverse(&constraints.bar.forward(&next_rad), &q) else { continue };
         let qd = Joints::from_fn(q.len(), |i| (next[i] - q[i]) / STEP_S);
-        let speed_factor = (design.robot_speed_rad_s / largest_size(qd.iter()).max(1e-9)).min(1.0);
+        let speeds = qd.iter().zip(design.speeds_max(constraints.robot));
+        let speed_factor = speeds.map(|(qd, speed_max)| speed_max / qd.abs().max(1e-9)).fold(1.0, f64::min);
         visited.bar_rad.push(bar_rad);
         visited.robot.push(JointState { qd: qd.map(|qd| speed_factor * qd), ..JointState::at_rest(q) });
         near_rad = q;

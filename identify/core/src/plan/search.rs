@@ -145,6 +145,7 @@ pub fn search(
 pub(super) fn tight_design(design: &Design) -> Design {
     Design {
         robot_speed_rad_s: SPEED_PART * design.robot_speed_rad_s,
+        robot_speed_m_s: design.robot_speed_m_s.map(|speed_m_s| SPEED_PART * speed_m_s),
         bar_margin_deg: design.bar_margin_deg + ANGLE_ROOM_DEG,
         wrist_margin_deg: design.wrist_margin_deg + ANGLE_ROOM_DEG,
         limit_margin_deg: design.limit_margin_deg + ANGLE_ROOM_DEG,

@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use anyhow::Context;
 use clap::{Args, Subcommand};
-use shared::config::{self, BallBarConfig, RobotConfig};
+use shared::config::{self, BallBarConfig, JointKind, RobotConfig};
 use shared::output::{say, show};
 use shared::time::parse_duration;
 
@@ -68,9 +68,12 @@ struct CellArguments {
     /// than a metre
     #[arg(long, value_name = "X,Y,Z", value_parser = numbers::<3>, allow_hyphen_values = true)]
     base: Option<[f64; 3]>,
-    /// Highest speed of a robot joint [rad/s, or m/s for a linear axis]
+    /// Highest speed of a revolute joint of the robot [rad/s]
     #[arg(long, value_name = "RAD_S", default_value_t = Design::IRB_2400.robot_speed_rad_s)]
     speed: f64,
+    /// Highest speed of a linear axis of the robot [m/s]; default: the number of --speed
+    #[arg(long, value_name = "M_S")]
+    linear_speed_m_s: Option<f64>,
     /// Highest acceleration of a robot joint [rad/s^2, or m/s^2 for a linear axis]
     #[arg(long, value_name = "RAD_S2", default_value_t = 5.0)]
     acceleration: f64,
@@ -296,6 +299,12 @@ impl CellArguments {
         ensure_follows_bar(&robot)?;
         let bar: BallBarConfig = config::load(&self.bar)?;
         above_zero("speed", self.speed)?;
+        if let Some(speed_m_s) = self.linear_speed_m_s {
+            above_zero("linear-speed-m-s", speed_m_s)?;
+            let has_linear_axis = robot.joint_kinds().any(|kind| kind == JointKind::Prismatic);
+            let name = &robot.name;
+            anyhow::ensure!(has_linear_axis, "--linear-speed-m-s: {name} has no linear axis; leave it out");
+        }
         above_zero("acceleration", self.acceleration)?;
         let arm = robot_chain(&robot, &bar);
         let bodies = self.around.bodies(arm.reach_m())?;
@@ -303,6 +312,7 @@ impl CellArguments {
         design.base_m = self.base.unwrap_or(design.base_m);
         in_metres("base", &design.base_m, REACH_M_MAX)?;
         design.robot_speed_rad_s = self.speed;
+        design.robot_speed_m_s = self.linear_speed_m_s;
         let mut bar_chain = ball_bar_chain(&bar);
         bar_chain.root_from_base = nalgebra::Translation3::from(design.base_m).into();
         let calibration = self.calibration.as_deref().map(CalibrationFile::open).transpose()?;

@@ -11,7 +11,7 @@ use super::{Design, Path};
 use crate::kinematics::{
     Chain, InverseError, Joints, Pose, Trace, Tracer, robot_inverse_centred, singularity_margin_rad,
 };
-use crate::statistics::{largest_difference, largest_size};
+use crate::statistics::largest_size;
 
 /// Time between two checked poses of a path during planning \[s\].
 pub const LOOK_S: f64 = 0.05;
@@ -190,7 +190,8 @@ impl<'a> Constraints<'a> {
         for step in 1..=steps as usize {
             let before = robot[step - 1];
             let now = self.robot_at(&path.at(from_s + step_s * step as f64), &before)?;
-            if largest_difference(&now, &before) > self.design.robot_speed_rad_s * step_s {
+            let moved = now.iter().zip(before.iter()).map(|(now, before)| (now - before).abs());
+            if moved.zip(self.design.speeds_max(self.robot)).any(|(moved, speed)| moved > speed * step_s) {
                 return Err(Obstacle::Speed);
             }
             if let Some(earlier) = step.checked_sub(2).and_then(|index| robot.get(index)) {
