@@ -11,7 +11,7 @@ use crate::calibrate::change::Changed;
 use crate::calibrate::contradicted::{ContradictedPrior, LENGTH_SIGMA_M, LengthEstimate, lengths};
 use crate::calibrate::validation::agreement::{Disagreement, disagreeing};
 use crate::cost::Closure;
-use crate::instrument::{Doubt, Run, ScaleFrom};
+use crate::instrument::{Run, ScaleFrom};
 use crate::kinematics::{DhLink, Joints, LinkParameter};
 use crate::model::{JointTerm, Model, ParameterId};
 use crate::solver::{Loss, LossName, Solution};
@@ -83,10 +83,7 @@ pub fn limits(calibration: &Calibration, workspace: &WorkspaceError) -> Vec<Limi
 fn of_doubts(calibration: &Calibration) -> impl Iterator<Item = Limit> {
     calibration.runs.iter().enumerate().flat_map(move |(number, Run { instrument, model })| {
         let doubts = instrument.doubts(&model.geometry(&[])).into_iter();
-        doubts.map(move |doubt| Limit {
-            sentence: place(calibration, number) + &describe_doubt(&doubt),
-            serious: true,
-        })
+        doubts.map(move |doubt| Limit { sentence: place(calibration, number) + &doubt, serious: true })
     })
 }
 
@@ -346,26 +343,6 @@ fn far_lengths(model: &Model, solution: &Solution, scale: &str) -> Option<String
             named(&off, NAMED)
         )
     })
-}
-
-/// Reason why the result of a data set is questionable, as text.
-fn describe_doubt(doubt: &Doubt) -> String {
-    match doubt {
-        Doubt::OtherEncoders(used) => format!(
-            "Joints or directions of the encoders differ from those in the recording. Used instead (recorded joint -> joint): {used}. \
-             Check which encoder is plugged into which terminal, and correct ball_bar.toml."
-        ),
-        Doubt::MotionRepeats => {
-            "The motion repeats itself: another alignment in time fits nearly as well. Use a path that does not repeat, or log robot \
-             and bar for longer."
-                .to_owned()
-        }
-        Doubt::OtherTable(contradicted) => format!(
-            "The rows contradict the table of sockets or faces: {}. Correct the table or increase its uncertainty: with this one it \
-             biases the result.",
-            named(contradicted, NAMED)
-        ),
-    }
 }
 
 /// Range of motion of each revolute joint over all samples \[deg\].

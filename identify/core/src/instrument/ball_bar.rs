@@ -3,7 +3,7 @@
 //! that the available encoders determine.
 
 use super::repetition::independent_segments;
-use super::{Cause, Deviation, Doubt, Instrument, Measures, Noise, ScaleFrom};
+use super::{Cause, Deviation, Instrument, Measures, Noise, ScaleFrom};
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
@@ -225,11 +225,19 @@ impl Measures for BallBar {
         Some(self.prepared.first_s)
     }
 
-    fn doubts(&self, _: &Geometry) -> Vec<Doubt> {
+    /// Two reasons: another encoder map than the recorded one is used, or the motion repeats itself.
+    fn doubts(&self, _: &Geometry) -> Vec<String> {
         let used = &self.prepared.encoder_map.used;
-        let other = (!used.is_as_recorded()).then(|| Doubt::OtherEncoders(used.clone()));
-        let repeats = self.prepared.alignment.ambiguous.then_some(Doubt::MotionRepeats);
-        other.into_iter().chain(repeats).collect()
+        let other_map = (!used.is_as_recorded()).then(|| {
+            format!(
+                "Joints or directions of the encoders differ from those in the recording. Used instead (recorded joint -> joint): \
+                 {used}. Check which encoder is plugged into which terminal, and correct ball_bar.toml."
+            )
+        });
+        let repeats = "The motion repeats itself: another alignment in time fits nearly as well. Use a path that does not repeat, or \
+                       log robot and bar for longer.";
+        let repeats = self.prepared.alignment.ambiguous.then(|| repeats.to_owned());
+        other_map.into_iter().chain(repeats).collect()
     }
 
     fn prepared(&self) -> Option<&Prepared> {

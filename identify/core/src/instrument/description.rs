@@ -1,10 +1,7 @@
-//! Descriptions of an instrument for reports: the source of its scale, its noise, groups of its samples, and
-//! reasons why its results may be wrong.
+//! Descriptions of an instrument for reports: the source of its scale, its noise, and groups of its samples.
 
-use super::Contradiction;
 use crate::cost::AngleNoise;
 use crate::model::{Model, ModelError, ParameterId, Role};
-use crate::prepare::EncoderMap;
 
 /// Samples that were measured with the same part of the instrument, such as a station.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -15,18 +12,6 @@ pub struct Section {
     pub parameters: String,
     /// All samples of the section, including those that the fit does not use.
     pub samples: Vec<usize>,
-}
-
-/// Reason why the results of a data set may be wrong.
-#[derive(Debug, Clone, PartialEq)]
-pub enum Doubt {
-    /// The residuals show another assignment of encoders to joints, or another counting
-    /// direction, than the recording states.
-    OtherEncoders(EncoderMap),
-    /// Another time alignment fits nearly as well, because the motion repeats.
-    MotionRepeats,
-    /// Rows contradict the known geometry in the table of sockets or faces.
-    OtherTable(Vec<Contradiction>),
 }
 
 /// Quantity that determines the scale of all lengths.

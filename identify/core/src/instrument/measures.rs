@@ -4,8 +4,8 @@
 use std::fmt;
 
 use super::{
-    Boxed, Cause, CostName, Deviation, Doubt, HoldOut, Instrument, Mistake, Noise, PoseError, RejectedRow,
-    RowError, ScaleFrom, Section,
+    Boxed, Cause, CostName, Deviation, HoldOut, Instrument, Mistake, Noise, PoseError, RejectedRow, RowError,
+    ScaleFrom, Section,
 };
 use crate::cost::{CostError, DataSet};
 use crate::kinematics::{Chain, Joints};
@@ -200,8 +200,8 @@ pub trait Measures: Boxed + fmt::Debug + Send + Sync {
     /// Causes of a change that this instrument can have during a measurement.
     fn causes(&self, geometry: &Geometry) -> Vec<Cause>;
 
-    /// Reasons why the results at a solution may be wrong.
-    fn doubts(&self, _geometry: &Geometry) -> Vec<Doubt> {
+    /// Reasons why the results at a solution may be wrong, as sentences with a remedy for the report.
+    fn doubts(&self, _geometry: &Geometry) -> Vec<String> {
         Vec::new()
     }
 

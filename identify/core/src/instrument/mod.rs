@@ -19,14 +19,14 @@ use std::ops::{Deref, DerefMut};
 pub use ball_bar::{BallBar, CostName, NoiseConfig};
 pub use cause::Cause;
 use description::set_scale_prior;
-pub use description::{Doubt, Noise, ScaleFrom, Section};
+pub use description::{Noise, ScaleFrom, Section};
 pub use deviation::{Apart, Deviation, PoseError};
 pub use measures::Measures;
 pub use rows::{HoldOut, Mistake, RejectedRow, Rejection, RowError, Rows, SEED, standing};
 pub(crate) use rows::{faulty, gross_rows, segments, without};
 pub use tip::{
-    Artefact, Contact, Contradiction, FaceTable, Faces, KnownAngle, KnownDistance, Knowns, PlacedSocket,
-    SocketTable, Sockets, Spacing, Tip, Touch, Touched,
+    Artefact, Contact, FaceTable, Faces, KnownAngle, KnownDistance, Knowns, PlacedSocket, SocketTable,
+    Sockets, Spacing, Tip, Touch, Touched,
 };
 pub use tracker::Tracker;
 pub use wire::Wire;

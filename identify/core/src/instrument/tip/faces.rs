@@ -246,24 +246,15 @@ impl Knowns for Faces {
         if matches!(self.known.get(known), Some(Known::Parallel { .. })) { 3 } else { 1 }
     }
 
-    fn name_of(&self, known: usize) -> String {
-        let Some(known) = self.known.get(known) else { return String::new() };
-        let (what, [first, second]) = match known {
-            Known::Distance { faces, .. } => ("the distance between", faces),
-            Known::Angle { faces, .. } | Known::Parallel { faces, .. } => ("the angle between", faces),
-        };
-        let name = |face: &usize| self.names.get(*face).map_or("", String::as_str);
-        format!("{what} faces `{}` and `{}`", name(first), name(second))
-    }
-
-    fn sigma_of(&self, known: usize) -> (f64, Unit) {
-        match self.known.get(known) {
-            Some(Known::Distance { sigma_m, .. }) => (*sigma_m, Unit::Metre),
-            Some(Known::Angle { sigma_rad, .. } | Known::Parallel { sigma_rad, .. }) => {
-                (*sigma_rad, Unit::Radian)
+    fn stated(&self, known: usize) -> Option<(String, f64, Unit)> {
+        let (what, [first, second], sigma, unit) = match *self.known.get(known)? {
+            Known::Distance { faces, sigma_m, .. } => ("distance", faces, sigma_m, Unit::Metre),
+            Known::Angle { faces, sigma_rad, .. } | Known::Parallel { faces, sigma_rad } => {
+                ("angle", faces, sigma_rad, Unit::Radian)
             }
-            None => (0.0, Unit::Metre),
-        }
+        };
+        let (first, second) = (self.names.get(first)?, self.names.get(second)?);
+        Some((format!("the {what} between faces `{first}` and `{second}`"), sigma, unit))
     }
 
     fn known(&self, known: usize, geometry: &Geometry) -> Option<(DVector<f64>, DMatrix<f64>)> {

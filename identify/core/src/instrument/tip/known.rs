@@ -22,11 +22,9 @@ pub trait Knowns: fmt::Debug + Sync {
     /// Number of residuals of a known quantity.
     fn rows_of(&self, known: usize) -> usize;
 
-    /// Name in messages, such as `the distance between faces ...`.
-    fn name_of(&self, known: usize) -> String;
-
-    /// Standard uncertainty of a known quantity, in SI units, and the unit of the quantity.
-    fn sigma_of(&self, known: usize) -> (f64, Unit);
+    /// A known quantity: its name in messages, such as `the distance between faces ...`, its standard uncertainty in SI
+    /// units, and its unit. `None` if it does not exist.
+    fn stated(&self, known: usize) -> Option<(String, f64, Unit)>;
 
     /// Residual of a known quantity: estimated minus known value, in standard deviations. Also the
     /// derivatives of the residual. [`Knowns::column`] assigns parameters to the columns of the derivatives.
@@ -36,41 +34,22 @@ pub trait Knowns: fmt::Debug + Sync {
     /// Column of a parameter in the derivatives. `None` if the residuals do not depend on the parameter.
     fn column(&self, id: ParameterId) -> Option<usize>;
 
-    /// Finds the known quantities that the estimated geometry contradicts.
+    /// Finds the known quantities that the estimated geometry contradicts. Returns the name of each quantity with its
+    /// deviation and its uncertainty, as text for messages.
     ///
     /// Each quantity is tested by chi-squared. [`CONTRADICTED_BY_CHANCE`] is the probability of a false report among all
     /// quantities together. The test is conservative, because the fit also uses the known values.
-    fn contradicted(&self, geometry: &Geometry) -> Vec<Contradiction> {
+    fn contradicted(&self, geometry: &Geometry) -> Vec<String> {
         let chance = CONTRADICTED_BY_CHANCE / self.knowns().max(1) as f64;
         let contradiction = |known: usize| {
             let (residual, _) = self.known(known, geometry)?;
             let distribution = ChiSquared::new(residual.len() as f64).ok()?;
-            let (sigma, unit) = self.sigma_of(known);
+            let (name, sigma, unit) = self.stated(known)?;
+            let (factor, symbol) = (unit.display_factor(), unit.display_symbol());
+            let (off, expected) = (residual.norm() * sigma * factor, sigma * factor);
             let contradicted = distribution.sf(residual.norm_squared()) < chance;
-            let off = residual.norm() * sigma;
-            contradicted.then(|| Contradiction { name: self.name_of(known), off, sigma, unit })
+            contradicted.then(|| format!("{name} by {off:.3} {symbol} (expected within {expected:.3})"))
         };
         (0..self.knowns()).filter_map(contradiction).collect()
-    }
-}
-
-/// A known length, position or angle that the samples contradict.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Contradiction {
-    /// Name of the quantity in messages.
-    pub name: String,
-    /// Absolute difference between estimated and known value, SI.
-    pub off: f64,
-    /// Standard uncertainty of the known value, SI.
-    pub sigma: f64,
-    /// Unit of `off` and `sigma`.
-    pub unit: Unit,
-}
-
-impl fmt::Display for Contradiction {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { name, off, sigma, unit } = self;
-        let (factor, symbol) = (unit.display_factor(), unit.display_symbol());
-        write!(f, "{name} by {:.3} {symbol} (expected within {:.3})", off * factor, sigma * factor)
     }
 }

@@ -12,17 +12,18 @@ mod sockets;
 mod touch;
 
 use nalgebra::Vector3;
+use shared::output::named;
 
 pub use contact::Contact;
 pub use faces::{FaceTable, Faces, KnownAngle, Spacing, Touched};
-pub use known::{Contradiction, Knowns};
+pub use known::Knowns;
 pub use sockets::{KnownDistance, PlacedSocket, SocketTable, Sockets};
 pub use touch::Touch;
 
 use super::description::nearest;
 use super::rows::{Screened, Standing, sigma_by_median};
 use super::{
-    Cause, Deviation, Doubt, Instrument, Measures, Mistake, Noise, RejectedRow, RowError, ScaleFrom, Section,
+    Cause, Deviation, Instrument, Measures, Mistake, Noise, RejectedRow, RowError, ScaleFrom, Section,
 };
 use crate::cost::{CostError, DataSet, LoopProblem, Residual};
 use crate::kinematics::{Chain, Pose};
@@ -142,9 +143,18 @@ impl<A: Artefact> Measures for Tip<A> {
         <A::Cost<'_>>::NAME
     }
 
-    fn doubts(&self, geometry: &Geometry) -> Vec<Doubt> {
+    /// The rows may contradict the known quantities in the table of sockets or faces.
+    fn doubts(&self, geometry: &Geometry) -> Vec<String> {
+        const NAMED: usize = 3;
         let contradicted = self.artefact.contradicted(geometry);
-        if contradicted.is_empty() { Vec::new() } else { vec![Doubt::OtherTable(contradicted)] }
+        let other_table = (!contradicted.is_empty()).then(|| {
+            format!(
+                "The rows contradict the table of sockets or faces: {}. Correct the table or increase its uncertainty: with this one \
+                 it biases the result.",
+                named(&contradicted, NAMED)
+            )
+        });
+        other_table.into_iter().collect()
     }
 
     fn scale(&self) -> ScaleFrom {

@@ -242,19 +242,14 @@ impl Knowns for Sockets {
         if known < self.placed.len() { 3 } else { 1 }
     }
 
-    fn name_of(&self, known: usize) -> String {
-        let name = |socket: usize| self.names.get(socket).map_or("", String::as_str);
+    fn stated(&self, known: usize) -> Option<(String, f64, Unit)> {
         if let Some(placed) = self.placed.get(known) {
-            return format!("the place of socket `{}`", name(placed.socket));
+            let name = format!("the place of socket `{}`", self.names.get(placed.socket)?);
+            return Some((name, placed.sigma_m, Unit::Metre));
         }
-        let Some(Spaced { sockets: [from, to], .. }) = self.distance(known) else { return String::new() };
-        format!("the distance between sockets `{}` and `{}`", name(*from), name(*to))
-    }
-
-    fn sigma_of(&self, known: usize) -> (f64, Unit) {
-        let placed = self.placed.get(known).map(|placed| placed.sigma_m);
-        let distance = || self.distance(known).map(|distance| distance.sigma_m);
-        (placed.or_else(distance).unwrap_or_default(), Unit::Metre)
+        let Spaced { sockets: [from, to], sigma_m, .. } = *self.distance(known)?;
+        let (from, to) = (self.names.get(from)?, self.names.get(to)?);
+        Some((format!("the distance between sockets `{from}` and `{to}`"), sigma_m, Unit::Metre))
     }
 
     fn known(&self, known: usize, geometry: &Geometry) -> Option<(DVector<f64>, DMatrix<f64>)> {
