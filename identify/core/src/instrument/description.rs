@@ -65,31 +65,6 @@ pub enum Noise {
     Length(f64),
 }
 
-impl Section {
-    /// Creates a section for each named part. The name of a parameter begins with `parameters` and the number of the part,
-    /// from 1. `part_of` returns the part of a sample, from 0.
-    pub(super) fn each(
-        names: &[String],
-        parameters: &str,
-        part_of: impl Iterator<Item = usize>,
-    ) -> Vec<Self> {
-        let mut sections: Vec<Self> = (1..)
-            .zip(names)
-            .map(|(number, name)| Self {
-                name: name.clone(),
-                parameters: format!("{parameters}{number}"),
-                samples: Vec::new(),
-            })
-            .collect();
-        for (sample, part) in part_of.enumerate() {
-            if let Some(section) = sections.get_mut(part) {
-                section.samples.push(sample);
-            }
-        }
-        sections
-    }
-}
-
 /// Returns a text with the name of the part that fits a sample best. Empty if this is the part `own`, to which the sample
 /// belongs. `off_m` returns the distance of the sample from a part \[m\].
 pub(super) fn nearest(names: &[String], own: usize, off_m: impl Fn(usize) -> f64) -> String {

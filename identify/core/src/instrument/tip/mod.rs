@@ -175,7 +175,13 @@ impl<A: Artefact> Measures for Tip<A> {
 
     /// One section for each part.
     fn sections(&self) -> Vec<Section> {
-        Section::each(self.artefact.names(), A::PART, self.rows.all.rows.iter().map(|row| row.part))
+        let rows = &self.rows.all.rows;
+        let section = |(part, name): (usize, &String)| Section {
+            name: name.clone(),
+            parameters: format!("{}{}", A::PART, part + 1),
+            samples: (0..rows.len()).filter(|row| rows[*row].part == part).collect(),
+        };
+        self.artefact.names().iter().enumerate().map(section).collect()
     }
 
     /// For each excluded row, names the part that is nearest to the tip.
