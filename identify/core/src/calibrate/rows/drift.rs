@@ -226,6 +226,39 @@ impl Linear {
         };
         folds.iter().map(of_fold).collect()
     }
+
+    /// Chooses the drift that predicts left-out rows best. `None` if it is not significantly better than no drift. `sigma_m`
+    /// is the standard deviation of a length in the fit without a drift.
+    fn choose(&self, folds: &[Vec<usize>], sigma_m: f64) -> Option<Drift> {
+        let without = self.left_out(&Drift::none(sigma_m), folds)?;
+        let rms_without_m = mean(&without).sqrt();
+        let tried = candidates(sigma_m).filter_map(|drift| {
+            let with = self.left_out(&drift, folds)?;
+            Some((Drift { rms_without_m, rms_with_m: mean(&with).sqrt(), ..drift }, with))
+        });
+        let best = tried.min_by(|a, b| a.0.rms_with_m.total_cmp(&b.0.rms_with_m));
+        best.filter(|(_, with)| falls(&without, with)).map(|(best, _)| best)
+    }
+
+    /// Multiplies the size and the white noise of the drift by a common factor. The cross-validation cannot determine this
+    /// factor, because predictions depend only on the ratio of size to white noise.
+    ///
+    /// Let `r` be the residuals of the fit to the rows `fitting`, and `C` their covariance according to the drift. If the
+    /// factor is correct, the expected value of `r^T C^-1 r` is the number of rows minus the number of columns. The factor
+    /// is chosen so that the two are equal.
+    fn scaled(&self, drift: Drift, fitting: &[usize]) -> Drift {
+        let mut weights = vec![0.0; self.residuals.len()];
+        fitting.iter().for_each(|&row| weights[row] = 1.0);
+        let sweep = self.sweep(&drift, &weights);
+        let Some(step) = self.step(&sweep) else { return drift };
+        let after = self.after(&step);
+        let squared: f64 = after.iter().zip(sweep.by_inverse_covariance(&after)).map(|(r, by)| r * by).sum();
+        let freedom = fitting.len().saturating_sub(self.columns.len()).max(1);
+        let factor = (squared / freedom as f64).sqrt();
+        let is_usable = factor.is_finite() && factor > 0.0;
+        let scaled = Drift { size_m: factor * drift.size_m, white_m: factor * drift.white_m, ..drift };
+        if is_usable { scaled } else { drift }
+    }
 }
 
 /// Finds a drift that improves the prediction of left-out fitting rows. Returns the drift and its value at every row \[m\].
@@ -242,54 +275,14 @@ pub(super) fn find(
     fitting: &[usize],
     sigma_m: f64,
 ) -> Result<Option<(Drift, Vec<f64>)>, CalibrateError> {
-    let folds = all.part(fitting).independent(FOLDS);
-    let Some(chosen) = choose(model, all, fitting, &folds, sigma_m)? else { return Ok(None) };
-    let drift = scaled(chosen, model, all, fitting)?;
-    let drift_m = fit(model, all, fitting, &drift)?;
-    Ok(Some((drift, drift_m)))
-}
-
-/// Chooses the drift that predicts left-out fitting rows best. `None` if it is not significantly better than no drift.
-/// `model` is at the fit without a drift. `folds` contains indices into `fitting`.
-fn choose(
-    model: &Model,
-    all: &Instrument,
-    fitting: &[usize],
-    folds: &[Vec<usize>],
-    sigma_m: f64,
-) -> Result<Option<Drift>, CalibrateError> {
     let Some(linear) = Linear::at(model, all, fitting)? else { return Ok(None) };
     let in_file = |fold: &Vec<usize>| fold.iter().filter_map(|&index| fitting.get(index).copied()).collect();
+    let folds = all.part(fitting).independent(FOLDS);
     let folds: Vec<Vec<usize>> = folds.iter().filter(|fold| !fold.is_empty()).map(in_file).collect();
-    let Some(without) = linear.left_out(&Drift::none(sigma_m), &folds) else { return Ok(None) };
-    let rms_without_m = mean(&without).sqrt();
-    let tried = candidates(sigma_m).filter_map(|drift| {
-        let with = linear.left_out(&drift, &folds)?;
-        Some((Drift { rms_without_m, rms_with_m: mean(&with).sqrt(), ..drift }, with))
-    });
-    let best = tried.min_by(|a, b| a.0.rms_with_m.total_cmp(&b.0.rms_with_m));
-    Ok(best.filter(|(_, with)| falls(&without, with)).map(|(best, _)| best))
-}
-
-/// Multiplies the size and the white noise of the drift by a common factor. The cross-validation cannot determine this
-/// factor, because predictions depend only on the ratio of size to white noise.
-///
-/// Let `r` be the residuals of the fit and `C` their covariance according to the drift. If the factor is
-/// correct, the expected value of `r^T C^-1 r` is the number of rows minus the number of columns. The factor
-/// is chosen so that the two are equal.
-fn scaled(drift: Drift, model: &Model, all: &Instrument, fitting: &[usize]) -> Result<Drift, CalibrateError> {
-    let Some(linear) = Linear::at(model, all, fitting)? else { return Ok(drift) };
-    let mut weights = vec![0.0; all.samples()];
-    fitting.iter().for_each(|&row| weights[row] = 1.0);
-    let sweep = linear.sweep(&drift, &weights);
-    let Some(step) = linear.step(&sweep) else { return Ok(drift) };
-    let after = linear.after(&step);
-    let squared: f64 = after.iter().zip(sweep.by_inverse_covariance(&after)).map(|(r, by)| r * by).sum();
-    let freedom = fitting.len().saturating_sub(linear.columns.len()).max(1);
-    let factor = (squared / freedom as f64).sqrt();
-    let is_usable = factor.is_finite() && factor > 0.0;
-    let scaled = Drift { size_m: factor * drift.size_m, white_m: factor * drift.white_m, ..drift };
-    Ok(if is_usable { scaled } else { drift })
+    let Some(chosen) = linear.choose(&folds, sigma_m) else { return Ok(None) };
+    let drift = linear.scaled(chosen, fitting);
+    let drift_m = fit(model, all, fitting, &drift)?;
+    Ok(Some((drift, drift_m)))
 }
 
 /// Fits the model and the drift together. Returns the drift of every row \[m\].
