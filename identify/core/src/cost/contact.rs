@@ -4,7 +4,6 @@
 use nalgebra::Vector3;
 
 use super::{Movement, Residual, Scene};
-use crate::kinematics::Chain;
 use crate::logs::TipRow;
 use crate::model::{Owner, ParameterId};
 
@@ -22,10 +21,7 @@ impl Residual for SeatedBall<'_> {
 
     const NAME: &'static str = "contact";
     const ROWS: usize = 3;
-
-    fn depends_on(id: ParameterId, _: &Chain) -> bool {
-        id.affects(Owner::Contact)
-    }
+    const OWNER: Owner = Owner::Contact;
 
     fn local(&self, scene: &Scene<'_>) -> Option<Self::Local> {
         let socket = self.rows.get(scene.sample)?.part;

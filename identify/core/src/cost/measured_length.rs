@@ -3,7 +3,6 @@
 use nalgebra::Vector3;
 
 use super::{Movement, Residual, Scene};
-use crate::kinematics::Chain;
 use crate::logs::LengthRow;
 use crate::model::{Geometry, Owner, ParameterId, SetUp, WireGeometry};
 
@@ -34,10 +33,7 @@ impl Residual for MeasuredLength<'_> {
 
     const NAME: &'static str = "measured_length";
     const ROWS: usize = 1;
-
-    fn depends_on(id: ParameterId, _: &Chain) -> bool {
-        id.affects(Owner::Wire)
-    }
+    const OWNER: Owner = Owner::Wire;
 
     fn local(&self, scene: &Scene<'_>) -> Option<Stretched> {
         let LengthRow { length_m, set_up, .. } = *self.rows.get(scene.sample)?;

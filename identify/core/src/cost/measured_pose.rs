@@ -5,7 +5,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::bar::pose::inverse_left_jacobian;
 use super::measured_position::Sighting;
 use super::{Residual, Scene};
-use crate::kinematics::{Chain, rotation_vector};
+use crate::kinematics::rotation_vector;
 use crate::logs::PoseRow;
 use crate::model::{Owner, ParameterId};
 
@@ -47,10 +47,7 @@ impl Residual for MeasuredPose<'_> {
 
     const NAME: &'static str = "measured_pose";
     const ROWS: usize = 6;
-
-    fn depends_on(id: ParameterId, _: &Chain) -> bool {
-        id.affects(Owner::Tracker)
-    }
+    const OWNER: Owner = Owner::Tracker;
 
     fn local(&self, scene: &Scene<'_>) -> Option<TurnedSighting> {
         let row = self.rows.get(scene.sample).filter(|row| row.rotation.is_some())?;

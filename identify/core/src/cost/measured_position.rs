@@ -87,10 +87,11 @@ impl Residual for MeasuredPosition<'_> {
 
     const NAME: &'static str = "measured_position";
     const ROWS: usize = 3;
+    const OWNER: Owner = Owner::Tracker;
 
     fn depends_on(id: ParameterId, _: &Chain) -> bool {
         let turns_probe = matches!(id, ParameterId::Probe { coordinate: Coordinate::Rotation(_), .. });
-        id.affects(Owner::Tracker) && !turns_probe
+        id.affects(Self::OWNER) && !turns_probe
     }
 
     fn local(&self, scene: &Scene<'_>) -> Option<Sighting> {

@@ -2,7 +2,7 @@
 
 use super::scene::Scene;
 use crate::kinematics::{Chain, ROD_LINK};
-use crate::model::ParameterId;
+use crate::model::{Owner, ParameterId};
 
 /// Whether a cost that uses these encoders can depend on the parameter. Some parameters belong to one encoder: its
 /// harmonics, its offsets, and waves as a function of its reading. For such a parameter, the cost must use this
@@ -26,9 +26,14 @@ pub trait Residual: Sync {
     const ROWS: usize;
     /// Indices (from 0) of the bar joints whose encoders the cost requires.
     const ENCODERS: &'static [usize] = &[];
+    /// Owner of the parameters of the instrument.
+    const OWNER: Owner = Owner::BallBar;
 
     /// Whether the parameter changes the residual for this robot. Parameters that do not change the residual need not be free.
-    fn depends_on(id: ParameterId, robot: &Chain) -> bool;
+    /// By default, the parameters of robot, clocks and instrument do, except those of encoders that the cost does not use.
+    fn depends_on(id: ParameterId, _robot: &Chain) -> bool {
+        id.affects(Self::OWNER) && encoders_suffice(id, Self::ENCODERS)
+    }
 
     /// Whether the residual can distinguish the effect of the parameter from that of the other parameters. Named
     /// selections of parameters free only such parameters.

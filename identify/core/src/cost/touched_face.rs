@@ -4,7 +4,6 @@
 use nalgebra::Vector3;
 
 use super::{Movement, Residual, Scene};
-use crate::kinematics::Chain;
 use crate::logs::TipRow;
 use crate::model::{FaceNumber, Owner, ParameterId};
 
@@ -38,10 +37,7 @@ impl Residual for TouchedFace<'_> {
 
     const NAME: &'static str = "touched_face";
     const ROWS: usize = 1;
-
-    fn depends_on(id: ParameterId, _: &Chain) -> bool {
-        id.affects(Owner::Touch)
-    }
+    const OWNER: Owner = Owner::Touch;
 
     fn local(&self, scene: &Scene<'_>) -> Option<OverFace> {
         let TipRow { part: face, reading_m, .. } = *self.rows.get(scene.sample)?;

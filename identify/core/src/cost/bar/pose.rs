@@ -8,7 +8,7 @@ use crate::cost::problem::{LoopPoint, readings};
 use crate::cost::residual::{ALL_BUT_ROD_JOINT, ALL_ENCODERS, ROD_JOINT, encoders_suffice};
 use crate::cost::{AngleNoise, FoundNoise, Movement, Residual, Scene};
 use crate::kinematics::{Chain, LinkParameter, ROD_LINK, Trace, rotation_vector};
-use crate::model::{Geometry, Observation, Owner, ParameterId, RobotMotion};
+use crate::model::{Geometry, Observation, ParameterId, RobotMotion};
 
 /// Standard deviation that is added in each direction \[m, rad\]. Near a singular pose, the noise of both chains vanishes in
 /// some directions. The added value limits the weights of these directions.
@@ -176,7 +176,7 @@ impl<const ENCODER_3: bool> Residual for PoseByNoise<ENCODER_3> {
 
     fn depends_on(id: ParameterId, _: &Chain) -> bool {
         let is_rod_rotation = id == ParameterId::Bar { link: ROD_JOINT, parameter: LinkParameter::Theta };
-        id.affects(Owner::BallBar) && encoders_suffice(id, Self::ENCODERS) && (ENCODER_3 || !is_rod_rotation)
+        id.affects(Self::OWNER) && encoders_suffice(id, Self::ENCODERS) && (ENCODER_3 || !is_rod_rotation)
     }
 
     fn local(&self, scene: &Scene<'_>) -> Option<Whitened> {

@@ -5,7 +5,7 @@ use nalgebra::Vector3;
 use crate::cost::residual::encoders_suffice;
 use crate::cost::{Movement, Residual, Scene};
 use crate::kinematics::{Chain, LinkParameter};
-use crate::model::{Owner, ParameterId};
+use crate::model::ParameterId;
 
 /// The residual is `R_p - B_p` \[m\] (thesis eq. 2.2).
 ///
@@ -43,7 +43,7 @@ impl Residual for Position {
             ParameterId::Bar { link: 2..=4, parameter } => {
                 matches!(parameter, LinkParameter::A | LinkParameter::D)
             }
-            id => id.affects(Owner::BallBar) && encoders_suffice(id, Self::ENCODERS),
+            id => id.affects(Self::OWNER) && encoders_suffice(id, Self::ENCODERS),
         }
     }
 

@@ -6,7 +6,7 @@ use super::position::{derivative, difference};
 use crate::cost::residual::{ALL_BUT_ROD_JOINT, ROD_JOINT, encoders_suffice};
 use crate::cost::{Movement, Residual, Scene};
 use crate::kinematics::{BAR_JOINTS, Chain, ImpliedBar, LinkParameter, Turn};
-use crate::model::{Observation, Owner, ParameterId};
+use crate::model::{Observation, ParameterId};
 
 /// The residual is `R_p - B_p` \[m\], `sin(b4^ - b4)` and `sin(b5^ - b5)` (thesis eq. 2.3). `b4^` and `b5^` are
 /// the joint angles that the robot's pose implies, see [`ImpliedBar`]; `b4` and `b5` are the measured angles. As
@@ -39,7 +39,7 @@ impl Residual for PositionAngles {
     fn depends_on(id: ParameterId, _: &Chain) -> bool {
         // The residual does not contain joint 3. The offset of this joint changes only the implied angle 3.
         id != ParameterId::Bar { link: ROD_JOINT, parameter: LinkParameter::Theta }
-            && id.affects(Owner::BallBar)
+            && id.affects(Self::OWNER)
             && encoders_suffice(id, Self::ENCODERS)
     }
 

@@ -2,10 +2,10 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use crate::cost::residual::{ALL_ENCODERS, encoders_suffice};
+use crate::cost::residual::ALL_ENCODERS;
 use crate::cost::{Movement, Residual, Scene};
-use crate::kinematics::{Chain, Twist};
-use crate::model::{Owner, ParameterId};
+use crate::kinematics::Twist;
+use crate::model::ParameterId;
 
 /// The residual is the twelve entries of `R - B` (thesis eq. 2.4): the columns of the rotation, then the position \[m\]. As
 /// in the thesis, metres and matrix entries have equal weights.
@@ -38,10 +38,6 @@ impl Residual for Transform {
     const NAME: &'static str = "transform";
     const ROWS: usize = 12;
     const ENCODERS: &'static [usize] = ALL_ENCODERS;
-
-    fn depends_on(id: ParameterId, _: &Chain) -> bool {
-        id.affects(Owner::BallBar) && encoders_suffice(id, Self::ENCODERS)
-    }
 
     fn local(&self, _: &Scene<'_>) -> Option<()> {
         Some(())

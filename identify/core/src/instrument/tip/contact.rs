@@ -11,7 +11,7 @@ use crate::cost::{Residual, SeatedBall};
 use crate::instrument::rows::{MEDIAN_OF_THREE, Standing};
 use crate::instrument::{Deviation, RowError, ScaleFrom};
 use crate::logs::TipRow;
-use crate::model::{Axis, Geometry, Owner, ParameterId, Role};
+use crate::model::{Axis, Geometry, ParameterId, Role};
 
 /// A ball in sockets.
 pub type Contact = Tip<Sockets>;
@@ -65,7 +65,6 @@ impl Artefact for Sockets {
     const TIP_AND_PARTS: &'static str = "ball and sockets";
     const PART: &'static str = "socket";
     const ELSEWHERE: &'static str = "not in its socket";
-    const OWNER: Owner = Owner::Contact;
     const MEDIAN: f64 = MEDIAN_OF_THREE;
     const PART_ROWS_MIN: usize = 0;
     const PART_ROWS_KEPT: usize = 1;

@@ -64,8 +64,6 @@ pub trait Artefact: Knowns + Clone + Send + 'static {
     /// Message for a row whose tip is not at the part that the row states. In the message,
     /// the name of the stated part follows.
     const ELSEWHERE: &'static str;
-    /// Owner of the parameters of tip and parts.
-    const OWNER: Owner;
     /// Median absolute value of errors whose standard deviation is one.
     const MEDIAN: f64;
     /// Minimum number of rows of each part. Zero if the number of rows was checked before.
@@ -198,7 +196,7 @@ impl<A: Artefact> Measures for Tip<A> {
 
     /// Adds the parameters of tip and touched parts.
     fn fitted_out(&self, robot: Model) -> Model {
-        robot.with_set_ups(A::OWNER, [self.artefact.names().len(), 1]).without_clocks()
+        robot.with_set_ups(<A::Cost<'_>>::OWNER, [self.artefact.names().len(), 1]).without_clocks()
     }
 
     fn place(&self, model: &mut Model, fix: &[ParameterId]) -> Result<bool, ModelError> {

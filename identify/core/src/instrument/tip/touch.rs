@@ -10,7 +10,7 @@ use crate::instrument::rows::{MEDIAN_OF_ONE, Standing};
 use crate::instrument::{Cause, Deviation, Mistake, ScaleFrom};
 use crate::kinematics::Chain;
 use crate::logs::{JointMistake, TipRow};
-use crate::model::{Axis, Face, FaceNumber, Geometry, JointState, Owner, ParameterId, Role};
+use crate::model::{Axis, Face, FaceNumber, Geometry, JointState, ParameterId, Role};
 use crate::statistics::rms;
 
 /// Minimum number of rows of a face. It is twice the number of unknowns of a plane, which is three.
@@ -113,7 +113,6 @@ impl Artefact for Faces {
     const TIP_AND_PARTS: &'static str = "tip and faces";
     const PART: &'static str = "face";
     const ELSEWHERE: &'static str = "not on its face";
-    const OWNER: Owner = Owner::Touch;
     const MEDIAN: f64 = MEDIAN_OF_ONE;
     const PART_ROWS_MIN: usize = FACE_ROWS_MIN;
     const PART_ROWS_KEPT: usize = FACE_ROWS_MIN / 2;
