@@ -15,6 +15,9 @@ use shared::config::RobotConfig;
 use super::{SimulateError, is_size};
 use crate::kinematics::Joints;
 
+/// Access to the size of an effect.
+type Size = fn(&mut Effects) -> &mut f64;
+
 /// Sizes of the effects \[urad\]; zero disables an effect.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -77,41 +80,36 @@ impl Effects {
         ..Self::NONE
     };
 
-    /// Keys of all effects.
-    pub const KEYS: [&str; 9] = [
-        "robot_noise_urad",
-        "encoder_noise_urad",
-        "gear_sine_urad",
-        "cycloid_urad",
-        "backlash_urad",
-        "encoder_eccentricity_urad",
-        "encoder_ellipticity_urad",
-        "encoder_step_urad",
-        "base_tilt_urad",
+    /// Key and size of each effect.
+    const SIZES: [(&str, Size); 9] = [
+        ("robot_noise_urad", |effects| &mut effects.robot_noise_urad),
+        ("encoder_noise_urad", |effects| &mut effects.encoder_noise_urad),
+        ("gear_sine_urad", |effects| &mut effects.gear_sine_urad),
+        ("cycloid_urad", |effects| &mut effects.cycloid_urad),
+        ("backlash_urad", |effects| &mut effects.backlash_urad),
+        ("encoder_eccentricity_urad", |effects| &mut effects.encoder_eccentricity_urad),
+        ("encoder_ellipticity_urad", |effects| &mut effects.encoder_ellipticity_urad),
+        ("encoder_step_urad", |effects| &mut effects.encoder_step_urad),
+        ("base_tilt_urad", |effects| &mut effects.base_tilt_urad),
     ];
+
+    /// Keys of all effects.
+    pub fn keys() -> [&'static str; Self::SIZES.len()] {
+        Self::SIZES.map(|(key, _)| key)
+    }
 
     /// Mutable access to the size of an effect by its key; `None` for an unknown key.
     pub fn size_mut(&mut self, key: &str) -> Option<&mut f64> {
-        Some(match key {
-            "robot_noise_urad" => &mut self.robot_noise_urad,
-            "encoder_noise_urad" => &mut self.encoder_noise_urad,
-            "gear_sine_urad" => &mut self.gear_sine_urad,
-            "cycloid_urad" => &mut self.cycloid_urad,
-            "backlash_urad" => &mut self.backlash_urad,
-            "encoder_eccentricity_urad" => &mut self.encoder_eccentricity_urad,
-            "encoder_ellipticity_urad" => &mut self.encoder_ellipticity_urad,
-            "encoder_step_urad" => &mut self.encoder_step_urad,
-            "base_tilt_urad" => &mut self.base_tilt_urad,
-            _ => return None,
-        })
+        let (_, size) = Self::SIZES.into_iter().find(|(name, _)| *name == key)?;
+        Some(size(self))
     }
 
     pub(super) fn check(&self) -> Result<(), SimulateError> {
-        let mut sizes = *self;
-        for name in Self::KEYS {
-            let size = sizes.size_mut(name).map_or(0.0, |size| *size);
-            if !is_size(size) {
-                return Err(SimulateError::Effect { name, value_urad: size });
+        let mut effects = *self;
+        for (name, size) in Self::SIZES {
+            let value_urad = *size(&mut effects);
+            if !is_size(value_urad) {
+                return Err(SimulateError::Effect { name, value_urad });
             }
         }
         Ok(())

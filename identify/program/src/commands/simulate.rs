@@ -178,7 +178,7 @@ struct SimulateBarArguments {
     #[arg(long, value_name = "PPM", default_value_t = 25.0, allow_hyphen_values = true)]
     skew_ppm: f64,
     /// Simulate none of the effects from --robot-noise-urad to --base-tilt-urad, to test the estimator alone
-    #[arg(long, conflicts_with_all = Effects::KEYS)]
+    #[arg(long, conflicts_with_all = Effects::keys())]
     exact: bool,
     /// White noise of each robot joint [urad]
     #[arg(long, value_name = "URAD", default_value_t = LABORATORY.robot_noise_urad)]

@@ -30,7 +30,7 @@ fn conditions() -> String {
     }
     text += &format!(
         "  {}\n  as the options of `identify simulate` with these names\n",
-        Effects::KEYS.join(", ")
+        Effects::keys().join(", ")
     );
     text + "  rd3, bd1, rbeta2, ..  additional error of this parameter [mm, or mrad for angles]"
 }
