@@ -10,7 +10,7 @@ use identify::calibrate::{CalibrateError, IdentifyConfig, SelectionName, calibra
 use identify::instrument::CostName;
 use identify::logs::{self, BarLog};
 use identify::model::ParameterId;
-use identify::prepare::bar_angles;
+use identify::prepare::{SampleStatus, bar_angles};
 use identify::simulate::Comparison;
 use identify::simulate::{self, Design, Effects, Experiment};
 use shared::config::{self, BallBarConfig, RobotConfig};
@@ -187,7 +187,7 @@ fn a_run_exported_as_a_table_of_counters_calibrates_as_the_recording_does() {
     let config = IdentifyConfig::default();
     let calibration = calibrate_run(cycles, encoders, &log, &robot, &bar, &config).unwrap();
     let prepared = calibration.prepared().unwrap();
-    assert_eq!((prepared.counts.invalid, prepared.origins.len()), (30, 2));
+    assert_eq!((prepared.counts.of(SampleStatus::Invalid), prepared.origins.len()), (30, 2));
     let error = Comparison::new(&calibration, &simulated.truth)
         .only(|id| matches!(id, ParameterId::Robot { .. }))
         .euclidean_mm_mrad();

@@ -8,7 +8,7 @@ use crate::support::{bar, irb2400, nj220};
 use identify::kinematics::{Configuration, Joints, Side};
 use identify::logs::{RobotLog, Stream};
 use identify::model::RobotMotion;
-use identify::prepare::{ComparedLog, PrepareError, PrepareOptions, Prepared, prepare};
+use identify::prepare::{ComparedLog, PrepareError, PrepareOptions, Prepared, SampleStatus, prepare};
 use identify::simulate::{self, Clocks, Design, Effects, Experiment, Simulated};
 use shared::config::{BallBarConfig, RobotConfig};
 use shared::encoder::Direction;
@@ -168,7 +168,7 @@ fn observations_carry_the_true_joints_and_the_motion_the_true_robot() {
     let run = run(&robot, &bar, |_| {});
     let found = prepared(&run, &robot, &bar).unwrap();
     assert!(found.observations.len() <= 1500 && found.observations.len() > 1000);
-    assert_eq!(found.counts.kept, found.observations.len());
+    assert_eq!(found.counts.of(SampleStatus::Kept), found.observations.len());
     let since_start_s = found.t_ref.seconds_since(run.truth.clock.bar_start);
     let late_s = clock_error_ms(&found, &run) * 1e-3;
     for observation in &found.observations {
@@ -204,18 +204,18 @@ fn bad_cycles_are_dropped_and_counted_and_a_new_origin_begins_a_new_run() {
     }
     let found = prepared(&run, &robot, &bar).unwrap();
     check(&found, &run, "with losses");
-    let counts = found.counts;
-    assert_eq!((counts.recorded, counts.invalid, counts.time_not_increasing), (6001, 20, 1));
-    assert_eq!(counts.other_origin, 0);
+    let count = |status| found.counts.of(status);
+    assert_eq!(found.counts.recorded(), 6001);
+    assert_eq!((count(SampleStatus::Invalid), count(SampleStatus::TimeNotIncreasing)), (20, 1));
+    assert_eq!(count(SampleStatus::OtherOrigin), 0);
     let [first, second] = found.origins[..] else { panic!("{:?}", found.origins) };
     assert!(first.used && second.used && !second.unchanged && first.shift_rad == [0.0; 5]);
     let moved = -123_456.0 * run.encoders[0].scale.rad_per_count();
     let error = second.shift_rad[0] - moved;
     assert!((error - (error / TAU).round() * TAU).abs() < 3e-6, "{second:?} {moved}");
     assert!(second.shift_rad[1..].iter().all(|shift| shift.abs() < 3e-6), "{second:?}");
-    let sum = counts.invalid + counts.time_not_increasing + counts.other_origin + counts.outside_robot_log;
-    assert_eq!(sum + counts.singular + counts.standstill + counts.thinned + counts.kept, counts.recorded);
-    assert!(counts.standstill > 300);
+    assert_eq!(count(SampleStatus::Outlier), 0);
+    assert!(count(SampleStatus::Standstill) > 300);
 }
 
 /// Each origin has five parameters. A solve with thousands of origins would take hours.

@@ -90,7 +90,7 @@ fn a_cardan_that_passes_its_singular_pose_calibrates_from_both_sides() {
     let error = robot_error(&found, &run);
     println!("{sides:?}, {error:.5} mm|mrad, {:?}", found.prepared().unwrap().counts);
     assert!(sides.iter().all(|count| *count > 50), "{sides:?}");
-    assert!(found.prepared().unwrap().counts.singular > 10);
+    assert!(found.prepared().unwrap().counts.of(SampleStatus::Singular) > 10);
     assert!(error < 0.1, "{error}");
 }
 
@@ -120,7 +120,7 @@ fn a_run_with_lost_origins_is_used_whole_and_calibrates_as_well_as_a_clean_one()
         println!("clean {:.3}, with four origins {:.3} mm|mrad; {origins:#?}", errors[0], errors[1]);
         assert_eq!(origins.len(), 5);
         assert!(origins.iter().all(|origin| origin.used));
-        assert!(of_lossy.prepared().unwrap().counts.other_origin == 0);
+        assert!(of_lossy.prepared().unwrap().counts.of(SampleStatus::OtherOrigin) == 0);
         assert!(errors[1] < 1.5 * errors[0] + 0.002, "{errors:?}");
     }
 }

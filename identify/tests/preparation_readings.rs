@@ -99,7 +99,7 @@ fn the_average_takes_noise_and_in_motion_hardly_more_than_at_standstill() {
     let found = prepared(&noisy, "moving_average_ms = 100.0");
     let averaged = found.timeline.averaged.unwrap();
     // The average needs readings over its whole width, so some samples at each end of the recording are not averaged.
-    assert_eq!((averaged.width_s, found.counts.not_averaged), (0.1, 20));
+    assert_eq!((averaged.width_s, found.counts.of(SampleStatus::NotAveraged)), (0.1, 20));
     for side in [&averaged.bar, &averaged.robot] {
         for (still, moving) in side.still_rad.iter().zip(&side.moving_rad) {
             let (still, moving) = (still.unwrap() * 1e6, moving.unwrap() * 1e6);

@@ -3,8 +3,8 @@
 
 use crate::support::minute::{prepared, run};
 use identify::logs::Stream;
-use identify::prepare::Prepared;
 use identify::prepare::{Channels, correlate, fit_sphere, select, spread_over_sphere};
+use identify::prepare::{Prepared, SampleStatus};
 use identify::simulate::Effects;
 use nalgebra::Vector3;
 use proptest::prelude::*;
@@ -218,7 +218,7 @@ fn no_good_sample_looks_bad_for_being_averaged() {
     let [as_logged, averaged] = ["", "moving_average_ms = 100.0"].map(|options| prepared(&clean, options));
     let spreads = [&as_logged, &averaged].map(spread_urad);
     println!("{spreads:?} urad");
-    assert_eq!((as_logged.counts.outliers, averaged.counts.outliers), (0, 0));
+    assert_eq!([&as_logged, &averaged].map(|found| found.counts.of(SampleStatus::Outlier)), [0, 0]);
     assert!(spreads[1] < spreads[0] + 2.0, "{spreads:?}");
 }
 
@@ -226,8 +226,8 @@ fn no_good_sample_looks_bad_for_being_averaged() {
 fn few_points_of_a_whole_run_still_cover_the_sphere_that_it_covers() {
     let run = run(Effects::NONE);
     let found = prepared(&run, "points_max = 300");
-    assert_eq!((found.observations.len(), found.counts.kept), (300, 300));
-    assert!(found.counts.thinned > 1000, "{:?}", found.counts);
+    assert_eq!((found.observations.len(), found.counts.of(SampleStatus::Kept)), (300, 300));
+    assert!(found.counts.of(SampleStatus::Thinned) > 1000, "{:?}", found.counts);
     let since_start_s = found.t_ref.seconds_since(run.truth.clock.bar_start);
     let rod = |t_s: f64| {
         let joints = run.motion.path.at(t_s);

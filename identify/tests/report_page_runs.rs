@@ -11,7 +11,7 @@ use identify::calibrate::{
     Calibration, IdentifyConfig, JointTermsConfig, RunInput, calibrate_run, calibrate_runs,
 };
 use identify::evaluate::{WorkspaceError, evidence};
-use identify::prepare::PrepareOptions;
+use identify::prepare::{PrepareOptions, SampleStatus};
 use identify::simulate::{self, BarLoad, Design, Effects, Experiment, Simulated};
 use shared::recording::Recording;
 
@@ -99,7 +99,7 @@ fn each_run_with_a_force_shows_it_and_what_it_left_out() {
     force.values = values.filter_map(0..values.len(), |row, force| keep(&values.t_s[row]).then_some(*force));
     let found = calibrated(&[&rigid, &whole, &holed], PrepareOptions::default());
     let left_out: Vec<Option<usize>> =
-        found.bar_runs().map(|(prepared, _)| prepared.force.map(|_| prepared.counts.no_force)).collect();
+        found.bar_runs().map(|(run, _)| run.force.map(|_| run.counts.of(SampleStatus::NoForce))).collect();
     assert!(matches!(left_out[..], [None, Some(0), Some(left_out)] if left_out > 20), "{left_out:?}");
     let text = shown(&found);
     let sections: Vec<&str> =

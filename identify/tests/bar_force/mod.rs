@@ -236,9 +236,9 @@ fn a_force_log_on_the_bars_clock_or_with_a_hole_is_taken_and_one_of_another_time
     holed.values = holed.values.filter_map(0..holed.values.len(), |row, force| keep(row).then_some(*force));
     let left = with(&holed).unwrap();
     let uncovered = left.force.unwrap().uncovered;
-    assert!(uncovered > 20 && left.counts.kept + uncovered <= 1500, "{uncovered}");
-    assert_eq!(left.counts.kept, left.observations.len());
-    assert_eq!(left.counts.no_force, uncovered);
+    assert!(uncovered > 20 && left.observations.len() + uncovered <= 1500, "{uncovered}");
+    assert_eq!(left.counts.of(SampleStatus::Kept), left.observations.len());
+    assert_eq!(left.counts.of(SampleStatus::NoForce), uncovered);
     assert!(left.timeline.points.iter().any(|point| point.status == SampleStatus::NoForce));
 
     let refused = |change: &dyn Fn(&mut ForceLog)| {

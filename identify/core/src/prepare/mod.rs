@@ -67,6 +67,8 @@ pub use sphere::{SphereFit, fit_sphere};
 pub use steps::prepare;
 pub use timeline::{SampleStatus, Timeline, TimelinePoint};
 
+use std::collections::BTreeMap;
+
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 use shared::recording::schema::required;
@@ -147,55 +149,27 @@ impl Default for PrepareOptions {
 }
 
 /// Number of bar cycles by status.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct SampleCounts {
-    /// All cycles of the recording.
-    pub recorded: usize,
-    /// Cycles with stale or invalid counts.
-    pub invalid: usize,
-    /// Cycles whose time stamp is not later than the time stamp of the cycle before.
-    pub time_not_increasing: usize,
-    /// Cycles of an origin of the counters with too few readings to find the offsets of this origin.
-    pub other_origin: usize,
-    /// Cycles without a moving average, because they are nearer to an end or a gap of the recording than the
-    /// width of the average.
-    pub not_averaged: usize,
-    /// Cycles at times that the robot's log does not cover.
-    pub outside_robot_log: usize,
-    /// Cycles near singular poses of the bar.
-    pub singular: usize,
-    /// Cycles in which neither robot nor bar moves.
-    pub standstill: usize,
-    /// Cycles that are valid but beyond the wanted number of samples.
-    pub thinned: usize,
-    /// Cycles in which the residual of a joint angle is much larger than in the other cycles.
-    pub outliers: usize,
-    /// Cycles without a force, in a run with a force log.
-    pub no_force: usize,
-    /// Cycles that are kept for the solve.
-    pub kept: usize,
-}
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct SampleCounts(BTreeMap<SampleStatus, usize>);
 
 impl SampleCounts {
     /// Counts the statuses of all cycles.
     pub fn count(statuses: &[SampleStatus]) -> Self {
-        let mut counts = Self { recorded: statuses.len(), ..Self::default() };
+        let mut counts = Self::default();
         for status in statuses {
-            *match status {
-                SampleStatus::Thinned => &mut counts.thinned,
-                SampleStatus::Standstill => &mut counts.standstill,
-                SampleStatus::NotAveraged => &mut counts.not_averaged,
-                SampleStatus::Outside => &mut counts.outside_robot_log,
-                SampleStatus::OtherOrigin => &mut counts.other_origin,
-                SampleStatus::Singular => &mut counts.singular,
-                SampleStatus::Kept => &mut counts.kept,
-                SampleStatus::Invalid => &mut counts.invalid,
-                SampleStatus::TimeNotIncreasing => &mut counts.time_not_increasing,
-                SampleStatus::Outlier => &mut counts.outliers,
-                SampleStatus::NoForce => &mut counts.no_force,
-            } += 1;
+            *counts.0.entry(*status).or_default() += 1;
         }
         counts
+    }
+
+    /// Number of cycles with this status.
+    pub fn of(&self, status: SampleStatus) -> usize {
+        self.0.get(&status).copied().unwrap_or_default()
+    }
+
+    /// Number of all cycles of the recording.
+    pub fn recorded(&self) -> usize {
+        self.0.values().sum()
     }
 }
 
@@ -289,7 +263,7 @@ impl Prepared {
             alignment: Alignment { correlation: 1.0, overlap_s, ..Alignment::default() },
             offsets: Vec::new(),
             sphere: SphereFit { centre_m: base_m, inliers: 1.0, ..SphereFit::default() },
-            counts: SampleCounts { recorded: kept, kept, ..SampleCounts::default() },
+            counts: SampleCounts([(SampleStatus::Kept, kept)].into()),
             timeline: Timeline::default(),
             encoder_map: EncoderMapReport::default(),
             origins: Vec::new(),

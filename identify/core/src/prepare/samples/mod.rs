@@ -189,9 +189,9 @@ fn select_kept(
     let counts = SampleCounts::count(statuses);
     Err(PrepareError::NothingLeft {
         kept: kept.len(),
-        outside: counts.outside_robot_log,
-        singular: counts.singular,
-        standstill: counts.standstill,
+        outside: counts.of(SampleStatus::Outside),
+        singular: counts.of(SampleStatus::Singular),
+        standstill: counts.of(SampleStatus::Standstill),
     })
 }
 

@@ -20,7 +20,7 @@ use crate::instrument::CostName;
 use crate::logs::{
     self, BarLog, BarLogMapping, ForceLog, ForceLogMapping, LogFormat, LogOptions, RobotLog, is_recording,
 };
-use crate::prepare::{EncoderMapChoice, Prepared, SampleCounts, bar_angles};
+use crate::prepare::{EncoderMapChoice, Prepared, SampleStatus, bar_angles};
 use crate::report::page::InspectedLog;
 use crate::report::result::file::MeasurementEntry;
 use crate::threads::both;
@@ -174,14 +174,14 @@ impl RunFiles<'_> {
 
     /// A line about the part of the recording that the robot's log covers; `None` if it covers the whole recording.
     pub(super) fn covered(&self, prepared: &Prepared) -> Option<String> {
-        let SampleCounts { recorded, outside_robot_log, .. } = prepared.counts;
+        let (recorded, outside) = (prepared.counts.recorded(), prepared.counts.of(SampleStatus::Outside));
         let overlap_s = prepared.alignment.overlap_s;
         let first = self.cycles().first().map_or(prepared.t_ref, |cycle| cycle.sample_time);
         // The reference time is the middle of the overlap.
         let from_s = (prepared.t_ref.seconds_since(first) - 0.5 * overlap_s).max(0.0);
-        (outside_robot_log > 0).then(|| {
+        (outside > 0).then(|| {
             format!(
-                "{} covers {from_s:.1} s to {:.1} s of the recording: {outside_robot_log} of {recorded} cycles are outside it, or in its gaps, and not used\n",
+                "{} covers {from_s:.1} s to {:.1} s of the recording: {outside} of {recorded} cycles are outside it, or in its gaps, and not used\n",
                 self.log_path.display(),
                 from_s + overlap_s
             )

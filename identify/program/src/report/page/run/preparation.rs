@@ -150,21 +150,21 @@ fn jitter(timeline: &Timeline) -> Markup {
 
 /// Table of the number of samples with each status.
 fn statuses(prepared: &Prepared) -> Markup {
-    let counts = &prepared.counts;
+    let count = |what, status| Some((what, prepared.counts.of(status)));
     let average = prepared.timeline.averaged.as_ref();
     let rows = [
-        Some(("recorded", counts.recorded)),
-        Some(("not valid", counts.invalid)),
-        Some(("time did not increase", counts.time_not_increasing)),
-        average.map(|_| ("too near to an end or a gap for the average", counts.not_averaged)),
-        Some(("other origin of the counters", counts.other_origin)),
-        Some(("outside the robot's log", counts.outside_robot_log)),
-        Some(("near a singular pose", counts.singular)),
-        Some(("do not fit those around them", counts.outliers)),
-        Some(("standstill", counts.standstill)),
-        Some(("more than wanted", counts.thinned)),
-        prepared.force.map(|_| ("the force was not measured then", counts.no_force)),
-        Some(("used", counts.kept)),
+        Some(("recorded", prepared.counts.recorded())),
+        count("not valid", SampleStatus::Invalid),
+        count("time did not increase", SampleStatus::TimeNotIncreasing),
+        average.and_then(|_| count("too near to an end or a gap for the average", SampleStatus::NotAveraged)),
+        count("other origin of the counters", SampleStatus::OtherOrigin),
+        count("outside the robot's log", SampleStatus::Outside),
+        count("near a singular pose", SampleStatus::Singular),
+        count("do not fit those around them", SampleStatus::Outlier),
+        count("standstill", SampleStatus::Standstill),
+        count("more than wanted", SampleStatus::Thinned),
+        prepared.force.and_then(|_| count("the force was not measured then", SampleStatus::NoForce)),
+        count("used", SampleStatus::Kept),
     ];
     html! {
         table.narrow {
