@@ -335,22 +335,15 @@ impl Information {
             let [row, column] = [self.link_columns[i], self.link_columns[j]];
             covariance[(row, column)] / (self.prior_sigmas[row] * self.prior_sigmas[column])
         });
-        let eigen = relative_covariance.symmetric_eigen();
-        // Projector onto the directions that the priors determine: those in which more than half of
-        // the prior variance remains.
-        let mut by_prior = DMatrix::<f64>::zeros(links, links);
-        for (direction, remaining) in eigen.eigenvectors.column_iter().zip(eigen.eigenvalues.iter()) {
-            if *remaining > 0.5 {
-                by_prior += direction * direction.transpose();
-            }
-        }
+        // The priors determine the directions in which more than half of the prior variance remains.
+        let by_prior = combined(relative_covariance, |remaining| remaining > 0.5);
         let ids: Vec<ParameterId> = self.model.columns().map(|parameter| parameter.id).collect();
         let named = |group: Vec<usize>| -> Vec<ParameterId> {
             let columns = group.into_iter().map(|row| self.link_columns[row]);
             // The plate is omitted, because its measured uncertainty is the same for every path.
             columns.filter(|column| Some(*column) != self.plate_column).map(|column| ids[column]).collect()
         };
-        let of_data = combined(&by_prior).into_iter().map(named).filter(|group| !group.is_empty());
+        let of_data = by_prior.into_iter().map(named).filter(|group| !group.is_empty());
         inseparable_offsets(&self.model.geometry(&[]).robot).into_iter().chain(of_data).collect()
     }
 

@@ -102,7 +102,7 @@ impl Identifiability {
     ///
     /// Let `S` be the information of the other data about `columns`, in units of the priors' standard deviations. `S` is the
     /// Schur complement of the normal matrix. In directions with an eigenvalue of `S` below one, the solution follows the
-    /// priors. The groups are those of [`combined`] for the projection onto these directions.
+    /// priors. The groups are those of [`combined`] for these directions.
     pub fn by_priors(&self, columns: &[usize]) -> Vec<Vec<usize>> {
         let others: Vec<usize> = (0..self.names.len()).filter(|column| !columns.contains(column)).collect();
         let sigma = |column: &usize| self.prior_sigmas.get(*column).copied().flatten();
@@ -122,15 +122,9 @@ impl Identifiability {
             triangle.column_mut(first + place).scale_mut(sigma(column).unwrap_or(1.0));
         }
         let root = triangle.view_range(first.., first..).into_owned();
-        let eigen = (root.tr_mul(&root)).symmetric_eigen();
-        let mut projection = DMatrix::<f64>::zeros(columns.len(), columns.len());
-        for (direction, information) in eigen.eigenvectors.column_iter().zip(eigen.eigenvalues.iter()) {
-            if *information < 1.0 {
-                projection += direction * direction.transpose();
-            }
-        }
+        let groups = combined(root.tr_mul(&root), |information| information < 1.0);
         let numbered = |group: Vec<usize>| group.into_iter().map(|i| columns[i]).collect();
-        combined(&projection).into_iter().map(numbered).collect()
+        groups.into_iter().map(numbered).collect()
     }
 
     /// Columns that are not determined, either because they are zero or because they belong to a dependent group.
@@ -179,11 +173,18 @@ impl Identifiability {
     }
 }
 
-/// Groups of columns that a projection `P` combines. Columns `i` and `j` belong to one group if the entry
-/// `P_ij` is not zero.
-pub fn combined(projection: &DMatrix<f64>) -> Vec<Vec<usize>> {
+/// Groups of columns that some eigenvectors of a symmetric matrix combine: those whose eigenvalues fulfil `is_used`. Let `P`
+/// be the projection onto these eigenvectors. Columns `i` and `j` belong to one group if the entry `P_ij` is not zero.
+pub fn combined(symmetric: DMatrix<f64>, is_used: impl Fn(f64) -> bool) -> Vec<Vec<usize>> {
     /// Entries of the projection up to this size count as zero. A column with a smaller diagonal entry counts as determined.
     const COMPONENT_MIN: f64 = 0.1;
+    let mut projection = DMatrix::<f64>::zeros(symmetric.nrows(), symmetric.ncols());
+    let eigen = symmetric.symmetric_eigen();
+    for (direction, value) in eigen.eigenvectors.column_iter().zip(eigen.eigenvalues.iter()) {
+        if is_used(*value) {
+            projection += direction * direction.transpose();
+        }
+    }
     let mut groups: Vec<Vec<usize>> = Vec::new();
     for i in (0..projection.ncols()).filter(|i| projection[(*i, *i)] > COMPONENT_MIN) {
         let is_connected =
