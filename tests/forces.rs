@@ -116,7 +116,7 @@ fn the_tcp_force_of_an_rtde_log_is_the_force_of_the_bar_on_the_tool() {
     let found = calibrated(&run, &log);
     // A bar under tension pulls the tool back, so a tension is negative in this log.
     assert!(force_error_n(&found, &run, -1.0) < 1.0);
-    let elongation = Elongation::from_calibration(&found).unwrap();
+    let elongation = Elongation::all(&found)[0];
     println!("{}", elongation.sentence());
     assert_eq!(elongation.positive, PositiveForce::Compression);
     assert!(
@@ -183,8 +183,7 @@ fn joint_efforts_of_bags_are_torques_from_which_the_force_on_the_bar_follows() {
         assert!(torques_nm.iter().zip(read).all(|(a, b)| (a - b).abs() < 1e-9), "{torques_nm:?} {read:?}");
     }
     let found = calibrated(&run, &log);
-    let (error_n, elongation) =
-        (force_error_n(&found, &run, 1.0), Elongation::from_calibration(&found).unwrap());
+    let (error_n, elongation) = (force_error_n(&found, &run, 1.0), Elongation::all(&found)[0]);
     println!("force from efforts: RMS error {error_n:.2} N; {}", elongation.sentence());
     assert!(error_n < 2.0, "{error_n}");
     assert_eq!(elongation.positive, PositiveForce::Tension);

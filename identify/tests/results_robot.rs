@@ -45,7 +45,6 @@ fn file(robot: &RobotConfig) -> CalibrationFile {
         termination: Termination::SmallStep,
         iterations: 3,
         evaluations: 4,
-        cost_start: 1.0,
         cost_end: 0.1,
         residual_rms_start: 1e-3,
         residual_rms: 1e-5,

@@ -83,8 +83,6 @@ pub struct Solved {
     pub solution: Solution,
     /// Columns of the covariance: first the columns of the solution, then excluded error terms, then considered parameters.
     pub covariance_columns: Vec<Column>,
-    /// Models of the runs before any term was accepted.
-    pub without_terms: Vec<Model>,
     /// Groups of terms that were tried, with the result of each group.
     pub candidates: Vec<Candidate>,
     /// Factor by which the tolerances of link parameters were widened.
@@ -171,7 +169,6 @@ fn estimate_in_steps(runs: &mut [Run], plan: &Plan<'_>) -> Result<Solved, Calibr
     solver.begins("links");
     let (mut columns, mut solution) = solver.solve_links()?;
     let rms_start = solution.summary.residual_rms_start;
-    let without_terms = solver.runs.iter().map(|run| run.model.clone()).collect();
     let TermChoice { candidates, prior_scale, needs_solve } = solver.choose(&mut solution)?;
     if needs_solve {
         (columns, solution) = solver.solve_with_terms()?;
@@ -179,7 +176,7 @@ fn estimate_in_steps(runs: &mut [Run], plan: &Plan<'_>) -> Result<Solved, Calibr
     solution.summary.residual_rms_start = rms_start;
     let covariance_columns = solver.add_covariance(&columns, &mut solution)?;
     let sigmas = solver.sigmas;
-    Ok(Solved { columns, solution, covariance_columns, without_terms, candidates, prior_scale, sigmas })
+    Ok(Solved { columns, solution, covariance_columns, candidates, prior_scale, sigmas })
 }
 
 /// Result of the choice of terms.

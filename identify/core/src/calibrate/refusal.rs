@@ -79,7 +79,6 @@ mod tests {
             termination: Termination::NoDecrease,
             iterations: 7,
             evaluations: 9,
-            cost_start: 1.0,
             cost_end: 1.0,
             residual_rms_start: 1.0,
             residual_rms: 1.0,

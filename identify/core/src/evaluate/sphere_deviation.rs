@@ -94,11 +94,6 @@ pub struct Elongation {
 }
 
 impl Elongation {
-    /// Elongation of the first run with a force measurement. `None` if no run has one.
-    pub fn from_calibration(calibration: &Calibration) -> Option<Self> {
-        Self::all(calibration).into_iter().next()
-    }
-
     /// Elongation of each run with a force measurement.
     pub fn all(calibration: &Calibration) -> Vec<Self> {
         let runs = calibration.bar_runs().enumerate();

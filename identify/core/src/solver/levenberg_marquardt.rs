@@ -236,13 +236,12 @@ fn find_minimum(
     if samples_used == 0 {
         return Err(SolveError::NoSamples { samples: problem.samples() });
     }
-    let (cost_start, residual_rms_start) = (first.cost, residual_rms(&first.fits));
+    let residual_rms_start = residual_rms(&first.fits);
     let end = descend(problem, first, x, options)?;
     let summary = Summary {
         termination: end.termination,
         iterations: end.iterations,
         evaluations: end.evaluations,
-        cost_start,
         cost_end: end.model.cost,
         residual_rms_start,
         residual_rms: residual_rms(&end.model.fits),

@@ -97,8 +97,6 @@ pub struct Summary {
     pub iterations: usize,
     /// Number of passes over all samples.
     pub evaluations: usize,
-    /// Half the sum of losses and squared prior residuals at the start.
-    pub cost_start: f64,
     /// Half the sum of losses and squared prior residuals at the end.
     pub cost_end: f64,
     /// Root mean square of all residual entries at the start, unweighted, without priors.
