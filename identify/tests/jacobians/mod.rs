@@ -293,7 +293,7 @@ fn measured_length_has_the_derivatives_of_the_wire_for_both_robots() {
         }
         let row = |o: &Observation| LengthRow { length_m: length_m(o), ..LengthRow::default() };
         let rows: Vec<LengthRow> = observations().iter().map(row).collect();
-        let cost = MeasuredLength { rows: &rows, relative_noise: &[LENGTH_NOISE; OBSERVATIONS] };
+        let cost = MeasuredLength { rows: &rows, relative_noise: vec![LENGTH_NOISE; OBSERVATIONS] };
         agrees(&robot, &all_free(model), cost, independent_measured_length);
     }
 }

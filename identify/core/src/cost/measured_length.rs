@@ -9,12 +9,12 @@ use crate::model::{Geometry, Owner, ParameterId, SetUp, WireGeometry};
 /// The residual is `(1 + scale) |R attachment - anchor| + offset - measured` \[m\], divided by the relative noise of the
 /// sample. The relative noise is the standard deviation of this sample, divided by the standard deviation of the median
 /// sample. The problem divides the residual by the standard deviation of the median sample.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub struct MeasuredLength<'a> {
     /// Each sample with its length, anchor and attachment. Samples without a row are ignored.
     pub rows: &'a [LengthRow],
     /// Relative noise of each sample. Samples without an entry are ignored.
-    pub relative_noise: &'a [f64],
+    pub relative_noise: Vec<f64>,
 }
 
 /// The wire at one sample, in the root frame.

@@ -39,8 +39,6 @@ pub struct Wire {
     noise: RowNoise,
     /// Standard uncertainty of the scale \[ppm\]; zero means exact.
     scale_u_ppm: f64,
-    /// Noise of each used row, relative to the median row.
-    relative_noise: Vec<f64>,
 }
 
 impl Wire {
@@ -48,7 +46,7 @@ impl Wire {
     /// order in which the robot visited them.
     pub fn new(rows: &[LengthRow]) -> Self {
         let rows = Screened::new(Standing::new(rows, |row| row.joints_rad));
-        Self::from_parts(rows, RowNoise::ALIKE, ScaleFrom::Wire.usual_u_ppm())
+        Self { rows, noise: RowNoise::ALIKE, scale_u_ppm: ScaleFrom::Wire.usual_u_ppm() }
     }
 
     /// Sets the standard uncertainty of the scale to the value that the mapping states \[ppm\]. Zero means that the scale
@@ -58,14 +56,14 @@ impl Wire {
         Self { scale_u_ppm: stated.unwrap_or(self.scale_u_ppm), ..self }
     }
 
-    fn from_parts(rows: Screened<LengthRow>, noise: RowNoise, scale_u_ppm: f64) -> Self {
-        let relative_noise = noise.relative(rows.at.rows.iter().map(|row| row.uncertainty_m));
-        Self { rows, noise, scale_u_ppm, relative_noise }
+    /// Noise of each of these rows, relative to the median row.
+    fn relative_noise_of(&self, rows: &[LengthRow]) -> Vec<f64> {
+        self.noise.relative(rows.iter().map(|row| row.uncertainty_m))
     }
 
     /// The same instrument with other rows and the same noise.
     fn with_rows(&self, all: Standing<LengthRow>) -> Self {
-        Self::from_parts(Screened::new(all), self.noise, self.scale_u_ppm)
+        Self { rows: Screened::new(all), noise: self.noise, scale_u_ppm: self.scale_u_ppm }
     }
 
     /// The same instrument with other measured lengths \[m\].
@@ -188,9 +186,9 @@ impl Measures for Wire {
     }
 
     fn data_set<'a>(&'a self, model: &'a Model, sigma: f64) -> Result<Box<dyn DataSet + 'a>, CostError> {
-        let Self { rows: Screened { at, .. }, relative_noise, .. } = self;
-        let residual = MeasuredLength { rows: &at.rows, relative_noise };
-        Ok(Box::new(LoopProblem::new(model, &at.states, &at.observations, residual, sigma)?))
+        let Standing { rows, states, observations, .. } = &self.rows.at;
+        let residual = MeasuredLength { rows, relative_noise: self.relative_noise_of(rows) };
+        Ok(Box::new(LoopProblem::new(model, states, observations, residual, sigma)?))
     }
 
     fn reported(&self, sample: usize, _: &ClockRelation) -> Option<JointState> {
@@ -204,24 +202,19 @@ impl Measures for Wire {
     /// Updates the relative noise of the rows. Returns `None`, because residuals stay in
     /// metres. The solver estimates their sigma.
     fn adapt(&mut self, model: &Model) -> Option<f64> {
-        if let Some(noise) = estimate_noise(&self.rows.at, &model.geometry(&[])) {
-            *self = Self::from_parts(self.rows.clone(), noise, self.scale_u_ppm);
-        }
+        self.noise = estimate_noise(&self.rows.at, &model.geometry(&[])).unwrap_or(self.noise);
         None
     }
 
     fn weigh_by(&mut self, model: &Model, samples: &[usize]) {
-        if let Some(noise) = estimate_noise(&self.rows.all.chosen(samples), &model.geometry(&[])) {
-            *self = Self::from_parts(self.rows.clone(), noise, self.scale_u_ppm);
-        }
+        let chosen = self.rows.all.chosen(samples);
+        self.noise = estimate_noise(&chosen, &model.geometry(&[])).unwrap_or(self.noise);
     }
 
     /// Excludes outliers. If more than half of the rows are outliers, nothing changes.
     fn screen(&mut self, model: &Model) -> bool {
         let residuals_m = self.residuals_m(&model.geometry(&[]));
-        let changed = self.rows.screen(&residuals_m, &self.relative_noise(), |_| true);
-        *self = Self::from_parts(self.rows.clone(), self.noise, self.scale_u_ppm);
-        changed
+        self.rows.screen(&residuals_m, &self.relative_noise(), |_| true)
     }
 
     fn independent(&self, count: usize) -> Vec<Vec<usize>> {
@@ -314,6 +307,6 @@ impl Measures for Wire {
 
     /// Noise of each row relative to the median row, including rows that are not used.
     fn relative_noise(&self) -> Vec<f64> {
-        self.noise.relative(self.rows.all.rows.iter().map(|row| row.uncertainty_m))
+        self.relative_noise_of(&self.rows.all.rows)
     }
 }

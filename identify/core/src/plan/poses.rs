@@ -398,7 +398,7 @@ impl<'a> PriorModel<'a> {
             MeasuredQuantity::Positions => self.position_rows(states, noise),
             MeasuredQuantity::Lengths => {
                 // The derivatives do not depend on the measured length.
-                let (rows, relative_noise) = (&vec![LengthRow::default(); count], &vec![1.0; count]);
+                let (rows, relative_noise) = (&vec![LengthRow::default(); count], vec![1.0; count]);
                 self.whitened_rows(states, MeasuredLength { rows, relative_noise }, noise.position_m)
             }
         }
