@@ -155,6 +155,16 @@ pub enum LogError {
 }
 
 impl LogError {
+    /// [`Self::Content`] of the file at `path`.
+    pub(super) fn content(path: &Path, problem: impl Into<String>, remedy: impl Into<String>) -> Self {
+        Self::Content { path: path.to_owned(), problem: problem.into(), remedy: remedy.into() }
+    }
+
+    /// [`Self::BadRecord`] of the record `place` in the file at `path`.
+    pub(super) fn bad_record(path: &Path, place: String, problem: String, remedy: &str) -> Self {
+        Self::BadRecord { path: path.to_owned(), place, problem, remedy: remedy.to_owned() }
+    }
+
     /// [`Self::TooFewRows`] if `rows` is less than `needed`.
     pub(super) fn unless_enough(path: &Path, rows: usize, needed: usize) -> Result<(), Self> {
         if rows < needed { Err(Self::TooFewRows { path: path.to_owned(), rows, needed }) } else { Ok(()) }
@@ -169,7 +179,8 @@ impl LogError {
             Some((_, name)) => Err(Self::Content {
                 path: path.to_owned(),
                 problem: format!("the mapping names `{name}` twice"),
-                remedy: "each joint or component has a column of its own: correct one of the two names".into(),
+                remedy: "each joint or component has a column of its own: correct one of the two names"
+                    .into(),
             }),
         }
     }

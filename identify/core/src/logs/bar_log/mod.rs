@@ -162,12 +162,10 @@ impl OtherBarLog {
                 bag::read(&source.whole()?, path, bar, format, mapping)
             }
             Ok(LogFormat::Csv) => table::read(source, bar, mapping),
-            Ok(_) | Err(LogError::UnknownFormat { .. }) => Err(LogError::Content {
-                path: path.to_owned(),
-                problem: "neither a recording, nor a table with counters of the bar, nor a ROS 2 bag with its joints"
-                    .into(),
-                remedy: "give the file of the ball-bar".into(),
-            }),
+            Ok(_) | Err(LogError::UnknownFormat { .. }) => {
+                let problem = "neither a recording, nor a table with counters of the bar, nor a ROS 2 bag with its joints";
+                Err(LogError::content(path, problem, "give the file of the ball-bar"))
+            }
             Err(error) => Err(error),
         }
     }

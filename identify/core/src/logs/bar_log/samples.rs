@@ -76,11 +76,12 @@ impl EncoderReader {
             EncoderUnit::Counts => {
                 let configured = bar.encoders.iter().find(|encoder| encoder.joint == joint);
                 let scale = configured.map(shared::config::EncoderConfig::scale);
-                let scale = scale.ok_or_else(|| LogError::Content {
-                    path: path.to_owned(),
-                    problem: format!("`{place}` has counts of joint {joint}, where the bar's configuration has no encoder"),
-                    remedy: "add an [[encoders]] block with its joint, lines and interpolation_bits, or leave the column out"
-                        .into(),
+                let scale = scale.ok_or_else(|| {
+                    let problem = format!(
+                        "`{place}` has counts of joint {joint}, where the bar's configuration has no encoder"
+                    );
+                    let remedy = "add an [[encoders]] block with its joint, lines and interpolation_bits, or leave the column out";
+                    LogError::content(path, problem, remedy)
                 })?;
                 (scale, wraps_at)
             }
@@ -365,15 +366,13 @@ impl RawBarLog {
             }
             let jump = shown.windows(2).find(|pair| (pair[1].1 - pair[0].1).abs() > width / 2);
             if let Some([_, (line, _)]) = jump {
-                return Err(LogError::Content {
-                    path: self.path.clone(),
-                    problem: format!(
-                        "the counts of joint {} stay within a range of {width} and jump by more than half of it at {} \
-                         {line}: the counter wraps at {width}",
-                        reading.info.joint, self.kind.row
-                    ),
-                    remedy: format!("write wraps_at = {width} into the mapping file (--recording-mapping)"),
-                });
+                let problem = format!(
+                    "the counts of joint {} stay within a range of {width} and jump by more than half of it at {} \
+                     {line}: the counter wraps at {width}",
+                    reading.info.joint, self.kind.row
+                );
+                let remedy = format!("write wraps_at = {width} into the mapping file (--recording-mapping)");
+                return Err(LogError::content(&self.path, problem, remedy));
             }
         }
         Ok(())

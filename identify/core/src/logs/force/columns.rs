@@ -128,14 +128,10 @@ impl ForceLayout {
     ) -> Result<Option<Self>, LogError> {
         let (columns, axes) = (force.columns.len(), robot.axes());
         if force.kind() == ForceKind::JointTorques && columns != 0 && columns != axes {
-            return Err(LogError::Content {
-                path: path.to_owned(),
-                problem: format!(
-                    "the mapping names {columns} torques under [force], {} has {axes} axes",
-                    robot.name
-                ),
-                remedy: "name one column for each axis, base to flange".into(),
-            });
+            let name = &robot.name;
+            let problem =
+                format!("the mapping names {columns} torques under [force], {name} has {axes} axes");
+            return Err(LogError::content(path, problem, "name one column for each axis, base to flange"));
         }
         let remedy = "Correct the name under [force] in the mapping file.";
         let columns = table.columns(&force.columns, remedy)?;

@@ -113,13 +113,9 @@ fn declared_clock(table: &CsvTable<'_>, path: &Path) -> Result<ForceClock, LogEr
     let known = [ForceClock::Robot, ForceClock::Bar]
         .into_iter()
         .find(|clock| name.eq_ignore_ascii_case(clock.name()));
-    known.ok_or_else(|| LogError::Content {
-        path: path.to_owned(),
-        problem: format!("its clock is `{name}`"),
-        remedy: "write `# clock: robot` or `# clock: bar`: stamps must be of one of the two, whose relation is found \
-                 from the motion"
-            .into(),
-    })
+    let remedy = "write `# clock: robot` or `# clock: bar`: stamps must be of one of the two, whose relation is found \
+                  from the motion";
+    known.ok_or_else(|| LogError::content(path, format!("its clock is `{name}`"), remedy))
 }
 
 /// All rows of the table \[N or N m\], without rows that have the same stamp and values as the row before.

@@ -109,12 +109,11 @@ fn decode(bytes: &[u8], path: &Path) -> Result<Vec<EgmRobot>, LogError> {
     let mut messages = Vec::new();
     while !rest.is_empty() {
         let offset = bytes.len() - rest.len();
-        let message = EgmRobot::decode_length_delimited(&mut rest).map_err(|error| LogError::BadRecord {
-            path: path.to_owned(),
-            place: format!("message {} (byte {offset})", messages.len() + 1),
-            problem: error.to_string(),
-            remedy: "write each EgmRobot message after its length as a varint; remove an incomplete last one"
-                .into(),
+        let message = EgmRobot::decode_length_delimited(&mut rest).map_err(|error| {
+            let place = format!("message {} (byte {offset})", messages.len() + 1);
+            let remedy =
+                "write each EgmRobot message after its length as a varint; remove an incomplete last one";
+            LogError::bad_record(path, place, error.to_string(), remedy)
         })?;
         messages.push(message);
     }
@@ -127,12 +126,11 @@ fn controller_stamps(messages: &[EgmRobot], path: &Path) -> Result<Vec<i64>, Log
     let mut last: Option<u32> = None;
     let mut stamps_ns = Vec::with_capacity(messages.len());
     for (message, number) in messages.iter().zip(1u64..) {
-        let tm = message.header.as_ref().and_then(|header| header.tm).ok_or_else(|| LogError::BadRecord {
-            path: path.to_owned(),
-            place: format!("message {number}"),
-            problem: "it has neither feedBack.time nor header.tm".into(),
-            remedy: "a log without time stamps cannot be used; record the controller's messages unchanged"
-                .into(),
+        let tm = message.header.as_ref().and_then(|header| header.tm).ok_or_else(|| {
+            let problem = "it has neither feedBack.time nor header.tm".into();
+            let remedy =
+                "a log without time stamps cannot be used; record the controller's messages unchanged";
+            LogError::bad_record(path, format!("message {number}"), problem, remedy)
         })?;
         unwrapped_ms += last.map_or(i64::from(tm), |last| i64::from(tm.wrapping_sub(last) as i32));
         last = Some(tm);

@@ -150,14 +150,12 @@ impl<'a> Meaning<'a> {
     ) -> Result<Self, LogError> {
         if robot.log.column != "joint" {
             let (format, robot) = (format.name(), &robot.name);
-            return Err(LogError::Content {
-                path: path.to_owned(),
-                problem: format!(
-                    "it has joint angles ({format}), but the configuration of {robot} converts motor angles"
-                ),
-                remedy: "give the conversion of the joints in a mapping (--log-mapping), see config/robot_log.toml"
-                    .into(),
-            });
+            let problem = format!(
+                "it has joint angles ({format}), but the configuration of {robot} converts motor angles"
+            );
+            let remedy =
+                "give the conversion of the joints in a mapping (--log-mapping), see config/robot_log.toml";
+            return Err(LogError::content(path, problem, remedy));
         }
         Self::own(robot, unit, names)
     }
@@ -338,15 +336,12 @@ impl RawLog {
     }
 
     fn too_few(&self, rows: usize) -> LogError {
-        let (path, incomplete) = (self.path.clone(), self.log.quality.incomplete_dropped);
+        let incomplete = self.log.quality.incomplete_dropped;
         if incomplete > rows {
-            return LogError::Content {
-                path,
-                problem: format!("{incomplete} of {} {}s lack a joint", rows + incomplete, self.what),
-                remedy: "check that the log has all joints of this robot".into(),
-            };
+            let problem = format!("{incomplete} of {} {}s lack a joint", rows + incomplete, self.what);
+            return LogError::content(&self.path, problem, "check that the log has all joints of this robot");
         }
-        LogError::TooFewRows { path, rows, needed: ROWS_MIN }
+        LogError::TooFewRows { path: self.path.clone(), rows, needed: ROWS_MIN }
     }
 
     /// Checks that all rows are within the joint limits of the robot.
@@ -360,18 +355,15 @@ impl RawLog {
         let prismatic = meaning.robot.joint_kinds().nth(joint) == Some(JointKind::Prismatic);
         let (factor, unit) = if prismatic { (1.0, "m") } else { (1f64.to_degrees(), "deg") };
         let [low, high] = limits[joint].map(|limit| (limit * factor * 1e6).round() / 1e6);
-        Err(LogError::BadRecord {
-            path: self.path.clone(),
-            place: format!("{} {line}", self.what),
-            problem: format!(
-                "joint {} would be at {:.1} {unit}, outside {low} to {high} {unit} \
-                 ({rows_beyond} of {} rows beyond a limit)",
-                joint + 1,
-                q[joint] * factor,
-                self.joints.len()
-            ),
-            remedy: self.likely_cause(meaning),
-        })
+        let problem = format!(
+            "joint {} would be at {:.1} {unit}, outside {low} to {high} {unit} \
+             ({rows_beyond} of {} rows beyond a limit)",
+            joint + 1,
+            q[joint] * factor,
+            self.joints.len()
+        );
+        let place = format!("{} {line}", self.what);
+        Err(LogError::bad_record(&self.path, place, problem, &self.likely_cause(meaning)))
     }
 
     /// The remedy for joints beyond their limits: the common mistake whose correction moves every row within the

@@ -43,23 +43,17 @@ pub(in crate::logs) fn read(
     let element = if raw.log.origin == ValueOrigin::Commanded { "ASPos" } else { "AIPos" };
     let time = mapping.and_then(|mapping| mapping.time.clone());
     if time.as_ref().is_some_and(|time| time.unit.is_dated()) {
-        return Err(LogError::Content {
-            path: path.to_owned(),
-            problem: "[time] of the mapping has a unit with a date, but IPOC is a counter".into(),
-            remedy: "write unit = \"ms\", or cycles with their period_ms".into(),
-        });
+        let problem = "[time] of the mapping has a unit with a date, but IPOC is a counter";
+        return Err(LogError::content(path, problem, "write unit = \"ms\", or cycles with their period_ms"));
     }
     let mut stamps = StampReader::new(&time.unwrap_or_else(|| TimeColumn::new("IPOC", TimeUnit::Ms)));
     let telegrams = parse(text, path, element)?;
     check_counter(&telegrams, path, mapping.is_some_and(|mapping| mapping.time.is_some()))?;
     for (telegram, number) in telegrams.iter().zip(1u64..) {
-        let stamp_ns =
-            telegram.ipoc.and_then(|ipoc| stamps.of_units(ipoc)).ok_or_else(|| LogError::BadRecord {
-                path: path.to_owned(),
-                place: format!("telegram {number}"),
-                problem: "no IPOC".into(),
-                remedy: "record whole telegrams: IPOC is their time".into(),
-            })?;
+        let stamp_ns = telegram.ipoc.and_then(|ipoc| stamps.of_units(ipoc)).ok_or_else(|| {
+            let remedy = "record whole telegrams: IPOC is their time";
+            LogError::bad_record(path, format!("telegram {number}"), "no IPOC".into(), remedy)
+        })?;
         // If the robot has more axes than a telegram, the other axes are missing in every row.
         let joints_deg = telegram.joints_deg.unwrap_or([f64::NAN; AXES.len()]);
         let joint = |axis: usize| joints_deg.get(axis).copied().unwrap_or(f64::NAN);
@@ -76,13 +70,12 @@ fn check_counter(telegrams: &[Telegram], path: &Path, unit_is_given: bool) -> Re
     let mut steps: Vec<i64> = ipocs.windows(2).map(|pair| pair[1].saturating_sub(pair[0])).collect();
     steps.sort_unstable();
     match steps.get(steps.len() / 2) {
-        Some(1) if !unit_is_given => Err(LogError::Content {
-            path: path.to_owned(),
-            problem: "IPOC increases by 1 with each telegram: it counts telegrams, not milliseconds".into(),
-            remedy: "state their period in a mapping file (--log-mapping): [time] with unit = \"cycles\" and period_ms; \
-                     or record with an RSI cycle of 4 or 12 ms"
-                .into(),
-        }),
+        Some(1) if !unit_is_given => {
+            let problem = "IPOC increases by 1 with each telegram: it counts telegrams, not milliseconds";
+            let remedy = "state their period in a mapping file (--log-mapping): [time] with unit = \"cycles\" and period_ms; \
+                          or record with an RSI cycle of 4 or 12 ms";
+            Err(LogError::content(path, problem, remedy))
+        }
         _ => Ok(()),
     }
 }
@@ -95,11 +88,10 @@ fn parse(text: &str, path: &Path, element: &str) -> Result<Vec<Telegram>, LogErr
     let mut current = Telegram::default();
     let mut in_ipoc = false;
     loop {
-        let bad = |problem: String| LogError::BadRecord {
-            path: path.to_owned(),
-            place: format!("telegram {}", telegrams.len() + 1),
-            problem,
-            remedy: "write the <Rob> telegrams one after the other; remove an incomplete last one".into(),
+        let bad = |problem: String| {
+            let place = format!("telegram {}", telegrams.len() + 1);
+            let remedy = "write the <Rob> telegrams one after the other; remove an incomplete last one";
+            LogError::bad_record(path, place, problem, remedy)
         };
         match reader.read_event().map_err(|error| bad(error.to_string()))? {
             Event::Start(tag) | Event::Empty(tag) if is_named(&tag, element) => {

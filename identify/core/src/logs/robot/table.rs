@@ -79,17 +79,15 @@ fn refuse_if_not_seconds(log: RobotLog, path: &Path) -> Result<RobotLog, LogErro
         return Ok(log);
     }
     let unit = if period_s < 1e3 * PERIOD_S_MIN { "ms" } else { "us" };
-    Err(LogError::Content {
-        path: path.to_owned(),
-        problem: format!(
-            "column `{TIME_COLUMN}` counts {unit}, not seconds: rows are {period_s:.3} apart, and no joint would be faster than \
-             {:.3} deg/s",
-            fastest.to_degrees()
-        ),
-        remedy: format!(
-            "rename it and name its unit in a mapping, [time] unit = \"{unit}\" (--log-mapping; `identify inspect --propose` writes one)"
-        ),
-    })
+    let problem = format!(
+        "column `{TIME_COLUMN}` counts {unit}, not seconds: rows are {period_s:.3} apart, and no joint would be faster than \
+         {:.3} deg/s",
+        fastest.to_degrees()
+    );
+    let remedy = format!(
+        "rename it and name its unit in a mapping, [time] unit = \"{unit}\" (--log-mapping; `identify inspect --propose` writes one)"
+    );
+    Err(LogError::content(path, problem, remedy))
 }
 
 /// Finds the columns with joints in the robot's own log. Columns in the other unit of angles are an error.

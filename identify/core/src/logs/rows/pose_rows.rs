@@ -176,14 +176,10 @@ pub fn joints_of_robot(joints: &[JointColumn], robot: &RobotConfig, path: &Path)
         return Ok(());
     }
     let units: Vec<&str> = robot.joint_kinds().map(JointKind::si_symbol).collect();
-    Err(LogError::Content {
-        path: path.to_owned(),
-        problem: format!("the mapping's {} joints are not the axes of {}", joints.len(), robot.name),
-        remedy: format!(
-            "write one [[joints]] block for each axis, base to flange, in units like {}",
-            units.join(", ")
-        ),
-    })
+    let problem = format!("the mapping's {} joints are not the axes of {}", joints.len(), robot.name);
+    let units = units.join(", ");
+    let remedy = format!("write one [[joints]] block for each axis, base to flange, in units like {units}");
+    Err(LogError::content(path, problem, remedy))
 }
 
 /// Checks the standard uncertainty of an instrument's scale \[ppm\]. An uncertainty of more than a tenth means that

@@ -121,11 +121,8 @@ impl<'a> CsvTable<'a> {
             });
         };
         if matching.next().is_some() {
-            return Err(LogError::Content {
-                path: self.path().to_owned(),
-                problem: format!("column `{name}` occurs twice"),
-                remedy: "remove or rename one".into(),
-            });
+            let problem = format!("column `{name}` occurs twice");
+            return Err(LogError::content(self.path(), problem, "remove or rename one"));
         }
         Ok(CsvColumn { index, name: name.to_owned() })
     }
@@ -266,7 +263,7 @@ impl CsvRow<'_> {
     /// An error about one cell.
     pub fn bad(&self, column: &CsvColumn, problem: String, remedy: &'static str) -> LogError {
         let place = format!("line {} column `{}`", self.line, column.name);
-        LogError::BadRecord { path: self.path.to_owned(), place, problem, remedy: remedy.into() }
+        LogError::bad_record(self.path, place, problem, remedy)
     }
 }
 

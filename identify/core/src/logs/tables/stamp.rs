@@ -77,11 +77,9 @@ impl TimeColumn {
 
     /// The time column of a table's mapping.
     pub(in crate::logs) fn of_table<'a>(time: Option<&'a Self>, path: &Path) -> Result<&'a Self, LogError> {
-        time.filter(|time| !time.column.is_empty()).ok_or_else(|| LogError::Content {
-            path: path.to_owned(),
-            problem: "the mapping does not name the column of the time stamps".into(),
-            remedy: "write [time] column = \"...\" and its unit into the mapping file".into(),
-        })
+        let problem = "the mapping does not name the column of the time stamps";
+        let remedy = "write [time] column = \"...\" and its unit into the mapping file";
+        time.filter(|time| !time.column.is_empty()).ok_or_else(|| LogError::content(path, problem, remedy))
     }
 
     /// Checks that a duration is given for cycles but for no other unit, and that times with a date do not wrap.

@@ -145,11 +145,9 @@ pub(in crate::logs) fn remark(
     let named = named(places, NAMED_MAX);
     let whose = "jump away from those before and after them, faster than anything moves";
     if count as f64 > SHARE_MAX * rows as f64 {
-        return Err(LogError::Content {
-            path: path.to_owned(),
-            problem: format!("{count} of {rows} {what}s {whose} ({what} {named})"),
-            remedy: "find out what writes these values, remove them, or log again".into(),
-        });
+        let problem = format!("{count} of {rows} {what}s {whose} ({what} {named})");
+        let remedy = "find out what writes these values, remove them, or log again";
+        return Err(LogError::content(path, problem, remedy));
     }
     Ok(Some(format!(
         "{count} of {rows} {what}s {whose} ({what} {named}): {done}; find out what writes these values, often zeros for a missing one"

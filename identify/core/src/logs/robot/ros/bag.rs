@@ -69,11 +69,6 @@ impl Bag {
         wanted: &Wanted,
         names_of: impl Fn(&[&str]) -> Option<N>,
     ) -> Result<(&BagTopic, N), LogError> {
-        let content = |problem: String, remedy: &str| LogError::Content {
-            path: path.to_owned(),
-            problem,
-            remedy: remedy.into(),
-        };
         let topics: Vec<&BagTopic> =
             self.topics.iter().filter(|found| topic.is_none_or(|topic| found.name == topic)).collect();
         let mut with_joints: Vec<(&BagTopic, N)> =
@@ -81,7 +76,7 @@ impl Bag {
         if with_joints.len() > 1 {
             let names: Vec<&str> = with_joints.iter().map(|(topic, _)| topic.name.as_str()).collect();
             let problem = format!("several topics have {}: {}", wanted.what, names.join(", "));
-            return Err(content(problem, wanted.choose));
+            return Err(LogError::content(path, problem, wanted.choose));
         }
         if let Some(the_only) = with_joints.pop() {
             return Ok(the_only);
@@ -91,12 +86,12 @@ impl Bag {
                 Some(topic) => format!("no sensor_msgs/JointState on topic {topic}"),
                 None => "no messages of type sensor_msgs/JointState".into(),
             };
-            return Err(content(problem, wanted.record));
+            return Err(LogError::content(path, problem, wanted.record));
         }
         let found = topics.iter().map(|topic| format!("{}: {}", topic.name, topic.joint_names().join(", ")));
         let found: Vec<String> = found.collect();
         let problem = format!("no topic has {}; there are {}", wanted.what, found.join("; "));
-        Err(content(problem, wanted.remedy))
+        Err(LogError::content(path, problem, wanted.remedy))
     }
 }
 
@@ -104,15 +99,12 @@ impl BagTopic {
     /// Decodes the bytes of the next message and adds it.
     pub(super) fn push(&mut self, recorded_ns: i64, data: &[u8], path: &Path) -> Result<(), LogError> {
         let number = self.messages.len() as u64 + 1;
-        let state = RosJointState::decode(data, self.messages.last().map(|last| &last.state.names)).map_err(
-            |problem| LogError::BadRecord {
-                path: path.to_owned(),
-                place: format!("message {number} on {}", self.name),
-                problem,
-                remedy: "the bag is damaged or its messages are not sensor_msgs/JointState; record it again"
-                    .into(),
-            },
-        )?;
+        let names_before = self.messages.last().map(|last| &last.state.names);
+        let state = RosJointState::decode(data, names_before).map_err(|problem| {
+            let place = format!("message {number} on {}", self.name);
+            let remedy = "the bag is damaged or its messages are not sensor_msgs/JointState; record it again";
+            LogError::bad_record(path, place, problem, remedy)
+        })?;
         self.messages.push(RecordedJointState { number, recorded_ns, state });
         Ok(())
     }

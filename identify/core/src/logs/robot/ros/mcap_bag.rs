@@ -53,11 +53,9 @@ pub(super) fn read(bytes: &[u8], path: &Path) -> Result<Bag, LogError> {
 fn broken_off(bag: &mut Bag, error: &McapError, path: &Path) -> Result<(), LogError> {
     let messages: usize = bag.topics.iter().map(|topic| topic.messages.len()).sum();
     if messages == 0 {
-        return Err(LogError::Content {
-            path: path.to_owned(),
-            problem: format!("not a whole MCAP file: {error}"),
-            remedy: "if the recorder was killed, try `mcap recover` on it".into(),
-        });
+        let problem = format!("not a whole MCAP file: {error}");
+        let remedy = "if the recorder was killed, try `mcap recover` on it";
+        return Err(LogError::content(path, problem, remedy));
     }
     bag.remarks.push(format!(
         "the bag is damaged after {messages} joint states ({error}); what follows is not read"

@@ -88,13 +88,11 @@ fn kind_of_efforts(force: &ForceColumns, path: &Path) -> Result<ForceKind, LogEr
     if force.columns.is_empty() {
         return Ok(force.kind());
     }
-    Err(LogError::Content {
-        path: path.to_owned(),
-        problem: format!("the mapping names columns of a force ({}), but a bag has no columns", force.columns.join(", ")),
-        remedy: "remove `columns` under [force] and write unit = \"Nm\" to use the efforts of the joints, or give the force in a table \
-                 of its own with --force-log"
-            .into(),
-    })
+    let columns = force.columns.join(", ");
+    let problem = format!("the mapping names columns of a force ({columns}), but a bag has no columns");
+    let remedy = "remove `columns` under [force] and write unit = \"Nm\" to use the efforts of the joints, or give the force in a table \
+                  of its own with --force-log";
+    Err(LogError::content(path, problem, remedy))
 }
 
 fn row(message: &RecordedJointState, names: &[String], stamped: bool) -> RawRobotRow {

@@ -21,10 +21,9 @@ const MESSAGES: &str = "SELECT topics.name, messages.timestamp, messages.data FR
 
 /// Reads the joint states of a bag.
 pub(super) fn read(bytes: &[u8], path: &Path) -> Result<Bag, LogError> {
-    let broken = |error: rusqlite::Error| LogError::Content {
-        path: path.to_owned(),
-        problem: format!("not a ROS 2 bag: {error}"),
-        remedy: "check that it is the .db3 of a finished recording".into(),
+    let broken = |error: rusqlite::Error| {
+        let problem = format!("not a ROS 2 bag: {error}");
+        LogError::content(path, problem, "check that it is the .db3 of a finished recording")
     };
     let mut bag = Bag::default();
     if has_write_ahead_log(path) {
