@@ -408,10 +408,8 @@ impl IdentifyConfig {
 }
 
 fn positive(key: String, value: f64) -> Result<(), Violation> {
-    if value.is_finite() && value > 0.0 {
-        return Ok(());
-    }
-    Err(Violation::new(key, format!("invalid standard deviation {value}"), "give a number above zero"))
+    let problem = format!("invalid standard deviation {value}");
+    Violation::unless(value.is_finite() && value > 0.0, key, problem, "give a number above zero")
 }
 
 /// Checks the ranges of the preparation's options. Values outside these ranges would disable a check or reject all data.
@@ -432,18 +430,15 @@ fn validate_preparation(prepare: &PrepareOptions) -> Result<(), Violation> {
         ("joint_travel_min_deg", prepare.joint_travel_min_deg, [0.0, 360.0]),
         ("slip_min_mrad", prepare.slip_min_mrad, [0.001, 1000.0]),
     ] {
+        let (key, problem) = (format!("prepare.{key}"), format!("{value} is out of range"));
+        let remedy = format!("give a number from {low} to {high}");
         // The condition is written as a test for values inside the range, so that NaN is rejected, too.
-        if !(low..=high).contains(&value) {
-            let remedy = format!("give a number from {low} to {high}");
-            return Err(Violation::new(format!("prepare.{key}"), format!("{value} is out of range"), remedy));
-        }
+        Violation::unless((low..=high).contains(&value), key, problem, remedy)?;
     }
-    if (1..POINTS_MIN).contains(&prepare.points_max) {
-        let problem = format!("{} samples are too few", prepare.points_max);
-        let remedy = format!("give {POINTS_MIN} or more, or 0 for all");
-        return Err(Violation::new("prepare.points_max", problem, remedy));
-    }
-    Ok(())
+    let problem = format!("{} samples are too few", prepare.points_max);
+    let remedy = format!("give {POINTS_MIN} or more, or 0 for all");
+    let are_enough = prepare.points_max == 0 || prepare.points_max >= POINTS_MIN;
+    Violation::unless(are_enough, "prepare.points_max", problem, remedy)
 }
 
 impl Validate for IdentifyConfig {
@@ -454,11 +449,9 @@ impl Validate for IdentifyConfig {
         for (key, sigma) in
             [("encoder_harmonics_urad", self.encoder_harmonics_urad), ("bar_length_um", self.bar_length_um)]
         {
-            if !(sigma.is_finite() && sigma >= 0.0) {
-                let problem = format!("invalid standard deviation {sigma}");
-                let remedy = "give a number above zero, or zero to leave these errors out";
-                return Err(Violation::new(key, problem, remedy));
-            }
+            let problem = format!("invalid standard deviation {sigma}");
+            let remedy = "give a number above zero, or zero to leave these errors out";
+            Violation::unless(sigma.is_finite() && sigma >= 0.0, key, problem, remedy)?;
         }
         Ok(())
     }
@@ -467,9 +460,9 @@ impl Validate for IdentifyConfig {
 impl IdentifyConfig {
     /// A parameter must not be both free and fixed. Each prior by name must have a standard deviation above zero.
     fn validate_names(&self) -> Result<(), Violation> {
-        if let Some((index, id)) = self.fix.iter().enumerate().find(|(_, id)| self.free.contains(id)) {
-            let problem = format!("`{id}` is also in `free`");
-            return Err(Violation::new(format!("fix[{index}]"), problem, "remove one of the two"));
+        for (index, id) in self.fix.iter().enumerate() {
+            let (key, problem) = (format!("fix[{index}]"), format!("`{id}` is also in `free`"));
+            Violation::unless(!self.free.contains(id), key, problem, "remove one of the two")?;
         }
         self.priors.iter().try_for_each(|(id, sigma)| positive(format!("priors.{id}"), *sigma))
     }
@@ -478,14 +471,10 @@ impl IdentifyConfig {
     /// which zero excludes a group of terms.
     fn validate_sigmas(&self) -> Result<(), Violation> {
         positive("tolerance_mm_mrad".into(), self.tolerance_mm_mrad)?;
-        if let Some(require_mm) =
-            self.require_mm.filter(|require_mm| !(require_mm.is_finite() && *require_mm > 0.0))
-        {
-            return Err(Violation::new(
-                "require_mm",
-                format!("invalid position error {require_mm}"),
-                "give the largest allowed error in millimetres, above zero",
-            ));
+        if let Some(require_mm) = self.require_mm {
+            let problem = format!("invalid position error {require_mm}");
+            let remedy = "give the largest allowed error in millimetres, above zero";
+            Violation::unless(require_mm.is_finite() && require_mm > 0.0, "require_mm", problem, remedy)?;
         }
         let terms = &self.joint_terms;
         positive("joint_terms.amplitude_urad".into(), terms.amplitude_urad)?;

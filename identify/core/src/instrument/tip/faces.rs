@@ -111,7 +111,6 @@ impl FaceTable {
 
 impl Validate for FaceTable {
     fn validate(&self) -> Result<(), Violation> {
-        let bad = |key: String, problem: String, remedy: &str| Err(Violation::new(key, problem, remedy));
         let distances = self.distances.iter().enumerate();
         let angles = self.angles.iter().enumerate();
         let of_distances =
@@ -119,44 +118,38 @@ impl Validate for FaceTable {
         let of_angles = angles.clone().map(|(i, angle)| (format!("angle[{i}].u_urad"), angle.u_urad));
         let of_table = [("u_um".to_owned(), Some(self.u_um)), ("u_urad".to_owned(), Some(self.u_urad))];
         let uncertainties = of_table.into_iter().chain(of_distances).chain(of_angles);
-        for (key, u) in uncertainties {
-            if let Some(u) = u.filter(|u| !(u.is_finite() && *u > 0.0)) {
-                return bad(key, format!("the uncertainty is {u}"), "give a number above zero");
-            }
+        for (key, u) in uncertainties.filter_map(|(key, u)| Some((key, u?))) {
+            let problem = format!("the uncertainty is {u}");
+            Violation::unless(u.is_finite() && u > 0.0, key, problem, "give a number above zero")?;
         }
-        if !(0.0..=SPAN_MM_MAX).contains(&self.tip_diameter_mm) {
-            let problem = format!("the diameter is {} mm", self.tip_diameter_mm);
-            return bad("tip_diameter_mm".into(), problem, "give that of the tip's ball in millimetres");
-        }
-        if let Some(at) = self.tip_mm.iter().flatten().find(|at| !(-SPAN_MM_MAX..=SPAN_MM_MAX).contains(*at))
-        {
+        let problem = format!("the diameter is {} mm", self.tip_diameter_mm);
+        let remedy = "give that of the tip's ball in millimetres";
+        let is_possible = (0.0..=SPAN_MM_MAX).contains(&self.tip_diameter_mm);
+        Violation::unless(is_possible, "tip_diameter_mm", problem, remedy)?;
+        for at in self.tip_mm.iter().flatten() {
             let problem = format!("a coordinate is {at} mm");
-            return bad("tip_mm".into(), problem, "give three numbers in millimetres");
+            let is_near = (-SPAN_MM_MAX..=SPAN_MM_MAX).contains(at);
+            Violation::unless(is_near, "tip_mm", problem, "give three numbers in millimetres")?;
         }
-        for (i, distance) in distances {
-            if !(distance.distance_mm > 0.0 && distance.distance_mm <= SPAN_MM_MAX) {
-                let problem = format!("the distance is {} mm", distance.distance_mm);
-                return bad(format!("distance[{i}].distance_mm"), problem, "give millimetres above zero");
-            }
-            if distance.touched == Touched::Inside && distance.distance_mm <= self.tip_diameter_mm {
-                let problem = "the tip does not fit between these faces".to_owned();
-                return bad(format!("distance[{i}].distance_mm"), problem, "correct it or tip_diameter_mm");
-            }
+        for (i, Spacing { distance_mm, touched, .. }) in distances {
+            let key = format!("distance[{i}].distance_mm");
+            let problem = format!("the distance is {distance_mm} mm");
+            let is_possible = *distance_mm > 0.0 && *distance_mm <= SPAN_MM_MAX;
+            Violation::unless(is_possible, &*key, problem, "give millimetres above zero")?;
+            let problem = "the tip does not fit between these faces";
+            let fits = *touched != Touched::Inside || *distance_mm > self.tip_diameter_mm;
+            Violation::unless(fits, key, problem, "correct it or tip_diameter_mm")?;
         }
-        for (i, angle) in angles {
-            if !(0.0..=90.0).contains(&angle.angle_deg) {
-                let problem = format!("the angle is {}", angle.angle_deg);
-                return bad(format!("angle[{i}].angle_deg"), problem, "give degrees from 0 to 90");
-            }
+        for (i, KnownAngle { angle_deg, .. }) in angles {
+            let (key, problem) = (format!("angle[{i}].angle_deg"), format!("the angle is {angle_deg}"));
+            Violation::unless((0.0..=90.0).contains(angle_deg), key, problem, "give degrees from 0 to 90")?;
         }
         let of_distances =
             self.distances.iter().enumerate().map(|(i, distance)| ("distance", i, &distance.between));
         let of_angles = self.angles.iter().enumerate().map(|(i, angle)| ("angle", i, &angle.between));
         for (kind, i, [first, second]) in of_distances.chain(of_angles) {
-            if first == second {
-                let problem = format!("both faces are `{first}`");
-                return bad(format!("{kind}[{i}].between"), problem, "name two different faces");
-            }
+            let (key, problem) = (format!("{kind}[{i}].between"), format!("both faces are `{first}`"));
+            Violation::unless(first != second, key, problem, "name two different faces")?;
         }
         Ok(())
     }

@@ -54,56 +54,49 @@ pub struct SocketTable {
 
 impl Validate for SocketTable {
     fn validate(&self) -> Result<(), Violation> {
-        let bad = |key: String, problem: String, remedy: &str| Err(Violation::new(key, problem, remedy));
         let sockets = self.sockets.iter().enumerate();
         let of_sockets = sockets.map(|(i, socket)| (format!("socket[{i}].u_um"), socket.u_um));
         let distances = self.distances.iter().enumerate();
         let of_distances = distances.map(|(i, distance)| (format!("distance[{i}].u_um"), distance.u_um));
         let of_table = [("u_um".to_owned(), Some(self.u_um))];
-        for (key, u_um) in of_table.into_iter().chain(of_sockets).chain(of_distances) {
-            if let Some(u_um) = u_um.filter(|u_um| !(u_um.is_finite() && *u_um > 0.0)) {
-                return bad(key, format!("invalid uncertainty {u_um}"), "give micrometres above zero");
-            }
+        let uncertainties = of_table.into_iter().chain(of_sockets).chain(of_distances);
+        for (key, u_um) in uncertainties.filter_map(|(key, u_um)| Some((key, u_um?))) {
+            let problem = format!("invalid uncertainty {u_um}");
+            Violation::unless(u_um.is_finite() && u_um > 0.0, key, problem, "give micrometres above zero")?;
         }
         let mut names = BTreeSet::new();
         for (i, socket) in self.sockets.iter().enumerate() {
-            if !names.insert(&socket.name) {
-                let problem = format!("two sockets have the name `{}`", socket.name);
-                return bad(format!("socket[{i}].name"), problem, "give each socket a name of its own");
-            }
-            if let Some(at) = socket.position_mm.iter().find(|at| !(-SPAN_MM_MAX..=SPAN_MM_MAX).contains(*at))
-            {
+            let problem = format!("two sockets have the name `{}`", socket.name);
+            let (key, remedy) = (format!("socket[{i}].name"), "give each socket a name of its own");
+            Violation::unless(names.insert(&socket.name), key, problem, remedy)?;
+            for at in socket.position_mm {
                 let problem = format!("the coordinate {at} mm is beyond {SPAN_MM_MAX} mm");
-                return bad(format!("socket[{i}].position_mm"), problem, "give x, y and z in millimetres");
+                let (key, remedy) = (format!("socket[{i}].position_mm"), "give x, y and z in millimetres");
+                Violation::unless((-SPAN_MM_MAX..=SPAN_MM_MAX).contains(&at), key, problem, remedy)?;
             }
         }
         for (i, socket) in self.sockets.iter().enumerate() {
             let same = self.sockets[..i].iter().find(|other| other.position_mm == socket.position_mm);
             if let Some(other) = same {
                 let problem = format!("`{}` has the position of `{}`", socket.name, other.name);
-                return bad(format!("socket[{i}].position_mm"), problem, "give each socket its own position");
+                let key = format!("socket[{i}].position_mm");
+                return Err(Violation::new(key, problem, "give each socket its own position"));
             }
         }
         for (i, KnownDistance { between: [from, to], distance_mm, .. }) in self.distances.iter().enumerate() {
-            if from == to {
-                let problem = format!("both sockets are `{from}`");
-                return bad(format!("distance[{i}].between"), problem, "name two different sockets");
-            }
-            if !(*distance_mm > 0.0 && *distance_mm <= SPAN_MM_MAX) {
-                let problem = format!("the distance {distance_mm} mm is not between 0 and {SPAN_MM_MAX} mm");
-                return bad(format!("distance[{i}].distance_mm"), problem, "give it in millimetres");
-            }
+            let (key, problem) = (format!("distance[{i}].between"), format!("both sockets are `{from}`"));
+            Violation::unless(from != to, key, problem, "name two different sockets")?;
+            let problem = format!("the distance {distance_mm} mm is not between 0 and {SPAN_MM_MAX} mm");
+            let key = format!("distance[{i}].distance_mm");
+            let is_possible = *distance_mm > 0.0 && *distance_mm <= SPAN_MM_MAX;
+            Violation::unless(is_possible, key, problem, "give it in millimetres")?;
         }
-        if self.distances.is_empty() && self.sockets.len() < 2 {
-            let remedy = "write a [[socket]] block with position_mm for each of at least two sockets, or a [[distance]] block";
-            return bad("socket".into(), "no distance between sockets is known".into(), remedy);
-        }
-        let count = self.names().len();
-        if count > ParameterId::SOCKETS_MAX {
-            let remedy = format!("give at most {}", ParameterId::SOCKETS_MAX);
-            return bad("socket".into(), format!("there are {count} sockets"), &remedy);
-        }
-        Ok(())
+        let is_known = !self.distances.is_empty() || self.sockets.len() >= 2;
+        let remedy = "write a [[socket]] block with position_mm for each of at least two sockets, or a [[distance]] block";
+        Violation::unless(is_known, "socket", "no distance between sockets is known", remedy)?;
+        let (count, most) = (self.names().len(), ParameterId::SOCKETS_MAX);
+        let (problem, remedy) = (format!("there are {count} sockets"), format!("give at most {most}"));
+        Violation::unless(count <= most, "socket", problem, remedy)
     }
 }
 
