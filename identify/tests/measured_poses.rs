@@ -126,6 +126,21 @@ columns = ["a", "b", "c", "d", "e", "f", "g", "h", "i"]"#,
     }
 }
 
+/// The file names one axis of the probe in the opposite direction, so its matrices are mirrored.
+#[test]
+fn a_matrix_of_left_handed_axes_is_refused_as_no_rotation() {
+    let mut mirrored = about(2, 50.0) * about(1, -30.0) * about(0, 20.0);
+    mirrored.row_mut(2).neg_mut();
+    let header = HEADER.replace(";measurement_rx;measurement_ry;measurement_rz", ";a;b;c;d;e;f;g;h;i");
+    let cells: String = mirrored.transpose().iter().map(|number| format!(";{number:.9}")).collect();
+    let row = format!("1;0;0;0;0;0;0;1;2;3{}\n", cells.replace('.', ","));
+    let block = r#"as = "matrix"
+columns = ["a", "b", "c", "d", "e", "f", "g", "h", "i"]"#;
+    let refused = read(&format!("{header}\n{}", row.repeat(10)), &with_rotation(block));
+    let error = refused.unwrap_err().to_string();
+    assert!(error.contains("is not a rotation"), "{error}");
+}
+
 fn workbook(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/workbooks").join(name)
 }

@@ -21,6 +21,7 @@ use crate::logs::time_series::excursions::{Excursions, Fastest, remark};
 use crate::logs::time_series::stream::retain;
 use crate::logs::{CsvLayout, JointColumn, LengthUnit, LogError, Stamps, Stream, since_first_s};
 use crate::model::SetUp;
+use crate::prepare::nearest_rotation;
 
 /// Largest coordinate of a position, the range of a tracker \[m\]. A larger number means that the unit is wrong.
 const POSITION_M_MAX: f64 = 100.0;
@@ -161,7 +162,8 @@ impl RotationColumns {
             }
             (RotationForm::Matrix, values) if values.len() == 9 => {
                 let given = Matrix3::from_row_slice(values);
-                let nearest = Rotation3::from_matrix(&given);
+                // The iteration of `Rotation3::from_matrix` does not end for left-handed axes.
+                let nearest = nearest_rotation(&given);
                 ((nearest.matrix() - given).amax() < NOT_A_ROTATION).then_some(nearest)
             }
             _ => None,
