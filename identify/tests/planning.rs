@@ -13,8 +13,8 @@ use identify::model::ParameterId;
 use identify::model::TermGroup;
 use identify::plan::{
     BestPath, Bodies, Checked, Constraints, Criterion, Design, ExpectedPosition, Information, Language,
-    Obstacle, PlaceRequest, PlanError, PlannedPath, PlannedPoses, SearchProgress, Visited, Way, check,
-    places, pose_program, position_m_min, program, robot_path, search,
+    Obstacle, PlaceRequest, PlanError, PlannedPath, PlannedPoses, SearchProgress, Visited, Way,
+    can_be_programmed, check, places, pose_program, position_m_min, program, robot_path, search,
 };
 use identify::robot::import;
 use identify::simulate::{self, Effects, Experiment, Simulated, StaticErrors};
@@ -23,7 +23,7 @@ use nalgebra::Vector3;
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
-use shared::config::{self, AngleUnit, BallBarConfig, LogConversion, RobotConfig, Validate as _};
+use shared::config::{self, AngleUnit, BallBarConfig, JointKind, LogConversion, RobotConfig, Validate as _};
 
 use crate::support::browser;
 use crate::support::campaign::{is_full, size};
@@ -706,6 +706,17 @@ fn a_fanuc_program_is_refused_where_joint_3_of_the_robots_file_is_not_the_contro
     let text = pose_program(Language::Fanuc, &poses, &robot, 1.0).unwrap();
     assert!(text.contains("J2= 46.053 deg") && text.contains("J3= -75.895 deg"), "{text}");
     assert_eq!(Language::for_robot(&robot), Some(Language::Fanuc));
+}
+
+/// The programs write each joint in degrees, so a lift at 1.5 m would be written as 85.9 degrees.
+#[test]
+fn programs_are_refused_for_a_robot_with_a_prismatic_axis() {
+    let mut robot = with_joint_log(irb2400());
+    robot.links[0].joint = JointKind::Prismatic;
+    for language in [Language::Rapid, Language::Krl, Language::Urscript, Language::Fanuc] {
+        let refused = can_be_programmed(language, &robot).unwrap_err().to_string();
+        assert!(refused.starts_with("axis 1 of") && refused.contains("is prismatic"), "{refused}");
+    }
 }
 
 #[test]

@@ -14,7 +14,7 @@
 use std::fmt::Write;
 
 use nalgebra::Vector3;
-use shared::config::{AngleUnit, LogConversion, Maker, RobotConfig};
+use shared::config::{AngleUnit, JointKind, LogConversion, Maker, RobotConfig};
 
 use super::check::curve;
 use super::{CheckError, Constraints, PlannedPoses, Way};
@@ -69,6 +69,16 @@ pub enum ProgramError {
         robot: String,
         /// Number of its axes.
         axes: usize,
+    },
+    /// An axis of the robot is prismatic. The programs write all joints as angles.
+    #[error(
+        "axis {axis} of {robot} is prismatic, programs are written for revolute axes; take the joints from the table"
+    )]
+    Prismatic {
+        /// Name of the robot.
+        robot: String,
+        /// Number (from 1) of its first prismatic axis.
+        axis: usize,
     },
     /// The controller measures joint 3 from the horizontal, but the configuration has no coupling of joints 2 and 3.
     #[error(
@@ -292,6 +302,9 @@ fn text(language: Language, purpose: ProgramPurpose, about: &str, steps: &[Instr
 fn conversion(language: Language, robot: &RobotConfig) -> Result<JointConversion, ProgramError> {
     if robot.axes() != 6 {
         return Err(ProgramError::Axes { robot: robot.name.clone(), axes: robot.axes() });
+    }
+    if let Some(index) = robot.joint_kinds().position(|kind| kind == JointKind::Prismatic) {
+        return Err(ProgramError::Prismatic { robot: robot.name.clone(), axis: index + 1 });
     }
     // If the conversion has only signs and couplings and no gear ratios, the log's values are joint angles. Controllers
     // accept only joint angles as targets.
