@@ -143,9 +143,6 @@ pub(super) struct Sample {
 
 /// Half the time over which speeds are averaged \[s\].
 const SPEED_REACH_S: f64 = 0.05;
-/// The speed at a sample is computed from two samples, about [`SPEED_REACH_S`] before and after it. Each of them is searched
-/// among this number of neighbouring samples.
-const NEIGHBOURS: usize = 12;
 
 impl PreparedRun<'_> {
     pub fn timeline(&self) -> Timeline {
@@ -180,7 +177,7 @@ impl PreparedRun<'_> {
         let tau_s = self.clock.robot_time_s(t_s);
         let predicted = self.predictor.at(tau_s);
         let predicted_rad = predicted.map(|bar| self.in_configuration(&bar.joints_rad));
-        let bar_speed_rad_s = sample.and_then(|index| self.bar_speed_rad_s(index));
+        let bar_speed_rad_s = sample.and_then(|index| bar_speed_rad_s(self.samples, index));
         let robot_speed_rad_s = self.robot_speed_rad_s(tau_s);
         let moves = |speed: Option<f64>| speed.map(|speed| speed > MOVING_RAD_S);
         let measured = sample.and_then(|index| self.samples.get(index));
@@ -217,19 +214,6 @@ impl PreparedRun<'_> {
         self.configuration.carry(self.predictor.bar_links(), bar_rad)
     }
 
-    /// Largest speed of any bar joint around sample `index` \[rad/s\]; `None` if no sample before or after it is near enough.
-    fn bar_speed_rad_s(&self, index: usize) -> Option<f64> {
-        let here = self.samples.get(index)?;
-        let near = |sample: &&Sample| (sample.t_s - here.t_s).abs() <= SPEED_REACH_S * 1.01;
-        let from = index.saturating_sub(NEIGHBOURS);
-        let to = (index + 1 + NEIGHBOURS).min(self.samples.len());
-        // On each side, the farthest sample that is still within the reach.
-        let before = self.samples.get(from..index)?.iter().find(near)?;
-        let after = self.samples.get(index + 1..to)?.iter().rev().find(near)?;
-        let time_s = after.t_s - before.t_s;
-        Some(largest_difference(&after.bar_rad, &before.bar_rad) / time_s)
-    }
-
     /// Largest speed of any robot joint at `tau_s`, the time since the log's first stamp \[rad/s\]; `None` outside the log.
     fn robot_speed_rad_s(&self, tau_s: f64) -> Option<f64> {
         let before = self.predictor.robot_at(tau_s - SPEED_REACH_S)?;
@@ -242,12 +226,46 @@ impl PreparedRun<'_> {
         let slow = |speed: Option<f64>| speed.is_some_and(|speed| speed < MOVING_RAD_S);
         let tau_s = |index: usize| self.clock.robot_time_s(self.samples[index].t_s);
         let is_still = rows(self.samples.len(), |index| {
-            slow(self.bar_speed_rad_s(index)) && slow(self.robot_speed_rad_s(tau_s(index)))
+            slow(bar_speed_rad_s(self.samples, index)) && slow(self.robot_speed_rad_s(tau_s(index)))
         });
         let reading = |index: usize| {
             let Sample { t_s, bar_rad, .. } = self.samples[index];
             Some(Readings { t_s, bar_rad, robot_rad: self.predictor.robot_at(tau_s(index))? })
         };
         (0..self.samples.len()).filter(|index| is_still[*index]).filter_map(reading).collect()
+    }
+}
+
+/// Largest speed of any bar joint around sample `index` \[rad/s\], from two samples about [`SPEED_REACH_S`] before and after
+/// it; `None` if no sample before or after it is near enough.
+fn bar_speed_rad_s(samples: &[Sample], index: usize) -> Option<f64> {
+    let t_s = samples.get(index)?.t_s;
+    let reach_s = SPEED_REACH_S * 1.01;
+    // On each side, the farthest sample that is still within the reach.
+    let from = samples.partition_point(|sample| sample.t_s < t_s - reach_s);
+    let to = samples.partition_point(|sample| sample.t_s <= t_s + reach_s);
+    let before = samples.get(from..index)?.first()?;
+    let after = samples.get(index + 1..to)?.last()?;
+    Some(largest_difference(&after.bar_rad, &before.bar_rad) / (after.t_s - before.t_s))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn noise_is_slow_at_the_highest_rate_too() {
+        for rate_hz in [100, 1000] {
+            let sample = |cycle: usize| Sample {
+                cycle,
+                t_s: cycle as f64 / rate_hz as f64,
+                bar_rad: [if cycle.is_multiple_of(7) { 75e-6 } else { 0.0 }; BAR_JOINTS],
+            };
+            let samples: Vec<Sample> = (0..rate_hz).map(sample).collect();
+            let speed = |index: usize| bar_speed_rad_s(&samples, index);
+            let fastest = (1..rate_hz - 1).filter_map(speed).fold(0.0, f64::max);
+            assert!(fastest < MOVING_RAD_S, "{rate_hz} Hz: {fastest}");
+            assert_eq!([speed(0), speed(rate_hz - 1)], [None, None]);
+        }
     }
 }
