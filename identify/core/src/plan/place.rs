@@ -2,7 +2,6 @@
 //! are drawn, and some random paths are generated at each position. Positions are ranked by the expected accuracy of a
 //! calibration on the best of these paths.
 
-use std::f64::consts::PI;
 use std::time::{Duration, Instant};
 
 use nalgebra::Vector3;
@@ -11,6 +10,7 @@ use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, UnitSphere};
 use shared::config::{BallBarConfig, RobotConfig};
 
+use super::poses::limit_to_half_turns;
 use super::random::random_route_until;
 use super::search::{Pieces, tight_design, tightened};
 use super::{Bodies, Constraints, Criterion, Design, ExpectedPosition, Information};
@@ -133,8 +133,8 @@ impl PlaceRequest<'_> {
         const TRIES: usize = 2000;
         let (arm, mut chain) = (robot_chain(self.robot, bar), ball_bar_chain(bar));
         let limits = self.robot.joint_limits();
-        // Angles beyond half a turn are not needed, because they give the same poses.
-        let ranges: Vec<[f64; 2]> = limits.iter().map(|[low, high]| [low.max(-PI), high.min(PI)]).collect();
+        let mut ranges = limits.clone();
+        limit_to_half_turns(&mut ranges, self.robot);
         for _ in 0..TRIES {
             let q = Joints::random(&ranges, random);
             let end = arm.forward(&q);

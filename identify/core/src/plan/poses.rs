@@ -222,11 +222,7 @@ pub fn random_postures(
     const TRIES_EACH: usize = 100;
     let (arm, mut random) = (flange_chain(robot), ChaCha8Rng::seed_from_u64(seed));
     let mut ranges = design.limits_with_margin(&arm, &robot.joint_limits());
-    for ([low, high], kind) in ranges.iter_mut().zip(robot.joint_kinds()) {
-        if kind == JointKind::Revolute {
-            (*low, *high) = (low.max(-PI), high.min(PI));
-        }
-    }
+    limit_to_half_turns(&mut ranges, robot);
     let mut found = Vec::with_capacity(count);
     let mut tried = 0;
     while found.len() < count {
@@ -241,6 +237,15 @@ pub fn random_postures(
         }
     }
     Ok(found)
+}
+
+/// Limits the ranges of revolute axes to half a turn in each direction. Angles beyond it give the same poses.
+pub(super) fn limit_to_half_turns(ranges: &mut [[f64; 2]], robot: &RobotConfig) {
+    for ([low, high], kind) in ranges.iter_mut().zip(robot.joint_kinds()) {
+        if kind == JointKind::Revolute {
+            (*low, *high) = (low.max(-PI), high.min(PI));
+        }
+    }
 }
 
 /// Selects `count` of the candidates, and plans the moves between them. A move is a straight line in joint space if this
