@@ -23,7 +23,9 @@ use nalgebra::Vector3;
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
-use shared::config::{self, AngleUnit, BallBarConfig, JointKind, LogConversion, RobotConfig, Validate as _};
+use shared::config::{
+    self, AngleUnit, BallBarConfig, Convention, JointKind, LogConversion, RobotConfig, Validate as _,
+};
 
 use crate::support::browser;
 use crate::support::campaign::{is_full, size};
@@ -445,6 +447,19 @@ fn what_a_calibration_knows_already_counts() {
     both += &second;
     assert!(together >= information.score(&both));
     assert!(information.after(|_, _| None).is_none());
+}
+
+#[test]
+fn the_bar_stands_farther_from_a_large_robot_in_either_convention_of_its_table() {
+    let standard = nj220();
+    let mut modified = RobotConfig { convention: Convention::Modified, ..standard.clone() };
+    // In this convention, a row has the length before its axis. The length of the upper arm is that of row 3.
+    for (row, before) in modified.links[1..].iter_mut().zip(&standard.links) {
+        row.a_m = before.a_m;
+    }
+    modified.links[0].a_m = 0.0;
+    assert_eq!(Design::for_robot(&modified), Design::for_robot(&standard));
+    assert_eq!(Design::for_robot(&standard).base_m, Design::NJ_220.base_m);
 }
 
 #[test]

@@ -4,7 +4,7 @@ use rand::Rng;
 use serde::{Deserialize, Serialize};
 use shared::config::{JointKind, RobotConfig};
 
-use crate::kinematics::{Chain, DhLink, Joints};
+use crate::kinematics::{Chain, DhLink, Joints, flange_chain};
 
 /// Position of the bar, and ranges, speeds and margins of the motion.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -95,7 +95,8 @@ impl Design {
 
     /// The default design for a robot. It depends on the length of the upper arm, which exceeds a metre in large robots.
     pub fn for_robot(robot: &RobotConfig) -> Self {
-        let upper_arm_m = robot.links.get(1).map_or(0.0, |link| link.a_m);
+        // In the chain, `a` follows its axis in either convention.
+        let upper_arm_m = flange_chain(robot).links.get(1).map_or(0.0, |link| link.a_m);
         if upper_arm_m > 1.0 { Self::NJ_220 } else { Self::IRB_2400 }
     }
 }
