@@ -220,6 +220,9 @@ fn what_record_py_of_the_rtde_client_writes_is_recognised() {
     let log = read_as(&(header("actual") + &body), None).unwrap();
     assert_follows(&log, 60, angle_deg);
     assert_eq!((log.origin, log.speed_rad_s.unwrap()[3]), (ValueOrigin::Measured, [0.25; 6].into()));
+    // The library ur_rtde writes the same columns with commas.
+    let with_commas = (header("actual") + &body).replace(' ', ",");
+    assert_eq!(read_as(&with_commas, None).unwrap().q_rad, log.q_rad);
     let log = read_as(&(header("target") + &body), None).unwrap();
     assert!(
         log.origin == ValueOrigin::Commanded

@@ -16,7 +16,8 @@ const HEADER_BYTES_MAX: usize = 1 << 16;
 pub enum LogFormat {
     /// Text table with a header; the robot's configuration or a mapping file determines the columns.
     Csv,
-    /// Output of `record.py` of Universal Robots' RTDE client: cells separated by blanks, columns such as `actual_q_0`.
+    /// Output of `record.py` of Universal Robots' RTDE client, or of the library `ur_rtde`: columns such as `actual_q_0`,
+    /// separated by blanks or commas.
     UrRtde,
     /// ROS 2 bag in MCAP (`.mcap`) with `sensor_msgs/JointState` messages.
     Ros2Mcap,

@@ -121,11 +121,14 @@ fn own_joints(table: &CsvTable<'_>, path: &Path, robot: &RobotConfig) -> Result<
     Ok(joints)
 }
 
-/// Reads a table of `record.py` of the RTDE client, with joints in radians. Measured values (`actual_q_0`) are
-/// preferred to commanded values (`target_q_0`).
+/// Reads a table of `record.py` of the RTDE client or of the library `ur_rtde`, with joints in radians. Measured values
+/// (`actual_q_0`) are preferred to commanded values (`target_q_0`).
 pub(in crate::logs) fn read_rtde(source: LogSource<'_>, robot: &RobotConfig) -> Result<RobotLog, LogError> {
     let path = source.path;
-    let table = &mut CsvTable::delimited(Text::new(source, None)?, b' ', &CsvLayout::default())?;
+    let mut text = Text::new(source, None)?;
+    // `record.py` separates the columns by blanks, `ur_rtde` by commas.
+    let delimiter = if text.header_line()?.contains(',') { b',' } else { b' ' };
+    let table = &mut CsvTable::delimited(text, delimiter, &CsvLayout::default())?;
     let origin = if table.has("actual_q_0") { ValueOrigin::Measured } else { ValueOrigin::Commanded };
     let kind = if origin == ValueOrigin::Measured { "actual" } else { "target" };
     let columns = |quantity: &str| -> Columns {
