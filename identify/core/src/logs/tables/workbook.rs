@@ -106,7 +106,26 @@ fn cell_text(cell: &Data) -> String {
         Data::DateTime(date) => {
             date.as_datetime().map_or_else(|| cell.to_string(), |date| date.format("%FT%T%.f").to_string())
         }
+        // Errors such as `#N/A` begin with a blank, because a row that begins with `#` is a comment.
+        Data::Error(error) => format!(" {error}"),
         _ => cell.to_string().replace(char::is_control, " "),
     };
     if text.contains('"') { format!("\"{}\"", text.replace('"', "\"\"")) } else { text }
+}
+
+#[cfg(test)]
+mod tests {
+    use calamine::CellErrorType;
+
+    use super::*;
+    use crate::logs::tables::text::is_comment;
+
+    #[test]
+    fn a_row_that_begins_with_an_error_is_no_comment() {
+        let error = cell_text(&Data::Error(CellErrorType::NA));
+        let row = BTreeMap::from([(0, error), (1, "0.5".to_owned())]);
+        let text = lines(&SheetRows::from([(0, row)])).unwrap_or_default();
+        assert_eq!(text, " #N/A\t0.5\n");
+        assert!(!is_comment(&text));
+    }
 }
