@@ -77,6 +77,16 @@ fn the_shipped_mapping_reads_decimal_commas_units_and_the_coupling_of_a_fanuc() 
 }
 
 #[test]
+fn a_mapping_that_skips_more_lines_than_there_are_is_refused_at_once() {
+    let text = german_table(80);
+    for (skip_lines, unit_lines) in [(1 << 62, 1), (1, 1 << 62)] {
+        let mut mapping = shipped_mapping();
+        (mapping.csv.skip_lines, mapping.csv.unit_lines) = (skip_lines, unit_lines);
+        assert!(read_as(&text, Some(mapping)).is_err(), "{skip_lines} {unit_lines}");
+    }
+}
+
+#[test]
 fn degrees_that_a_mapping_states_as_radians_are_recognised() {
     let mut in_rad = shipped_mapping();
     in_rad.joints.iter_mut().for_each(|joint| joint.unit = JointUnit::Rad);

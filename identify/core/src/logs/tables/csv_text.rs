@@ -63,8 +63,9 @@ impl<'a> CsvTable<'a> {
         let mut table = Self::delimited(text, delimiter, layout)?;
         for _ in 0..layout.unit_lines {
             match table.read() {
+                Ok(None) => break,
                 // Lines of units may have another number of cells than the header.
-                Ok(_) | Err(LogError::Malformed { .. }) => {}
+                Ok(Some(_)) | Err(LogError::Malformed { .. }) => {}
                 Err(error) => return Err(error),
             }
         }

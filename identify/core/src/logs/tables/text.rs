@@ -104,6 +104,9 @@ impl<'a> Text<'a> {
         for _ in 0..count {
             let line_length = |unread: &str| unread.find('\n').map(|end| end + 1);
             while line_length(self.unread()).is_none() && self.decode_more()? {}
+            if self.unread().is_empty() {
+                break;
+            }
             self.read_to += line_length(self.unread()).unwrap_or(self.unread().len());
         }
         self.table_start = self.read_to;
