@@ -7,7 +7,7 @@ use identify::logs;
 use identify::model::{DriveTrain, JointState, Model, ParameterId};
 use identify::robot::import;
 use identify::simulate::{
-    self, ClockTruth, Clocks, Design, Effects, Experiment, Simulated, StaticErrors, Truth,
+    self, ClockTruth, Clocks, Design, Effects, Experiment, Simulated, StaticErrors, Truth, wire_rows,
 };
 use shared::config::RobotConfig;
 use shared::encoder::Unwrapper;
@@ -199,6 +199,20 @@ fn a_bar_out_of_reach_is_refused_with_what_to_change() {
     let error =
         simulate::run(&Experiment { design, ..Experiment::new(robot, &bar) }).unwrap_err().to_string();
     assert!(error.contains("reach") && error.contains("--base"), "{error}");
+}
+
+#[test]
+fn the_truth_of_a_wire_contains_the_gears_of_the_robot() {
+    let (robot, bar) = (&robots()[0], bar());
+    let effects = Effects { gear_sine_urad: 100.0, ..Effects::default() };
+    let experiment = Experiment { effects, ..Experiment::new(robot, &bar) };
+    let gears = |mut truth: Truth| {
+        truth.parameters.retain(|name, _| name.starts_with("rsin") || name.starts_with("rcos"));
+        truth.parameters
+    };
+    let of_wire = gears(wire_rows(&experiment, 20, 0.0).unwrap().1);
+    assert_eq!(of_wire.len(), 12);
+    assert_eq!(of_wire, gears(simulate::run(&experiment).unwrap().truth));
 }
 
 #[test]

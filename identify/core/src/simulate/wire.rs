@@ -28,12 +28,13 @@ pub fn wire_rows(
 ) -> Result<(Vec<LengthRow>, Truth), SimulateError> {
     experiment.check()?;
     let (flange, [_, bar]) = (flange_chain(experiment.robot), experiment.nominal());
-    let truth = Truth::new(experiment, &flange, &bar);
+    let mut robot_reading = experiment.robot_reading();
+    let mut truth = Truth::new(experiment, &flange, &bar);
+    truth.parameters.extend(robot_reading.terms());
     let robot = truth.robot_chain(&flange);
     let limits = experiment.robot.joint_limits();
     let mut postures = random(experiment.seed, RandomStream::Postures);
     let mut noise = random(experiment.seed, RandomStream::Wire);
-    let mut robot_reading = experiment.robot_reading();
     let row = |_| {
         let q_rad = Joints::random(&limits, &mut postures);
         let attachment_in_base_m: Vector3<f64> = (robot.forward(&q_rad) * Point3::from(ATTACHMENT_M)).coords;
