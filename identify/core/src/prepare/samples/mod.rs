@@ -15,7 +15,7 @@ use super::align::refine::Residuals;
 use super::readings::bar_angles::BarReading;
 use super::timeline::Sample;
 use super::{AlignedLog, Deviations, PoorFit, PrepareError, PrepareOptions, SampleCounts, SampleStatus};
-use crate::kinematics::BAR_JOINTS;
+use crate::kinematics::{BAR_JOINTS, wrapped};
 use crate::logs::Stream;
 use crate::model::Observation;
 use crate::statistics::extremes;
@@ -152,7 +152,9 @@ fn check_travel(
     let is_kept = |(_, status): &(&Sample, &SampleStatus)| **status == SampleStatus::Kept;
     let kept: Vec<&Sample> = joints.iter().zip(statuses).filter(is_kept).map(|(sample, _)| sample).collect();
     for joint in (0..BAR_JOINTS).filter(|joint| measured[*joint]) {
-        let [low, high] = extremes(kept.iter().map(|sample| sample.bar_rad[joint]));
+        // Angles in different origins of the counters may be whole turns apart.
+        let first_rad = kept.first().map_or(0.0, |sample| sample.bar_rad[joint]);
+        let [low, high] = extremes(kept.iter().map(|sample| wrapped(sample.bar_rad[joint] - first_rad)));
         let travel_deg = (high - low).to_degrees();
         if travel_deg < options.joint_travel_min_deg {
             let needed_deg = options.joint_travel_min_deg;
@@ -200,4 +202,25 @@ fn rod_direction(bar_rad: &[f64; BAR_JOINTS]) -> Vector3<f64> {
     let ([sin1, cos1], [sin2, cos2]) =
         ([bar_rad[0].sin(), bar_rad[0].cos()], [bar_rad[1].sin(), bar_rad[1].cos()]);
     Vector3::new(cos1 * sin2, sin1 * sin2, cos2)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::TAU;
+
+    use super::*;
+
+    #[test]
+    fn a_whole_turn_between_two_origins_is_no_travel() {
+        let sample = |cycle: usize| {
+            let mut bar_rad = [0.01 * cycle as f64; BAR_JOINTS];
+            // Joint 1 stands still.
+            bar_rad[0] = if cycle < 50 { 3.1 } else { 3.1 - TAU };
+            Sample { cycle, t_s: cycle as f64, bar_rad }
+        };
+        let joints: Vec<Sample> = (0..100).map(sample).collect();
+        let statuses = [SampleStatus::Kept; 100];
+        let refused = check_travel(&joints, &statuses, &[true; BAR_JOINTS], &PrepareOptions::default());
+        assert!(matches!(refused, Err(PrepareError::LittleTravel { joint: 1, .. })), "{refused:?}");
+    }
 }
