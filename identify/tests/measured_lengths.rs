@@ -61,7 +61,7 @@ fn bad_cells_are_refused_with_line_and_column() {
         ("1,2,3,-74.5,33.9,-30.8,NaN,80.5,-59.7,509.19", "q4_deg", "finite"),
         ("1,2,3,-74.5,33.9,-30.8,-15.1,80.5,-59.7,", "cable_mm", "empty"),
         ("1,2,3,-74.5,33.9,-30.8,-15.1,80.5,-59.7,-5", "cable_mm", "outside 0 to 20 m"),
-        ("1,2,3,-74.5,3390,-30.8,-15.1,80.5,-59.7,509.19", "q2_deg", "two turns"),
+        ("1,2,3,-74.5,3390,-30.8,-15.1,80.5,-59.7,509.19", "q2_deg", "two turns; correct or remove the row"),
     ] {
         let error = read(&format!("{good}{row}\n"), &example()).unwrap_err().to_string();
         assert!(error.contains(&format!("line 14 column `{column}`")), "{error}");

@@ -230,7 +230,7 @@ fn bad_cells_are_refused_with_line_and_column() {
         ("1;0;0;0;0;0;0;1;2;;4;5;6", "measurement_z", "empty"),
         ("1;0;0;0;0;0;0;1;2e9;3;4;5;6", "measurement_y", "more than anything"),
         ("1;0;0;0;0;0;0;1;2;3;4;5000;6", "measurement_ry", "more than anything"),
-        ("1;0;90;0;0;0;0;1;2;3;4;5;6", "shoulder_lift_joint", "two turns"),
+        ("1;0;90;0;0;0;0;1;2;3;4;5;6", "shoulder_lift_joint", "two turns; the column looks like degrees"),
     ] {
         let error = read(&format!("{good}{row}\n"), &example()).unwrap_err().to_string();
         assert!(error.contains(&format!("line 14 column `{column}`")), "{error}");

@@ -318,11 +318,12 @@ impl<'a> JointColumns<'a> {
         for (q, (column, joint)) in q_rad.iter_mut().zip(&self.0) {
             *q = joint.sign * (row.number(column)? * joint.unit.to_si() - joint.offset());
             if joint.unit.kind() == JointKind::Revolute && q.abs() > JOINT_RAD_MAX {
-                return Err(row.bad(
-                    column,
-                    format!("{:.1} rad is more than two turns", *q),
-                    "the column looks like degrees: check the joint's unit in the mapping file",
-                ));
+                let remedy = if joint.unit == JointUnit::Deg {
+                    "correct or remove the row, or check the joint's offset in the mapping file"
+                } else {
+                    "the column looks like degrees: check the joint's unit in the mapping file"
+                };
+                return Err(row.bad(column, format!("{:.1} rad is more than two turns", *q), remedy));
             }
         }
         Ok(q_rad)
