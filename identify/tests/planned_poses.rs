@@ -341,6 +341,7 @@ fn the_command_writes_poses_that_calibrate_reads_and_a_program_that_stops_at_eac
         ("20", &["--measures", "positions", "--noise-mrad", "1"], "--noise-mrad is that of orientations"),
         ("20", &["--measures", "poses", "--floor", "5"], "random postures keep"),
         ("61", &["--measures", "poses"], "61 of 60 poses"),
+        ("0", &["--measures", "poses"], "--count is 0; give at least one pose"),
     ] {
         let refused = plan(count, more);
         let said = String::from_utf8_lossy(&refused.stderr).into_owned();

@@ -525,7 +525,8 @@ fn select_poses(arguments: &PosesArguments) -> anyhow::Result<()> {
 
 /// Checks the options that describe measurement and candidate poses.
 fn ensure_valid(arguments: &PosesArguments) -> anyhow::Result<()> {
-    let PosesArguments { measures, anchor, noise_mm, noise_mrad, .. } = arguments;
+    let PosesArguments { measures, count, anchor, noise_mm, noise_mrad, .. } = arguments;
+    anyhow::ensure!(*count > 0, "--count is 0; give at least one pose");
     above_zero("noise-mm", *noise_mm)?;
     above_zero("noise-mrad", noise_mrad.unwrap_or(1.0))?;
     anyhow::ensure!(
