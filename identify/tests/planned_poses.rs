@@ -142,27 +142,30 @@ fn fifty_poses_cannot_be_expected_to_do_the_work_of_two_hundred_random_ones() {
 #[test]
 #[ignore = "needs chromium"]
 fn a_browser_draws_the_arm_from_pose_to_pose_and_asks_nobody_else() {
-    let directory = tempfile::tempdir().unwrap();
-    let arguments = [
-        "plan",
-        "poses",
-        "--draw",
-        "60",
-        "--link-radius-mm",
-        "30",
-        "--count",
-        "8",
-        "--measures",
-        "positions",
-        "--floor",
-        "-0.2",
-    ];
-    assert!(identify(&arguments, "ur10.toml", directory.path()).status.success());
-    let shown = browser::shown(&std::fs::read_to_string(directory.path().join("poses.html")).unwrap());
-    // The script of the page writes the number of the pose that it shows.
-    let pose = shown.document.split_once("id=\"path-shown\">").unwrap().1.split_once('<').unwrap().0;
-    assert!(pose.starts_with("pose ") && pose.ends_with(" of 8"), "{pose:?} {}", shown.stderr);
-    assert_eq!(shown.foreign, Vec::<String>::new());
+    for count in ["8", "1"] {
+        let directory = tempfile::tempdir().unwrap();
+        let arguments = [
+            "plan",
+            "poses",
+            "--draw",
+            "60",
+            "--link-radius-mm",
+            "30",
+            "--count",
+            count,
+            "--measures",
+            "positions",
+            "--floor",
+            "-0.2",
+        ];
+        assert!(identify(&arguments, "ur10.toml", directory.path()).status.success());
+        let shown = browser::shown(&std::fs::read_to_string(directory.path().join("poses.html")).unwrap());
+        // The script of the page writes the number of the pose that it shows.
+        let pose = shown.document.split_once("id=\"path-shown\">").unwrap().1.split_once('<').unwrap().0;
+        let is_shown = pose.starts_with("pose ") && pose.ends_with(&format!(" of {count}"));
+        assert!(is_shown, "{pose:?} {}", shown.stderr);
+        assert_eq!(shown.foreign, Vec::<String>::new());
+    }
 }
 
 #[test]

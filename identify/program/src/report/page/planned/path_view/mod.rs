@@ -24,7 +24,7 @@ const PIECE_M_MIN: f64 = 1e-3;
 pub(super) struct View<'a> {
     pub arm: &'a Chain,
     pub carried: Carried,
-    /// Time \[s\] and joint positions of each frame. There are at least two frames.
+    /// Time \[s\] and joint positions of each frame, from time zero.
     pub motion: Vec<(f64, Joints)>,
     /// Number of frames from one pose to the next; `None` for a path. If there are poses, they are marked, and pose numbers
     /// are displayed instead of times.

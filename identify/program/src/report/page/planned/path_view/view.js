@@ -128,6 +128,7 @@
 
   const vector = (frame, i) => new Vec3(frame[3 * i], frame[3 * i + 1], frame[3 * i + 2]);
   const between = (a, b, part) => a.map((x, i) => x + part * (b[i] - x));
+  // Zero if there is a single pose, which has one frame.
   const end_s = scene.times_s[scene.times_s.length - 1];
   let now_s = 0;
   let before_ms;
@@ -138,14 +139,15 @@
     now_s = (end_s * when.value) / when.max;
   };
   const draw = (ms) => {
-    if (playing) now_s = (now_s + (ms - (before_ms ?? ms)) * 1e-3) % end_s;
+    if (playing && end_s) now_s = (now_s + (ms - (before_ms ?? ms)) * 1e-3) % end_s;
     before_ms = ms;
-    const at = (now_s / end_s) * (frames.length - 1);
-    const first = Math.min(Math.floor(at), frames.length - 2);
-    const frame = between(frames[first], frames[first + 1], at - first);
+    const part = end_s && now_s / end_s;
+    const at = part * (frames.length - 1);
+    const first = Math.max(Math.min(Math.floor(at), frames.length - 2), 0);
+    const frame = between(frames[first], frames[first + 1] ?? frames[first], at - first);
     bodies.forEach(({ from, to, place }) => place(vector(frame, from), vector(frame, to)));
     play.textContent = playing ? "Pause" : "Play";
-    when.value = (when.max * now_s) / end_s;
+    when.value = when.max * part;
     shown.textContent = frames_per_pose
       ? `pose ${1 + Math.floor(now_s + 0.5)} of ${1 + (frames.length - 1) / frames_per_pose}`
       : `${now_s.toFixed(1)} of ${end_s.toFixed(0)} s`;
