@@ -1,6 +1,7 @@
 //! Inspection of rows with a ball in sockets: number of visits to each socket, ranges of the joints, orientations, and the
 //! distances between ball and sockets with the nominal robot.
 
+use nalgebra::{Rotation3, UnitQuaternion};
 use shared::config::{JointKind, RobotConfig};
 
 use super::{Inspection, TRAVEL_MIN_DEG};
@@ -59,8 +60,7 @@ fn few_orientations(inspection: &mut Inspection, rows: &[TipRow], table: &Socket
     for (socket, name) in table.names().into_iter().enumerate() {
         let visits = rows.iter().filter(|row| row.part == socket);
         let turns: Vec<_> = visits.map(|row| chain.forward(&row.joints_rad).rotation).collect();
-        let Some(first) = turns.first() else { continue };
-        let most = turns.iter().map(|turn| turn.angle_to(first)).fold(0.0, f64::max);
+        let most = largest_turn_rad(&turns);
         if turns.len() > 1 && most < TURN_MIN_RAD {
             inspection.suspect(format!(
                 "socket `{name}` is visited with the flange turned by at most {:.0} degrees: tilt it further",
@@ -68,6 +68,14 @@ fn few_orientations(inspection: &mut Inspection, rows: &[TipRow], table: &Socket
             ));
         }
     }
+}
+
+/// Largest angle between the first orientation and another one \[rad\]. It is computed by quaternions, because the arc
+/// cosine of the trace of a matrix is often not a number at half a turn.
+fn largest_turn_rad(orientations: &[Rotation3<f64>]) -> f64 {
+    let mut turns = orientations.iter().map(UnitQuaternion::from_rotation_matrix);
+    let Some(first) = turns.next() else { return 0.0 };
+    turns.map(|turn| turn.angle_to(&first)).fold(0.0, f64::max)
 }
 
 /// Reports the distances between ball and socket with the nominal robot. The sockets are located by a fit to the rows.
@@ -96,5 +104,21 @@ fn closure(inspection: &mut Inspection, mut contact: Contact, chain: &Chain, row
     for (row, remark) in contact.remarks(&geometry) {
         let off_mm = errors[row].position_m * 1e3;
         inspection.suspect(format!("line {}: the ball is off by {off_mm:.2} mm, {remark}", rows[row].line));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::PI;
+
+    use nalgebra::{Matrix3, Vector3};
+
+    use super::*;
+
+    #[test]
+    fn half_a_turn_is_one_with_rounding_errors_too() {
+        let diagonal = Vector3::new(-1.0 - f64::EPSILON, -1.0, 1.0);
+        let half = Rotation3::from_matrix_unchecked(Matrix3::from_diagonal(&diagonal));
+        assert!((largest_turn_rad(&[Rotation3::identity(), half]) - PI).abs() < 1e-6);
     }
 }
