@@ -30,7 +30,7 @@ from ._native import Error
 __all__ = ["Calibration", "Error", "Event", "Recording", "Study", "calibrate", "read_recording", "simulate", "study"]
 
 File = Union[str, "os.PathLike[str]"]
-Option = Union[File, float, bool, None, Sequence[Union[File, float]]]
+Option = Union[File, float, bool, None, np.generic, Sequence[Union[File, float, np.generic]]]
 Numbers = NDArray[np.float64]
 
 _log = logging.getLogger(__name__)
@@ -236,10 +236,12 @@ def _named(instrument: str | None) -> list[str]:
 def _options(**options: Option) -> Iterator[str]:
     for name, value in options.items():
         option = "--" + name.replace("_", "-")
-        if value is True:
-            yield option
-        elif value is not None and value is not False:
-            for one in value if isinstance(value, (list, tuple)) else [value]:
+        for one in value if isinstance(value, (list, tuple, np.ndarray)) else [value]:
+            # A number of numpy, such as a seed of np.arange, is not an int.
+            one = one.item() if isinstance(one, np.generic) else one
+            if one is True:
+                yield option
+            elif one is not None and one is not False:
                 yield f"{option}={one if isinstance(one, (int, float)) else os.fspath(one)}"
 
 

@@ -31,7 +31,7 @@ class Package(unittest.TestCase):
         cls.place = tempfile.TemporaryDirectory()
         cls.addClassCleanup(cls.place.cleanup)
         cls.home = Path(cls.place.name)
-        cls.run_directory = ballbar.simulate(cls.home / "run", robot=ROBOT, bar=BAR, seed=3, duration="40s")
+        cls.run_directory = ballbar.simulate(cls.home / "run", robot=ROBOT, bar=BAR, seed=np.int64(3), duration="40s")
         cls.files = {"recording": cls.run_directory / "recording.mcap", "robot_log": cls.run_directory / "robot_log.csv"}
         with cls().assertLogs("ballbar", "INFO") as cls.logged:
             cls.calibration = ballbar.calibrate(**cls.files, robot=ROBOT, bar=BAR)
