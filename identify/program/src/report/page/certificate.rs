@@ -103,9 +103,9 @@ pub(super) fn identity(
     let started = Some(field(|one| to_the_second(&one.started))).filter(|started| !started.is_empty());
     let lines = [
         ("Robot", Some(robot.to_owned())),
-        ("Name or serial number", Some(recorded(field(|one| one.robot.clone()), robot))),
+        ("Robot: name or serial number", Some(recorded(field(|one| one.robot.clone()), robot))),
         ("Instrument", Some(instrument.to_owned())),
-        ("Name or serial number", Some(recorded(field(|one| one.bar.clone()), instrument))),
+        ("Instrument: name or serial number", Some(recorded(field(|one| one.bar.clone()), instrument))),
         ("Measured", Some(started.or(dated).unwrap_or_default())),
         ("Operator", Some(field(|one| one.operator.clone()))),
         ("Payload", Some(field(|one| one.payload.clone()))),
