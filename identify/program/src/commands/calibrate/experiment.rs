@@ -152,58 +152,6 @@ fn check_row_file(kind: RowInstrument, index: usize, file: &RowFile) -> Result<(
     Ok(())
 }
 
-/// Every file of an experiment with its role and a reference to its path. The references are mutable if `$experiment` is a
-/// mutable reference. The checksums, and the paths in the experiment file beside a result, are both made from this list, so
-/// that no file is missing in either of them.
-macro_rules! files_of {
-    ($experiment:expr) => {{
-        let ExperimentFile { robot, recording_mapping, log_mapping, force_mapping, bars, .. } = $experiment;
-        let ExperimentFile { trackers, wires, contacts, touches, .. } = $experiment;
-        let mut files: Vec<(&'static str, _)> = Vec::new();
-        let kinds = [
-            (RowInstrument::Tracker, trackers),
-            (RowInstrument::Wire, wires),
-            (RowInstrument::Contact, contacts),
-            (RowInstrument::Touch, touches),
-        ];
-        for (kind, all) in kinds {
-            for RowFile { file, mapping, robot_log, sockets, faces, validate_mapping, validate, .. } in all {
-                files.extend([(kind.role(), file), ("mapping", mapping)]);
-                for (role, path) in [
-                    ("robot log", robot_log),
-                    ("sockets", sockets),
-                    ("faces", faces),
-                    ("validation mapping", validate_mapping),
-                ] {
-                    if let Some(path) = path {
-                        files.push((role, path));
-                    }
-                }
-                for path in validate {
-                    files.push(("validation", path));
-                }
-            }
-        }
-        files.push(("robot", robot));
-        for BarRunFiles { recording, robot_log, bar, force_log } in bars {
-            files.extend([("recording", recording), ("robot log", robot_log), ("bar", bar)]);
-            if let Some(path) = force_log {
-                files.push(("force log", path));
-            }
-        }
-        for (role, path) in [
-            ("recording mapping", recording_mapping),
-            ("robot log mapping", log_mapping),
-            ("force log mapping", force_mapping),
-        ] {
-            if let Some(path) = path {
-                files.push((role, path));
-            }
-        }
-        files
-    }};
-}
-
 impl ExperimentFile {
     fn kinds(&self) -> [(RowInstrument, &[RowFile]); 4] {
         [
@@ -231,20 +179,53 @@ impl ExperimentFile {
 
     /// Every file of the calibration with its checksum. Files of rows come first.
     pub(super) fn inputs(&self) -> anyhow::Result<Vec<InputFile>> {
-        let input = |(role, path): (&str, &PathBuf)| {
+        let input = |(role, path): (&str, &mut PathBuf)| {
             InputFile::read(role, path).with_context(|| format!("cannot read {}", path.display()))
         };
-        self.files().into_iter().map(input).collect()
+        self.clone().files_mut().into_iter().map(input).collect()
     }
 
-    /// Every file with its role and its path.
-    fn files(&self) -> Vec<(&'static str, &PathBuf)> {
-        files_of!(self)
-    }
-
-    /// Every file with its role and a mutable reference to its path.
+    /// Every file with its role and a mutable reference to its path. The checksums, and the paths in the experiment file
+    /// beside a result, are both made from this list, so that no file is missing in either of them.
     fn files_mut(&mut self) -> Vec<(&'static str, &mut PathBuf)> {
-        files_of!(self)
+        let Self { robot, recording_mapping, log_mapping, force_mapping, bars, .. } = self;
+        let Self { trackers, wires, contacts, touches, .. } = self;
+        let mut files: Vec<(&str, &mut PathBuf)> = Vec::new();
+        let kinds = [
+            (RowInstrument::Tracker, trackers),
+            (RowInstrument::Wire, wires),
+            (RowInstrument::Contact, contacts),
+            (RowInstrument::Touch, touches),
+        ];
+        for (kind, all) in kinds {
+            for rows in all {
+                files.extend([(kind.role(), &mut rows.file), ("mapping", &mut rows.mapping)]);
+                let others = [
+                    ("robot log", &mut rows.robot_log),
+                    ("sockets", &mut rows.sockets),
+                    ("faces", &mut rows.faces),
+                    ("validation mapping", &mut rows.validate_mapping),
+                ];
+                files.extend(others.into_iter().filter_map(|(role, path)| Some((role, path.as_mut()?))));
+                files.extend(rows.validate.iter_mut().map(|path| ("validation", path)));
+            }
+        }
+        files.push(("robot", robot));
+        for run in bars {
+            files.extend([
+                ("recording", &mut run.recording),
+                ("robot log", &mut run.robot_log),
+                ("bar", &mut run.bar),
+            ]);
+            files.extend(run.force_log.as_mut().map(|path| ("force log", path)));
+        }
+        let mappings = [
+            ("recording mapping", recording_mapping),
+            ("robot log mapping", log_mapping),
+            ("force log mapping", force_mapping),
+        ];
+        files.extend(mappings.into_iter().filter_map(|(role, path)| Some((role, path.as_mut()?))));
+        files
     }
 
     /// Refuses a data set that is given twice, because its measurements would count twice, and confidence intervals would be
@@ -375,8 +356,8 @@ mod tests {
             validate_mapping: Some("other.toml".into()),
             ..RowFile::default()
         };
-        let experiment = ExperimentFile { trackers: vec![rows], ..ExperimentFile::default() };
-        let files = experiment.files();
+        let mut experiment = ExperimentFile { trackers: vec![rows], ..ExperimentFile::default() };
+        let files = experiment.files_mut();
         for (role, path) in
             [("validation", "other.csv"), ("validation", "third.csv"), ("validation mapping", "other.toml")]
         {
