@@ -196,6 +196,14 @@ pub fn rotation_vector(rotation: &Matrix3<f64>) -> Vector3<f64> {
     if sine < 1e-9 { 0.5 * twice_sine } else { twice_sine * (0.5 * angle / sine) }
 }
 
+/// The rotation nearest to a matrix, from its singular value decomposition; identity if the decomposition fails.
+pub fn nearest_rotation(matrix: &Matrix3<f64>) -> Rotation3<f64> {
+    let svd = matrix.svd(true, true);
+    let (Some(u), Some(v_t)) = (svd.u, svd.v_t) else { return Rotation3::identity() };
+    let flip = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, (u * v_t).determinant().signum()));
+    Rotation3::from_matrix_unchecked(u * flip * v_t)
+}
+
 /// Joint variables \[rad, m\] at which the end of `chain` is closest to `target`, by Gauss-Newton iterations from `start`.
 /// With six joints this is Newton's method. With more joints, each step is the shortest step to the solution of the
 /// linearised equations. Metres and radians have equal weight.

@@ -25,6 +25,7 @@ pub use chain::{Chain, DhLink, LENGTH_M_MAX, Pose, roll_pitch_yaw};
 pub use configured::{ball_bar_chain, flange_chain, robot_chain};
 pub use from_axes::AxisLine;
 pub use implied_bar::{ImpliedBar, ROD_LINK};
+pub(crate) use inverse::nearest_rotation;
 pub use inverse::{InverseError, nearest_turn, rotation_vector, wrapped};
 pub use joints::{AXES_MAX, Joints};
 pub use mirror::mirroring_joints;

@@ -46,7 +46,6 @@ mod torque;
 
 pub use align::aligned::AlignedLog;
 pub use align::correlate::{Channels, Match, candidates, correlate};
-pub(crate) use align::placement::nearest_rotation;
 pub use align::placement::{PROBE_SIGMA_M, Sighted, all_placements};
 pub use align::predict::{PredictedBar, Predictor};
 pub use align::tracker::{AlignedPoses, Moving, align_poses};

@@ -9,8 +9,8 @@ use serde::{Deserialize, Serialize};
 use shared::config::{Validate, Violation};
 
 use super::known::{Knowns, SPAN_MM_MAX};
+use crate::kinematics::nearest_rotation;
 use crate::model::{Axis, Geometry, ParameterId, Unit};
-use crate::prepare::nearest_rotation;
 
 /// A socket whose position on its plate is known.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

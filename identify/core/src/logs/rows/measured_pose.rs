@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use shared::config::{AngleUnit, Kind, Validate, Violation};
 
 use super::pose_rows::{JointColumns, REMEDY, SetUpNames, check_joints, check_scale_u, rows, uncertainty};
-use crate::kinematics::Joints;
+use crate::kinematics::{Joints, nearest_rotation};
 use crate::logs::source::LogSource;
 use crate::logs::tables::csv_text::{CsvColumn, CsvRow, CsvTable};
 use crate::logs::tables::stamp::{StampColumn, TimeColumn};
@@ -21,7 +21,6 @@ use crate::logs::time_series::excursions::{Excursions, Fastest, remark};
 use crate::logs::time_series::stream::retain;
 use crate::logs::{CsvLayout, JointColumn, LengthUnit, LogError, Stamps, Stream, since_first_s};
 use crate::model::SetUp;
-use crate::prepare::nearest_rotation;
 
 /// Largest coordinate of a position, the range of a tracker \[m\]. A larger number means that the unit is wrong.
 const POSITION_M_MAX: f64 = 100.0;

@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 
 use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, SVector, Vector3};
 
-use crate::kinematics::Pose;
+use crate::kinematics::{Pose, nearest_rotation};
 use crate::logs::PoseRow;
 use crate::model::{Placement, SetUp};
 
@@ -168,14 +168,6 @@ fn rotation_between(from: &[Vector3<f64>], to: &[Vector3<f64>]) -> Option<Rotati
         return None;
     }
     Some(nearest_rotation(&sum))
-}
-
-/// The rotation nearest to a matrix, from its singular value decomposition; identity if the decomposition fails.
-pub(crate) fn nearest_rotation(matrix: &Matrix3<f64>) -> Rotation3<f64> {
-    let svd = matrix.svd(true, true);
-    let (Some(u), Some(v_t)) = (svd.u, svd.v_t) else { return Rotation3::identity() };
-    let flip = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, (u * v_t).determinant().signum()));
-    Rotation3::from_matrix_unchecked(u * flip * v_t)
 }
 
 /// Positions `t` of the tracker and `y` of the probe for a known rotation `Q` of the tracker. They are the least-squares
