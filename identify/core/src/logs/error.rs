@@ -174,15 +174,9 @@ impl LogError {
     pub(super) fn unless_distinct(path: &Path, names: &[impl AsRef<str>]) -> Result<(), Self> {
         let names: Vec<&str> = names.iter().map(AsRef::as_ref).collect();
         let repeated = names.iter().enumerate().find(|(index, name)| names[..*index].contains(name));
-        match repeated {
-            None => Ok(()),
-            Some((_, name)) => Err(Self::Content {
-                path: path.to_owned(),
-                problem: format!("the mapping names `{name}` twice"),
-                remedy: "each joint or component has a column of its own: correct one of the two names"
-                    .into(),
-            }),
-        }
+        let Some((_, name)) = repeated else { return Ok(()) };
+        let remedy = "each joint or component has a column of its own: correct one of the two names";
+        Err(Self::content(path, format!("the mapping names `{name}` twice"), remedy))
     }
 
     /// [`Self::TimeNotIncreasing`] for two successive rows, each with its line number in the file and its stamp \[ns\].
