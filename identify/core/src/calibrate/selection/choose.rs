@@ -52,6 +52,12 @@ impl CommonPrior {
         Self { sigmas: ids.filter_map(sigma).collect(), scales }
     }
 
+    /// The normal equations with this value of the common factor in their priors.
+    fn scaled(&self, scale: f64, normals: Normals, ids: &[ParameterId]) -> Normals {
+        let priors = self.priors_at(scale, normals.priors(), ids);
+        normals.with_priors(priors)
+    }
+
     /// Priors with this value of the common factor. `ids` are the parameters of the columns.
     fn priors_at(&self, scale: f64, priors: &[Prior], ids: &[ParameterId]) -> Vec<Prior> {
         let scaled = |prior: &Prior| {
@@ -187,7 +193,7 @@ impl Solver<'_> {
         accepted: &[ParameterId],
         loss: Loss,
     ) -> Result<(), CalibrateError> {
-        if self.residual_unit_of().is_some() {
+        if rejected.is_empty() || self.residual_unit_of().is_some() {
             return Ok(());
         }
         let mut groups = Vec::new();
@@ -200,10 +206,7 @@ impl Solver<'_> {
         let (_, ids, mut normals) = self.normals_here(loss, LEFT_OUT)?;
         for group in groups {
             let scale = normals.as_ref().map_or(1.0, |normals| group.mean_scale(normals, &ids));
-            normals = normals.map(|normals| {
-                let priors = group.priors_at(scale, normals.priors(), &ids);
-                normals.with_priors(priors)
-            });
+            normals = normals.map(|normals| group.scaled(scale, normals, &ids));
             for (id, sigma) in group.sigmas {
                 self.set_roles(&[id], Role::Considered { sigma: sigma * scale })?;
             }
@@ -370,8 +373,7 @@ impl Solver<'_> {
         for common in &plan.common {
             let evidence = common.evidence(&normals, &ids);
             let Some((scale, _)) = evidence.into_iter().max_by(|a, b| a.1.total_cmp(&b.1)) else { continue };
-            let best_priors = common.priors_at(scale, normals.priors(), &ids);
-            normals = normals.with_priors(best_priors);
+            normals = common.scaled(scale, normals, &ids);
             self.set_sigmas(|id, _| common.sigmas.get(&id).map(|sigma| sigma * scale))?;
         }
         Ok(())
