@@ -101,14 +101,14 @@ pub fn pulls(
 /// the rows neither show nor exclude (`selection/candidates.rs`). Adds them to `truth`. `model` is the model of a
 /// calibration of the same arm, which contains the parameters of these errors.
 pub fn draw_joint_errors(model: &Model, rows: &mut [TipRow], truth: &mut BTreeMap<String, f64>, seed: u64) {
+    use TermGroup::{Backlash, Compliance, GearOnce, GearTwice, Joint, Ratio};
     /// Each step multiplies the remaining error by the slope of a joint error, which is below 0.001.
     const STEPS: usize = 4;
     let mut random = StdRng::seed_from_u64(seed);
     for id in model.ids() {
         let sigma = match id.term() {
-            Some(TermGroup::GearOnce | TermGroup::GearTwice | TermGroup::Joint) => 20e-6,
-            Some(TermGroup::Backlash | TermGroup::Ratio) => 20e-6,
-            Some(TermGroup::Compliance) => 100e-6,
+            Some(GearOnce | GearTwice | Joint | Backlash | Ratio) => 20e-6,
+            Some(Compliance) => 100e-6,
             _ => continue,
         };
         truth.insert(id.to_string(), sigma * random.sample::<f64, _>(StandardNormal));
