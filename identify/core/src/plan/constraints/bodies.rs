@@ -246,18 +246,47 @@ mod tests {
 
     use super::*;
 
+    fn at(point: Vector) -> Vector3<f64> {
+        Vector3::new(point.x, point.y, point.z)
+    }
+
+    /// Distance between a capsule and a convex body, from the distance `off_m` between a point and that body. The distance is
+    /// a convex function of the point on the centre line, so a ternary search finds its minimum.
+    fn searched_m(capsule: &Capsule, off_m: impl Fn(Vector3<f64>) -> f64) -> f64 {
+        let [a, b] = [at(capsule.segment.a), at(capsule.segment.b)];
+        let off_m = |part: f64| off_m(a.lerp(&b, part));
+        let (mut low, mut high) = (0.0, 1.0);
+        for _ in 0..80 {
+            let third = (high - low) / 3.0;
+            if off_m(low + third) < off_m(high - third) { high -= third } else { low += third }
+        }
+        (off_m(0.5 * (low + high)) - capsule.radius).max(0.0)
+    }
+
     #[test]
-    fn distances_of_centre_lines_give_those_of_capsules() {
+    fn distances_are_those_that_a_search_along_the_centre_line_finds() {
         let mut random = ChaCha8Rng::seed_from_u64(1);
+        let half_m = Vector3::new(0.1, 0.2, 0.15);
+        let boxes_m = vec![[(-half_m).into(), half_m.into()]];
+        let bodies = Bodies { boxes_m, ..Bodies::for_reach(1.0) };
         let mut drawn = || {
             let mut point = || Vector3::from_fn(|_, _| random.random_range(-0.5..0.5));
             capsule([point(), point()], random.random_range(0.01..0.1))
         };
-        let here = Placement::IDENTITY;
         for _ in 0..300 {
             let [one, other] = [drawn(), drawn()];
-            let expected_m = query::distance(&here, &one, &here, &other).unwrap().distance;
-            assert!((between_m(&one, &other) - expected_m).abs() < 1e-6, "{one:?} {other:?}");
+            let [a, b] = [at(other.segment.a), at(other.segment.b)];
+            let from_other_m = |point: Vector3<f64>| {
+                let part = (point - a).dot(&(b - a)) / (b - a).norm_squared();
+                (point - a.lerp(&b, part.clamp(0.0, 1.0))).norm() - other.radius
+            };
+            let from_box_m = |point: Vector3<f64>| (point.abs() - half_m).sup(&Vector3::zeros()).norm();
+            for (found_m, expected_m) in [
+                (between_m(&one, &other), searched_m(&one, from_other_m)),
+                (bodies.cell_clearance_m(&[], &[&one], None), searched_m(&one, from_box_m)),
+            ] {
+                assert!((found_m - expected_m).abs() < 1e-6, "{found_m} {expected_m}: {one:?} {other:?}");
+            }
         }
     }
 }
