@@ -161,8 +161,9 @@ fn a_tracker_that_was_moved_by_half_a_millimetre_is_named_in_short_files_too() {
         assert_eq!(links.poses(&rows, &ur10()).unwrap().0.changed, []);
         rows[count / 2..].iter_mut().for_each(|row| row.position_m.x += 5e-4);
         let changed = links.poses(&rows, &ur10()).unwrap().0.changed;
-        let causes: Vec<&str> = changed.iter().map(|one| one.cause.name.as_str()).collect();
+        let causes: Vec<&str> = changed.iter().map(|one| one.likeliest.cause.name.as_str()).collect();
         assert_eq!(causes, ["the place of the tracker"], "{count} rows, {with_rotations}");
+        assert_eq!(changed[0].others, [], "{count} rows, {with_rotations}");
     }
 }
 

@@ -1,5 +1,5 @@
 //! Tests whether something changed during the measurement of a data set, given its model at the solution. The result is the
-//! most significant change of each data set, or an error that refuses a ball-bar run.
+//! most likely change of each data set with those that the residuals do not exclude, or an error that refuses a ball-bar run.
 //!
 //! Possible changes: an encoder slips, a joint offset steps, the bar or another instrument is displaced, or a clock steps.
 //! Each of these quantities may also drift linearly. Other checks do not detect such a change, because the fit distributes
@@ -8,14 +8,15 @@
 //! All possible changes are tested on the residuals of the same solution. The false alarm rate applies to all tests together
 //! ([`change_point`]). A large change refuses a ball-bar run. All other changes are listed in the report.
 
-use std::fmt;
+use std::collections::HashSet;
+use std::{fmt, iter};
 
 use crate::calibrate::CalibrateError;
 use crate::instrument::{Cause, Instrument, Run};
 use crate::kinematics::{DhLink, LinkParameter};
 use crate::model::{ParameterId, Role, Unit};
 use crate::prepare::{Deviations, PoorFit, PrepareError, PrepareOptions};
-use crate::solver::{Change, Course, LossName, change_point};
+use crate::solver::{self, Course, LossName, change_point};
 
 /// Probability of a false alarm in a data set without change.
 const FALSE_ALARMS: f64 = 1e-4;
@@ -43,12 +44,21 @@ pub enum When {
     Drift,
 }
 
-/// A statistically significant change.
+/// A statistically significant change in a data set.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Changed {
     /// Index of the data set, from 0.
     pub data_set: usize,
-    /// The cause that explains the change best.
+    /// The change that explains the residuals best.
+    pub likeliest: Change,
+    /// Other steps and drifts that the residuals do not exclude, the most likely first.
+    pub others: Vec<Change>,
+}
+
+/// A change of one cause that may have occurred.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Change {
+    /// Part that changed, with its parameters.
     pub cause: Cause,
     /// Whether the change is a step or a drift, and the time of a step.
     pub when: When,
@@ -122,13 +132,20 @@ fn change_of_run(
     let loss = LossName::Huber.for_spread(1.0, problem.rows());
     let x = with_causes.start();
     let found = change_point(&*problem, &x, loss, &samples, &estimated, &alternatives, FALSE_ALARMS);
-    Ok(found.and_then(|Change { alternative, course, by, explained }| {
-        let when = match course {
+    let possible = |found: solver::Change| {
+        let when = match found.course {
             Course::Step(first_after) => time_of_step(instrument, &samples, first_after)?,
             Course::Drift => When::Drift,
         };
-        Some(Changed { data_set, cause: causes.get(alternative)?.clone(), when, by, explained })
-    }))
+        let cause = causes.get(found.alternative)?.clone();
+        Some(Change { cause, when, by: found.by, explained: found.explained })
+    };
+    let mut possible: Vec<Change> = found.into_iter().filter_map(possible).collect();
+    // A tracker is one cause with or without a rotation. The first is the more likely of the two.
+    let mut names = HashSet::new();
+    possible.retain(|change| names.insert((change.cause.name.clone(), change.when == When::Drift)));
+    let mut possible = possible.into_iter();
+    Ok(possible.next().map(|likeliest| Changed { data_set, likeliest, others: possible.collect() }))
 }
 
 /// Time of a step. `first_after` is the first sample after the step, as an index into the tested `samples`.
@@ -142,6 +159,18 @@ fn time_of_step(instrument: &Instrument, samples: &[usize], first_after: usize) 
 }
 
 impl Changed {
+    /// Largest displacement at the end of an arm with this reach that one of the possible changes causes \[m\].
+    pub fn displacement_m(&self, reach_m: f64) -> f64 {
+        self.possible().map(|change| change.displacement_m(reach_m)).fold(0.0, f64::max)
+    }
+
+    /// The most likely change and the others.
+    fn possible(&self) -> impl Iterator<Item = &Change> {
+        iter::once(&self.likeliest).chain(&self.others)
+    }
+}
+
+impl Change {
     /// Magnitude of the change, SI. If the parameters of the cause have two units, only the parameters with the unit of the
     /// first one are included. For a tracker, the magnitude is therefore the displacement without the rotation.
     pub fn size(&self) -> f64 {
@@ -158,7 +187,7 @@ impl Changed {
 
     /// Displacement that the change causes at the end of an arm with this reach \[m\]. Zero for a step or drift of a clock,
     /// because a clock does not change the geometry.
-    pub fn displacement_m(&self, reach_m: f64) -> f64 {
+    fn displacement_m(&self, reach_m: f64) -> f64 {
         match self.cause.unit() {
             Unit::Radian => self.size() * reach_m,
             Unit::Second => 0.0,
@@ -199,8 +228,10 @@ fn refuse(runs: &[Run], changed: &[Changed], options: &PrepareOptions) -> Result
     for (run, Run { instrument, model }) in runs.iter().enumerate() {
         let Some(prepared) = instrument.prepared() else { continue };
         let poor_fit = prepared.poor_fit.as_ref();
-        let of_run = changed.iter().filter(|change| change.data_set == run && change.explained > EXPLAINED);
-        let error = of_run.filter_map(|change| change.refusal(options)).next();
+        let of_run = changed.iter().filter(|changed| changed.data_set == run);
+        let mut likeliest =
+            of_run.map(|changed| &changed.likeliest).filter(|change| change.explained > EXPLAINED);
+        let error = likeliest.find_map(|change| change.refusal(options));
         let error = error.map(|error| error.resting_on(Deviations::at(prepared, model.geometry(&[]))));
         if let Some(error) = error.or_else(|| poor_fit.map(PoorFit::refusal)) {
             return Err(CalibrateError::Prepare { run, error: Box::new(error) });
@@ -210,6 +241,13 @@ fn refuse(runs: &[Run], changed: &[Changed], options: &PrepareOptions) -> Result
 }
 
 impl fmt::Display for Changed {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}", self.likeliest)?;
+        self.others.iter().try_for_each(|other| write!(f, ", or {other}"))
+    }
+}
+
+impl fmt::Display for Change {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { cause: Cause { name, ids }, when, .. } = self;
         let unit = self.cause.unit();

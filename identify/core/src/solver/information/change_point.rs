@@ -1,6 +1,6 @@
 //! Detects a change during a run: parameters with a step at an unknown instant, or with a drift over the run.
 //! Inputs are the residuals and the Jacobian at a solution. The result is the best significant change, if there is
-//! one. Used by `calibrate/change.rs`.
+//! one, and the changes that explain the residuals nearly as well. Used by `calibrate/change.rs`.
 //!
 //! A change adds columns to the problem. Each added column is the column of a parameter that changes, multiplied by a
 //! course in time. The course is a step (zero before an instant, one from this instant on) or a ramp (from -1/2 to
@@ -10,7 +10,9 @@
 //! 1. `WeightedRun::courses` finds the best step, first among evenly spaced instants, then among all samples near the best
 //!    of them. The other course to test is the drift.
 //! 2. `ChangeTest` tests whether the change is significant.
-//! 3. Of all significant changes, the one with the smallest Bayesian information criterion is returned.
+//! 3. Of all significant changes, the one with the smallest Bayesian information criterion is the best.
+//! 4. `Candidate::excludes` tests which of the other steps and drifts the residuals exclude. The remaining ones are returned
+//!    too.
 //!
 //! Notation:
 //! - `C` are the added columns, `J` the columns of the estimated parameters, and `r` the residuals.
@@ -35,6 +37,7 @@
 //! significant of these results is used (Student's t, or Hotelling's T squared for a change of several parameters). Because
 //! many instants and alternatives are tried, the rate of false alarms is divided by their number (Bonferroni).
 
+use std::iter;
 use std::ops::Range;
 
 use nalgebra::{DMatrix, DVector};
@@ -59,6 +62,8 @@ const GROUPS_MIN: usize = 15;
 const FREEDOM_MIN: f64 = 3.0;
 /// Smallest fraction of a column's sum of squares that must be independent of the other columns.
 const INDEPENDENT_MIN: f64 = 1e-4;
+/// A step or drift is excluded if the best change is more likely by this factor.
+const LIKELIER: f64 = 20.0;
 
 /// Course of a change in time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -87,8 +92,9 @@ pub struct Change {
 /// columns `estimated`. An alternative is a column, or a set of columns that change together.
 ///
 /// A change is significant if a run without changes would show an equally large one with a probability of at most
-/// `false_alarms`. Of all significant changes, the one with the smallest Bayesian information criterion is returned. `None`
-/// if no change is significant, or if there are too few samples.
+/// `false_alarms`. The first of the returned changes is the significant one with the smallest Bayesian information criterion.
+/// The others are the best steps and the drifts that the residuals do not exclude, in the order of the criterion.
+/// Empty if no change is significant, or if there are too few samples.
 pub fn change_point(
     problem: &dyn LeastSquares,
     x: &[f64],
@@ -97,29 +103,66 @@ pub fn change_point(
     estimated: &[usize],
     alternatives: &[Vec<usize>],
     false_alarms: f64,
-) -> Option<Change> {
-    let run = WeightedRun::new(problem, x, loss, samples, estimated)?;
+) -> Vec<Change> {
+    let Some(run) = WeightedRun::new(problem, x, loss, samples, estimated) else { return Vec::new() };
     // Number of tests: the evenly spaced instants of a step and the drift, for each alternative.
     let tests = (alternatives.len() * INSTANTS) as f64;
-    let best_change = |alternative: usize| {
+    let candidates = |alternative: usize| {
         let columns = &alternatives[alternative];
-        let mut best: Option<(f64, Change)> = None;
-        for course in run.courses(columns) {
-            let Some(test) = ChangeTest::new(&run, columns, course) else { continue };
-            if test.chance() * tests > false_alarms {
-                continue;
-            }
-            let criterion = run.criterion(&test, course);
-            if best.as_ref().is_none_or(|(least, _)| criterion < *least) {
-                let explained = test.reduction / run.squared.max(f64::MIN_POSITIVE);
-                let by = test.b.iter().copied().collect();
-                best = Some((criterion, Change { alternative, course, by, explained }));
-            }
-        }
-        best
+        let candidate = |course| {
+            let test = ChangeTest::new(&run, columns, course)?;
+            let is_significant = test.chance() * tests <= false_alarms;
+            Some(Candidate {
+                alternative,
+                course,
+                criterion: run.criterion(&test, course),
+                is_significant,
+                test,
+            })
+        };
+        run.courses(columns).filter_map(candidate).collect::<Vec<_>>()
     };
-    let found = each(alternatives.len(), best_change).into_iter().flatten();
-    found.reduce(|best, other| if other.0 < best.0 { other } else { best }).map(|(_, change)| change)
+    let mut candidates: Vec<Candidate> = each(alternatives.len(), candidates).into_iter().flatten().collect();
+    candidates.sort_by(|a, b| a.criterion.total_cmp(&b.criterion));
+    let Some(best) = candidates.iter().position(|candidate| candidate.is_significant) else {
+        return Vec::new();
+    };
+    let best = candidates.remove(best);
+    let others = candidates.iter().filter(|other| !best.excludes(other, run.groups()));
+    iter::once(&best).chain(others).map(|candidate| candidate.change(&run)).collect()
+}
+
+/// A possible change, with its test.
+struct Candidate {
+    alternative: usize,
+    course: Course,
+    criterion: f64,
+    is_significant: bool,
+    test: ChangeTest,
+}
+
+impl Candidate {
+    /// Whether this change is more likely than the other by the factor [`LIKELIER`].
+    ///
+    /// The logarithm of the likelihoods is divided by the overdispersion, because residuals are not independent, and the
+    /// number of parameters counts as in `criterion` (QBIC, Burnham and Anderson 2002).
+    fn excludes(&self, other: &Self, groups: f64) -> bool {
+        let overdispersion = self.test.overdispersion();
+        let squared = |candidate: &Self| {
+            candidate.test.reduction / overdispersion
+                - candidate.test.parameters(candidate.course) * groups.ln()
+        };
+        squared(self) - squared(other) > 2.0 * LIKELIER.ln()
+    }
+
+    fn change(&self, run: &WeightedRun) -> Change {
+        Change {
+            alternative: self.alternative,
+            course: self.course,
+            by: self.test.b.iter().copied().collect(),
+            explained: self.test.reduction / run.squared.max(f64::MIN_POSITIVE),
+        }
+    }
 }
 
 /// Weighted residuals and Jacobian of a run at its solution.
@@ -205,14 +248,16 @@ impl WeightedRun {
         step.map(Course::Step).into_iter().chain([Course::Drift])
     }
 
-    /// Bayesian information criterion of the solution with a change (Schwarz 1978). The number of observations is
-    /// the number of groups of blocks, because single residuals are not independent. The instant of a step counts
-    /// as one more parameter.
+    /// Bayesian information criterion of the solution with a change (Schwarz 1978).
     fn criterion(&self, test: &ChangeTest, course: Course) -> f64 {
-        let groups = (self.blocks.len() / POOLED_SIZES[POOLED_SIZES.len() - 1]) as f64;
-        let parameters = test.b.len() as f64 + if course == Course::Drift { 0.0 } else { 1.0 };
+        let groups = self.groups();
         let remaining = (self.squared - test.reduction).max(f64::MIN_POSITIVE);
-        groups * remaining.ln() + parameters * groups.ln()
+        groups * remaining.ln() + test.parameters(course) * groups.ln()
+    }
+
+    /// Number of groups of blocks. It is used as the number of observations, because single residuals are not independent.
+    fn groups(&self) -> f64 {
+        (self.blocks.len() / POOLED_SIZES[POOLED_SIZES.len() - 1]) as f64
     }
 
     /// The added columns `C`: the changing columns multiplied by the course, with one row for each residual.
@@ -350,6 +395,11 @@ impl ChangeTest {
         Some(Self { b, reduction, information, of_change, of_columns })
     }
 
+    /// Number of parameters of the change. The instant of a step counts as one.
+    fn parameters(&self, course: Course) -> f64 {
+        self.b.len() as f64 + if course == Course::Drift { 0.0 } else { 1.0 }
+    }
+
     /// Probability that a run without changes shows a change of at least this size at this instant. It is the largest result
     /// of `pooled` and `clustered` over all group sizes.
     fn chance(&self) -> f64 {
@@ -361,9 +411,22 @@ impl ChangeTest {
     }
 
     /// Significance from `pooled` in the module documentation: the scatter of the groups is compared with that of
-    /// independent noise. Groups that do not determine all changing columns are left out. For example, two positions do not
-    /// determine the rotation of an instrument. `None` if too few groups remain.
+    /// independent noise. `None` if there are too few groups.
     fn pooled(&self, group_size: usize) -> Option<f64> {
+        let (ratio, freedom) = self.scatter_ratio(group_size)?;
+        Some(hotelling_tail(self.reduction / ratio, self.b.len(), freedom))
+    }
+
+    /// Largest scatter of the groups' scores over all group sizes, relative to independent noise. At least 1.
+    fn overdispersion(&self) -> f64 {
+        let ratios = POOLED_SIZES.iter().filter_map(|group_size| self.scatter_ratio(*group_size));
+        ratios.fold(1.0, |largest, (ratio, _)| largest.max(ratio))
+    }
+
+    /// Scatter of the groups' scores divided by that of independent noise of variance one, and its degrees of freedom.
+    /// Groups that do not determine all changing columns are left out. For example, two positions do not
+    /// determine the rotation of an instrument. `None` if too few groups remain.
+    fn scatter_ratio(&self, group_size: usize) -> Option<(f64, f64)> {
         let scatter: Vec<f64> = sum_groups(&self.of_columns, group_size)
             .into_iter()
             .filter_map(|BlockSums { score, information }| {
@@ -374,10 +437,8 @@ impl ChangeTest {
         if scatter.len() < GROUPS_MIN {
             return None;
         }
-        let count = scatter.len() as f64;
-        // The ratio is one for independent noise of variance one.
-        let overdispersion = scatter.iter().sum::<f64>() / ((count - 1.0) * self.b.len() as f64);
-        Some(hotelling_tail(self.reduction / overdispersion, self.b.len(), count - 1.0))
+        let freedom = scatter.len() as f64 - 1.0;
+        Some((scatter.iter().sum::<f64>() / (freedom * self.b.len() as f64), freedom))
     }
 
     /// Significance from `clustered` in the module documentation: from the scatter of the groups'
