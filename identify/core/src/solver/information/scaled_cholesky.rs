@@ -31,7 +31,7 @@ impl ScaledCholesky {
         Some(Self { factor: normal.cholesky()?, scale })
     }
 
-    /// Whether every column is determined. A column is determined if at least a millionth of its squared length is
+    /// Whether every column is determined. A column is determined if at least a millionth of its length is
     /// independent of the columns before it.
     pub fn is_complete(&self) -> bool {
         const PIVOT_MIN: f64 = 1e-6;
