@@ -80,6 +80,7 @@ fn check_within(found: &Prepared, run: &Simulated, case: &str, [clock_ms_max, of
 }
 
 #[test]
+#[ignore = "takes more than four seconds"]
 fn any_clock_difference_is_found_with_five_encoders_and_with_four_and_whichever_way_they_count() {
     for robot in [irb2400(), nj220()] {
         for (case, (shift_ns, skew)) in
@@ -138,6 +139,7 @@ fn a_recording_of_a_part_of_the_log_is_placed_in_it() {
 }
 
 #[test]
+#[ignore = "takes more than four seconds"]
 fn each_configuration_of_the_bar_is_recognised() {
     /// Offsets of joints 2 and 4 in the bar's file \[deg\].
     const THETA_DEG: [(usize, f64); 2] = [(1, 20.0), (3, -30.0)];
