@@ -4,7 +4,7 @@
 
 use std::io;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicI64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicI64, Ordering};
 
 use crate::support::{Stamped, TrueInstants, plan};
 use ballbard::bus::{Bus, BusPlan};
@@ -33,23 +33,26 @@ const LOADED: Delays = Delays { least_ns: (6_000, 15_000), mean_ns: (10_000.0, 4
 /// A network card that coalesces interrupts delays them. Therefore mainly replies are late.
 const ONE_SIDED: Delays = Delays { least_ns: (5_000, 60_000), mean_ns: (1_000.0, 60_000.0), rare: 50 };
 
-/// A simulated segment behind a host with these delays. The test can change the clocks of the segment and of the host.
+/// A simulated segment behind a host with these delays. The test can change the clocks of the segment and of the host. It can
+/// also discard a frame.
 struct DelayedWire {
     segment: SimulatedSegment,
     clock: Clock,
     delays: Delays,
     random: StdRng,
-    clocks: Arc<Clocks>,
+    faults: Arc<Faults>,
     reply: Box<[u8; FRAME_BYTES_MAX]>,
     reply_len: Option<usize>,
 }
 
 #[derive(Default)]
-struct Clocks {
+struct Faults {
     /// Difference between true bus time and the host's clock \[ns\]. It changes when the machine is suspended.
     leap_ns: AtomicI64,
     /// Step of the reference clock that occurs with the next frame \[ns\].
     step_ns: AtomicI64,
+    /// Whether the next frame is lost.
+    loses_frame: AtomicBool,
 }
 
 impl DelayedWire {
@@ -62,10 +65,14 @@ impl DelayedWire {
 
 impl FrameWire for DelayedWire {
     fn send(&mut self, frame: &[u8]) -> io::Result<()> {
+        if self.faults.loses_frame.swap(false, Ordering::Relaxed) {
+            self.reply_len = None;
+            return Ok(());
+        }
         self.wait(self.delays.least_ns.0, self.delays.mean_ns.0);
         let now = self.clock.now();
-        let true_ns = now.0 + self.clocks.leap_ns.load(Ordering::Relaxed);
-        let step_ns = self.clocks.step_ns.swap(0, Ordering::Relaxed);
+        let true_ns = now.0 + self.faults.leap_ns.load(Ordering::Relaxed);
+        let step_ns = self.faults.step_ns.swap(0, Ordering::Relaxed);
         if step_ns != 0 {
             self.segment.step_reference_clock(true_ns, step_ns);
         }
@@ -89,7 +96,7 @@ struct Experiment {
     acquisition: Acquisition,
     clock: Clock,
     instants: TrueInstants,
-    clocks: Arc<Clocks>,
+    faults: Arc<Faults>,
     events: Vec<CycleEvent>,
     utc_minus_monotonic_ns: i64,
     period_ns: i64,
@@ -97,26 +104,33 @@ struct Experiment {
 
 impl Experiment {
     fn new(plan: &BusPlan, delays: Delays, seed: u64) -> Self {
+        Self::begin(plan, delays, seed, false)
+    }
+
+    /// If `loses_first` is set, the first frame after the bring-up is lost.
+    fn begin(plan: &BusPlan, delays: Delays, seed: u64, loses_first: bool) -> Self {
         let clock = Clock::virtual_from(UtcNs(1_800_000_000_000_000_000));
         let config = SegmentConfig { seed, drift_ppm: 100.0, ..SegmentConfig::default() };
         let (source, instants) = TrueInstants::watch(SmoothMotion::new(5, 3600, seed), 1 << 20);
-        let clocks = Arc::new(Clocks::default());
+        let faults = Arc::new(Faults::default());
         let wire = DelayedWire {
             segment: SimulatedSegment::new(&config, Box::new(source)),
             clock: clock.clone(),
             delays,
             random: StdRng::seed_from_u64(seed),
-            clocks: Arc::clone(&clocks),
+            faults: Arc::clone(&faults),
             reply: Box::new([0; FRAME_BYTES_MAX]),
             reply_len: None,
         };
-        let bus = Bus::new(Box::new(wire), clock.clone(), plan.reply_timeout);
-        let mut acquisition = Acquisition::start(bus, plan, clock.clone()).unwrap();
+        let mut bus = Bus::new(Box::new(wire), clock.clone(), plan.reply_timeout);
+        let operational = bus.bring_up(plan).unwrap();
+        faults.loses_frame.store(loses_first, Ordering::Relaxed);
+        let mut acquisition = Acquisition::on(bus, operational, plan, clock.clone());
         acquisition.begin_run(|_| ());
         let utc_minus_monotonic_ns = acquisition.utc_minus_monotonic_ns();
         let period_ns = plan.cycle_period.as_nanos() as i64;
         let events = Vec::new();
-        Self { acquisition, clock, instants, clocks, events, utc_minus_monotonic_ns, period_ns }
+        Self { acquisition, clock, instants, faults, events, utc_minus_monotonic_ns, period_ns }
     }
 
     fn cycles(&mut self, count: usize) -> Vec<CycleRecord> {
@@ -142,7 +156,7 @@ impl Experiment {
     }
 
     fn judge(&self, records: &[CycleRecord]) -> Vec<Stamped> {
-        let leap_ns = self.clocks.leap_ns.load(Ordering::Relaxed);
+        let leap_ns = self.faults.leap_ns.load(Ordering::Relaxed);
         self.instants.judge(records, self.utc_minus_monotonic_ns - leap_ns)
     }
 }
@@ -216,11 +230,21 @@ fn at_250_hz_and_1_khz_every_cycle_is_sampled_and_stamped_like_at_100() {
 }
 
 #[test]
+fn the_first_frame_may_be_lost() {
+    let mut experiment = Experiment::begin(&plan(100), QUIET, 7, true);
+    let records = experiment.cycles(1_000);
+    let stamped = experiment.judge(&records);
+    assert_eq!(stamped.len(), records.len());
+    assert!(p999_ns(&stamped) < 3_000, "{} ns", p999_ns(&stamped));
+    assert_within(&stamped, 3);
+}
+
+#[test]
 fn a_step_of_the_reference_clock_is_reported_whatever_its_size_and_no_time_is_wrong_unsaid() {
     for step_ns in [15_000, -50_000, 90_000, -300_000, 3_000_000, -2_000_000_000] {
         let mut experiment = Experiment::new(&plan(100), QUIET, 2);
         let mut records = experiment.cycles(500);
-        experiment.clocks.step_ns.store(step_ns, Ordering::Relaxed);
+        experiment.faults.step_ns.store(step_ns, Ordering::Relaxed);
         records.extend(experiment.cycles(500));
         let told = |event: &CycleEvent| match event.what {
             Happening::ClockStep { by_ns } => Some(by_ns),
@@ -239,7 +263,7 @@ fn a_step_of_the_reference_clock_is_reported_whatever_its_size_and_no_time_is_wr
 fn after_a_suspended_host_times_go_on_forwards_and_are_right_again() {
     let mut experiment = Experiment::new(&plan(100), QUIET, 3);
     let before = experiment.cycles(500);
-    experiment.clocks.leap_ns.store(370_000_000, Ordering::Relaxed);
+    experiment.faults.leap_ns.store(370_000_000, Ordering::Relaxed);
     let records = experiment.cycles(500);
     assert!(records[0].sample_time > before[499].sample_time);
     assert!(records[300..].iter().all(CycleRecord::is_valid));

@@ -276,10 +276,10 @@ impl Acquisition {
         let Some(operational) = &self.operational else { return };
         let exchange = self.bus.exchange(operational);
         self.observe_clocks(&exchange);
-        self.origin_ns = match exchange.reply.and_then(|reply| reply.dc_time) {
-            Some(time) => time.plus_ns(self.period_ns - time.0.rem_euclid(self.period_ns)).0,
-            None => exchange.sent.plus_ns(self.period_ns).0,
-        };
+        // The bring-up has set the clock of the bus to the time of the host, so the host's time replaces a missing reply.
+        let now = exchange.reply.and_then(|reply| reply.dc_time).unwrap_or(DcNs(exchange.sent.0));
+        let phase_ns = if self.distributed_clocks { now.0.rem_euclid(self.period_ns) } else { 0 };
+        self.origin_ns = now.plus_ns(self.period_ns - phase_ns).0;
         (0..CLOCK_FIT_CYCLES).for_each(|_| self.idle());
     }
 
