@@ -270,8 +270,8 @@ impl Recorder {
     }
 
     /// Takes the content of the ring, and writes a chunk if its time has come. Must be called every [`Self::PERIOD`]. The
-    /// call does not sleep, but waits for the disk. Returns false if the other end of the ring was dropped and the ring is
-    /// empty. In that case [`Self::finish`] must be called.
+    /// call does not sleep, but waits for the disk. Returns false if the other end of the ring was dropped, the ring is empty
+    /// and no synchronisation is in progress. In that case [`Self::finish`] must be called.
     pub fn poll(&mut self) -> Result<bool, WriteError> {
         // This must be read before the ring is emptied. Otherwise cycles could be pushed in between, just before the other
         // end is dropped, and would stay in the ring.
@@ -287,15 +287,17 @@ impl Recorder {
             }
         }
         self.source.timing.drain();
-        if last_round {
-            return Ok(false);
-        }
-        if self.clock.now().ns_since(self.chunk_at) >= self.period.as_nanos() as i64 {
-            self.write_chunk()?;
-        }
         // Move the run if a synchronisation has failed, or if the file is not in its place.
         if let Some(problem) = self.synchroniser.problem() {
             self.move_elsewhere(WriteError::Sink(problem))?;
+        }
+        if last_round {
+            // The system reports a failed write only once. If the synchronisation in progress receives this error, the last
+            // one would succeed although data are lost.
+            return Ok(self.synchroniser.is_busy());
+        }
+        if self.clock.now().ns_since(self.chunk_at) >= self.period.as_nanos() as i64 {
+            self.write_chunk()?;
         }
         // Another thread has reported that the file is missing. The file may have returned since.
         if self.link.progress.lost().is_some() {

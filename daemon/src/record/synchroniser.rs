@@ -93,6 +93,11 @@ impl Synchroniser {
         }
     }
 
+    /// Whether a synchronisation is in progress, or its outcome was not taken yet.
+    pub fn is_busy(&self) -> bool {
+        self.is_busy
+    }
+
     /// Takes the outcome of the last synchronisation if it has finished. Returns the error if it failed. Afterwards
     /// the next synchronisation can begin.
     pub fn problem(&mut self) -> Option<io::Error> {

@@ -4,6 +4,7 @@
 //! The method is that of SQLite's tests of I/O errors. A run without faults counts the calls. Then each fault is injected
 //! into each call, in a separate run.
 
+use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 use std::time::Duration;
 
@@ -79,6 +80,8 @@ fn check(case: &Case, cycles: u64) {
     match &outcome.result {
         Ok(summary) => {
             let bytes = std::fs::read(&summary.path).unwrap();
+            let inode = std::fs::metadata(&summary.path).unwrap().ino();
+            assert_eq!(outcome.wall.synced_bytes(inode), bytes.len() as u64, "a power cut after the run");
             let recording = Recording::read(&bytes[..]).unwrap();
             assert_eq!((summary.cycles, summary.cycles_valid, summary.cycles_lost), (cycles, cycles, 0));
             assert!(recording.cycles.iter().all(|cycle| cycle.is_valid() && cycle.flags & flags::LOST == 0));
@@ -130,6 +133,18 @@ fn check_all(cycles: u64) {
 #[test]
 fn whichever_call_to_the_disk_goes_wrong_nothing_that_was_said_to_be_safe_is_lost() {
     check_all(60);
+}
+
+/// The lengths of the runs differ by more than the time between two calls of the recorder, so a run ends between the failure of
+/// a synchronisation and the next call.
+#[test]
+fn a_run_is_safe_if_a_synchronisation_fails_just_before_its_end() {
+    for cycles in 50..60 {
+        let syncs = run_of(cycles, false, None).wall.calls()[&Call::Sync];
+        for nth in 0..syncs {
+            check(&Case { call: Call::Sync, nth, fault: Fault::Fails, is_removed: false }, cycles);
+        }
+    }
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! A disk that injects a fault into one call. For each file, it counts the bytes that would survive a power cut.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, HashMap, HashSet};
 use std::fs::File;
 use std::io;
 use std::os::fd::BorrowedFd;
@@ -86,6 +86,8 @@ struct State {
     /// before a completed synchronisation started.
     written: HashMap<u64, u64>,
     synced: HashMap<u64, u64>,
+    /// Inodes of files of which a synchronisation has failed.
+    failed: HashSet<u64>,
     inodes: HashMap<u64, bool>,
     is_dead: bool,
     is_released: bool,
@@ -208,7 +210,13 @@ impl Disk for Wall {
     fn create(&self, path: &Path) -> io::Result<File> {
         self.at(Call::Create, path)?;
         let file = SystemDisk.create(path)?;
-        self.state().inodes.insert(file.metadata()?.ino(), path.starts_with(&self.home));
+        let inode = file.metadata()?.ino();
+        let mut state = self.state();
+        state.inodes.insert(inode, path.starts_with(&self.home));
+        // The file may have the inode of a removed file.
+        state.written.remove(&inode);
+        state.synced.remove(&inode);
+        state.failed.remove(&inode);
         Ok(file)
     }
 
@@ -282,13 +290,20 @@ impl Disk for Wall {
         file.read_at(&mut buffer[..length], offset)
     }
 
-    /// Data that are written during a synchronisation are not covered by it. A synchronisation that fails covers no data.
+    /// Data that are written during a synchronisation are not covered by it. After a synchronisation has failed, later ones
+    /// succeed but cover no further data of the file, because Linux reports a failed write only once.
     fn sync(&self, file: &File) -> io::Result<()> {
         let inode = file.metadata()?.ino();
         let covered = self.state().written.get(&inode).copied().unwrap_or(0);
-        self.on(Call::Sync, file)?;
+        if let Err(error) = self.on(Call::Sync, file) {
+            self.state().failed.insert(inode);
+            return Err(error);
+        }
         pass(self.sync_takes);
         let mut state = self.state();
+        if state.failed.contains(&inode) {
+            return Ok(());
+        }
         let synced = state.synced.entry(inode).or_default();
         *synced = covered.max(*synced);
         Ok(())
