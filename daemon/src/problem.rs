@@ -570,7 +570,8 @@ fn link(position: usize, port: usize) -> (String, String) {
     }
 }
 
-fn numbers(joints: &[u8]) -> String {
+/// The numbers of these joints as a text.
+pub(crate) fn numbers(joints: &[u8]) -> String {
     joints.iter().map(u8::to_string).collect::<Vec<_>>().join(", ")
 }
 

@@ -5,7 +5,7 @@ use shared::recording::schema::{DeviceInfo, Event, EventKind, PortCounts, RunMet
 use shared::time::UtcNs;
 
 use crate::bus::absent;
-use crate::problem::{Fact, Problem, flag_names};
+use crate::problem::{Fact, Problem, flag_names, numbers};
 
 /// An event on the bus. It is `Copy`, because it passes through a ring from the real-time thread.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -27,11 +27,12 @@ pub enum Happening {
         first: u64,
         /// Number of these cycles.
         cycles: u64,
-        /// Flags of the first of these cycles, see `schema::flags`. They show the cause of the gap.
+        /// Flags of the first of these cycles, see `schema::flags`. They show the cause of the gap. Flags that every record of
+        /// the bus has are omitted here and in `flags`.
         cause: u32,
         /// Flags that at least one of these cycles has.
         flags: u32,
-        /// Encoders that were invalid in the first cycle, one bit each in bus order.
+        /// Encoders that were invalid in at least one of these cycles, one bit each in bus order.
         invalid: u8,
     },
     /// The terminals from a position on do not answer. The terminals before it stay in use.
@@ -135,10 +136,13 @@ impl CycleEvent {
         let fact = self.what.fact(bus);
         let code = fact.code().to_owned();
         let text = match self.what {
-            Happening::Gap { first, cycles, flags, .. } => format!(
-                "{cycles} cycles from {first} on without valid samples: {}",
-                flag_names(flags).join(", ")
-            ),
+            Happening::Gap { first, cycles, flags, invalid, .. } => {
+                let joints = bus.joints_of(invalid);
+                let some = format!(" of joint {}", numbers(&joints));
+                let which = if joints.len() < bus.joints.len() { some.as_str() } else { "" };
+                let reasons = flag_names(flags).join(", ");
+                format!("{cycles} cycles from {first} on without valid samples{which}: {reasons}")
+            }
             Happening::Down(_) => {
                 format!("bus given up, to be brought up again: {}", Problem::from(fact).text)
             }
@@ -166,15 +170,19 @@ impl BusNames {
         let joints = run.encoders.iter().map(|encoder| encoder.joint).collect();
         Self { bus: run.bus.clone(), devices: run.devices.clone(), joints }
     }
+
+    /// Joints of a set of encoders, which has one bit for each encoder in bus order.
+    fn joints_of(&self, encoders: u8) -> Vec<u8> {
+        let joints = self.joints.iter().enumerate().filter(|(index, _)| encoders >> index & 1 == 1);
+        joints.map(|(_, joint)| *joint).collect()
+    }
 }
 
 impl Happening {
-    fn fact(self, BusNames { bus, devices, joints }: &BusNames) -> Fact {
+    fn fact(self, names: &BusNames) -> Fact {
+        let BusNames { bus, devices, .. } = names;
         match self {
-            Self::Gap { cause, invalid, .. } => {
-                let joints = joints.iter().enumerate().filter(|(index, _)| invalid >> index & 1 == 1);
-                Fact::of_flags(cause, bus, joints.map(|(_, joint)| *joint).collect(), None)
-            }
+            Self::Gap { cause, invalid, .. } => Fact::of_flags(cause, bus, names.joints_of(invalid), None),
             Self::Missing { position } => absent(bus, devices, position.into()),
             Self::Down(why) => why.fact(bus),
             // This arm is never reached, because `to_event` handles this event itself.

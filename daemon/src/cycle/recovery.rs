@@ -74,7 +74,7 @@ struct Gap {
     cause: u32,
     /// Flags that at least one of these cycles has.
     flags: u32,
-    /// Encoders that were invalid in the first cycle, one bit each in bus order.
+    /// Encoders that were invalid in at least one of these cycles, one bit each in bus order.
     invalid: u8,
 }
 
@@ -140,8 +140,8 @@ impl Acquisition {
             return;
         }
         // Errors of an encoder's signal are ignored here, because a bring-up of the bus cannot repair the signal.
-        let bus_flags = record.flags & !(flags::TERMINAL_ERROR | flags::DEADLINE_MISSED);
-        if record.is_valid() || (bus_flags & !self.sampler.flags_always()) == 0 {
+        let bus_flags = self.sampler.flags_of(record) & !(flags::TERMINAL_ERROR | flags::DEADLINE_MISSED);
+        if record.is_valid() || bus_flags == 0 {
             (self.health.bad, self.health.restoring, self.health.missing) = (0, None, None);
             return;
         }
@@ -373,12 +373,12 @@ impl Acquisition {
                 self.report(Happening::Gap { first, cycles: record.cycle - first, cause, flags, invalid });
             }
         } else {
-            let gap = self.health.gap.get_or_insert_with(|| {
-                let encoders = record.encoders().iter().enumerate().filter(|(_, encoder)| !encoder.valid);
-                let invalid = encoders.fold(0, |bits, (index, _)| bits | 1 << index);
-                Gap { first: record.cycle, cause: record.flags, flags: 0, invalid }
-            });
-            gap.flags |= record.flags;
+            let flags = self.sampler.flags_of(&record);
+            let first = Gap { first: record.cycle, cause: flags, flags: 0, invalid: 0 };
+            let gap = self.health.gap.get_or_insert(first);
+            gap.flags |= flags;
+            let encoders = record.encoders().iter().enumerate().filter(|(_, encoder)| !encoder.valid);
+            encoders.for_each(|(index, _)| gap.invalid |= 1 << index);
         }
         sink(&record);
         self.next_cycle += 1;

@@ -57,6 +57,11 @@ impl Sampler {
         self.always
     }
 
+    /// Flags of a record that not every record of this bus has.
+    pub fn flags_of(&self, record: &CycleRecord) -> u32 {
+        record.flags & !self.always
+    }
+
     /// The record of cycle number `cycle`, in which `exchange` took place.
     pub fn sample(&mut self, cycle: u64, time: SampleTime, exchange: &CyclicExchange) -> CycleRecord {
         let mut record = self.blank(cycle, time, exchange);
