@@ -241,3 +241,28 @@ fn a_bus_that_fails_and_a_person_who_leaves_end_it() {
     assert!((0..100).all(|_| step(None).is_none()));
     assert_eq!(step(Some("Ctrl-C".into())), Some(Err(HomingError::Stopped("Ctrl-C".into()))));
 }
+
+#[test]
+fn a_short_power_cut_of_the_terminals_ends_it() {
+    let gone = Fault::DevicesGone { from: 1 };
+    // In cycle 5 the terminals are disarmed. In cycle 25 joint 1 turns, but not yet by 5 degrees.
+    for cut in [5, 25] {
+        let mut bench = Bench::new(2);
+        let hand = bench.hand.clone();
+        let mut watch = |step| {
+            if let HomingStep::Turn { joint, .. } = step {
+                obedient(&hand, joint);
+            }
+        };
+        let mut sequence = Sequence::begin(&mut bench.acquisition, &encoders());
+        let outcome = (0..).find_map(|cycle| {
+            if cycle == cut {
+                bench.faults.begin(gone);
+            } else if cycle == cut + 1 {
+                bench.faults.end(gone);
+            }
+            sequence.step(&mut bench.acquisition, &mut |_| (), &mut watch, None)
+        });
+        assert_eq!(outcome, Some(Err(HomingError::NoSignal(1))), "cut in cycle {cut}");
+    }
+}

@@ -72,10 +72,10 @@ pub enum HomingError {
         /// Count that the terminal latched.
         latch: u32,
     },
-    /// No valid counts arrived for too long.
+    /// The bus failed, or no valid counts arrived for too long.
     #[error(
-        "no valid counts for {SIGNAL_LOST_MAX_S} s while joint {0} was to be turned; `ballbard check` names the \
-         encoder or device"
+        "the bus failed, or sent no valid counts for {SIGNAL_LOST_MAX_S} s, while joint {0} was to be turned; \
+         `ballbard check` names the encoder or device; then home again"
     )]
     NoSignal(u8),
     /// The homing was cancelled.

@@ -3,7 +3,7 @@
 //! count, this is the count at the mark.
 
 use shared::config::EncoderConfig;
-use shared::recording::schema::{CycleRecord, MAX_ENCODERS};
+use shared::recording::schema::{CycleRecord, MAX_ENCODERS, flags};
 use shared::time::UtcNs;
 
 use super::{FoundMark, HomingError, PATIENCE_S, SIGNAL_LOST_MAX_S};
@@ -90,7 +90,9 @@ impl Search {
         });
         self.elapsed_s = record.sample_time.seconds_since(start.time);
         if !record.is_valid() {
-            if self.elapsed_s - self.valid_last_s > SIGNAL_LOST_MAX_S {
+            // When the bus is brought up again, the counters may have restarted and the terminals are no longer armed.
+            let is_down = record.flags & flags::BUS_DOWN != 0;
+            if is_down || self.elapsed_s - self.valid_last_s > SIGNAL_LOST_MAX_S {
                 return Err(HomingError::NoSignal(self.joint));
             }
             return Ok(Detection::Nothing);

@@ -8,7 +8,7 @@
 use std::ops::Range;
 
 use shared::config::EncoderConfig;
-use shared::recording::schema::CycleRecord;
+use shared::recording::schema::{CycleRecord, flags};
 
 use super::search::{Detection, Search};
 use super::{FoundMark, HomingError, HomingStep};
@@ -70,9 +70,16 @@ impl Sequence {
         }
         match &mut self.state {
             SequenceState::Disarmed(terminals, cycles) => {
-                acquisition.next_cycle(sink);
+                let mut is_down = false;
+                acquisition.next_cycle(&mut |record| {
+                    is_down |= record.flags & flags::BUS_DOWN != 0;
+                    sink(record);
+                });
                 *cycles -= 1;
-                if *cycles == 0 {
+                if is_down {
+                    let joint = self.encoders[self.found.len()].joint;
+                    self.end(acquisition, Err(HomingError::NoSignal(joint)));
+                } else if *cycles == 0 {
                     let terminals = terminals.clone();
                     self.arm(acquisition, terminals, watch);
                 }
