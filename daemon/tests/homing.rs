@@ -2,6 +2,7 @@
 //! After a power cycle and a new homing, the same pose must have the same angles.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
+use std::cell::Cell;
 use std::f64::consts::TAU;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -179,6 +180,39 @@ fn after_a_power_cycle_and_homing_again_the_same_pose_reads_the_same_angle() {
     let again = bench.home(&encoders(), obedient).unwrap();
     assert!(first.iter().zip(&again).all(|(first, again)| first.reference_counts != again.reference_counts));
     bench.assert_angles_are_those_from_the_true_marks(&saved_marks(&encoders(), &again));
+}
+
+#[test]
+fn a_joint_whose_mark_was_found_may_pass_its_mark_again() {
+    let mut bench = Bench::new(4);
+    let (hand, is_second) = (bench.hand.clone(), Cell::new(false));
+    let mut watch = |step| match step {
+        HomingStep::Turn { joint, .. } => {
+            is_second.set(joint == 2);
+            obedient(&hand, joint);
+        }
+        HomingStep::Turning { .. } => {}
+        HomingStep::Found(_) => hand.hold(),
+    };
+    let mut sequence = Sequence::begin(&mut bench.acquisition, &encoders());
+    let mut cycles = 0;
+    let found = loop {
+        if let Some(outcome) = sequence.step(&mut bench.acquisition, &mut |_| (), &mut watch, None) {
+            break outcome.unwrap();
+        }
+        if is_second.get() {
+            cycles += 1;
+            match cycles {
+                // Joint 2 has turned by more than 5 degrees.
+                12 => hand.turn(0),
+                // Joint 1 has turned by more than a whole turn.
+                552 => hand.turn(1),
+                _ => {}
+            }
+        }
+    };
+    let homing = saved_marks(&encoders(), &found);
+    assert!(bench.angles_rad(&homing).1.is_empty());
 }
 
 fn miswired(found: &[FoundMark], encoders: &[EncoderConfig]) -> String {

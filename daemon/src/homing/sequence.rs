@@ -1,6 +1,6 @@
 //! Homing as a sequence of steps, one step per cycle. For each joint:
 //! 1. All terminals are disarmed, so that they drop an earlier latch.
-//! 2. All terminals are armed.
+//! 2. All terminals whose mark was not found yet are armed.
 //! 3. A person turns the joint, and `Search` receives the records until it has found the mark.
 //!
 //! If a mark is passed in the wrong direction, only the terminal of its encoder is disarmed and armed again.
@@ -36,7 +36,7 @@ pub struct Sequence {
 enum SequenceState {
     /// The terminals in this range are disarmed, so that they drop an earlier latch. The number of remaining cycles follows.
     Disarmed(Range<usize>, u32),
-    /// The terminals are armed, and the current joint is being turned.
+    /// The terminals are armed if their mark was not found yet, and the current joint is being turned.
     Armed,
     /// Disarming was requested for all terminals. One more cycle sends the request, then the homing ends with this outcome.
     Ending(HomingResult),
@@ -115,7 +115,10 @@ impl Sequence {
         terminals: Range<usize>,
         watch: &mut dyn FnMut(HomingStep),
     ) {
-        set_latch(acquisition, terminals, true);
+        // The saved mark is later compared with the count that the terminal has latched. A terminal whose mark was found must
+        // therefore not latch another count.
+        let is_found = |encoder: &usize| self.found.iter().any(|found| found.encoder == *encoder);
+        set_latch(acquisition, terminals.filter(|encoder| !is_found(encoder)), true);
         self.state = SequenceState::Armed;
         // If a mark was passed in the wrong direction, terminals were armed again. The search of this joint then continues.
         let encoder = self.found.len();
@@ -166,6 +169,6 @@ impl Sequence {
     }
 }
 
-fn set_latch(acquisition: &mut Acquisition, terminals: Range<usize>, enable_latch: bool) {
+fn set_latch(acquisition: &mut Acquisition, terminals: impl Iterator<Item = usize>, enable_latch: bool) {
     terminals.for_each(|encoder| acquisition.set_output(encoder, Output { enable_latch }));
 }
