@@ -242,11 +242,18 @@ impl Recorder {
         let clock = link.scheduler.clock().clone();
         // Half of the configured period is used. The other half is a margin for a busy disk or processor.
         let period = link.progress.limits.sync_period / 2;
+        // UTC may have stepped since the run began. With cycles that wait, the run has a UTC of its own, for example that of
+        // a replayed recording.
+        let host_offset_ns = if link.progress.limits.cycle_waits {
+            clock.utc_minus_monotonic_ns()
+        } else {
+            run.utc_minus_monotonic_ns
+        };
         Self {
             source,
             synchroniser,
             writer,
-            host_offset_ns: clock.utc_minus_monotonic_ns(),
+            host_offset_ns,
             chunk_end_cycles: 0,
             chunk_at: clock.now(),
             clock,

@@ -136,6 +136,8 @@ fn record_in(world: &World, plan: &Plan, wall: impl FnOnce(&Path) -> Wall) -> Ou
     let daemon = daemon_in(directory.path());
     let wall = Arc::new(wall(&daemon.directory));
     let (clock, run) = (&world.clock, metadata(plan.period));
+    // The sample times of the run are times of the monotonic clock.
+    clock.step_utc(run.utc_minus_monotonic_ns - clock.utc_minus_monotonic_ns());
     let storage = Storage::on(wall.clone(), &daemon, &*world.scheduler()).unwrap();
     let outcome = Outcome {
         result: Err(WriteError::Lost(PathBuf::new())),

@@ -15,7 +15,7 @@ use super::*;
 use crate::record::{Limits, Stop};
 use crate::scheduler::Threads;
 
-fn metadata() -> RunMetadata {
+fn metadata(clock: &Clock) -> RunMetadata {
     RunMetadata {
         name: "ring".into(),
         operator: String::new(),
@@ -29,7 +29,7 @@ fn metadata() -> RunMetadata {
         replay_of: None,
         cycle_period_ns: 10_000_000,
         distributed_clocks: true,
-        utc_minus_monotonic_ns: 0,
+        utc_minus_monotonic_ns: clock.utc_minus_monotonic_ns(),
         encoders: vec![EncoderInfo { joint: 1, scale: EncoderScale::default() }],
         devices: Vec::new(),
         daemon_config: String::new(),
@@ -57,11 +57,16 @@ fn cycle(cycle: u64) -> CycleRecord {
 }
 
 /// A recorder, with the objects that are needed to end its run.
-fn rig(disk: Arc<dyn Disk>, source: CycleSource, daemon: &DaemonConfig, clock: &Clock) -> (Recorder, Stop) {
-    let run = metadata();
+fn rig(
+    disk: Arc<dyn Disk>,
+    source: CycleSource,
+    daemon: &DaemonConfig,
+    clock: &Clock,
+    run: &RunMetadata,
+) -> (Recorder, Stop) {
     let scheduler = Threads::on(clock.clone());
     let storage = Storage::on(disk, daemon, &*scheduler).unwrap();
-    let writer = RecordingWriter::create_on(storage.disk(), storage.directory(), &run).unwrap();
+    let writer = RecordingWriter::create_on(storage.disk(), storage.directory(), run).unwrap();
     let limits = Limits {
         cycle_period: Duration::from_millis(10),
         sync_period: daemon.sync_period(),
@@ -74,7 +79,7 @@ fn rig(disk: Arc<dyn Disk>, source: CycleSource, daemon: &DaemonConfig, clock: &
     let stop = Stop::default();
     storage.watch(&progress, &stop);
     let link = RunLink { marks: sync_channel(1).1, progress, storage, scheduler };
-    let recorder = Recorder::new(source, writer, &run, link);
+    let recorder = Recorder::new(source, writer, run, link);
     (recorder, stop)
 }
 
@@ -96,7 +101,8 @@ fn configured(directory: &Path) -> DaemonConfig {
 }
 
 fn plain(directory: &Path, source: CycleSource) -> Recorder {
-    rig(Arc::new(SystemDisk), source, &configured(directory), &Clock::Real).0
+    let clock = Clock::Real;
+    rig(Arc::new(SystemDisk), source, &configured(directory), &clock, &metadata(&clock)).0
 }
 
 fn record_through_ring(capacity: usize, cycles: u64) -> (Recording, RunSummary) {
@@ -147,19 +153,24 @@ fn the_first_cycle_is_never_lost() {
 
 #[test]
 fn a_step_of_the_hosts_utc_is_recorded() {
-    let directory = tempfile::tempdir().unwrap();
-    let clock = Clock::virtual_from(UtcNs(0));
-    let (mut sink, source) = ring(1000, FullRing::Drops);
-    (0..300).for_each(|number| sink.push(&cycle(number)));
-    drop(sink);
-    let (recorder, _) = rig(Arc::new(SystemDisk), source, &configured(directory.path()), &clock);
-    clock.step_utc(-2_000_000_000);
-    let recording = Recording::open(&run(recorder, String::new).unwrap().path).unwrap();
-    // The events about the disk are not considered. They report that all cycles arrived at once.
-    let of_clock = recording.events.iter().filter(|event| event.kind == EventKind::Clock);
-    let events: Vec<_> = of_clock.map(|event| (event.code.as_str(), event.text.as_str())).collect();
-    let text = "the host's clock was set by -2000.000 ms; sample times of this run do not follow it";
-    assert_eq!(events, [("clock_stepped", text)]);
+    // UTC steps before or after the file of the run is created.
+    for (before_ns, after_ns) in [(-2_000_000_000, 0), (0, -2_000_000_000)] {
+        let directory = tempfile::tempdir().unwrap();
+        let clock = Clock::virtual_from(UtcNs(0));
+        let (mut sink, source) = ring(1000, FullRing::Drops);
+        (0..300).for_each(|number| sink.push(&cycle(number)));
+        drop(sink);
+        let begun = metadata(&clock);
+        clock.step_utc(before_ns);
+        let (recorder, _) = rig(Arc::new(SystemDisk), source, &configured(directory.path()), &clock, &begun);
+        clock.step_utc(after_ns);
+        let recording = Recording::open(&run(recorder, String::new).unwrap().path).unwrap();
+        // The events about the disk are not considered. They report that all cycles arrived at once.
+        let of_clock = recording.events.iter().filter(|event| event.kind == EventKind::Clock);
+        let events: Vec<_> = of_clock.map(|event| (event.code.as_str(), event.text.as_str())).collect();
+        let text = "the host's clock was set by -2000.000 ms; sample times of this run do not follow it";
+        assert_eq!(events, [("clock_stepped", text)], "{before_ns}, {after_ns}");
+    }
 }
 
 #[test]
@@ -168,7 +179,8 @@ fn at_the_disk_floor_the_run_ends_and_its_file_states_why() {
     let (mut sink, source) = ring(256, FullRing::Drops);
     // The required free space is larger than any disk.
     let daemon = DaemonConfig { disk_floor_mb: 4_000_000_000, ..configured(directory.path()) };
-    let (recorder, stop) = rig(Arc::new(SystemDisk), source, &daemon, &Clock::Real);
+    let clock = Clock::Real;
+    let (recorder, stop) = rig(Arc::new(SystemDisk), source, &daemon, &clock, &metadata(&clock));
     (0..150).for_each(|number| sink.push(&cycle(number)));
     let begun = Instant::now();
     while !stop.is_stopped() {
