@@ -7,7 +7,7 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::time::Duration;
 
 use shared::config;
-use shared::recording::schema::{DeviceInfo, EncoderInfo, Provenance, ReplayOrigin, RunMetadata};
+use shared::recording::schema::{DeviceInfo, EncoderInfo, Provenance, ReplayOrigin, RunMetadata, flags};
 use shared::recording::{
     Disk, FINISHED_ENDING, RecordingWriter, Recovery, RunFile, Salvaged, Tap, WriteError, recover_file_on,
 };
@@ -212,10 +212,13 @@ impl Session {
     }
 
     /// The encoders with the reference marks in `details.homing`. Marks that no longer agree with the latch of their
-    /// terminal are omitted and logged.
+    /// terminal are omitted and logged. While the bus is down, the latches are unknown, so all marks are omitted.
     fn encoders_with_marks(&self, details: &RunDetails) -> Vec<EncoderInfo> {
         let mut encoders = self.encoders.clone();
-        let stale = details.homing.as_ref().map(|homing| homing.apply(&mut encoders, &self.live.latches()));
+        let latches = self.live.latches();
+        let is_down = self.live.flags() & flags::BUS_DOWN != 0;
+        let known = if is_down { &latches[..0] } else { &latches[..] };
+        let stale = details.homing.as_ref().map(|homing| homing.apply(&mut encoders, known));
         if let Some(stale) = stale.filter(|stale| !stale.is_empty()) {
             let problem = Problem::from(Fact::MarksStale { joints: stale });
             tracing::warn!(code = problem.code(), "{problem}");
