@@ -197,7 +197,7 @@ fn what_goes_wrong_on_the_simulated_bus_is_chosen_by_hand() {
         out.path(),
     );
     refused(&record(out.path(), &["--bus", "lo", "--fault", "lost:1"]), &["simulated bus"], out.path());
-    refused(&record(out.path(), &["--fault", "gone:6"]), &["behind the last device"], out.path());
+    refused(&record(out.path(), &["--fault", "gone:6"]), &["no device for a fault"], out.path());
 }
 
 #[test]

@@ -15,7 +15,7 @@ use super::fault::FaultParser;
 use super::on_signal;
 use crate::clock::Clock;
 use crate::run::{open_replay, replaying_segment};
-use crate::segment::faults::{FaultBehind, FaultHandle, FaultSwitch, FaultWindow, FaultySegment};
+use crate::segment::faults::{FaultHandle, FaultSwitch, FaultWindow, FaultySegment, MisplacedFault};
 use crate::segment::simulated::{
     EncoderSource, ReplayHandle, Revision, SegmentConfig, SimulatedSegment, SmoothMotion, TERMINALS_MAX,
 };
@@ -97,8 +97,8 @@ fn handle_lines(faults: &FaultHandle, terminals: usize, replay: Option<&ReplayHa
                 continue;
             }
             _ => match line.parse() {
-                Ok(FaultSwitch { fault, .. }) if fault.is_behind(terminals) => {
-                    tracing::warn!("`{line}`: {FaultBehind}");
+                Ok(FaultSwitch { fault, .. }) if fault.is_misplaced(terminals) => {
+                    tracing::warn!("`{line}`: {MisplacedFault}");
                     continue;
                 }
                 Ok(FaultSwitch { fault, on: true }) => faults.begin(fault),

@@ -10,7 +10,7 @@ use crate::claim::Holder;
 use crate::problem::{Fact, Problem};
 use crate::record::RunSummary;
 use crate::segment::OpenError;
-use crate::segment::faults::FaultBehind;
+use crate::segment::faults::MisplacedFault;
 
 /// Why a run failed.
 #[derive(Debug, thiserror::Error)]
@@ -20,7 +20,7 @@ pub enum RunError {
     Request(&'static str),
     /// A fault to be simulated concerns a device that the bus does not have.
     #[error(transparent)]
-    Fault(#[from] FaultBehind),
+    Fault(#[from] MisplacedFault),
     /// The interface cannot be opened.
     #[error(transparent)]
     Open(#[from] OpenError),

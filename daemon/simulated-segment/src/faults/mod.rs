@@ -112,29 +112,29 @@ pub enum Fault {
     },
 }
 
-/// Error for a fault for which [`Fault::is_behind`] is true.
+/// Error for a fault for which [`Fault::is_misplaced`] is true.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "a fault is at a position behind the last device of the simulated bus; the coupler is 0, its terminals follow from 1"
+    "the simulated bus has no device for a fault at this position; the coupler is 0, its terminals follow from 1, and the \
+     coupler can only have the faults `gone` and `noise`"
 )]
-pub struct FaultBehind;
+pub struct MisplacedFault;
 
 impl Fault {
-    /// Whether the fault is at a position after the last terminal, where it has no effect. `terminals`
-    /// is the number of terminals.
-    pub fn is_behind(self, terminals: usize) -> bool {
-        let position = match self {
-            Self::DevicesGone { from } => from,
-            Self::NoisyCable { position, .. }
-            | Self::FallToSafeOp { position, .. }
+    /// Whether the fault is at a position where it has no effect: after the last terminal, or at the coupler if it is a
+    /// fault of a terminal. `terminals` is the number of terminals.
+    pub fn is_misplaced(self, terminals: usize) -> bool {
+        let (first, position) = match self {
+            Self::DevicesGone { from: position } | Self::NoisyCable { position, .. } => (0, position),
+            Self::FallToSafeOp { position, .. }
             | Self::SignalLost { position }
             | Self::SignalTooFast { position }
             | Self::MailboxAbort { position, .. }
             | Self::MailboxSilent { position }
-            | Self::MailboxEmergency { position, .. } => position,
+            | Self::MailboxEmergency { position, .. } => (1, position),
             _ => return false,
         };
-        position > terminals
+        !(first..=terminals).contains(&position)
     }
 
     /// The signal fault that this fault causes at the terminal at `position`. `None` if it causes none there.

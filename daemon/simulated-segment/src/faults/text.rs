@@ -4,7 +4,7 @@
 use std::str::FromStr;
 use std::time::Duration;
 
-use super::{Fault, FaultBehind};
+use super::{Fault, MisplacedFault};
 
 /// A fault with its interval. Times are counted from the first frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -21,10 +21,10 @@ impl FaultWindow {
     /// Checks that all faults have an effect on a bus with this number of terminals.
     ///
     /// # Errors
-    /// [`FaultBehind`] if a fault is at a position after the last terminal.
-    pub fn ensure_effective(windows: &[Self], terminals: usize) -> Result<(), FaultBehind> {
-        let is_behind = windows.iter().any(|window| window.fault.is_behind(terminals));
-        if is_behind { Err(FaultBehind) } else { Ok(()) }
+    /// [`MisplacedFault`] if a fault is at a position where it has no effect.
+    pub fn ensure_effective(windows: &[Self], terminals: usize) -> Result<(), MisplacedFault> {
+        let is_misplaced = windows.iter().any(|window| window.fault.is_misplaced(terminals));
+        if is_misplaced { Err(MisplacedFault) } else { Ok(()) }
     }
 }
 
@@ -203,10 +203,17 @@ mod tests {
     }
 
     #[test]
-    fn a_fault_behind_the_last_device_is_detected() {
-        let is_behind = |text: &str| text.parse::<FaultWindow>().unwrap().fault.is_behind(5);
-        assert!(is_behind("gone:6") && is_behind("noise:6,0.1"));
-        assert!(!is_behind("gone:5") && !is_behind("lost:1"));
+    fn a_fault_at_a_position_without_effect_is_detected() {
+        let is_misplaced = |text: &str| text.parse::<FaultWindow>().unwrap().fault.is_misplaced(5);
+        for text in ["gone:6", "noise:6,0.1", "no-signal:6", "no-signal:0", "too-fast:0", "safe-op:0,0x1a"] {
+            assert!(is_misplaced(text), "{text}");
+        }
+        for text in ["abort:0,0x08000022", "silent:0", "emergency:0,0xff00"] {
+            assert!(is_misplaced(text), "{text}");
+        }
+        for text in ["gone:5", "gone:0", "noise:0,0.1", "no-signal:1", "emergency:5,0xff00", "lost:1"] {
+            assert!(!is_misplaced(text), "{text}");
+        }
     }
 
     #[test]
