@@ -60,8 +60,6 @@ pub enum MailboxFault {
     Abort(u32),
     /// Requests are accepted but never answered.
     Silent,
-    /// An emergency message with this error code is sent before the next answer, once.
-    Emergency(u16),
 }
 
 /// A chip with its device.
@@ -72,6 +70,8 @@ pub struct Node {
     pub device: Box<dyn Device>,
     /// The current fault of the mailbox.
     pub mailbox_fault: Option<MailboxFault>,
+    /// Error code of an emergency message that is sent before the next answer. `None` if none is to be sent.
+    pub emergency: Option<u16>,
     /// An answer that is delayed by an emergency message. It is sent when the master has read that message.
     held_answer: Option<([u8; MAILBOX_MAX], usize)>,
 }
@@ -81,7 +81,7 @@ impl Node {
     pub fn new(device: Box<dyn Device>, clock: LocalClock, dl_status: u16) -> Self {
         let mut esc = Esc::new(device.chip(), clock);
         esc.set_dl_status(dl_status);
-        Self { esc, device, mailbox_fault: None, held_answer: None }
+        Self { esc, device, mailbox_fault: None, emergency: None, held_answer: None }
     }
 
     /// Powers the device off and on.
@@ -127,11 +127,10 @@ impl Node {
         let answer = match self.mailbox_fault {
             Some(MailboxFault::Silent) => None,
             Some(MailboxFault::Abort(code)) => coe::abort_with(&request[..len], &mut mailbox, code),
-            None | Some(MailboxFault::Emergency(_)) => coe::answer(&request[..len], &mut mailbox, objects),
+            None => coe::answer(&request[..len], &mut mailbox, objects),
         };
         let Some(len) = answer else { return };
-        if let Some(MailboxFault::Emergency(code)) = self.mailbox_fault {
-            self.mailbox_fault = None;
+        if let Some(code) = self.emergency.take() {
             self.held_answer = Some((mailbox, len));
             let len = coe::emergency(&mut mailbox, code);
             self.esc.put_answer(&mailbox[..len]);

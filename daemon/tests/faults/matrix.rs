@@ -206,3 +206,16 @@ fn without_distributed_clocks_a_late_cycle_is_not_reported_as_a_step_of_the_cloc
     let has = |code: &str| codes.iter().any(|other| other == code);
     assert!(has("cycles_late") && !has("bus_clock_jumped"), "{codes:?}");
 }
+
+#[test]
+fn an_emergency_does_not_end_another_fault_of_the_same_mailbox() {
+    let mut rig = Rig::new(8);
+    rig.run_to(BEGIN);
+    for fault in [gone(3), SILENT, Fault::MailboxEmergency { position: 3, code: 0xff00 }] {
+        rig.faults.begin(fault);
+    }
+    rig.run_to(BEGIN + 20);
+    rig.faults.end(gone(3));
+    rig.run_to(BEGIN + 20 + 3 * BRING_UP);
+    assert!(!rig.records.last().unwrap().is_valid());
+}

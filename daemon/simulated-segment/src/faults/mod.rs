@@ -365,7 +365,7 @@ impl FaultySegment {
                 segment.change(position, |node| node.mailbox_fault = last);
             }
             (Fault::MailboxEmergency { position, code }, true) => {
-                segment.change(position, |node| node.mailbox_fault = Some(MailboxFault::Emergency(code)));
+                segment.change(position, |node| node.emergency = Some(code));
             }
             _ => {}
         }
