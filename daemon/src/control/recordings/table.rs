@@ -40,6 +40,8 @@ pub fn write_csv(disk: &dyn Disk, path: &Path, layout: Layout, sink: impl Write)
     let source = || BufReader::new(OpenFile::new(disk, &file));
     let mut outline = Outline::read(source(), &mut |_| Ok::<_, ReadErrorKind>(())).map_err(error)?;
     note::apply(disk, path, &mut outline.run);
+    // In the file, an event may follow events of later cycles. `Table::add` needs them in the order of their cycles.
+    outline.events.sort_by_key(|event| event.cycle);
     let mut table = Table::begin(&outline, layout, sink)?;
     Outline::read(source(), &mut |cycle| Ok::<_, anyhow::Error>(table.add(&cycle)?))?;
     table.rows.flush()?;
@@ -210,4 +212,59 @@ fn angle_zeros(encoders: &[EncoderInfo]) -> String {
     };
     let zeros = [zero("reference mark", &homed), zero("counter at 0", &others)];
     format!("angles from: {}", zeros.into_iter().flatten().collect::<Vec<_>>().join(" and "))
+}
+
+#[cfg(test)]
+mod tests {
+    use shared::encoder::EncoderScale;
+    use shared::recording::schema::EventKind;
+    use shared::recording::{RecordingWriter, SystemDisk};
+
+    use super::*;
+
+    fn metadata() -> RunMetadata {
+        RunMetadata {
+            name: "run".into(),
+            operator: String::new(),
+            robot: String::new(),
+            bar: String::new(),
+            payload: String::new(),
+            note: String::new(),
+            started: UtcNs(0),
+            software: String::new(),
+            bus: String::new(),
+            replay_of: None,
+            cycle_period_ns: 10_000_000,
+            distributed_clocks: true,
+            utc_minus_monotonic_ns: 0,
+            encoders: vec![EncoderInfo { joint: 1, scale: EncoderScale::default() }],
+            devices: Vec::new(),
+            daemon_config: String::new(),
+            ball_bar_config: String::new(),
+        }
+    }
+
+    #[test]
+    fn an_event_is_in_the_row_of_its_cycle_although_it_follows_an_event_of_a_later_cycle() {
+        let directory = tempfile::tempdir().unwrap();
+        let mut writer = RecordingWriter::create(directory.path(), &metadata()).unwrap();
+        let time = |cycle: u64| UtcNs(cycle as i64 * 10_000_000);
+        for cycle in 0..10 {
+            let sample_time = time(cycle);
+            let record = CycleRecord { cycle, sample_time, encoder_count: 1, ..CycleRecord::default() };
+            writer.write_cycle(&record).unwrap();
+        }
+        for (cycle, text) in [(6, "A"), (3, "B")] {
+            let (kind, text, code) = (EventKind::Marker, text.into(), String::new());
+            writer.write_event(&Event { time: time(cycle), cycle, kind, text, code }).unwrap();
+        }
+        let path = writer.finish("stopped", time(9)).unwrap();
+        let mut table = Vec::new();
+        assert_eq!(write_csv(&SystemDisk, &path, Layout::default(), &mut table).unwrap(), 10);
+        let rows: Vec<_> = csv::Reader::from_reader(&table[..]).records().map(Result::unwrap).collect();
+        // The last three columns are cycle, flags and event.
+        let marks = rows.iter().filter(|row| row[6].starts_with("mark: "));
+        let marks: Vec<_> = marks.map(|row| (&row[4], &row[6])).collect();
+        assert_eq!(marks, [("3", "mark: B"), ("6", "mark: A")]);
+    }
 }
