@@ -10,6 +10,7 @@ use proptest::prelude::*;
 use rand::{Rng, SeedableRng, rngs::StdRng};
 use shared::recording::schema::{CycleRecord, Event, EventKind, RunMetadata, flags};
 use shared::recording::{Recording, RecordingWriter, SalvageError, WriteError, salvage, verify};
+use shared::time::UtcNs;
 
 use crate::support::disk::DiskFile;
 use crate::support::run::{START, cycle, run, timing};
@@ -238,7 +239,7 @@ fn long_run() -> (Vec<u8>, Vec<usize>) {
         }
     }
     let synced = disk.0.borrow().synced.clone();
-    writer.end("stopped", START).unwrap();
+    writer.end("stopped", cycle(LONG_CYCLES).sample_time).unwrap();
     (disk.bytes(), synced)
 }
 
@@ -315,9 +316,11 @@ fn a_beginning_that_is_lost_costs_only_the_cycles_in_it() {
 #[test]
 fn old_blocks_of_another_run_behind_the_end_add_nothing() {
     let (bytes, synced) = unfinished();
+    let (head, tail) = bytes.split_at(synced[1]);
     let disk = DiskFile::default();
+    let hour_before = |time: UtcNs| time.plus_ns(-3_600_000_000_000);
     let earlier = |number| CycleRecord {
-        sample_time: small_cycle(number).sample_time.plus_ns(-3_600_000_000_000),
+        sample_time: hour_before(small_cycle(number).sample_time),
         ..small_cycle(number)
     };
     let mut writer = RecordingWriter::begin(disk.clone(), &small_run()).unwrap();
@@ -327,10 +330,15 @@ fn old_blocks_of_another_run_behind_the_end_add_nothing() {
             writer.sync().unwrap();
         }
     }
-    let stale = disk.bytes();
-    drop(writer);
-    let on_disk = [&bytes[..synced[1]], &stale[stale.len() / 2..]].concat();
+    let half = disk.bytes().len() / 2;
+    writer.end("stopped", hour_before(cycle(CYCLES).sample_time)).unwrap();
+    let stale = &disk.bytes()[half..];
+    let on_disk = [head, stale].concat();
     assert_eq!(true_cycles_in(&on_disk), Some(SYNC_CYCLES));
+    // The old end record contains a larger number of cycles.
+    let (salvaged, _) = salvage(Cursor::new(on_disk), Cursor::new(Vec::new())).unwrap();
+    assert_eq!((salvaged.cycles, salvaged.end), (SYNC_CYCLES, None));
+    assert_eq!(true_cycles_in(&[head, stale, tail].concat()), Some(CYCLES));
 }
 
 /// A disk with one sector that cannot be read.

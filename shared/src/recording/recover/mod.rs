@@ -37,7 +37,8 @@ const DAMAGED_CODE: &str = "file_damaged";
 const UNTRACED_CYCLES_MAX: u64 = 100_000;
 /// Tolerance for the sample time of the first cycle after a gap \[ns\]. The expected time follows from the number of cycles
 /// in the gap and from the period. The tolerance also contains a fraction ([`TIME_SLACK_PARTS`]) of the time since the last
-/// whole cycle. Cycles outside the tolerance may be from an old disk block of another run's file, and are rejected.
+/// whole cycle. Cycles outside the tolerance may be from an old disk block of another run's file, and are rejected. An end
+/// record that is earlier than the last whole cycle by more than 10 s is rejected for the same reason.
 const TIME_SLACK_NS: i128 = 10 * NS_PER_S as i128;
 /// Divisor of this fraction: the tolerance grows by 1 in 1000 of the time. The rates of two crystals differ by less.
 const TIME_SLACK_PARTS: i128 = 1000;
@@ -196,11 +197,22 @@ struct Rewriting<W: Write + Seek> {
 
 impl<W: Write + Seek> Rewriting<W> {
     fn take(&mut self, item: Item, damage: &Damage) -> Result<(), Refused<SalvageError>> {
-        if let Item::Cycle(cycle) = &item {
-            self.fill_hole_before(cycle, damage)?;
-            (self.last, self.damaged_bytes) = (Some(*cycle), damage.bytes);
+        match &item {
+            Item::Cycle(cycle) => {
+                self.fill_hole_before(cycle, damage)?;
+                (self.last, self.damaged_bytes) = (Some(*cycle), damage.bytes);
+            }
+            Item::End(end) if !self.is_plausible(end) => return Err(Refused::Damage),
+            _ => {}
         }
         self.put(item)
+    }
+
+    /// Whether an end record fits the content so far. If it does not, it may be from an old disk block of another run's file.
+    fn is_plausible(&self, end: &RunEnd) -> bool {
+        let RunEnd { ended, cycles, .. } = *end;
+        let is_after = |last: UtcNs| i128::from(ended.0) + TIME_SLACK_NS >= i128::from(last.0);
+        cycles >= self.seen.cycles && ended >= self.run.started && self.seen.last_good.is_none_or(is_after)
     }
 
     fn put(&mut self, item: Item) -> Result<(), Refused<SalvageError>> {
