@@ -33,7 +33,8 @@ pub fn empty(disk: &dyn Disk, directories: &[PathBuf]) -> io::Result<u64> {
     let mut files = runs::files(disk, &bins(directories))?;
     files.retain(|file| stem(file, FINISHED_ENDING).is_some());
     for file in &files {
-        disk.remove(file)?;
+        // Another process may have removed the file since the listing.
+        unless_absent(disk.remove(file))?;
         note::remove(disk, file)?;
     }
     Ok(files.len() as u64)
@@ -61,4 +62,32 @@ fn move_to_free_name(
     disk.sync_directory(directory)?;
     disk.sync_directory(file.parent().unwrap_or(Path::new(".")))?;
     Ok(name)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+    use std::os::unix::fs::symlink;
+
+    use shared::recording::SystemDisk;
+
+    use super::*;
+
+    #[test]
+    fn a_bin_is_emptied_if_the_spare_directory_is_the_other_directory() {
+        let home = tempfile::tempdir().unwrap();
+        let [runs, link] = ["runs", "link"].map(|name| home.path().join(name));
+        fs::create_dir(&runs).unwrap();
+        symlink(&runs, &link).unwrap();
+        for spare in [&runs, &link] {
+            for name in ["one", "two"] {
+                let recording = runs.join(format!("{name}.mcap"));
+                fs::write(&recording, "").unwrap();
+                put(&SystemDisk, &recording).unwrap();
+            }
+            let directories = [runs.clone(), spare.clone()];
+            empty(&SystemDisk, &directories).unwrap();
+            assert!(list(&SystemDisk, &directories).unwrap().is_empty());
+        }
+    }
 }

@@ -128,11 +128,13 @@ pub fn find(disk: &dyn Disk, directories: &[PathBuf], name: &str) -> io::Result<
 
 /// Files in these directories. A directory that does not exist counts as empty, because it is created when a run needs it.
 /// A path that is a file instead of a directory counts as empty, too. The status reports this problem, and recordings in
-/// the other directory stay accessible.
+/// the other directory stay accessible. The spare directory may be equal to the other one, so a repeated directory is skipped.
 pub(super) fn files(disk: &dyn Disk, directories: &[PathBuf]) -> io::Result<Vec<PathBuf>> {
     let mut files = Vec::new();
-    for directory in directories {
-        files.extend(unless_absent(disk.list(directory))?);
+    for (index, directory) in directories.iter().enumerate() {
+        if !directories[..index].contains(directory) {
+            files.extend(unless_absent(disk.list(directory))?);
+        }
     }
     Ok(files)
 }
@@ -357,5 +359,13 @@ mod tests {
         check();
         fs::write(runs, "a file").unwrap();
         check();
+    }
+
+    #[test]
+    fn recordings_are_listed_once_if_the_spare_directory_is_the_other_directory() {
+        let home = tempfile::tempdir().unwrap();
+        fs::write(home.path().join("one.mcap"), "").unwrap();
+        let directories = [home.path().to_owned(), home.path().to_owned()];
+        assert_eq!(list(&SystemDisk, &directories).unwrap().len(), 1);
     }
 }
