@@ -126,22 +126,54 @@ fn the_original_of_a_torn_file_is_kept() {
     assert_eq!(names(directory.path()), ["torn.mcap", "torn.mcap.torn"]);
 }
 
-#[test]
-fn a_damaged_finished_recording_is_replaced_by_what_is_whole_and_kept() {
-    let directory = tempfile::tempdir().unwrap();
-    let path = running(directory.path(), "damaged").finish("stopped", START).unwrap();
+/// A finished recording of 40 cycles with a wrong bit in the middle: its path and its bytes.
+fn damaged(directory: &Path) -> (PathBuf, Vec<u8>) {
+    let path = running(directory, "damaged").finish("stopped", START).unwrap();
     assert!(matches!(recover_file(&path), Ok(Recovery::Whole { .. })));
     let mut bytes = std::fs::read(&path).unwrap();
     let middle = bytes.len() / 2;
     bytes[middle] ^= 1;
     std::fs::write(&path, &bytes).unwrap();
-    let Ok(Recovery::Recovered { torn: Some(torn), content, .. }) = recover_file(&path) else { panic!() };
-    let recording = Recording::open(&path).unwrap();
-    assert_eq!(recording.cycles.len() as u64, content.cycles);
-    assert!(recording.end.recovered);
-    // The file has two chunks of 20 cycles. At any position of the damage, one chunk is lost and the other is kept.
-    assert_eq!((content.cycles, content.cycles_lost, recording.end.cycles_lost), (40, 20, 20));
-    assert_eq!(std::fs::read(torn).unwrap(), bytes);
+    (path, bytes)
+}
+
+/// A disk that refuses hard links with this error number.
+#[derive(Debug)]
+struct WithoutLinks(i32);
+
+impl Disk for WithoutLinks {
+    fn link(&self, _: &Path, _: &Path) -> io::Result<()> {
+        Err(io::Error::from_raw_os_error(self.0))
+    }
+}
+
+#[test]
+fn a_damaged_finished_recording_is_replaced_by_what_is_whole_and_kept() {
+    let exfat = WithoutLinks(nix::libc::EPERM);
+    for disk in [&SystemDisk as &dyn Disk, &exfat] {
+        let directory = tempfile::tempdir().unwrap();
+        let (path, bytes) = damaged(directory.path());
+        let Ok(Recovery::Recovered { torn: Some(torn), content, .. }) = recover_file_on(disk, &path) else {
+            panic!()
+        };
+        let recording = Recording::open(&path).unwrap();
+        assert_eq!(recording.cycles.len() as u64, content.cycles);
+        assert!(recording.end.recovered);
+        // The file has two chunks of 20 cycles. At any position of the damage, one chunk is lost and the other is kept.
+        assert_eq!((content.cycles, content.cycles_lost, recording.end.cycles_lost), (40, 20, 20));
+        assert_eq!(std::fs::read(torn).unwrap(), bytes);
+        assert_eq!(names(directory.path()), ["damaged.mcap", "damaged.mcap.torn"]);
+    }
+}
+
+#[test]
+fn a_damaged_finished_recording_that_cannot_be_replaced_stays_alone() {
+    let directory = tempfile::tempdir().unwrap();
+    let (path, bytes) = damaged(directory.path());
+    let refused = recover_file_on(&WithoutLinks(nix::libc::ENOSPC), &path).unwrap_err().to_string();
+    assert!(refused.contains("damaged.mcap.torn"), "{refused}");
+    assert_eq!(names(directory.path()), ["damaged.mcap"]);
+    assert_eq!(std::fs::read(&path).unwrap(), bytes);
 }
 
 #[test]

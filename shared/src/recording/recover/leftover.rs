@@ -13,6 +13,7 @@ use std::thread;
 use std::time::Duration;
 
 use nix::fcntl::Flock;
+use nix::libc::{EOPNOTSUPP, EPERM};
 
 use crate::recording::disk::{Disk, OpenFile, SystemDisk, is_absent};
 use crate::recording::recover::{self, SalvageError, Salvaged};
@@ -131,7 +132,12 @@ pub fn recover_file_on(disk: &dyn Disk, path: &Path) -> Result<Recovery, Recover
     }
     let recovering = path.with_file_name(format!("{stem}.{RECOVERING_ENDING}"));
     let content = rewrite(disk, &original, &recovering).map_err(salvage)?;
-    replace(disk, path, &recovering, &finished, content)
+    replace(disk, path, &recovering, &finished, content).inspect_err(|_| {
+        // While the original has its name, the copy is not needed.
+        if disk.has(path).unwrap_or(false) {
+            let _ = disk.remove(&recovering);
+        }
+    })
 }
 
 /// Recovers every file of a directory that a crash left incomplete. Files of running processes are skipped. If nothing can
@@ -222,7 +228,13 @@ fn replace(
 ) -> Result<Recovery, RecoverError> {
     let torn = if path == finished {
         let torn = free_torn_name(disk, path)?;
-        disk.link(path, &torn).map_err(io_error(&torn))?;
+        match disk.link(path, &torn) {
+            // Some file systems, such as exFAT, have no hard links. On them, the final name is unused until the next rename.
+            Err(error) if matches!(error.raw_os_error(), Some(EPERM | EOPNOTSUPP)) => {
+                rename(disk, path, &torn)?;
+            }
+            linked => linked.map_err(io_error(&torn))?,
+        }
         disk.replace(recovering, finished).map_err(io_error(finished))?;
         sync_parent(disk, finished)?;
         Some(torn)
