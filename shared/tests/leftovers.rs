@@ -1,13 +1,13 @@
 //! Files that crashed runs left in a directory are found, completed and labelled. Files in use are not touched.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
-use std::fs::File;
+use std::fs::{File, Permissions};
 use std::io;
-use std::os::unix::fs::{FileExt, symlink};
+use std::os::unix::fs::{FileExt, PermissionsExt, symlink};
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 
-use nix::fcntl::{Flock, FlockArg};
+use nix::fcntl::{FcntlArg, Flock, FlockArg, fcntl};
 use shared::recording::{
     Disk, Recording, RecordingWriter, RecoverError, Recovery, RunFile, RunOverview, SystemDisk, is_in_use,
     recover_file, recover_file_on, recover_leftovers, recover_leftovers_on,
@@ -78,6 +78,37 @@ fn a_run_left_behind_is_recovered_while_another_process_checks_it() {
     let left = left_behind(directory.path(), "crashed");
     let disk = Checked(Mutex::new(Some(checking(&left))));
     let leftovers = recover_leftovers_on(&disk, directory.path());
+    assert!(matches!(leftovers[..], [ref one] if one.outcome.is_ok()), "{leftovers:?}");
+}
+
+/// A disk that locks a file only if it is open for writing, like NFS.
+#[derive(Debug)]
+struct Nfs;
+
+impl Disk for Nfs {
+    fn lock(&self, file: File) -> io::Result<Flock<File>> {
+        let mode = fcntl(&file, FcntlArg::F_GETFL)? & nix::libc::O_ACCMODE;
+        if mode == nix::libc::O_RDONLY {
+            return Err(io::Error::from_raw_os_error(nix::libc::EBADF));
+        }
+        SystemDisk.lock(file)
+    }
+}
+
+#[test]
+fn a_run_left_behind_on_nfs_is_recovered() {
+    let directory = tempfile::tempdir().unwrap();
+    left_behind(directory.path(), "crashed");
+    let leftovers = recover_leftovers_on(&Nfs, directory.path());
+    assert!(matches!(leftovers[..], [ref one] if one.outcome.is_ok()), "{leftovers:?}");
+}
+
+#[test]
+fn a_run_left_behind_that_this_user_may_only_read_is_recovered() {
+    let directory = tempfile::tempdir().unwrap();
+    let left = left_behind(directory.path(), "crashed");
+    std::fs::set_permissions(left, Permissions::from_mode(0o400)).unwrap();
+    let leftovers = recover_leftovers(directory.path());
     assert!(matches!(leftovers[..], [ref one] if one.outcome.is_ok()), "{leftovers:?}");
 }
 

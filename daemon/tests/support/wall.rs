@@ -227,6 +227,13 @@ impl Disk for Wall {
         Ok(file)
     }
 
+    fn open_to_lock(&self, path: &Path) -> io::Result<File> {
+        self.at(Call::Open, path)?;
+        let file = SystemDisk.open_to_lock(path)?;
+        self.state().inodes.insert(file.metadata()?.ino(), path.starts_with(&self.home));
+        Ok(file)
+    }
+
     fn list(&self, directory: &Path) -> io::Result<Vec<PathBuf>> {
         self.at(Call::List, directory)?;
         SystemDisk.list(directory)

@@ -70,6 +70,12 @@ pub trait Disk: Debug + Send + Sync {
         File::open(path)
     }
 
+    /// Opens an existing file to lock it. The file is opened for reading and writing, because NFS refuses the lock otherwise. If
+    /// this user may not write it, it is opened for reading.
+    fn open_to_lock(&self, path: &Path) -> io::Result<File> {
+        OpenOptions::new().read(true).write(true).open(path).or_else(|_| self.open(path))
+    }
+
     /// Paths of the entries of a directory, in no particular order.
     fn list(&self, directory: &Path) -> io::Result<Vec<PathBuf>> {
         std::fs::read_dir(directory)?.map(|entry| Ok(entry?.path())).collect()

@@ -301,7 +301,7 @@ pub fn is_in_use(disk: &dyn Disk, path: &Path) -> io::Result<bool> {
 /// holds a shared lock, waits until that lock is released.
 fn lock_left_behind(disk: &dyn Disk, path: &Path) -> io::Result<Flock<File>> {
     for _ in 0..LOCK_TRIES {
-        match disk.lock(disk.open(path)?) {
+        match disk.lock(disk.open_to_lock(path)?) {
             Err(error)
                 if error.kind() == io::ErrorKind::WouldBlock && !is_in_use(disk, path).unwrap_or(true) =>
             {
