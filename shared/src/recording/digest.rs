@@ -97,7 +97,7 @@ const STATUS_REASONS: [(u16, &str); 2] = [(1 << 4, "signal too low"), (1 << 3, "
 
 /// Flags of a cycle with their meaning. If a cycle has several flags, the first of them in this list is the reason.
 const FLAG_REASONS: [(u32, &str); 9] = [
-    (flags::LOST, "lost before the file"),
+    (flags::LOST, "cycle lost"),
     (flags::BUS_DOWN, "bus down"),
     (flags::NO_REPLY, "no reply from the bus"),
     (flags::NOT_OPERATIONAL, "terminal not in operation"),

@@ -45,7 +45,7 @@ pub struct RunLine {
     pub cycles: u64,
     /// Number of these cycles in which every encoder is valid.
     pub cycles_valid: u64,
-    /// Number of cycles that were lost between bus and file.
+    /// Number of cycles that were lost between bus and file, or by damage of the file.
     pub cycles_lost: u64,
     /// Grade of the recording; absent until the recording is finished.
     pub verdict: Option<Verdict>,

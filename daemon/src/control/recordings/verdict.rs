@@ -40,7 +40,7 @@ pub struct GradeInput<'a> {
     pub cycles: u64,
     /// Cycles in which every encoder is valid.
     pub cycles_valid: u64,
-    /// Cycles that were lost between bus and file.
+    /// Cycles that were lost between bus and file, or by damage of the file.
     pub cycles_lost: u64,
     /// Time between two cycles \[s\].
     pub period_s: f64,
@@ -75,7 +75,8 @@ impl Verdict {
         }
         if cycles_lost > 0 {
             let cycles = if cycles_lost == 1 { "cycle was" } else { "cycles were" };
-            verdict.add(Level::Check, format!("{cycles_lost} {cycles} lost between bus and disk"));
+            let damage = if recovered { ", or by damage of the file" } else { "" };
+            verdict.add(Level::Check, format!("{cycles_lost} {cycles} lost between bus and disk{damage}"));
         }
         // Round down to 0.1 s, so that a run that is too short is not displayed with the required length.
         let length_s = (10.0 * cycles as f64 * content.period_s + 1e-6).floor() / 10.0;
@@ -207,7 +208,11 @@ mod tests {
     fn what_a_person_should_check_is_named() {
         for (content, why) in [
             (GradeInput { cycles_valid: 11_000, ..WHOLE }, "1000 of 12000 cycles are flagged (8.3 %)"),
-            (GradeInput { cycles_lost: 1, ..WHOLE }, "1 cycle was lost"),
+            (GradeInput { cycles_lost: 1, ..WHOLE }, "1 cycle was lost between bus and disk"),
+            (
+                GradeInput { cycles_lost: 20, recovered: true, ..WHOLE },
+                "20 cycles were lost between bus and disk, or by damage of the file; it was interrupted",
+            ),
             (GradeInput { recovered: true, ..WHOLE }, "recovered"),
             (GradeInput { without_clocks: true, ..WHOLE }, "distributed clocks"),
             (
