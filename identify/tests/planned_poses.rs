@@ -352,6 +352,22 @@ fn the_command_writes_poses_that_calibrate_reads_and_a_program_that_stops_at_eac
     }
 }
 
+#[test]
+fn a_program_of_earlier_poses_is_removed() {
+    let directory = tempfile::tempdir().unwrap();
+    let plan = |language: &str| {
+        let arguments = ["plan", "poses", "--measures", "positions", "--draw", "5", "--count", "1"];
+        let planned =
+            identify(&[&arguments[..], &["--program", language]].concat(), "ur10.toml", directory.path());
+        assert!(planned.status.success(), "{}", String::from_utf8_lossy(&planned.stderr));
+    };
+    plan("rapid");
+    assert!(directory.path().join("MeasurePoses.mod").exists());
+    plan("krl");
+    assert!(directory.path().join("measure_poses.src").exists());
+    assert!(!directory.path().join("MeasurePoses.mod").exists());
+}
+
 /// For each language, checks the program for two moves: one without a free path, and one through an intermediate posture.
 #[test]
 fn programs_stop_before_a_blocked_move_and_drive_through_the_postures_of_others() {

@@ -961,9 +961,13 @@ fn the_command_plans_checks_and_simulates_what_it_planned() {
     let robot = "irb2400_16.toml";
     // In this posture, the wrist is bent to the other side than in the default posture.
     let posture = ["--posture", "0,20,10,0,-60,0"];
+    // Programs of an earlier path must not remain. For this robot, no program can be written.
+    let earlier = ["BallBarPath.mod", "ballbar_path.src"].map(|name| out.join(name));
+    earlier.iter().for_each(|program| std::fs::write(program, "").unwrap());
     let planned = [&["plan", "--bar", bar, "--duration", "40s", "--budget", "2s"], &posture[..]].concat();
     let planned = identify(&planned, robot, out);
     assert!(planned.status.success(), "{}", String::from_utf8_lossy(&planned.stderr));
+    assert!(earlier.iter().all(|program| !program.exists()));
     let said = String::from_utf8(planned.stdout).unwrap();
     assert!(said.contains("all constraints are kept"), "{said}");
     let efficiency =

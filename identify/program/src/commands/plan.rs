@@ -3,11 +3,12 @@
 //! writes path, programs and page.
 
 use std::fs;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::Context;
-use clap::{Args, Subcommand};
+use clap::{Args, Subcommand, ValueEnum};
 use shared::config::{self, BallBarConfig, JointKind, RobotConfig};
 use shared::output::{say, show};
 use shared::time::parse_duration;
@@ -381,6 +382,7 @@ fn find_path(arguments: &PathArguments) -> anyhow::Result<()> {
     // Write path, joints, page and programs.
     let out = &arguments.out;
     fs::create_dir_all(out).with_context(|| format!("cannot create {}", out.display()))?;
+    remove_programs(ProgramPurpose::Path, out)?;
     let route = &found.route;
     let start = route.robot_rad.first().copied().unwrap_or_default();
     let planned_path = PlannedPath {
@@ -432,6 +434,20 @@ fn search_path(
 /// error is reported immediately.
 fn ensure_programs_can_be_written(asked: &[Language], robot: &RobotConfig) -> anyhow::Result<()> {
     asked.iter().try_for_each(|language| plan::can_be_programmed(*language, robot)).context("--program")
+}
+
+/// Removes the programs of an earlier plan, because they would move the robot to other poses than the new files contain.
+fn remove_programs(purpose: ProgramPurpose, out: &Path) -> anyhow::Result<()> {
+    for language in Language::value_variants() {
+        let program = out.join(language.file_name(purpose));
+        match fs::remove_file(&program) {
+            Err(error) if error.kind() != ErrorKind::NotFound => {
+                return Err(error).with_context(|| format!("cannot remove {}", program.display()));
+            }
+            _ => {}
+        }
+    }
+    Ok(())
 }
 
 /// Writes the requested programs. Without a request, writes the program for the robot's maker. If a requested program cannot
@@ -496,6 +512,7 @@ fn select_poses(arguments: &PosesArguments) -> anyhow::Result<()> {
     let planned = plan::poses(&request, &candidates, *count, bodies, *seed)?;
     show(path::poses(&planned, candidates.len()))?;
     fs::create_dir_all(out).with_context(|| format!("cannot create {}", out.display()))?;
+    remove_programs(ProgramPurpose::Poses, out)?;
     let (table, mapping) = path::pose_table(&planned, &robot, *measures)?;
     write(&out.join("poses.csv"), &table)?;
     write(&out.join("poses.toml"), &mapping)?;
