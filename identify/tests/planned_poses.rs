@@ -5,6 +5,7 @@
 
 use std::collections::BTreeSet;
 use std::path::Path;
+use std::process::Output;
 
 use identify::cost::PoseNoise;
 use identify::instrument::{HoldOut, Measures as _, Tracker};
@@ -352,20 +353,42 @@ fn the_command_writes_poses_that_calibrate_reads_and_a_program_that_stops_at_eac
     }
 }
 
+/// Plans a single pose, which takes little time.
+fn plan_one_pose(language: &str, out: &Path) -> Output {
+    let arguments = ["plan", "poses", "--measures", "positions", "--draw", "5", "--count", "1"];
+    identify(&[&arguments[..], &["--program", language]].concat(), "ur10.toml", out)
+}
+
 #[test]
 fn a_program_of_earlier_poses_is_removed() {
     let directory = tempfile::tempdir().unwrap();
-    let plan = |language: &str| {
-        let arguments = ["plan", "poses", "--measures", "positions", "--draw", "5", "--count", "1"];
-        let planned =
-            identify(&[&arguments[..], &["--program", language]].concat(), "ur10.toml", directory.path());
+    let out = directory.path();
+    for (language, written) in [("rapid", "MeasurePoses.mod"), ("krl", "measure_poses.src")] {
+        let planned = plan_one_pose(language, out);
         assert!(planned.status.success(), "{}", String::from_utf8_lossy(&planned.stderr));
-    };
-    plan("rapid");
-    assert!(directory.path().join("MeasurePoses.mod").exists());
-    plan("krl");
-    assert!(directory.path().join("measure_poses.src").exists());
-    assert!(!directory.path().join("MeasurePoses.mod").exists());
+        assert!(out.join(written).exists());
+    }
+    assert!(!out.join("MeasurePoses.mod").exists());
+}
+
+#[test]
+fn a_table_with_measurements_is_not_overwritten() {
+    let directory = tempfile::tempdir().unwrap();
+    let (out, file) = (directory.path(), directory.path().join("poses.csv"));
+    for _ in 0..2 {
+        let planned = plan_one_pose("urscript", out);
+        assert!(planned.status.success(), "{}", String::from_utf8_lossy(&planned.stderr));
+    }
+    let empty = std::fs::read_to_string(&file).unwrap();
+    let measured = empty.replacen(",,,,", ",,1.5,,", 1);
+    assert_ne!(measured, empty);
+    for table in [measured, empty.replace(',', ";")] {
+        std::fs::write(&file, &table).unwrap();
+        let refused = plan_one_pose("urscript", out);
+        let said = String::from_utf8_lossy(&refused.stderr).into_owned();
+        assert!(refused.status.code() == Some(1) && said.contains("may contain measurements"), "{said}");
+        assert_eq!(std::fs::read_to_string(&file).unwrap(), table);
+    }
 }
 
 /// For each language, checks the program for two moves: one without a free path, and one through an intermediate posture.

@@ -482,6 +482,7 @@ fn select_poses(arguments: &PosesArguments) -> anyhow::Result<()> {
     let robot: RobotConfig = config::load(&arguments.robot)?;
     ensure_programs_can_be_written(&arguments.program, &robot)?;
     ensure_can_write(out)?;
+    ensure_has_no_measurements(&out.join("poses.csv"))?;
     ensure_valid(arguments)?;
     let bodies = arguments.around.bodies(flange_chain(&robot).reach_m())?;
     let candidates = candidates(arguments, &robot, &bodies)?;
@@ -536,6 +537,20 @@ fn select_poses(arguments: &PosesArguments) -> anyhow::Result<()> {
          give another --seed, more poses to choose from (--draw), or a smaller --link-radius-mm",
         blocked.len(),
         planned.joints.len() - 1
+    );
+    Ok(())
+}
+
+/// Checks that a new table of poses will not overwrite a table with measurements.
+fn ensure_has_no_measurements(table: &Path) -> anyhow::Result<()> {
+    let bytes = match fs::read(table) {
+        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(()),
+        read => read.with_context(|| format!("cannot read {}", table.display()))?,
+    };
+    anyhow::ensure!(
+        path::has_no_measurements(&String::from_utf8_lossy(&bytes)),
+        "{} exists and may contain measurements; give another directory with --out",
+        table.display()
     );
     Ok(())
 }

@@ -290,6 +290,13 @@ pub fn ways(planned: &PlannedPoses) -> Option<String> {
     }
 }
 
+/// Columns of a measured position in the table of poses.
+const POSITION: [&str; 3] = ["x_mm", "y_mm", "z_mm"];
+/// Columns of a measured orientation.
+const ROTATION: [&str; 3] = ["rx_deg", "ry_deg", "rz_deg"];
+/// Column of a measured length.
+const LENGTH: &str = "length_mm";
+
 /// Table of poses with empty columns for the measured quantity, and the mapping of the columns for `calibrate`. Column `way`
 /// is empty if the joints move in a straight line from the previous pose.
 ///
@@ -301,11 +308,10 @@ pub fn pose_table(
     measures: MeasuredQuantity,
 ) -> Result<(String, String), toml::ser::Error> {
     let joints = joint_columns(robot);
-    let position = ["x_mm", "y_mm", "z_mm"].map(str::to_owned);
-    let rotation = ["rx_deg", "ry_deg", "rz_deg"].map(str::to_owned);
+    let (position, rotation) = (POSITION.map(str::to_owned), ROTATION.map(str::to_owned));
     let mut columns: Vec<String> = joints.iter().map(|joint| joint.column.clone()).collect();
     match measures {
-        MeasuredQuantity::Lengths => columns.push("length_mm".into()),
+        MeasuredQuantity::Lengths => columns.push(LENGTH.into()),
         MeasuredQuantity::Positions => columns.extend(position.clone()),
         MeasuredQuantity::Poses => columns.extend(position.iter().chain(&rotation).cloned()),
     }
@@ -327,7 +333,7 @@ pub fn pose_table(
         table.push('\n');
     }
     let mapping = if measures == MeasuredQuantity::Lengths {
-        let length = LengthColumn { column: "length_mm".into(), unit: LengthUnit::Mm, offset_mm: 0.0 };
+        let length = LengthColumn { column: LENGTH.into(), unit: LengthUnit::Mm, offset_mm: 0.0 };
         config::to_toml(&MeasuredLengthMapping { length, joints, ..MeasuredLengthMapping::default() })?
     } else {
         let turned = RotationColumns {
@@ -345,6 +351,16 @@ pub fn pose_table(
         })?
     };
     Ok((table, mapping))
+}
+
+/// Whether the measured columns of a table of poses are empty. `false` if the table has none of these columns, because another
+/// program has then written the table.
+pub fn has_no_measurements(table: &str) -> bool {
+    let mut rows = table.lines().map(|row| row.split(','));
+    let is_measured = |name: &str| name == LENGTH || POSITION.contains(&name) || ROTATION.contains(&name);
+    let header: Vec<bool> = rows.next().into_iter().flatten().map(is_measured).collect();
+    let is_empty = |(cell, measured): (&str, &bool)| !measured || cell.trim().is_empty();
+    header.contains(&true) && rows.all(|row| row.zip(&header).all(is_empty))
 }
 
 #[cfg(test)]
