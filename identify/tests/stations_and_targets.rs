@@ -4,6 +4,7 @@
 
 use std::fmt::Write;
 use std::path::Path;
+use std::process::Command;
 
 use identify::inspect::{Mapping, propose};
 use identify::kinematics::{Chain, Joints, Pose, flange_chain};
@@ -19,7 +20,7 @@ use shared::config;
 use crate::support::command::identify;
 use crate::support::rows::Alone;
 use crate::support::truth::apart_m;
-use crate::support::ur10;
+use crate::support::{repository, ur10};
 
 const STATIONS: [&str; 2] = ["north", "south"];
 const TARGETS: [&str; 3] = ["A", "B", "C"];
@@ -228,4 +229,28 @@ fn names_are_read_in_their_order_and_what_is_missing_is_said() {
     let few: Vec<PoseRow> = rows[..44].to_vec();
     let few = Alone::quick().poses(&few, &ur10()).err().unwrap().to_string();
     assert!(few.contains("station 2 has 4 rows"), "{few}");
+}
+
+#[test]
+fn a_refusal_names_the_file_whose_rows_are_too_few() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let (first, second) = (cell().rows(80, 40, &[0, 1, 2], 0.0), cell().rows(40, 20, &[2, 0], 0.0));
+    let robot = repository("config/robots/ur10.toml");
+    let block = |file: &str| format!("[[tracker]]\nfile = \"{file}\"\nmapping = \"mapping.toml\"\n");
+    let blocks = block("first.csv") + &block("second.csv");
+    for (name, text) in [
+        ("first.csv", table(&first)),
+        // Two of these poses are measured from the second station, with two targets each.
+        ("second.csv", table(&second[..44])),
+        ("mapping.toml", mapping_text()),
+        ("experiment.toml", format!("robot = \"{}\"\n{blocks}", robot.display())),
+    ] {
+        std::fs::write(path(name), text).unwrap();
+    }
+    let mut command = Command::new(env!("CARGO_BIN_EXE_identify"));
+    command.args(["calibrate", "--experiment"]).arg(path("experiment.toml")).arg("--out").arg(path("out"));
+    let said = String::from_utf8(command.env("RUST_LOG", "off").output().unwrap().stderr).unwrap();
+    assert!(said.contains("second.csv: data set 2: station 2 has 4 rows"), "{said}");
+    assert!(!said.contains("first.csv"), "{said}");
 }

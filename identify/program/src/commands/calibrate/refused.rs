@@ -26,7 +26,17 @@ pub(super) fn refused(
         CalibrateError::Prepare { run, .. } => runs.get(*run..=*run),
         _ => None,
     };
-    let names = match (refused_run, experiment.rows().next()) {
+    let refused_rows = match &error {
+        CalibrateError::NoPlace { data_set }
+        | CalibrateError::Align { data_set, .. }
+        | CalibrateError::Rows { data_set, .. } => {
+            // Data sets of rows are numbered after the runs. If a file of rows cannot be read, `runs` is still empty.
+            let bars = runs.len().max(experiment.bars.len());
+            data_set.checked_sub(bars + 1).and_then(|index| experiment.rows().nth(index))
+        }
+        _ => experiment.rows().next(),
+    };
+    let names = match (refused_run, refused_rows) {
         (None, Some((_, rows))) => rows.file.display().to_string(),
         _ => {
             let name = |run: &RunFiles<'_>| {
