@@ -52,3 +52,28 @@ fn both_sides_of_a_slip_and_of_a_jump_calibrate_better_than_either() {
         assert!(of_sides.iter().all(|of_side| found < *of_side), "{found} {of_sides:?}");
     }
 }
+
+#[test]
+#[ignore = "takes ten seconds"]
+fn the_page_names_the_recording_of_each_part() {
+    let (robot, bar) = (irb2400(), bar());
+    let experiment = Experiment { effects: Effects::LABORATORY, ..Experiment::new(&robot, &bar) };
+    let mut jumped = simulate::run(&experiment).unwrap();
+    for cycle in &mut jumped.cycles[AT..] {
+        cycle.sample_time = cycle.sample_time.plus_ns(20_000_000);
+    }
+    // A second run of the same robot.
+    let second = Experiment { seed: 2, robot_seed: Some(experiment.seed), ..experiment };
+    let second = simulate::run(&second).unwrap();
+    let [first, second] = [&jumped, &second].map(|run| Typed::new(run, &robot, &bar));
+    // The first four arguments name the recording and the robot's log.
+    let files = second.arguments[..4].iter().map(|argument| argument.to_str().unwrap());
+    let extra: Vec<&str> = files.chain(["--split-at-changes"]).collect();
+    let out = tempfile::tempdir().unwrap();
+    let output = first.calibrate(&extra, out.path());
+    let page = std::fs::read_to_string(out.path().join("report.html")).unwrap();
+    for (part, run) in [(1, &first), (2, &first), (3, &second)] {
+        let name = format!("Run {part} of 3: {}", run.arguments[1].display());
+        assert!(page.contains(&name), "{name}: {}", String::from_utf8_lossy(&output.stderr));
+    }
+}

@@ -8,11 +8,11 @@ use crate::prepare::Prepared;
 use crate::report::page::Page;
 use crate::report::page::drawing::figures;
 
-/// Name of each run, with the path of its recording. `None` if there is only one run.
+/// Name of each run or part of a run, with the path of its recording. `None` if there is only one.
 pub(in crate::report::page) fn names(page: &Page<'_>) -> Vec<Option<String>> {
     let count = page.evidence.runs.len();
-    let recordings = page.file.inputs.iter().filter(|input| input.role == "recording");
-    let mut files = recordings.map(|input| format!(": {}", input.path.display()));
+    let recordings = page.sources.iter().filter(|source| source.role == "recording");
+    let mut files = recordings.map(|source| format!(": {}", source.path.display()));
     let mut name = |number| format!("Run {number} of {count}{}", files.next().unwrap_or_default());
     (1..=count).map(|number| (count > 1).then(|| name(number))).collect()
 }
