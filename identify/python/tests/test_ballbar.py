@@ -86,6 +86,19 @@ class Package(unittest.TestCase):
         self.assertEqual(recording.end["cycles"], len(recording.cycle))
         self.assertTrue((np.diff(recording.time_ns) > 0).all())
 
+    def test_warnings_about_a_table_of_counts_are_logged(self):
+        recording = ballbar.read_recording(self.files["recording"])
+        lines = ["t_s," + ",".join(f"count{joint}" for joint in recording.joints)]
+        for time_ns, counts in zip(recording.time_ns - recording.time_ns[0], recording.count):
+            lines.append(f"{time_ns * 1e-9:.9f}," + ",".join(map(str, counts)))
+        # The last row is repeated, which causes a warning.
+        table = self.home / "counts.csv"
+        table.write_text("\n".join([*lines, lines[-1]]) + "\n")
+        with self.assertLogs("ballbar", "WARNING") as logged:
+            ballbar.calibrate(recording=table, robot_log=self.files["robot_log"], robot=ROBOT, bar=BAR)
+        warned = [line for line in logged.output if "counts.csv" in line and "repeat the one before" in line]
+        self.assertEqual(len(warned), 1, logged.output)
+
     def test_what_is_wrong_is_refused_with_what_to_do(self):
         calibration = self.calibration
         for wrong, told in [

@@ -240,10 +240,12 @@ pub(super) fn runs<'a>(
         let force = force.transpose()?;
         let bar: BallBarConfig = config::load(&run.bar)?;
         let (recording, log) = both(
-            || load_recording(&run.recording, &bar, bar_mapping.as_ref()),
+            || BarLog::load(&run.recording, &bar, bar_mapping.as_ref()),
             || load_log(&run.robot_log, robot, logs),
         );
         let (mut log, recording) = (log?, recording?);
+        // In this thread, because the Python package collects only the warnings of the thread that runs the command.
+        log_anomalies(&run.recording, &recording);
         log.force = if experiment.ignore_force { None } else { force.or(log.force) };
         Ok(RunFiles {
             cycles: 0..recording.cycles().len(),
@@ -264,24 +266,11 @@ pub(super) fn runs<'a>(
     Ok(files)
 }
 
-/// Reads the recording of a run. For a file of another program, also logs its anomalies and the information that
-/// it does not contain.
-fn load_recording(
-    path: &Path,
-    bar: &BallBarConfig,
-    mapping: Option<&BarLogMapping>,
-) -> anyhow::Result<BarLog> {
-    let log = BarLog::load(path, bar, mapping)?;
-    if let BarLog::Other(other) = &log {
-        tracing::info!(
-            "{}: {}; it does not contain {}",
-            path.display(),
-            other.kind,
-            other.unknown.join(", ")
-        );
-        warn_of(path, &other.quality.remarks);
-    }
-    Ok(log)
+/// Logs the anomalies of a file of another program, and the information that it does not contain.
+fn log_anomalies(path: &Path, recording: &BarLog) {
+    let BarLog::Other(other) = recording else { return };
+    tracing::info!("{}: {}; it does not contain {}", path.display(), other.kind, other.unknown.join(", "));
+    warn_of(path, &other.quality.remarks);
 }
 
 /// Reads a robot's log and logs its anomalies.
