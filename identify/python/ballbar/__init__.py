@@ -130,12 +130,14 @@ class Calibration:
         path = Path(directory) / "calibration.json"
         try:
             self.file = json.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
+            robot, bar = robot or self._input("robot"), bar or self._input("bar")
+        except Error:
+            raise
+        except (OSError, ValueError, KeyError, TypeError) as error:
             raise Error(f"{path} is not a calibration: {error}; give the directory that `identify calibrate` wrote") from error
-        robot = robot or self._input("robot")
         if robot is None:
             raise Error(f"{path} does not name its robot's configuration; give robot=")
-        self._robot = _native.Robot(path, robot, bar or self._input("bar"))
+        self._robot = _native.Robot(path, robot, bar)
 
     def _input(self, role: str) -> Path | None:
         named = next((one for one in self.file["inputs"] if one["role"] == role), None)

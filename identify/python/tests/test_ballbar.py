@@ -101,6 +101,13 @@ class Package(unittest.TestCase):
 
     def test_what_is_wrong_is_refused_with_what_to_do(self):
         calibration = self.calibration
+        other = self.home / "other"
+        other.mkdir()
+
+        def calibration_of(text):
+            (other / "calibration.json").write_text(text)
+            return ballbar.Calibration(other)
+
         for wrong, told in [
             (lambda: ballbar.calibrate(robot=ROBOT, bar=BAR), "--recording"),
             (lambda: ballbar.calibrate(**self.files, robot=ROBOT, bar=BAR, nonsense=1), "--nonsense"),
@@ -111,6 +118,8 @@ class Package(unittest.TestCase):
             (lambda: calibration.inverse(np.zeros((4, 4)), POSTURES[0]), "homogeneous"),
             (lambda: calibration.inverse(np.eye(4) + 9 * np.eye(4, k=3), POSTURES[0]), "out of reach"),
             (lambda: ballbar.Calibration(self.home), "identify calibrate"),
+            (lambda: calibration_of("{}"), "is not a calibration"),
+            (lambda: calibration_of("[]"), "is not a calibration"),
         ]:
             with self.assertRaises(ballbar.Error) as refused:
                 wrong()
