@@ -167,6 +167,8 @@ fn freeing_what_cannot_be_identified_is_refused_with_its_name() {
 
 #[test]
 fn no_option_is_taken_and_ignored() {
+    /// The largest integer of 64 bits.
+    const HUGE: &str = "18446744073709551615";
     let (inputs, out) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let (recording, log) = (experiment().join("recording.mcap"), experiment().join("robot_log.csv"));
     let refused = |extra: &[&str], why: &[&str]| {
@@ -203,6 +205,10 @@ fn no_option_is_taken_and_ignored() {
         ),
         (vec!["inspect", log, "--robot", robot, "--bar", bar, "--propose", "mapping.toml"], "--bar"),
         (vec!["examine", "--robot", robot, "--bar", bar, "--poses", "0"], "--poses"),
+        (
+            vec!["plan", "poses", "--robot", robot, "--measures", "poses", "--out", "poses", "--draw", HUGE],
+            "--draw <N>",
+        ),
         (
             vec![
                 "plan",

@@ -240,7 +240,7 @@ struct PosesArguments {
     #[arg(long, help_heading = "Input", value_name = "FILE", requires = "candidates")]
     mapping: Option<PathBuf>,
     /// Number of random poses to select from
-    #[arg(long, value_name = "N", default_value_t = 2000)]
+    #[arg(long, value_name = "N", default_value_t = 2000, value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(1..=100_000))]
     draw: usize,
     #[command(flatten)]
     around: Around,
