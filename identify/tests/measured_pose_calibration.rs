@@ -119,7 +119,7 @@ fn a_fifth_of_gross_faults_changes_little() {
     }
     let faulty = links.poses(&rows, &ur10()).unwrap();
     let on_clean = |report: &Found| {
-        validate(&Tracker::new(&untouched).into(), &ur10(), report.model(), 1).unwrap().figures[1]
+        validate(&Tracker::new(&untouched).into(), 1, &ur10(), report.model(), 1).unwrap().figures[1]
             .position_m
             .rms
     };
@@ -203,7 +203,7 @@ fn rows_of_two_qualities_calibrate_better_with_their_uncertainties() {
     let links = Alone::quick().without_joint_errors();
     let error_m = |rows: &[PoseRow]| {
         let found = links.poses(rows, &ur10()).unwrap();
-        let truly = validate(&Tracker::new(&clean).into(), &ur10(), found.model(), 1).unwrap().figures[1]
+        let truly = validate(&Tracker::new(&clean).into(), 1, &ur10(), found.model(), 1).unwrap().figures[1]
             .position_m
             .rms;
         // Error that the calibration causes: the noise of the held-out rows is subtracted.
@@ -228,6 +228,10 @@ fn rows_and_options_that_make_no_sense_are_errors() {
     assert!(text(&vec![rows[0]; 50]).contains("on a line"));
     rows[7].position_m.x = f64::NAN;
     assert!(text(&rows).contains("row 8"));
+    let few: Instrument = Tracker::new(&rows[..5]).into();
+    let nominal = Model::alone(&flange_chain(&ur10()));
+    let error = validate(&few, 3, &ur10(), &nominal, 1).unwrap_err().to_string();
+    assert!(error.starts_with("data set 3: 5 usable rows"), "{error}");
 }
 
 /// The rows as a table for the shipped mapping.
@@ -416,7 +420,7 @@ fn the_real_ur10_on_its_grid_and_from_its_grid_to_its_cubes() {
 fn grid_and_from_grid_to_cubes(grid: &[PoseRow], cubes: &[PoseRow]) -> (Stages, usize, [f64; 2]) {
     let report = Alone { joint_waves: Some(40), ..Alone::default() }.poses(grid, &ur10()).unwrap();
     let others = Instrument::from(Tracker::new(cubes));
-    let figures = validate(&others, &ur10(), report.model(), 1).unwrap().figures;
+    let figures = validate(&others, 1, &ur10(), report.model(), 1).unwrap().figures;
     println!("{}cubes: {figures:?}", report.table());
     below(&report.held_out().joints, GRID);
     below(&figures[1], CUBES);
@@ -425,7 +429,7 @@ fn grid_and_from_grid_to_cubes(grid: &[PoseRow], cubes: &[PoseRow]) -> (Stages, 
     let Stages { nominal, offsets, links, joints } = report.held_out();
     let held_out = [nominal, offsets, links, joints].map(|of| of.position_m.rms);
     assert!(held_out.is_sorted_by(|more, less| more > less), "{held_out:?}");
-    let on_cubes = |model: &Model| validate(&others, &ur10(), model, 1).unwrap().figures[1].position_m.rms;
+    let on_cubes = |model: &Model| validate(&others, 1, &ur10(), model, 1).unwrap().figures[1].position_m.rms;
     let [offsets, links] =
         Deployment::PARTIAL.map(|part| on_cubes(report.0.deployed(part, None).unwrap().unwrap().model()));
     let mut truncated = report.model().clone();

@@ -163,7 +163,7 @@ fn the_figure_of_rows_that_were_held_out_holds_in_another_part_of_the_joints_ran
         let found = Alone::default().poses(&fitted, &irb2400()).unwrap();
         let printed_m = found.held_out().joints.position_m.rms;
         let elsewhere =
-            validate(&Tracker::new(&others).into(), &irb2400(), found.model(), 1).unwrap().figures;
+            validate(&Tracker::new(&others).into(), 1, &irb2400(), found.model(), 1).unwrap().figures;
         let found_m = elsewhere[1].position_m.rms;
         println!(
             "{seed}: {printed_m:.2e} m printed, {found_m:.2e} found, {:.2e} nominal",

@@ -387,7 +387,7 @@ impl<'a> ValidationFile<'a> {
         let Self { path, instrument, lines } = self;
         let name = path.display().to_string();
         let Validated { figures: [nominal, calibrated], gross } =
-            validate(instrument, robot, model, seed).with_context(|| name.clone())?;
+            validate(instrument, data_set, robot, model, seed).with_context(|| name.clone())?;
         let joints = instrument.joints();
         let outside = joints.iter().zip(lines).map(|(q, line)| (*line, validity.outside(q)));
         let outside: Vec<_> = outside.filter(|(_, joints)| !joints.is_empty()).collect();
