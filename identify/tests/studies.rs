@@ -142,10 +142,13 @@ fn threads_shards_and_a_torn_line_make_no_difference() {
     assert!(study(&[&file, "--out", &at("resumed")]).status.success());
     assert_same(Path::new(&at("whole")), Path::new(&at("resumed")));
 
-    // If the output directory contains results of another study, they are not extended.
+    // If the output directory contains results of another study, they are not changed, even if a line is incomplete.
+    let results = Path::new(&at("one")).join("trials.jsonl");
+    fs::write(&results, &lines[..lines.len() - 1]).unwrap();
     let other = study(&[&file, "--out", &at("one"), "--seeds", "4"]);
     assert!(!other.status.success());
     assert!(said(&other).contains("results of another study"), "{}", said(&other));
+    assert_eq!(fs::read_to_string(&results).unwrap(), lines[..lines.len() - 1]);
 }
 
 #[test]

@@ -185,14 +185,17 @@ impl Results {
         let mut file =
             OpenOptions::new().read(true).append(true).create(true).open(&path).map_err(io_error)?;
         let WholeLines { bytes, contents } = read(&path, &file)?;
+        // The comparison is before the truncation, because another process may be adding a line to the other study.
+        if contents.as_ref().is_some_and(|(in_file, _)| in_file != definition) {
+            return Err(ResultsError::OtherStudy { path });
+        }
         file.set_len(bytes).map_err(io_error)?;
         let done = match contents {
             None => {
                 file.write_all(format!("{header}\n").as_bytes()).map_err(io_error)?;
                 BTreeMap::new()
             }
-            Some((in_file, done)) if in_file == *definition => done,
-            Some(_) => return Err(ResultsError::OtherStudy { path }),
+            Some((_, done)) => done,
         };
         Ok(Self { path, file, header, done })
     }
