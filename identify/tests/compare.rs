@@ -6,7 +6,7 @@ use crate::support::campaign::size;
 use crate::support::{bar, irb2400};
 use identify::calibrate::{IdentifyConfig, calibrate_run};
 use identify::evaluate::Validity;
-use identify::report::result::file::{CalibrationFile, ParameterEntry, SolveEntry};
+use identify::report::result::file::{CalibrationFile, ParameterEntry, ParameterStatus, SolveEntry};
 use identify::report::side_by_side;
 use identify::report::{Consistency, ConsistencyError};
 use identify::simulate::{self, Effects, Experiment, StaticErrors};
@@ -112,6 +112,23 @@ fn identified_values_are_compared_whatever_the_nominal_ones_were() {
     let entry = turned.parameters.iter_mut().find(|entry| entry.name == "rtheta2").unwrap();
     entry.value += std::f64::consts::TAU;
     assert!(Consistency::new(&[one.clone(), turned]).unwrap().is_consistent());
+}
+
+#[test]
+fn calibrations_with_plates_of_other_lengths_are_consistent() {
+    let mut short = file(1, 9);
+    let plate = short.parameters.iter().position(|entry| entry.name == "ra6").unwrap();
+    let entry = &mut short.parameters[plate];
+    (entry.status, entry.sigma) = (ParameterStatus::Identified, Some(1e-5));
+    let mut long = short.clone();
+    long.parameters[plate].nominal += 0.05;
+    long.parameters[plate].value += 0.05;
+    let found = Consistency::new(&[short.clone(), long]).unwrap();
+    assert!(found.is_consistent() && found.other_nominals == ["ra6"], "{found:?}");
+    // With equal nominal values, another length is a difference of the robot.
+    let mut other = short.clone();
+    other.parameters[plate].value += 0.05;
+    assert!(!Consistency::new(&[short, other]).unwrap().is_consistent());
 }
 
 #[test]

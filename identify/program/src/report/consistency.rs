@@ -36,7 +36,8 @@ pub struct ParameterEstimates {
 /// Result of the comparison of several calibrations of one robot.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Consistency {
-    /// Parameters of the robot that at least one calibration identified.
+    /// Parameters of the robot that at least one calibration identified. If nominal lengths of the last link differ, these
+    /// lengths are not included.
     pub parameters: Vec<ParameterEstimates>,
     /// Half-width of a 95 % confidence interval in each calibration, in sigmas.
     pub sigmas_of_95: Vec<f64>,
@@ -92,8 +93,10 @@ impl Consistency {
             });
         }
         let (mut ids, mut other_nominals): (Vec<ParameterId>, Vec<String>) = Default::default();
+        let mut last_link = 0;
         for entry in files.iter().flat_map(|file| &file.parameters) {
-            let Ok(id @ ParameterId::Robot { .. }) = entry.name.parse() else { continue };
+            let Ok(id @ ParameterId::Robot { link, .. }) = entry.name.parse() else { continue };
+            last_link = last_link.max(link);
             if entry.status != ParameterStatus::Fixed && !ids.contains(&id) {
                 ids.push(id);
             }
@@ -103,6 +106,11 @@ impl Consistency {
                 other_nominals.push(entry.name.clone());
             }
         }
+        // The lengths of the last link contain plate and tool, which may be others although the robot is the same.
+        ids.retain(|id| {
+            let is_of_last_link = matches!(id, ParameterId::Robot { link, .. } if *link == last_link);
+            !(is_of_last_link && id.unit() == Unit::Metre && other_nominals.contains(&id.to_string()))
+        });
         let parameters: Vec<ParameterEstimates> = ids.into_iter().map(|id| compared(id, files)).collect();
         let tested: Vec<f64> = parameters.iter().filter_map(|one| one.p).collect();
         let p_corrected =

@@ -57,7 +57,8 @@ fn other_nominals(consistency: &Consistency) -> Option<String> {
     let names = &consistency.other_nominals;
     (!names.is_empty()).then(|| {
         format!(
-            "the robot's configuration was not the same: nominal values of {} differ; identified values are compared, not corrections",
+            "the configuration of robot or bar was not the same: nominal values of {} differ; identified values are compared, not \
+             corrections; those lengths of the last link are not compared, because they contain plate and tool",
             names.join(", ")
         )
     })
