@@ -86,6 +86,30 @@ fn a_layout_that_the_file_does_not_have_is_refused_with_what_to_write() {
     assert!(short.contains("line 2: 9 cells") && !short.contains("last line"), "{short}");
 }
 
+/// Without a check, a cell with such a mark contains the following rows, and these rows are lost.
+#[test]
+fn a_quotation_mark_that_is_not_closed_is_refused_with_its_line() {
+    let row = "1,2,3,-74.5,33.9,-30.8,-15.1,80.5,-59.7,509.19";
+    let remarked = |header: &str, row: &dyn Fn(usize) -> String| {
+        let rows: String = (0..12).map(|index| format!("{}\n", row(index))).collect();
+        read(&format!("{header}\n{rows}"), &example())
+    };
+    let last = format!("{HEADER},remark");
+    let from = |at: usize, remark: &'static str| move |index: usize| if index < at { "" } else { remark };
+    let only = |at: usize, remark: &'static str| move |index: usize| if index == at { remark } else { "" };
+    let closed = remarked(&last, &|index| format!("{row},{}", only(3, "\"slow, again\"")(index)));
+    assert_eq!(closed.unwrap().rows.len(), 12);
+    let ditto = remarked(&last, &|index| format!("{row},{}", from(3, "\"")(index)));
+    let open = remarked(&last, &|index| format!("{row},{}", only(3, "\"fast")(index)));
+    let first = remarked(&format!("remark,{HEADER}"), &|index| format!("{},{row}", only(3, "\"fast")(index)));
+    let at_end = remarked(&last, &|index| format!("{row},{}", only(11, "\"")(index)));
+    for (table, line) in [(ditto, 5), (open, 5), (first, 5), (at_end, 13)] {
+        let error = table.unwrap_err().to_string();
+        assert!(error.contains(&format!("line {line}: a quotation mark is not closed")), "{error}");
+        assert!(!error.contains("last line"), "{error}");
+    }
+}
+
 #[test]
 fn stated_uncertainties_are_read_in_millimetres() {
     let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("../config/measured_length.toml");

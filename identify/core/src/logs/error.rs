@@ -31,7 +31,7 @@ pub enum LogError {
         /// What the bytes contain instead.
         problem: String,
     },
-    /// A row has another number of cells than the header, or a quote is not closed.
+    /// A row has another number of cells than the header.
     #[error("{} line {line}: {problem}; every row needs the header's number of cells", path.display())]
     Malformed {
         /// Path of the file concerned.

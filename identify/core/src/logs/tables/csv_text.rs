@@ -205,8 +205,16 @@ impl<'a> CsvTable<'a> {
     /// Reads the cells of the next row and returns its line, if there is one.
     fn read(&mut self) -> Result<Option<u64>, LogError> {
         let is_there = self.rows.read_record(&mut self.cells);
-        let is_there = is_there.map_err(|error| malformed(error, self.rows.get_mut()))?;
         let byte = self.cells.position().map_or(0, csv::Position::byte);
+        // A cell whose quotation mark is not closed contains the following rows. A measurement has no line breaks.
+        let text = self.cells.as_slice().as_bytes();
+        if text.contains(&b'\n') || text.contains(&b'\r') {
+            let place = format!("line {}", self.rows.get_mut().line_of_record(byte));
+            let problem = "a quotation mark is not closed in this line".to_owned();
+            let remedy = "close or remove it: a cell must not contain a line break";
+            return Err(LogError::bad_record(self.path(), place, problem, remedy));
+        }
+        let is_there = is_there.map_err(|error| malformed(error, self.rows.get_mut()))?;
         Ok(is_there.then(|| self.rows.get_mut().line_of_record(byte)))
     }
 }
