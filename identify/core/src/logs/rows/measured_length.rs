@@ -172,11 +172,11 @@ impl<'a> LengthTableColumns<'a> {
         let set_up = names.place(row, &self.set_up)?;
         let (column, LengthColumn { unit, offset_mm, .. }) = &self.length;
         let length_m = row.number(column)? * unit.to_m() - offset_mm * 1e-3;
-        if !(0.0..=LENGTH_M_MAX).contains(&length_m) {
+        if !(length_m > 0.0 && length_m <= LENGTH_M_MAX) {
             return Err(row.bad(
                 column,
-                format!("the length {length_m} m is outside 0 to {LENGTH_M_MAX} m"),
-                "check `unit` and `offset_mm` under [length] in the mapping file",
+                format!("the length {length_m} m must be above 0 and at most {LENGTH_M_MAX} m"),
+                "check `unit` and `offset_mm` under [length] in the mapping file, or remove the row",
             ));
         }
         let joints_rad = self.joints.read(row)?;
