@@ -80,6 +80,8 @@ fn columns_say_what_they_hold_on_which_clock_and_in_which_axes() {
     assert_eq!(flange.values[3], [3.0, 1.0, -2.0]);
     let base = parse_force(&format!("# force_frame: base\n{vector}"), None).unwrap();
     assert_eq!(base.kind, ForceKind::InBase);
+    let unknown = parse_force(&format!("# force_frame: world\n{vector}"), None).unwrap_err().to_string();
+    assert!(unknown.contains("`world`") && unknown.contains("`# force_frame: base`"), "{unknown}");
 }
 
 /// Motors and joints do equal work, whatever gears, rods and signs are between them.

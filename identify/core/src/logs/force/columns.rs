@@ -113,7 +113,7 @@ pub(in crate::logs) struct ForceLayout {
     columns: Vec<CsvColumn>,
     /// Factor to newtons or newton metres.
     to_si: f64,
-    /// Whether a comment `# force_frame: base` in the table changes the axes from those of the flange to those of the base.
+    /// Whether a comment `# force_frame: base` or `# force_frame: flange` in the table names the axes.
     frame_in_comment: bool,
 }
 
@@ -165,10 +165,16 @@ impl ForceLayout {
 
     /// Meaning of the columns. Call this after the last row has been read, because the comment with the axes may be
     /// anywhere in the table.
-    pub fn kind(&self, table: &CsvTable<'_>) -> ForceKind {
-        let is_base = |frame: &str| frame.eq_ignore_ascii_case("base");
-        let in_base = self.frame_in_comment && table.comment("force_frame").is_some_and(is_base);
-        if in_base { ForceKind::InBase } else { self.kind }
+    pub fn kind(&self, table: &CsvTable<'_>) -> Result<ForceKind, LogError> {
+        match table.comment("force_frame").filter(|_| self.frame_in_comment) {
+            None => Ok(self.kind),
+            Some(frame) if frame.eq_ignore_ascii_case("flange") => Ok(ForceKind::InFlange),
+            Some(frame) if frame.eq_ignore_ascii_case("base") => Ok(ForceKind::InBase),
+            Some(frame) => {
+                let remedy = "write `# force_frame: base` or `# force_frame: flange`";
+                Err(LogError::content(table.path(), format!("the axes of its force are `{frame}`"), remedy))
+            }
+        }
     }
 
     /// The numbers of one row \[N or N m\].

@@ -92,7 +92,7 @@ impl ForceLog {
         let layout = layout.ok_or_else(|| unknown(&table, path))?;
         let forces = rows(&mut table, path, stamps, &layout)?;
         let clock = mapping.map_or_else(|| declared_clock(&table, path), |mapping| Ok(mapping.clock))?;
-        Self::new(clock, layout.kind(&table), forces).on_joints(robot)
+        Self::new(clock, layout.kind(&table)?, forces).on_joints(robot)
     }
 
     /// Converts torques on the axes of the robot's log to those of the model's joints.

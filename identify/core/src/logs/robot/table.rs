@@ -58,7 +58,7 @@ pub(in crate::logs) fn read_own(source: LogSource<'_>, robot: &RobotConfig) -> R
     let mut raw = RawLog::new(path, "line");
     read_rows(&mut table, &mut layout, &meaning, &mut raw)?;
     take_comments(&mut raw.log, &table);
-    raw.force = layout.force.as_ref().map(|force| force.kind(&table));
+    raw.force = layout.force.as_ref().map(|force| force.kind(&table)).transpose()?;
     refuse_if_not_seconds(raw.finish(&meaning)?, path)
 }
 
@@ -150,7 +150,7 @@ pub(in crate::logs) fn read_rtde(source: LogSource<'_>, robot: &RobotConfig) -> 
     let mut raw = RawLog::new(path, "line");
     (raw.log.clock, raw.log.origin) = ("since the controller's start".into(), origin);
     read_rows(table, &mut layout, &meaning, &mut raw)?;
-    raw.force = layout.force.as_ref().map(|force| force.kind(table));
+    raw.force = layout.force.as_ref().map(|force| force.kind(table)).transpose()?;
     raw.finish(&meaning)
 }
 
