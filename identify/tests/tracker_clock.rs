@@ -64,7 +64,8 @@ fn two_milliseconds_of_jitter_leave_a_third_of_one() {
         let found = calibrated(followed.measured(&aligned));
         let [shift_s, skew] = followed.clock_errors(&aligned, &found.runs[0].model);
         let [error_m, perfect_m] = errors_m(&followed, &aligned, &found);
-        let evened = followed.poses().stamps.is_some();
+        let poses = followed.poses();
+        let evened = poses.stamps.is_some();
         println!(
             "seed {seed}: {:.1} us, {:.2} ppm; {:.1} um, perfect times {:.1} um; evened: {evened}",
             shift_s * 1e6,
@@ -75,6 +76,8 @@ fn two_milliseconds_of_jitter_leave_a_third_of_one() {
         assert!(shift_s.abs() < 3e-4, "{shift_s}");
         // Times of a regular clock are recovered. Other times remain uncertain, which also affects the measured positions.
         assert_eq!(evened, uneven_s == 0.0);
+        let is_remarked = poses.remarks.iter().any(|one| one.contains("the regular clock behind the stamps"));
+        assert_eq!(is_remarked, evened, "{:?}", poses.remarks);
         assert!(error_m < if evened { 3.0 * perfect_m } else { 1.5e-4 }, "{error_m} {perfect_m}");
     }
 }
@@ -314,6 +317,8 @@ fn targets_that_are_seen_at_once_are_all_read_at_their_time() {
     let mapping: MeasuredPoseMapping = toml::from_str(&mapping).unwrap();
     let read = TimedPoses::read(text.as_bytes(), Path::new("t.csv"), &mapping).unwrap();
     assert_eq!(read.rows.len(), 80);
+    let is_of_equal = |remark: &String| remark.starts_with("40 lines have the stamp of the one before");
+    assert!(matches!(&read.remarks[..], [one] if is_of_equal(one)), "{:?}", read.remarks);
     for (t_s, row) in read.rows.t_s.iter().zip(read.rows.iter()) {
         let of_line = row.line as usize - 2;
         assert!((t_s - 1e-3 * stamp_ms(of_line / 3)).abs() < 1e-6, "line {}: {t_s}", row.line);

@@ -15,7 +15,7 @@ use crate::logs::rows::pose_rows::{JointUnit, joints_of_robot};
 use crate::logs::time_series::excursions::{Excursions, Fastest, remark};
 use crate::logs::time_series::frozen::repeated_rows;
 use crate::logs::time_series::sampling::Stamps;
-use crate::logs::time_series::stream::retain;
+use crate::logs::time_series::stream::{remark_equal, retain};
 use crate::logs::{
     ForceClock, ForceKind, ForceLog, JointConversion, JointMistake, LogError, LogFormat, ROWS_MIN, RobotLog,
     Stream, ValueOrigin, since_first_s, travel,
@@ -244,7 +244,7 @@ impl RawLog {
         let (q_rad, stamps, is_kept) =
             Stream::from_stamps(std::mem::take(&mut self.stamps_ns), joints, |rows| rows.into());
         self.more.iter_mut().for_each(|values| retain(values, &is_kept));
-        self.remark_equal(is_kept.iter().filter(|is_kept| !**is_kept).count());
+        self.log.quality.remarks.extend(remark_equal(&is_kept, self.what));
         if q_rad.len() < ROWS_MIN {
             return Err(self.too_few(q_rad.len()));
         }
@@ -323,16 +323,6 @@ impl RawLog {
         retain(&mut self.places, &is_kept);
         retain(&mut self.stamps_ns, &is_kept);
         self.more.iter_mut().chain([&mut self.joints]).for_each(|values| retain(values, &is_kept));
-    }
-
-    /// Adds a remark on rows that were dropped because they have the same stamp as the row before.
-    fn remark_equal(&mut self, dropped: usize) {
-        if dropped > 0 {
-            self.remark(format!(
-                "{dropped} {}s have the stamp of the one before, and no regular clock is behind the stamps; they are left out",
-                self.what
-            ));
-        }
     }
 
     fn too_few(&self, rows: usize) -> LogError {

@@ -18,7 +18,7 @@ use crate::logs::source::LogSource;
 use crate::logs::tables::csv_text::{CsvColumn, CsvRow, CsvTable};
 use crate::logs::tables::stamp::{StampColumn, TimeColumn};
 use crate::logs::time_series::excursions::{Excursions, Fastest, remark};
-use crate::logs::time_series::stream::retain;
+use crate::logs::time_series::stream::{remark_equal, retain};
 use crate::logs::{CsvLayout, JointColumn, LengthUnit, LogError, Stamps, Stream, since_first_s};
 use crate::model::SetUp;
 
@@ -351,8 +351,11 @@ impl TimedPoses {
             *stamp_ns = (*stamp_ns).max(before_ns.saturating_add(is_other));
         }
         let (mut stamps_ns, mut rows): (_, Vec<PoseRow>) = rows.into_iter().unzip();
-        let remarks = drop_excursions(&mut stamps_ns, &mut rows, path)?.into_iter().collect();
-        let (rows, stamps, _) = Stream::from_stamps(stamps_ns, rows, |rows| motion(rows).into());
+        let mut remarks: Vec<String> =
+            drop_excursions(&mut stamps_ns, &mut rows, path)?.into_iter().collect();
+        let (rows, stamps, is_kept) = Stream::from_stamps(stamps_ns, rows, |rows| motion(rows).into());
+        remarks.extend(remark_equal(&is_kept, "line"));
+        remarks.extend(stamps.iter().flat_map(Stamps::remarks));
         let [stations, targets] = names.in_order();
         Ok(Self { rows, stations, targets, stamps, remarks })
     }

@@ -132,6 +132,14 @@ pub fn ranges<R: Row>(rows: &[R]) -> Vec<[f64; 2]> {
     ranges
 }
 
+/// Remark on the rows that [`Stream::from_stamps`] did not keep, if there are any. `row` is the name of a row in the file.
+pub(in crate::logs) fn remark_equal(is_kept: &[bool], row: &str) -> Option<String> {
+    let dropped = is_kept.iter().filter(|is_kept| !**is_kept).count();
+    (dropped > 0).then(|| {
+        format!("{dropped} {row}s have the stamp of the one before, and no regular clock is behind the stamps; they are left out")
+    })
+}
+
 /// Keeps the elements whose entry in `is_kept` is true, and all elements beyond the end of that list.
 pub(in crate::logs) fn retain<T>(all: &mut Vec<T>, is_kept: &[bool]) {
     let mut is_kept = is_kept.iter();

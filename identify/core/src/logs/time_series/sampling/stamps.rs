@@ -57,7 +57,7 @@ impl Stamps {
         }
         let rows = (!how.is_empty()).then(|| {
             let how = how.join(", ");
-            format!("{how}: the times of the regular clock behind the stamps are used instead; log the controller's sampling time if possible")
+            format!("{how}: the times of the regular clock behind the stamps are used instead; log the sampling time itself if possible")
         });
         let steps = steps.iter().map(|StampStep { at_s, by_s }| {
             format!(
