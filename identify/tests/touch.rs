@@ -8,12 +8,14 @@ use std::process::Command;
 
 use identify::calibrate::{CalibrateError, Calibration, DataSets, IdentifyConfig, calibrate};
 use identify::evaluate::{limits, workspace_error};
-use identify::instrument::{FaceTable, Touch};
+use identify::instrument::{FaceTable, Measures as _, Touch};
 use identify::kinematics::flange_chain;
 use identify::logs::{JointMistake, TipRow, TouchMapping};
+use identify::model::{Axis, Model, ParameterId, Role};
 use identify::robot::import;
 use identify::simulate::ArmErrors;
 use identify::simulate::touch::{self, SimulatedTouches, TouchExperiment};
+use nalgebra::Vector3;
 use shared::config::{self, RobotConfig, Validate};
 
 use crate::support::campaign::size;
@@ -114,6 +116,21 @@ fn touches_of_another_face_take_no_part_and_joints_of_another_pose_are_refused_w
     }
     let error = try_calibrate(&robot, &rows, &made.table, &made).unwrap_err().to_string();
     assert!(error.contains("joint 2 counts the other way"), "{error}");
+}
+
+#[test]
+fn a_fixed_tip_is_at_the_position_in_its_table() {
+    let robot = irb120();
+    let chain = flange_chain(&robot);
+    let made = touch::run(&usual(&robot, 1)).unwrap();
+    let tip_mm = [1.0, -2.0, 150.0];
+    let table = FaceTable { tip_mm: Some(tip_mm), ..made.table };
+    let touch = Touch::new(&made.rows, &made.truth.faces, &table, &chain);
+    let mut model = touch.fitted_out(Model::alone(&chain));
+    let tip = Axis::ALL.map(|axis| ParameterId::Tip { axis });
+    assert!(touch.place(&mut model, &tip).unwrap());
+    assert_eq!(model.geometry(&[]).touch.tip_m, Vector3::from(tip_mm) * 1e-3);
+    assert!(tip.iter().all(|id| model.role(*id) == Some(Role::Fixed)));
 }
 
 #[test]

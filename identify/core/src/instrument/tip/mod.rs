@@ -204,7 +204,10 @@ impl<A: Artefact> Measures for Tip<A> {
         let used = self.rows.at.states.iter().zip(&self.rows.at.rows);
         let touches: TouchedPoses = used.map(|(state, row)| (geometry.robot_end(state), *row)).collect();
         let Some(start) = self.artefact.start(&touches) else { return Ok(false) };
-        for (id, value, role) in start.into_iter().filter(|(id, ..)| !fix.contains(id)) {
+        for (id, start, role) in start {
+            // The start value of the tip fits the nominal robot. A fixed tip has its expected position instead.
+            let expected = if let Role::Prior { value, .. } = role { value } else { start };
+            let (value, role) = if fix.contains(&id) { (expected, Role::Fixed) } else { (start, role) };
             model.set_value(id, value)?;
             model.set_role(id, role)?;
         }
