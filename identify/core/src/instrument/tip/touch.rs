@@ -16,6 +16,10 @@ use crate::statistics::rms;
 /// Minimum number of rows of a face. It is twice the number of unknowns of a plane, which is three.
 const FACE_ROWS_MIN: usize = 6;
 
+/// The readings determine the sign of a face's normal if the sum of squared residuals with the wrong sign is larger by this
+/// factor. Readings that vary by less than a sixth of the heights do not reach it, even if they are proportional to the heights.
+const WRONG_SIGN: f64 = 2.0;
+
 /// A tip that touches faces.
 pub type Touch = Tip<Faces>;
 
@@ -84,8 +88,13 @@ fn fit_tip_and_planes(touches: &TouchedPoses, faces: usize, start_m: Vector3<f64
     Some(TipFit { tip_m, planes, rms_m })
 }
 
-/// Fits a plane through the tip positions on a face, of which there must be at least three. The readings only determine the
-/// sign of the normal: the reading decreases in the direction of the normal.
+/// Fits a plane through the tip positions on a face, of which there must be at least three. The normal points outwards, so
+/// that the reading decreases in its direction.
+///
+/// The readings only determine the sign of the normal: on a plane, the sum of height and reading is constant. If the readings
+/// vary much less than the errors of the nominal robot, for example with a constant preload, both signs explain the heights
+/// equally well, but the wrong sign displaces the face by twice the preload. In this case the normal points from the tip to
+/// the flange, because a gauge touches a face from the outside.
 fn fit_plane(touches: &TouchedPoses, face: usize, tip_m: Vector3<f64>) -> Option<Face> {
     let on_face = || touches.iter().filter(|(_, row)| row.part == face);
     let tips_m: Vec<Vector3<f64>> =
@@ -97,13 +106,19 @@ fn fit_plane(touches: &TouchedPoses, face: usize, tip_m: Vector3<f64>) -> Option
     let eigen = SymmetricEigen::try_new(scatter, f64::EPSILON, 1000)?;
     let normal = eigen.eigenvectors.column(eigen.eigenvalues.imin()).into_owned();
     let mean_m = on_face().map(|(_, row)| row.reading_m).sum::<f64>() / count.max(1.0);
-    // Covariance of height and reading. On a plane, the sum of height and reading is constant,
-    // so the covariance must be negative.
-    let covariance: f64 = on_face()
-        .zip(&tips_m)
-        .map(|((_, row), tip)| normal.dot(&(tip - centre_m)) * (row.reading_m - mean_m))
-        .sum();
-    let normal = if covariance > 0.0 { -normal } else { normal };
+    let squared = |sign: f64| -> f64 {
+        let height_m = |tip: &Vector3<f64>| sign * normal.dot(&(tip - centre_m));
+        on_face().zip(&tips_m).map(|((_, row), tip)| (height_m(tip) + row.reading_m - mean_m).powi(2)).sum()
+    };
+    let [outwards, inwards] = [squared(1.0), squared(-1.0)];
+    let is_inwards = if outwards.max(inwards) > WRONG_SIGN * outwards.min(inwards) {
+        inwards < outwards
+    } else {
+        let towards_flange_m: Vector3<f64> =
+            on_face().zip(&tips_m).map(|((flange, _), tip)| flange.translation.vector - tip).sum();
+        normal.dot(&towards_flange_m) < 0.0
+    };
+    let normal = if is_inwards { -normal } else { normal };
     tips_m.len().ge(&3).then(|| Face { normal, distance_m: normal.dot(&centre_m) })
 }
 
