@@ -193,6 +193,20 @@ fn what_is_known_of_sockets_has_the_derivatives_of_their_places() {
     );
 }
 
+/// Two distances of the same sockets would count as independent.
+#[test]
+fn a_second_distance_between_two_sockets_is_refused() {
+    let distance =
+        |names: [&str; 2]| KnownDistance { between: names.map(Into::into), distance_mm: 250.0, u_um: None };
+    let table = |second| SocketTable {
+        u_um: 5.0,
+        sockets: Vec::new(),
+        distances: vec![distance(["A", "B"]), distance(second)],
+    };
+    assert!(table(["A", "C"]).validate().is_ok());
+    assert_eq!(table(["B", "A"]).validate().unwrap_err().key, "distance[1].between");
+}
+
 #[test]
 fn rows_of_a_wrong_socket_take_no_part() {
     let robot = irb120();

@@ -263,4 +263,10 @@ fn the_shipped_tables_are_valid_and_wrong_ones_are_refused() {
     assert!(refused(|of| of.distances[0].distance_mm = -1.0).contains("distance[0].distance_mm"));
     assert!(refused(|of| of.angles[1].angle_deg = 91.0).contains("angle[1].angle_deg"));
     assert!(refused(|of| of.angles[0].between[1] = "left".into()).contains("angle[0].between"));
+    // Two values of the same quantity would count as independent.
+    assert_eq!(
+        refused(|of| of.distances[1].between = ["right".into(), "left".into()]),
+        "distance[1].between"
+    );
+    assert_eq!(refused(|of| of.angles[1].between = of.angles[0].between.clone()), "angle[1].between");
 }

@@ -10,7 +10,7 @@ use nalgebra::{DMatrix, DVector, Matrix3, RowDVector, RowVector3, Vector3};
 use serde::{Deserialize, Serialize};
 use shared::config::{Validate, Violation};
 
-use super::known::{Knowns, SPAN_MM_MAX};
+use super::known::{Knowns, SPAN_MM_MAX, ensure_pairs_differ};
 use crate::model::{Face, FaceNumber, Geometry, ParameterId, Unit};
 
 /// Sides from which two parallel faces are touched.
@@ -151,7 +151,8 @@ impl Validate for FaceTable {
             let (key, problem) = (format!("{kind}[{i}].between"), format!("both faces are `{first}`"));
             Violation::unless(first != second, key, problem, "name two different faces")?;
         }
-        Ok(())
+        ensure_pairs_differ("distance", self.distances.iter().map(|distance| &distance.between))?;
+        ensure_pairs_differ("angle", self.angles.iter().map(|angle| &angle.between))
     }
 }
 

@@ -4,6 +4,7 @@
 use std::fmt;
 
 use nalgebra::{DMatrix, DVector};
+use shared::config::Violation;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 use crate::model::{Geometry, ParameterId, Unit};
@@ -13,6 +14,25 @@ const CONTRADICTED_BY_CHANCE: f64 = 1e-3;
 
 /// Maximum distance in a table \[mm\]. If a distance is larger, its unit is wrong.
 pub(super) const SPAN_MM_MAX: f64 = 20_000.0;
+
+/// Refuses two blocks of a table for the same pair of parts, in any order. Their values would count as independent. `block`
+/// is the name of the blocks, and `pairs` contains their keys `between`.
+pub(super) fn ensure_pairs_differ<'a>(
+    block: &str,
+    pairs: impl Iterator<Item = &'a [String; 2]>,
+) -> Result<(), Violation> {
+    let mut before: Vec<[&String; 2]> = Vec::new();
+    for (i, [first, second]) in pairs.enumerate() {
+        let same = before.iter().position(|pair| [[first, second], [second, first]].contains(pair));
+        if let Some(earlier) = same {
+            let problem = format!("`{first}` and `{second}` are also in {block}[{earlier}]");
+            let key = format!("{block}[{i}].between");
+            return Err(Violation::new(key, problem, "keep one block for these two"));
+        }
+        before.push([first, second]);
+    }
+    Ok(())
+}
 
 /// Known lengths, positions and angles of the parts of an instrument.
 pub trait Knowns: fmt::Debug + Sync {

@@ -8,7 +8,7 @@ use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, Vector3};
 use serde::{Deserialize, Serialize};
 use shared::config::{Validate, Violation};
 
-use super::known::{Knowns, SPAN_MM_MAX};
+use super::known::{Knowns, SPAN_MM_MAX, ensure_pairs_differ};
 use crate::kinematics::nearest_rotation;
 use crate::model::{Axis, Geometry, ParameterId, Unit};
 
@@ -91,6 +91,7 @@ impl Validate for SocketTable {
             let is_possible = *distance_mm > 0.0 && *distance_mm <= SPAN_MM_MAX;
             Violation::unless(is_possible, key, problem, "give it in millimetres")?;
         }
+        ensure_pairs_differ("distance", self.distances.iter().map(|distance| &distance.between))?;
         let is_known = !self.distances.is_empty() || self.sockets.len() >= 2;
         let remedy = "write a [[socket]] block with position_mm for each of at least two sockets, or a [[distance]] block";
         Violation::unless(is_known, "socket", "no distance between sockets is known", remedy)?;
