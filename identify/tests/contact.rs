@@ -8,7 +8,9 @@ use std::path::Path;
 use identify::calibrate::rows::PoseFigures;
 use identify::calibrate::validation::unseen::{UnseenPart, unseen_parts};
 use identify::calibrate::{Calibration, DataSets, IdentifyConfig, calibrate};
-use identify::instrument::{Contact, KnownDistance, Knowns as _, PlacedSocket, SocketTable, Sockets};
+use identify::instrument::{
+    Contact, KnownDistance, Knowns as _, PlacedSocket, RowError, SocketTable, Sockets,
+};
 use identify::kinematics::{Chain, Pose, flange_chain};
 use identify::logs::{ContactMapping, TipRow};
 use identify::model::{DriveTrain, Geometry, JointState, Model, Owner};
@@ -191,6 +193,20 @@ fn what_is_known_of_sockets_has_the_derivatives_of_their_places() {
         contradicted.iter().any(|one| one.starts_with("the place of socket `b` by ")),
         "{contradicted:?}"
     );
+}
+
+/// The two rows differ by the noise of the encoders only.
+#[test]
+fn a_socket_whose_only_pose_was_logged_twice_is_refused_by_name() {
+    let SimulatedContacts { mut rows, table, .. } = simulated(&irb120(), 1);
+    let socket = table.names().iter().position(|name| *name == "D").unwrap();
+    let row = *rows.iter().find(|row| row.part == socket).unwrap();
+    let mut again = row;
+    again.joints_rad[0] += 1e-6;
+    rows.retain(|row| row.part != socket);
+    rows.extend([row, again]);
+    let error = Contact::new(&rows, &table).unwrap_err();
+    assert!(matches!(&error, RowError::VisitedOnce { socket } if socket == "D"), "{error}");
 }
 
 /// Two distances of the same sockets would count as independent.
@@ -443,7 +459,7 @@ fn a_person_simulates_calibrates_and_repeats_it() {
     refused(of_sockets(40, "B"), &sockets, &["all rows are of socket `B`", "at least two"]);
     refused(of_sockets(20, "AB"), &sockets, &["20 rows in 2 sockets are too few, at least 22"]);
     let once = of_sockets(60, "AB") + rows.lines().nth(4).unwrap() + "\n";
-    refused(once, &sockets, &["socket `D` has one row"]);
+    refused(once, &sockets, &["the rows of socket `D` have one posture"]);
     let apart = "u_um = 5.0\n[[distance]]\nbetween = [\"C\", \"D\"]\ndistance_mm = 250.0\n[[socket]]\nname = \"A\"\n\
                  position_mm = [0, 0, 0]\n[[distance]]\nbetween = [\"B\", \"E\"]\ndistance_mm = 250.0\n";
     refused(of_sockets(60, "AB"), apart, &["no distance is known between the sockets of these rows (A, B)"]);

@@ -87,12 +87,13 @@ pub enum RowError {
         /// Name of the only visited socket.
         socket: String,
     },
-    /// A socket has only one row.
+    /// All rows of a socket have the same posture.
     #[error(
-        "socket `{socket}` has one row, which contains no information; seat the ball in it in at least two postures, or remove the row"
+        "the rows of socket `{socket}` have one posture, which contains no information; seat the ball in it in at least two postures, or \
+         remove these rows"
     )]
     VisitedOnce {
-        /// Name of the socket with one row.
+        /// Name of the socket with one posture.
         socket: String,
     },
     /// No distance between the visited sockets is known.

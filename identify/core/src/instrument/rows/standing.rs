@@ -68,7 +68,7 @@ pub(in crate::instrument) struct Standing<R> {
     /// Observation of each row, which contains only the time. The measurements are in `rows`.
     pub(in crate::instrument) observations: Vec<Observation>,
     /// Group of each row. Rows of the same group are held out together.
-    groups: Vec<usize>,
+    pub(in crate::instrument) groups: Vec<usize>,
     seed: u64,
 }
 

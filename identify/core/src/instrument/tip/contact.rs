@@ -2,6 +2,8 @@
 //! give the same position. The residual is the position of the ball predicted by the robot, minus the position of its socket
 //! ([`SeatedBall`]). Known distances between the sockets determine the scale.
 
+use std::collections::BTreeSet;
+
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
 use super::{
@@ -25,16 +27,16 @@ impl Contact {
     pub fn new(rows: &[TipRow], table: &SocketTable) -> Result<Self, RowError> {
         let mut all = Standing::new(rows, |row| row.joints_rad);
         let names = table.names();
-        // Count the rows of each socket.
-        let mut visits = vec![0; names.len()];
-        for (number, row) in (1..).zip(&all.rows) {
+        // Find the poses of each socket. Several rows of one pose determine a socket no better than one row.
+        let mut poses = vec![BTreeSet::new(); names.len()];
+        for ((number, row), pose) in (1..).zip(&all.rows).zip(&all.groups) {
             if !row.joints_rad.iter().all(|joint| joint.is_finite()) {
                 return Err(RowError::BadRow { row: number, what: "a joint that is not finite" });
             }
-            *visits.get_mut(row.part).ok_or(RowError::UnknownSocket { row: number })? += 1;
+            poses.get_mut(row.part).ok_or(RowError::UnknownSocket { row: number })?.insert(*pose);
         }
         // Remove the sockets that no row visits, and number the others again.
-        let visited: Vec<usize> = (0..names.len()).filter(|socket| visits[*socket] > 0).collect();
+        let visited: Vec<usize> = (0..names.len()).filter(|socket| !poses[*socket].is_empty()).collect();
         for row in &mut all.rows {
             row.part = visited.partition_point(|socket| *socket < row.part);
         }
@@ -52,7 +54,7 @@ impl Contact {
         if rows < needed {
             return Err(RowError::TooFewInSockets { rows, sockets: names.len(), needed });
         }
-        if let Some(once) = visited.iter().position(|socket| visits[*socket] == 1) {
+        if let Some(once) = visited.iter().position(|socket| poses[*socket].len() == 1) {
             return Err(RowError::VisitedOnce { socket: names[once].to_owned() });
         }
         Ok(Self::of_rows(all, sockets))
