@@ -10,7 +10,7 @@ use crate::instrument::rows::{MEDIAN_OF_ONE, Standing};
 use crate::instrument::{Cause, Deviation, Mistake, ScaleFrom};
 use crate::kinematics::Chain;
 use crate::logs::{JointMistake, TipRow};
-use crate::model::{Axis, Face, FaceNumber, Geometry, JointState, ParameterId, Role};
+use crate::model::{Axis, Face, FaceNumber, Geometry, ParameterId, Role};
 use crate::statistics::rms;
 
 /// Minimum number of rows of a face. It is twice the number of unknowns of a plane, which is three.
@@ -28,12 +28,17 @@ impl Touch {
     /// faces, and `table` the known geometry of the faces. `robot` is the nominal chain up to the flange.
     pub fn new(rows: &[TipRow], names: &[String], table: &FaceTable, robot: &Chain) -> Self {
         let all = Standing::new(rows, |row| row.joints_rad);
-        let tip_m = Vector3::from(table.tip_mm.unwrap_or_default()) * 1e-3;
-        // The mean position of the tip on each face, with the nominal robot.
+        let poses = all.rows.iter().zip(&all.states).map(|(row, state)| (robot.forward(&state.q), *row));
+        let touches: TouchedPoses = poses.collect();
+        let stated_m = table.tip_mm.map(|tip_mm| Vector3::from(tip_mm) * 1e-3);
+        let tip_m =
+            stated_m.or_else(|| Some(best_fit(&touches, names.len(), None)?.tip_m)).unwrap_or_default();
+        // The mean position of the tip on each face, with the nominal robot. The known distances apply there, so a tip that the
+        // table does not contain is fitted.
         let centre_m = |face: usize| {
-            let on_face = all.rows.iter().zip(&all.states).filter(|(row, _)| row.part == face);
-            let place = |state: &JointState| robot.forward(&state.q).transform_point(&tip_m.into()).coords;
-            let tips_m: Vec<Vector3<f64>> = on_face.map(|(_, state)| place(state)).collect();
+            let on_face = touches.iter().filter(|(_, row)| row.part == face);
+            let tips_m: Vec<Vector3<f64>> =
+                on_face.map(|(flange, _)| flange.transform_point(&tip_m.into()).coords).collect();
             tips_m.iter().sum::<Vector3<f64>>() / tips_m.len().max(1) as f64
         };
         let centre_m: Vec<Vector3<f64>> = (0..names.len()).map(centre_m).collect();
@@ -48,6 +53,16 @@ struct TipFit {
     planes: Vec<Face>,
     /// Root mean square residual \[m\].
     rms_m: f64,
+}
+
+/// The best fit of tip and planes. The start value of the tip is `stated_m`, the position in the table. If the table contains
+/// none, several positions along the flange's axis are tried.
+fn best_fit(touches: &TouchedPoses, faces: usize, stated_m: Option<Vector3<f64>>) -> Option<TipFit> {
+    const STARTS_M: [f64; 5] = [0.0, 0.1, 0.2, 0.3, 0.4];
+    let starts_m =
+        stated_m.map_or_else(|| STARTS_M.map(|z| Vector3::new(0.0, 0.0, z)).to_vec(), |tip_m| vec![tip_m]);
+    let fits = starts_m.into_iter().filter_map(|start_m| fit_tip_and_planes(touches, faces, start_m));
+    fits.min_by(|a, b| a.rms_m.total_cmp(&b.rms_m))
 }
 
 /// Fits the tip and the planes of `faces` faces to poses of a robot. `start_m` is the start value of the tip.
@@ -155,16 +170,9 @@ impl Artefact for Faces {
         Deviation::of_length(height_m.unwrap_or(f64::NAN) + reading_m)
     }
 
-    /// The start value of the tip is the position in the table. If the table contains none, several positions along the
-    /// flange's axis are tried, and the best fit is used. A plane has only three parameters, so the largest coordinate
-    /// of each normal is fixed at 1 or -1.
+    /// A plane has only three parameters, so the largest coordinate of each normal is fixed at 1 or -1.
     fn start(&self, touches: &TouchedPoses) -> Option<Vec<(ParameterId, f64, Role)>> {
-        const STARTS_M: [f64; 5] = [0.0, 0.1, 0.2, 0.3, 0.4];
-        let starts_m =
-            self.tip_m.map_or_else(|| STARTS_M.map(|z| Vector3::new(0.0, 0.0, z)).to_vec(), |tip| vec![tip]);
-        let faces = self.names.len();
-        let fits = starts_m.into_iter().filter_map(|start_m| fit_tip_and_planes(touches, faces, start_m));
-        let TipFit { tip_m, planes, .. } = fits.min_by(|a, b| a.rms_m.total_cmp(&b.rms_m))?;
+        let TipFit { tip_m, planes, .. } = best_fit(touches, self.names.len(), self.tip_m)?;
         // The tip, with a weak prior.
         let expected_m = self.tip_m.unwrap_or_default();
         let coordinate = |axis: Axis| {
