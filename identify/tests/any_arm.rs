@@ -745,6 +745,31 @@ fn seven_axes_and_an_arm_on_a_track_are_calibrated_by_the_ball_bar() {
     }
 }
 
+/// The position of the probe is known by its prior alone, because a gantry never turns it. Error terms that were rejected
+/// must be a part of the uncertainty nevertheless.
+#[test]
+fn rejected_terms_of_a_gantry_are_a_part_of_its_uncertainty() {
+    let link = |alpha_deg: f64| {
+        format!(
+            "[[links]]\njoint = \"prismatic\"\na_m = 0.0\nalpha_deg = {alpha_deg:?}\nd_m = 0.5\ntheta_deg = 90.0\n"
+        )
+    };
+    let unit = |axis: usize| [0, 1, 2].map(|other| if other == axis { 1.0 } else { 0.0 });
+    let robot = parsed(&format!(
+        "name = \"Gantry\"\njoint_limits_deg = []\njoint_limits_m = [[0.0, 1.5], [0.0, 1.0], [0.0, 0.8]]\n\
+         {}[log]\ncolumn = \"joint\"\nunit = \"rad\"\nraw_offset_rad = [0.0, 0.0, 0.0]\nraw_to_joint = {:?}\n",
+        [90.0, 90.0, 0.0].map(link).concat(),
+        [0, 1, 2].map(unit)
+    ));
+    let (mut rows, _) = tracked(&robot, 500);
+    rows.iter_mut().for_each(|row| row.rotation = None);
+    let found = Alone::quick().poses(&rows, &robot).unwrap();
+    let rejected = found.0.solved.candidates.iter().filter(|candidate| !candidate.accepted).count();
+    let beside = found.0.solution().covariance.beside().len();
+    println!("{:?}, {rejected} groups rejected, {beside} columns", found.0.solution().covariance.sigmas_from);
+    assert!(beside > 0);
+}
+
 #[test]
 fn a_posture_has_millimetres_for_a_prismatic_axis() {
     let robot = imported(ARMS[2]).config;

@@ -102,9 +102,11 @@ impl Solver<'_> {
         let column_in_all = |column: &Column| all.iter().position(|other| other == column);
         let estimated: Vec<usize> = columns.all().iter().filter_map(column_in_all).collect();
         let left_out: Vec<usize> = (0..all.len()).filter(|column| !estimated.contains(column)).collect();
+        let mut terms_included = false;
         if let Some((normals, of_run)) = self.normals(&models, solution.loss, LEFT_OUT)?
             && let Some(mut spread) = normals.jackknife(|group| of_run[group])
         {
+            terms_included = true;
             if !left_out.is_empty()
                 && let Some(step) = normals.step()
             {
@@ -114,22 +116,24 @@ impl Solver<'_> {
             let spread = spread.select(&estimated, &left_out);
             solution.covariance.replace_by_jackknife(spread, normals.folds(), left_out.len());
         }
-        if let Some((considered, of_considered)) = self.considered(columns, solution.loss)? {
+        // Without the jackknife, the excluded error terms are considered like the other parameters.
+        let is_considered = |id: ParameterId| !terms_included || id.term().is_none();
+        if let Some((considered, of_considered)) = self.considered(columns, solution.loss, is_considered)? {
             of_covariance.extend(of_considered);
             solution.covariance.add_considered(considered);
         }
         Ok(of_covariance)
     }
 
-    /// Effect of the errors of [`Role::Considered`] parameters on the solution, and the columns of these parameters.
-    /// `None` if there are no such parameters.
+    /// Effect of the errors of those [`Role::Considered`] parameters for which `is_considered` is true on the solution, and
+    /// the columns of these parameters. `None` if there are no such parameters.
     fn considered(
         &self,
         columns: &SharedColumns,
         loss: Loss,
+        is_considered: impl Fn(ParameterId) -> bool,
     ) -> Result<Option<(Considered, Vec<Column>)>, CalibrateError> {
-        // Error terms are not included here, because `Self::add_covariance` includes them with their priors.
-        let free = |parameter: &Parameter, _| parameter.id.term().is_none().then_some(Role::Free);
+        let free = |parameter: &Parameter, _| is_considered(parameter.id).then_some(Role::Free);
         let models = self.models(|model| model.with_considered(free));
         let all = models.columns.all();
         let estimated = |column: usize| columns.all().iter().position(|other| *other == all[column]);
