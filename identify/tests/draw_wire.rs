@@ -5,7 +5,8 @@
 use std::sync::Mutex;
 
 use identify::calibrate::rows::{PoseFigures, RunCause, Stages, is_surely_better, likely};
-use identify::calibrate::{DataSets, IdentifyConfig, calibrate};
+use identify::calibrate::validation::deployment::Deployment;
+use identify::calibrate::{Calibration, DataSets, IdentifyConfig, calibrate};
 use identify::instrument::{HoldOut, Instrument, Measures as _, Mistake, Rejection, Rows, Wire};
 use identify::kinematics::{Chain, Joints, flange_chain};
 use identify::logs::{JointMistake, LengthRow};
@@ -410,6 +411,13 @@ fn a_zero_that_wanders_is_told_from_the_robot_and_one_that_stays_is_not_invented
     drifting(&mut rows);
     let report = Alone::default().lengths(&rows, &irb120()).unwrap();
     println!("{:?}", report.rows().drift);
+    // The deployments do not know the drift better than the calibration.
+    let of_links = |rows| {
+        let calibration = Calibration { rows, ..report.0.clone() };
+        let deployed = calibration.deployed(Deployment::Dh, None).unwrap().unwrap();
+        deployed.sigma("rtheta2".parse().unwrap()).unwrap()
+    };
+    assert!(of_links(report.0.rows.clone()) > of_links(Vec::new()));
     let white_m = report.rows().drift.unwrap().white_m;
     assert!((0.5e-4..3e-4).contains(&white_m), "the noise of a length is 0.1 mm, found {white_m}");
     let Stages { nominal, links, joints, .. } = report.rows().held_out_with_rejected();

@@ -156,11 +156,21 @@ fn fit_all_rows(
         run.instrument = set.everything(&run.model)?;
     }
     let mut all = refit(runs, plan.loss, plan.watch, solved)?;
-    // The covariance of this fit assumes that the drift of an instrument is known. The drift was
-    // estimated, so widen the covariance.
-    for ((number, set), run) in (first_of_rows..).zip(rows).zip(&runs[first_of_rows..]) {
-        let factor = set.widens(&run.model, all.sigmas[number])?;
-        all.solution.covariance = all.solution.covariance.widened(number, factor);
-    }
+    widen_for_drifts(runs, rows, &mut all)?;
     Ok(all)
+}
+
+/// Widens the covariance of a fit to all rows. The fit assumes that the drift of an instrument is known, but the drift was
+/// estimated. The last elements of `runs` belong to the files of rows.
+pub(super) fn widen_for_drifts(
+    runs: &[Run],
+    rows: &[RowSet],
+    solved: &mut Solved,
+) -> Result<(), CalibrateError> {
+    let first_of_rows = runs.len() - rows.len();
+    for ((number, run), set) in runs.iter().enumerate().skip(first_of_rows).zip(rows) {
+        let factor = set.widens(&run.model, solved.sigmas[number])?;
+        solved.solution.covariance = solved.solution.covariance.clone().widened(number, factor);
+    }
+    Ok(())
 }

@@ -7,6 +7,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::calibrate::driver::widen_for_drifts;
 use crate::calibrate::pipeline::{Solved, refit};
 use crate::calibrate::{CalibrateError, Calibration};
 use crate::instrument::Run;
@@ -77,11 +78,12 @@ impl Calibration {
         deployment: Deployment,
         watch: Option<&dyn Watch>,
     ) -> Result<Option<Self>, CalibrateError> {
-        let found = fitted(&self.runs, &self.solved, deployment, self.loss, watch)?;
-        Ok(found.map(|(runs, mut solved)| {
-            solved.solution.covariance = self.contradicted.added_to(&solved, &runs[0].model);
-            Self { runs, solved, ..self.clone() }
-        }))
+        let Some((runs, mut solved)) = fitted(&self.runs, &self.solved, deployment, self.loss, watch)? else {
+            return Ok(None);
+        };
+        widen_for_drifts(&runs, &self.rows, &mut solved)?;
+        solved.solution.covariance = self.contradicted.added_to(&solved, &runs[0].model);
+        Ok(Some(Self { runs, solved, ..self.clone() }))
     }
 }
 
