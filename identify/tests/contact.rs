@@ -9,7 +9,7 @@ use identify::calibrate::rows::PoseFigures;
 use identify::calibrate::validation::unseen::{UnseenPart, unseen_parts};
 use identify::calibrate::{Calibration, DataSets, IdentifyConfig, calibrate};
 use identify::instrument::{
-    Contact, KnownDistance, Knowns as _, PlacedSocket, RowError, SocketTable, Sockets,
+    Contact, HoldOut, KnownDistance, Knowns as _, PlacedSocket, RowError, Rows, SocketTable, Sockets,
 };
 use identify::kinematics::{Chain, Pose, flange_chain};
 use identify::logs::{ContactMapping, TipRow};
@@ -75,6 +75,26 @@ fn distances_serve_as_well_as_places_and_two_sockets_are_enough() {
     let two = after_mm(&ContactExperiment { sockets: Some(bar), distances: true, ..usual });
     println!("places {places:.4}, distances {distances:.4}, two sockets {two:.4} mm");
     assert!(places < 0.1 && distances < 0.1 && two < 0.2, "{places} {distances} {two}");
+}
+
+/// The held-out regions contain all rows of a socket, so that the other rows do not determine its position.
+#[test]
+fn rows_that_cannot_be_held_out_are_all_fitted() {
+    let robot = irb2400();
+    let socket = |number: u8| PlacedSocket {
+        name: number.to_string(),
+        position_mm: [350.0 * f64::from(number % 3), 350.0 * f64::from(number / 3), 0.0],
+        u_um: None,
+    };
+    let table = SocketTable { u_um: 5.0, sockets: (0..6).map(socket).collect(), distances: Vec::new() };
+    let experiment = ContactExperiment { sockets: Some(table), rows: 50, ..ContactExperiment::new(&robot) };
+    let SimulatedContacts { rows, table, robot: truth, .. } = contact::run(&experiment).unwrap();
+    let rows = Rows { hold_out: Some(HoldOut::Regions), ..Contact::new(&rows, &table).unwrap().into() };
+    let data = DataSets { rows: vec![rows], ..DataSets::default() };
+    let found = calibrate(&data, &robot, &IdentifyConfig::default(), None).unwrap();
+    assert!(found.rows[0].held_out_rows.is_empty());
+    let after_mm = apart_m(&robot, &found.model().geometry(&[]).robot, &truth) * 1e3;
+    assert!(after_mm < 0.2, "{after_mm}");
 }
 
 /// The rows at a socket are predicted by a fit without these rows, which is one step on the normal equations. The prediction

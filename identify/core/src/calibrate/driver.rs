@@ -58,7 +58,7 @@ pub fn calibrate(
         return Err(CalibrateError::Implausible { found: error.problem(), likely: Some(likely) });
     }
     // Without the held-out rows, the data may be too few. Try again with all rows.
-    if !error.is_of_solve() {
+    if !error.is_of_solve() && !matches!(error, CalibrateError::NoPlace { .. }) {
         return Err(error);
     }
     let calibration = calibrate_in_stages(data, robot, config, false, watch)?;

@@ -42,7 +42,8 @@ impl CalibrateError {
 
     /// Whether a mistake in a file of rows may be the cause of this error.
     pub(super) fn may_be_a_mistake(&self) -> bool {
-        matches!(self, Self::Rows { error: RowError::OtherRobot { .. }, .. }) || self.is_of_solve()
+        matches!(self, Self::Rows { error: RowError::OtherRobot { .. }, .. } | Self::NoPlace { .. })
+            || self.is_of_solve()
     }
 
     /// The message of an error that [may be a mistake](Self::may_be_a_mistake), without its remedy. In these messages the
@@ -86,8 +87,9 @@ mod tests {
             samples_left_out: 0,
         };
         let other_robot = RowError::OtherRobot { rejected: 40, rows: 80, median_mm: 300.0 };
-        let cases: [(CalibrateError, &str); 6] = [
+        let cases: [(CalibrateError, &str); 7] = [
             (CalibrateError::Rows { data_set: 2, error: other_robot }, "by 300 mm in the median"),
+            (CalibrateError::NoPlace { data_set: 2 }, "at a point"),
             (SolveError::NoSamples { samples: 80 }.into(), "at the initial values"),
             (SolveError::NotFinite { sample: 3 }.into(), "at the initial values"),
             (SolveError::Dependent.into(), "depend on each other"),
