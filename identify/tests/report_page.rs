@@ -201,6 +201,21 @@ fn with_fewer_encoders_no_rotation_is_shown() {
     assert!(text.contains("Position, calibrated without") && !text.contains("Rotation"));
 }
 
+/// With one encoder at the first two joints the bar's end is unknown, and distances are those from the sphere.
+#[test]
+fn without_the_second_encoder_the_distances_are_those_from_the_sphere() {
+    let robot = irb2400();
+    let mut bar = bar();
+    bar.encoders.retain(|encoder| encoder.joint != 2);
+    let run = simulate::run(&Experiment { effects: NOISE, ..Experiment::new(&robot, &bar) }).unwrap();
+    let found = calibrate_run(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, &quick()).unwrap();
+    let evidence = evidence_of(&found, &robot);
+    let [before_m, after_m] = [evidence.gap_before_m, evidence.gap_after_m].map(|sizes| sizes.rms);
+    assert!(after_m < 1e-4 && before_m > 2.0 * after_m, "{before_m} {after_m}");
+    let [nominal, predicted, _] = evidence.held_out.unwrap().rms().map(|error| error.position_m);
+    assert!(predicted < 0.5 * nominal, "{nominal} {predicted}");
+}
+
 #[test]
 fn a_page_of_several_runs_shows_each_of_them() {
     let robot = irb2400();

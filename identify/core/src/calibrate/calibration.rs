@@ -74,6 +74,12 @@ impl Calibration {
         measured(self.bar_runs().map(|(prepared, _)| prepared))
     }
 
+    /// Whether the encoders give the position of the bar's end: those of the first two joints exist in every run.
+    pub fn measures_end(&self) -> bool {
+        let [first, second, ..] = self.measured();
+        first && second
+    }
+
     /// Joint positions that the robot reported at each sample of all data sets.
     pub fn poses(&self) -> impl Iterator<Item = Joints> {
         self.runs.iter().flat_map(|run| run.instrument.poses(&run.model))

@@ -1,5 +1,5 @@
 //! Computes all results that the report of a calibration shows, and collects them in [`Evidence`]. A gap is the
-//! distance between the robot's end and the bar's end. Without encoders the bar's end is unknown. A gap is then the
+//! distance between the robot's end and the bar's end. Without the first two encoders the bar's end is unknown. A gap is then the
 //! distance of the robot's end from the sphere of the bar.
 
 use super::accuracy::workspace::Workspace;
@@ -54,7 +54,7 @@ impl RunEvidence {
 /// Results of a calibration.
 #[derive(Debug, Clone)]
 pub struct Evidence {
-    /// Whether any bar joint has an encoder.
+    /// [`Calibration::measures_end`]
     pub by_encoders: bool,
     /// Whether the bar's rotation is measured, which needs all five encoders.
     pub rotations: bool,
@@ -89,7 +89,7 @@ pub fn evidence(calibration: &Calibration, joint_limits: &[[f64; 2]]) -> Evidenc
     let runs: Vec<RunEvidence> =
         calibration.bar_runs().map(|(prepared, model)| RunEvidence::new(prepared, model)).collect();
     let measured = calibration.measured();
-    let by_encoders = measured.contains(&true);
+    let by_encoders = calibration.measures_end();
     let of_all_runs = |closures: fn(&RunEvidence) -> &Vec<Closure>| runs.iter().flat_map(closures);
     let uncertain = Workspace::new(calibration, joint_limits);
     let workspace = uncertain.error(calibration, joint_limits);

@@ -91,23 +91,21 @@ pub fn held_out(calibration: &Calibration, segments: &[Segment], nominals: &[Opt
         .iter()
         .map(|(prepared, model)| geometry(model, &prepared.motion, &prepared.observations))
         .collect();
+    // All measured encoders count, including those that the cost does not use.
+    let by_encoders = calibration.measures_end();
+    let pose_error = |closure: &Closure| PoseError {
+        position_m: closure.gap_m(by_encoders),
+        rotation_rad: (measured == [true; BAR_JOINTS]).then(|| closure.turned_rad.norm()),
+    };
     let errors = |(segment, nominal): (&Segment, &Option<Geometry>)| {
         let (prepared, _) = runs.get(segment.run)?;
         let predicted = geometry(segment.model.as_ref()?, &prepared.motion, &segment.others);
         let stages = [nominal.as_ref()?, &predicted, full_fit.get(segment.run)?].map(|geometry| {
             let closures = loop_closures(geometry, &prepared.motion, &segment.seen_by_none);
-            closures.iter().map(|closure| (closure.t_s, pose_error(closure, measured))).collect()
+            closures.iter().map(|closure| (closure.t_s, pose_error(closure))).collect()
         });
         Some(HeldOutSegment { run: segment.run, stages })
     };
     let predicted: Vec<HeldOutSegment> = segments.iter().zip(nominals).filter_map(errors).collect();
     HeldOut { undetermined: segments.len() - predicted.len(), segments: predicted }
-}
-
-/// Difference between the ends of robot and bar. It uses all measured encoders, including those that the cost does not use.
-fn pose_error(closure: &Closure, measured: [bool; BAR_JOINTS]) -> PoseError {
-    PoseError {
-        position_m: closure.gap_m(measured.contains(&true)),
-        rotation_rad: (measured == [true; BAR_JOINTS]).then(|| closure.turned_rad.norm()),
-    }
 }

@@ -1,6 +1,9 @@
 //! The nominal robot with a bar fitted to it. It is the reference for the improvement by a calibration.
 
-use crate::cost::{LoopProblem, Position, Residual, Transform};
+use std::ops::Range;
+
+use crate::cost::{Length, LoopProblem, Position, Residual, Transform};
+use crate::kinematics::LinkParameter;
 use crate::model::{Geometry, Model, Observation, Owner, ParameterId, RobotMotion};
 use crate::solver::{Options, minimise};
 
@@ -25,21 +28,28 @@ pub(super) fn bar_fitted(
     motion: &impl RobotMotion,
     observations: &[Observation],
 ) -> Geometry {
-    let all_encoders = observations.iter().all(|observation| observation.measured == [true; 5]);
+    let all_have = |joints: Range<usize>| {
+        observations
+            .iter()
+            .all(|observation| observation.measured[joints.clone()].iter().all(|measured| *measured))
+    };
+    let (end, all_encoders) = (all_have(0..2), all_have(0..5));
     let is_fitted = |id: ParameterId| match id {
         ParameterId::Base { .. } | ParameterId::BaseRotation { .. } => true,
         ParameterId::Bar { link, parameter } => {
-            // The first offset is the bar's rotation about z. Offsets after the second joint have an effect only if
-            // all five encoders exist.
-            parameter == crate::kinematics::LinkParameter::Theta && (all_encoders || link < 2)
+            // The first offset is the bar's rotation about z. Offsets of the first two joints need both encoders, the
+            // others all five.
+            parameter == LinkParameter::Theta && (all_encoders || end && link < 2)
         }
         _ => false,
     };
     model.free_only(is_fitted);
     let x = if all_encoders {
         fit(&model, motion, observations, Transform)
-    } else {
+    } else if end {
         fit(&model, motion, observations, Position)
+    } else {
+        fit(&model, motion, observations, Length)
     };
     if let Some(x) = x {
         model.adopt(&x);

@@ -34,8 +34,8 @@ pub struct Closure {
 }
 
 impl Closure {
-    /// Distance between the two ends \[m\]. If the bar has no encoders, its end is unknown, and this is the distance
-    /// of the robot's end from the sphere of the bar.
+    /// Distance between the two ends \[m\]. Without encoders at the first two joints (`by_encoders` is false), the
+    /// bar's end is unknown, and this is the distance of the robot's end from the sphere of the bar.
     pub fn gap_m(&self, by_encoders: bool) -> f64 {
         if by_encoders { self.position_error_m.norm() } else { self.off_sphere_m.abs() }
     }
