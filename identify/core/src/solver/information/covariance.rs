@@ -209,6 +209,8 @@ pub struct Considered {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Covariance {
     matrix: DMatrix<f64>,
+    /// Covariance of least squares for noise of variance one.
+    unit: DMatrix<f64>,
     spread: Spread,
     determined: Vec<bool>,
     /// Number of estimated columns, which are the first columns.
@@ -240,12 +242,13 @@ impl Covariance {
         }
         // Without a variance factor `has_sigmas` is false, and no entry is returned.
         let variance = variance_factor.unwrap_or_default();
-        let matrix = &factor * factor.transpose() * variance;
+        let unit = &factor * factor.transpose();
+        let matrix = &unit * variance;
         let by_source = factor * variance.sqrt();
         let spread = Spread { sources: vec![UncertaintySource::Together; by_source.ncols()], by_source };
         let determined = (0..columns).map(|column| !undetermined.contains(&column)).collect();
         let (sigmas_from, estimated) = (SigmasFrom::IndependentNoise, columns);
-        Self { matrix, spread, determined, estimated, left_out: 0, sigmas_from, variance_factor }
+        Self { matrix, unit, spread, determined, estimated, left_out: 0, sigmas_from, variance_factor }
     }
 
     /// Replaces the covariance by that of the jackknife over `folds`. The last `left_out` rows of `spread` belong to terms
@@ -305,11 +308,8 @@ impl Covariance {
     pub(crate) fn by_prior_on_all(&self, column: usize, sigma: f64) -> DVector<f64> {
         let Spread { by_source, sources } = &self.spread;
         let of_prior = sources.iter().position(|source| *source == UncertaintySource::Prior { column });
-        // If the sources are not separated, the matrix is the covariance of least squares. Its division by the variance
-        // factor gives the unit covariance.
-        let unit = self.variance_factor.filter(|factor| *factor > 0.0).unwrap_or(1.0);
         of_prior.map_or_else(
-            || self.matrix.column(column) / (unit * sigma),
+            || (self.unit.column(column) / sigma).resize_vertically(by_source.nrows(), 0.0),
             |of| by_source.column(of).into_owned(),
         )
     }
@@ -396,20 +396,26 @@ mod tests {
     #[test]
     fn a_wrong_prior_changes_the_solution_alike_for_known_and_estimated_noise() {
         let unit = DMatrix::from_row_slice(2, 2, &[2.0, -1.0, -1.0, 2.0]) / 3.0;
-        let change = |factor: f64| {
-            let covariance = Covariance {
-                matrix: &unit * factor,
-                spread: Spread::new(2, &[]),
-                determined: vec![true; 2],
-                estimated: 2,
-                left_out: 0,
-                sigmas_from: SigmasFrom::IndependentNoise,
-                variance_factor: Some(factor),
-            };
-            covariance.by_prior_on_all(0, 1.0)
+        let covariance = |factor: f64| Covariance {
+            matrix: &unit * factor,
+            unit: unit.clone(),
+            spread: Spread::new(2, &[]),
+            determined: vec![true; 2],
+            estimated: 2,
+            left_out: 0,
+            sigmas_from: SigmasFrom::IndependentNoise,
+            variance_factor: Some(factor),
         };
+        let change = |covariance: &Covariance| covariance.by_prior_on_all(0, 1.0);
         let expected = DVector::from_vec(vec![2.0, -1.0]) / 3.0;
-        assert!((change(1.0) - &expected).amax() < 1e-12 && (change(4.0) - &expected).amax() < 1e-12);
+        for factor in [1.0, 4.0] {
+            assert!((change(&covariance(factor)) - &expected).amax() < 1e-12);
+        }
+        // Errors of other sources change the solution, but not its change by this prior.
+        let mut with_others = covariance(4.0).widened(0, 3.0);
+        with_others
+            .add_considered(Considered { sigmas: vec![2.0], change: DMatrix::from_element(2, 1, 1.0) });
+        assert!((change(&with_others) - expected.resize_vertically(3, 0.0)).amax() < 1e-12);
     }
 
     #[test]
