@@ -18,6 +18,9 @@ use crate::solver::pass::{Pass, PassError, Products, Taking, threads_for, weighe
 use crate::solver::{LeastSquares, Options, Prior, ScaledCholesky, SolveError, Subset};
 use crate::threads::on_threads;
 
+/// Damping, relative to the diagonal of a normal matrix, that keeps directions unchanged which these rows do not determine.
+const RIDGE: f64 = 1e-12;
+
 /// Normal equations of some samples, linearised at a point.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Normal {
@@ -135,9 +138,11 @@ impl Normals {
         options: &Options<'_>,
         folds: &[Vec<usize>],
     ) -> Result<Self, SolveError> {
-        let known: Vec<usize> = (0..problem.samples()).filter(|sample| problem.is_known(*sample)).collect();
+        let is_measured = |sample: &usize| !problem.is_known(*sample);
+        let measured = |fold: &Vec<usize>| fold.iter().copied().filter(is_measured).collect();
+        let mut sets: Vec<Vec<usize>> = folds.iter().map(measured).collect();
         // The samples of prior knowledge form an additional set after the folds.
-        let sets: Vec<&Vec<usize>> = folds.iter().chain([&known]).collect();
+        sets.push((0..problem.samples()).filter(|sample| problem.is_known(*sample)).collect());
         // Each set is summed by one thread; different sets are summed in parallel.
         let one_thread = Options { threads: Some(NonZeroUsize::MIN), ..*options };
         let sum = |set: usize| {
@@ -186,8 +191,6 @@ impl Normals {
     /// the normal matrix of all data and priors, `N` that of all folds. If errors are not correlated within a fold, the
     /// result is 1 (design effect, Kish 1965). `None` for fewer than two folds, or if the result is not finite.
     pub fn overdispersion(&self) -> Option<f64> {
-        /// Avoids a division by zero in directions that only samples outside the folds determine.
-        const RIDGE: f64 = 1e-12;
         let (matrix, count) = (self.whole().matrix, self.folds() as f64);
         if count < 2.0 {
             return None;
@@ -259,7 +262,7 @@ impl Normals {
     }
 
     /// For each fold, the mean squared residual that a solution without this fold predicts. The solution estimates `columns`
-    /// and leaves other columns unchanged. `None` if the other folds do not determine the columns.
+    /// and leaves other columns unchanged, also in directions that the other folds do not determine.
     pub fn held_out(&self, columns: &[usize], priors: &[Prior]) -> Option<Vec<f64>> {
         self.held_out_each(|_| columns.to_vec(), priors)
     }
@@ -275,7 +278,8 @@ impl Normals {
             let mut others = &self.total.only(&columns) - &fold;
             others += &self.known.only(&columns);
             others.add_priors(&priors, &x);
-            let step = -ScaledCholesky::new(others.matrix)?.solve(&others.gradient);
+            let diagonal = others.matrix.diagonal();
+            let step = -ScaledCholesky::damped(others.matrix, &diagonal, RIDGE)?.solve(&others.gradient);
             Some(fold.after(&step) / fold.rows)
         };
         self.folds.iter().enumerate().filter(|(_, fold)| fold.rows > 0.0).map(error).collect()
@@ -518,6 +522,33 @@ mod tests {
         let [a, b] = [&known, &prior].map(|one| one.jackknife(|_| 0).map(|spread| spread.covariance()));
         let (Some(a), Some(b)) = (a, b) else { panic!("the line is determined") };
         assert!((&a - &b).amax() < 1e-12 * b.amax().max(1.0), "{a} {b}");
+    }
+
+    #[test]
+    fn a_sample_of_prior_knowledge_in_a_fold_is_not_counted_twice() {
+        let (line, folds) = line();
+        let line = Line { slope: Some([0.2, 0.05]), ..line };
+        let mut with_known = folds.clone();
+        with_known[4].push(40);
+        let whole = |folds: &[Vec<usize>]| {
+            Normals::new(&line, &[0.5, -1.0], &Options::default(), folds).map(|normals| normals.whole()).ok()
+        };
+        assert_eq!(whole(&folds), whole(&with_known));
+    }
+
+    #[test]
+    fn a_fold_that_alone_determines_a_direction_is_predicted_with_it_unchanged() {
+        let line = Line { priors: Vec::new(), ..line().0 };
+        // The second and third sample are the same, so that without the first, the slope is not determined.
+        let three = Subset { of: &line, samples: vec![5, 20, 20] };
+        let folds = [vec![0], vec![1], vec![2]];
+        let Ok(normals) = Normals::new(&three, &[1.0, 0.0], &Options::default(), &folds) else {
+            panic!("finite residuals")
+        };
+        let held_out = normals.held_out(&[0, 1], &[]).unwrap_or_default();
+        // The residual at `t = 20` is -10. With columns of unit length, half of it belongs to each column.
+        let expected = (1.0 + 5.0 + 0.25 * 5.0 - line.y[5]).powi(2);
+        assert!(held_out.len() == 3 && (held_out[0] - expected).abs() < 1e-2 * expected, "{held_out:?}");
     }
 
     #[test]
