@@ -29,9 +29,11 @@ pub(in crate::calibrate) fn candidate_groups(
         run.model = run.model.clone().with(ParameterId::joint_waves(order_max));
     }
     let in_a_model = |id: &ParameterId| runs.iter().any(|run| run.model.parameter(*id).is_some());
-    let mut groups = groups(order_max, |id| in_a_model(id) && !config.named().any(|named| named == *id));
-    groups.retain(|group| config.joint_terms.candidates.contains(&group.group));
-    Ok(groups)
+    let is_wanted = |id: &ParameterId| {
+        id.term().is_some_and(|term| config.joint_terms.candidates.contains(&term))
+            && !config.named().any(|named| named == *id)
+    };
+    Ok(groups(order_max, |id| in_a_model(id) && is_wanted(id)))
 }
 
 /// Highest order of joint waves to try. There are at least four measured values for each amplitude of each axis. More
