@@ -44,6 +44,9 @@ fn a_parameter_is_free_or_fixed_and_not_both() {
     let text = "free = [\"rd3\"]\nfix = [\"ra1\", \"rd3\"]\n";
     let error = config::parse::<IdentifyConfig>(text, Path::new("identify.toml")).unwrap_err().to_string();
     assert!(error.contains("`fix[1]`") && error.contains("`rd3` is also in `free`"), "{error}");
+    let text = "free = [\"rd3\"]\n[priors]\nrd3 = 0.1\n";
+    let error = config::parse::<IdentifyConfig>(text, Path::new("identify.toml")).unwrap_err().to_string();
+    assert!(error.contains("`priors.rd3`") && error.contains("`rd3` is also in `free`"), "{error}");
 }
 
 #[test]

@@ -464,7 +464,12 @@ impl IdentifyConfig {
             let (key, problem) = (format!("fix[{index}]"), format!("`{id}` is also in `free`"));
             Violation::unless(!self.free.contains(id), key, problem, "remove one of the two")?;
         }
-        self.priors.iter().try_for_each(|(id, sigma)| positive(format!("priors.{id}"), *sigma))
+        for (id, sigma) in &self.priors {
+            let (key, problem) = (format!("priors.{id}"), format!("`{id}` is also in `free`"));
+            Violation::unless(!self.free.contains(id), &key, problem, "remove one of the two")?;
+            positive(key, *sigma)?;
+        }
+        Ok(())
     }
 
     /// The required error and all standard deviations must be above zero. Exceptions are the standard deviations for
