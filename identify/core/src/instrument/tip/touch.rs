@@ -213,3 +213,39 @@ impl Artefact for Faces {
         !matches!(mistake, Mistake::Joints(JointMistake::InRadians | JointMistake::InDegrees))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Rotation3;
+    use rand::rngs::StdRng;
+    use rand::{Rng, SeedableRng};
+
+    use super::*;
+    use crate::kinematics::Pose;
+
+    /// Twenty touches of the plane `z = 0` from above by a robot with position errors of 0.5 mm. The gauge stands below the
+    /// flange. Its readings are between these two \[m\].
+    fn touches(readings_m: [f64; 2], seed: u64) -> TouchedPoses {
+        let mut random = StdRng::seed_from_u64(seed);
+        let mut touch = || {
+            let reading_m = random.random_range(readings_m[0]..readings_m[1]);
+            let [x, y, error_m] = [0.2, 0.2, 5e-4].map(|half: f64| random.random_range(-half..half));
+            let tip_m = Vector3::new(x, y, error_m - reading_m);
+            let tilt = Rotation3::new(Vector3::new(random.random_range(-0.3..0.3), 0.0, 0.0));
+            let flange_m = tip_m - tilt * Vector3::new(0.0, 0.0, -0.2);
+            let row = TipRow { reading_m, ..TipRow::default() };
+            (Pose::from_parts(flange_m.into(), tilt), row)
+        };
+        (0..20).map(|_| touch()).collect()
+    }
+
+    #[test]
+    fn the_outer_side_of_a_face_is_found_with_a_constant_preload_and_with_a_long_travel() {
+        for readings_m in [[0.99e-3, 1.01e-3], [0.0, 8e-3]] {
+            for seed in 0..100 {
+                let face = fit_plane(&touches(readings_m, seed), 0, Vector3::new(0.0, 0.0, -0.2));
+                assert!(face.is_some_and(|face| face.normal.z > 0.9), "{readings_m:?}, seed {seed}");
+            }
+        }
+    }
+}
