@@ -17,6 +17,7 @@ fn terminals_that_were_gone_are_in_the_log() {
     let directory = tempfile::tempdir().unwrap();
     let log = directory.path().join("log");
     let stderr: Stdio = File::create(&log).unwrap().into();
+    let logged = || std::fs::read_to_string(&log).unwrap();
     let faults = ["--fault", "gone:3@4s-6s"];
     let service = Running::logging_to(stderr, &faults);
     service.wait_for("waiting");
@@ -30,8 +31,10 @@ fn terminals_that_were_gone_are_in_the_log() {
         std::thread::sleep(Duration::from_millis(200));
     }
     service.wait_for("waiting");
+    // A thread of its own writes the log.
+    service.wait_until("the end of the fault in the log", |_| logged().contains("samples again after"));
     // After the end of the fault, the log still contains the fault.
-    let log = std::fs::read_to_string(log).unwrap();
+    let log = logged();
     assert!(log.contains("WARN bus: no samples from"), "{log}");
     assert_eq!(log.matches("INFO bus: samples again after").count(), 1, "{log}");
     assert!(!log.contains("encoder of joint"), "{log}");

@@ -160,7 +160,7 @@ impl Controller {
         self.poll_run();
         self.poll_grading();
         self.update_totals();
-        self.publish();
+        self.log_and_publish();
         if self.is_over() {
             return self.end_service(Ok(()));
         }
@@ -481,7 +481,7 @@ impl Controller {
         }
     }
 
-    /// Adds the counts of session and run since the last step, and logs problems that began or ended.
+    /// Adds the counts of session and run since the last step.
     fn update_totals(&mut self) {
         if let Some(session) = self.bus.session() {
             let counts = session.live.totals();
@@ -497,9 +497,16 @@ impl Controller {
         if let Some(lost) = self.run.as_ref().map(|run| run.progress.get().lost) {
             self.count_lost(lost);
         }
-        let status = self.status();
+    }
+
+    /// Logs problems that began or ended, and publishes the same status. A client therefore never sees the end of a problem
+    /// before it is logged.
+    fn log_and_publish(&mut self) {
+        let mut status = self.status();
         self.problems.update(self.now, status.problems.iter().chain(&status.bad_cables));
         self.totals.problems.clone_from(self.problems.began());
+        status.totals.problems.clone_from(self.problems.began());
+        self.status.send_replace(status);
     }
 
     fn count_lost(&mut self, lost: u64) {
