@@ -18,9 +18,6 @@ use crate::solver::pass::{Pass, PassError, Products, Taking, threads_for, weighe
 use crate::solver::{LeastSquares, Options, Prior, ScaledCholesky, SolveError, Subset};
 use crate::threads::on_threads;
 
-/// Damping, relative to the diagonal of a normal matrix, that keeps directions unchanged which these rows do not determine.
-const RIDGE: f64 = 1e-12;
-
 /// Normal equations of some samples, linearised at a point.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Normal {
@@ -195,7 +192,7 @@ impl Normals {
         if count < 2.0 {
             return None;
         }
-        let factor = ScaledCholesky::damped(matrix.clone(), &matrix.diagonal(), RIDGE)?;
+        let factor = factor_with_ridge(matrix)?;
         let scatter: f64 =
             self.folds.iter().map(|fold| fold.gradient.dot(&factor.solve(&fold.gradient))).sum();
         let expected = factor.inverse().dot(&self.total.matrix);
@@ -278,8 +275,7 @@ impl Normals {
             let mut others = &self.total.only(&columns) - &fold;
             others += &self.known.only(&columns);
             others.add_priors(&priors, &x);
-            let diagonal = others.matrix.diagonal();
-            let step = -ScaledCholesky::damped(others.matrix, &diagonal, RIDGE)?.solve(&others.gradient);
+            let step = -factor_with_ridge(others.matrix)?.solve(&others.gradient);
             Some(fold.after(&step) / fold.rows)
         };
         self.folds.iter().enumerate().filter(|(_, fold)| fold.rows > 0.0).map(error).collect()
@@ -397,6 +393,13 @@ impl Scores {
         let f = t_squared * (count - size) as f64 / (size as f64 * (count as f64 - 1.0));
         Some(fisher.sf(f))
     }
+}
+
+/// Factor of a normal matrix whose rows need not determine every direction. A step with it is zero in the other directions.
+fn factor_with_ridge(matrix: DMatrix<f64>) -> Option<ScaledCholesky> {
+    const RIDGE: f64 = 1e-12;
+    let diagonal = matrix.diagonal();
+    ScaledCholesky::damped(matrix, &diagonal, RIDGE)
 }
 
 /// Priors of the selected columns. In the result, a column's number is its index in `columns`.
