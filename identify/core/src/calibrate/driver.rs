@@ -58,7 +58,7 @@ pub fn calibrate(
         return Err(CalibrateError::Implausible { found: error.problem(), likely: Some(likely) });
     }
     // Without the held-out rows, the data may be too few. Try again with all rows.
-    if !error.is_of_solve() && !matches!(error, CalibrateError::NoPlace { .. }) {
+    if !error.may_need_all_rows() {
         return Err(error);
     }
     let calibration = calibrate_in_stages(data, robot, config, false, watch)?;
@@ -156,21 +156,6 @@ fn fit_all_rows(
         run.instrument = set.everything(&run.model)?;
     }
     let mut all = refit(runs, plan.loss, plan.watch, solved)?;
-    widen_for_drifts(runs, rows, &mut all)?;
+    rows::widen_for_drifts(runs, rows, &mut all)?;
     Ok(all)
-}
-
-/// Widens the covariance of a fit to all rows. The fit assumes that the drift of an instrument is known, but the drift was
-/// estimated. The last elements of `runs` belong to the files of rows.
-pub(super) fn widen_for_drifts(
-    runs: &[Run],
-    rows: &[RowSet],
-    solved: &mut Solved,
-) -> Result<(), CalibrateError> {
-    let first_of_rows = runs.len() - rows.len();
-    for ((number, run), set) in runs.iter().enumerate().skip(first_of_rows).zip(rows) {
-        let factor = set.widens(&run.model, solved.sigmas[number])?;
-        solved.solution.covariance = solved.solution.covariance.clone().widened(number, factor);
-    }
-    Ok(())
 }

@@ -42,8 +42,12 @@ impl CalibrateError {
 
     /// Whether a mistake in a file of rows may be the cause of this error.
     pub(super) fn may_be_a_mistake(&self) -> bool {
-        matches!(self, Self::Rows { error: RowError::OtherRobot { .. }, .. } | Self::NoPlace { .. })
-            || self.is_of_solve()
+        matches!(self, Self::Rows { error: RowError::OtherRobot { .. }, .. }) || self.may_need_all_rows()
+    }
+
+    /// Whether the rows that remain after rows were held out may be too few, which causes this error.
+    pub(super) fn may_need_all_rows(&self) -> bool {
+        matches!(self, Self::NoPlace { .. }) || self.is_of_solve()
     }
 
     /// The message of an error that [may be a mistake](Self::may_be_a_mistake), without its remedy. In these messages the

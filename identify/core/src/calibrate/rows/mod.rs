@@ -21,6 +21,7 @@ mod likely;
 mod validate;
 
 use super::error::CalibrateError;
+use super::pipeline::Solved;
 pub(crate) use super::selection::candidates::groups;
 use crate::instrument::{
     Deviation, Instrument, PoseError, RejectedRow, Rejection, RowError, Run, faulty, gross_rows, without,
@@ -47,6 +48,21 @@ const PARTS: usize = 5;
 /// Minimum number of rows of a file from which a robot can be calibrated without other data. Includes the held-out rows.
 pub(crate) fn rows_min(instrument: &Instrument) -> usize {
     (instrument.samples_min() * PARTS).div_ceil(PARTS - 1)
+}
+
+/// Widens the covariance of a fit to all rows. The fit assumes that the drift of an instrument is known, but the drift was
+/// estimated. The last elements of `runs` belong to the files of rows.
+pub(super) fn widen_for_drifts(
+    runs: &[Run],
+    rows: &[RowSet],
+    solved: &mut Solved,
+) -> Result<(), CalibrateError> {
+    let first_of_rows = runs.len() - rows.len();
+    for ((number, run), set) in runs.iter().enumerate().skip(first_of_rows).zip(rows) {
+        let factor = set.widens(&run.model, solved.sigmas[number])?;
+        solved.solution.covariance.widen(number, factor);
+    }
+    Ok(())
 }
 
 /// Checks the rows and returns those whose own data contradict each other. If the file is the only input (`alone`),
@@ -322,7 +338,7 @@ impl RowSet {
 
     /// Factor, at least 1, by which the standard deviations of the robot must be multiplied after a fit that assumed the
     /// drift to be known. `sigma_m` is the residual standard deviation of this fit \[m\].
-    pub(super) fn widens(&self, model: &Model, sigma_m: f64) -> Result<f64, CalibrateError> {
+    fn widens(&self, model: &Model, sigma_m: f64) -> Result<f64, CalibrateError> {
         let Some(drift) = &self.drift else { return Ok(1.0) };
         drift::widens(model, &self.whole, &self.given, drift, sigma_m)
     }

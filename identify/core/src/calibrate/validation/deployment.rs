@@ -7,8 +7,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::calibrate::driver::widen_for_drifts;
 use crate::calibrate::pipeline::{Solved, refit};
+use crate::calibrate::rows::widen_for_drifts;
 use crate::calibrate::{CalibrateError, Calibration};
 use crate::instrument::Run;
 use crate::kinematics::Chain;

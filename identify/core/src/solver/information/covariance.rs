@@ -280,8 +280,7 @@ impl Covariance {
 
     /// Multiplies contributions to the uncertainty by `times`: those of the samples of one data set, and those of
     /// [`UncertaintySource::Together`].
-    #[must_use]
-    pub fn widened(mut self, data_set: usize, times: f64) -> Self {
+    pub fn widen(&mut self, data_set: usize, times: f64) {
         let Spread { by_source, sources } = &mut self.spread;
         for (mut column, source) in by_source.column_iter_mut().zip(sources) {
             if matches!(source, UncertaintySource::Together)
@@ -291,7 +290,6 @@ impl Covariance {
             }
         }
         self.matrix = self.spread.covariance();
-        self
     }
 
     /// Adds a source. `contribution` is the change of each column for an error of one standard deviation in the source.
@@ -412,7 +410,8 @@ mod tests {
             assert!((change(&covariance(factor)) - &expected).amax() < 1e-12);
         }
         // Errors of other sources change the solution, but not its change by this prior.
-        let mut with_others = covariance(4.0).widened(0, 3.0);
+        let mut with_others = covariance(4.0);
+        with_others.widen(0, 3.0);
         with_others
             .add_considered(Considered { sigmas: vec![2.0], change: DMatrix::from_element(2, 1, 1.0) });
         assert!((change(&with_others) - expected.resize_vertically(3, 0.0)).amax() < 1e-12);
