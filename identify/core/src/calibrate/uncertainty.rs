@@ -8,7 +8,7 @@ use super::pipeline::{LEFT_OUT, Solver, is_own, problem_with_models};
 use crate::cost::{CostError, SharedColumns};
 use crate::instrument::Run;
 use crate::model::{Column, Model, Parameter, ParameterId, Role};
-use crate::solver::{Considered, Loss, Normals, Options, Solution, UncertaintySource, influence};
+use crate::solver::{Considered, Loss, Normals, Options, SigmasFrom, Solution, UncertaintySource, influence};
 
 /// Models of all runs, and the map from the columns of each model to the columns of the joint problem. These models may have
 /// more free parameters than the models of the solve.
@@ -102,11 +102,9 @@ impl Solver<'_> {
         let column_in_all = |column: &Column| all.iter().position(|other| other == column);
         let estimated: Vec<usize> = columns.all().iter().filter_map(column_in_all).collect();
         let left_out: Vec<usize> = (0..all.len()).filter(|column| !estimated.contains(column)).collect();
-        let mut terms_included = false;
         if let Some((normals, of_run)) = self.normals(&models, solution.loss, LEFT_OUT)?
             && let Some(mut spread) = normals.jackknife(|group| of_run[group])
         {
-            terms_included = true;
             if !left_out.is_empty()
                 && let Some(step) = normals.step()
             {
@@ -116,24 +114,24 @@ impl Solver<'_> {
             let spread = spread.select(&estimated, &left_out);
             solution.covariance.replace_by_jackknife(spread, normals.folds(), left_out.len());
         }
-        // Without the jackknife, the excluded error terms are considered like the other parameters.
-        let is_considered = |id: ParameterId| !terms_included || id.term().is_none();
-        if let Some((considered, of_considered)) = self.considered(columns, solution.loss, is_considered)? {
+        if let Some((considered, of_considered)) = self.considered(columns, solution)? {
             of_covariance.extend(of_considered);
             solution.covariance.add_considered(considered);
         }
         Ok(of_covariance)
     }
 
-    /// Effect of the errors of those [`Role::Considered`] parameters for which `is_considered` is true on the solution, and
-    /// the columns of these parameters. `None` if there are no such parameters.
+    /// Effect of the errors of [`Role::Considered`] parameters on the solution, and the columns of these parameters.
+    /// `None` if there are no such parameters.
     fn considered(
         &self,
         columns: &SharedColumns,
-        loss: Loss,
-        is_considered: impl Fn(ParameterId) -> bool,
+        solution: &Solution,
     ) -> Result<Option<(Considered, Vec<Column>)>, CalibrateError> {
-        let free = |parameter: &Parameter, _| is_considered(parameter.id).then_some(Role::Free);
+        // Error terms are not included here if the jackknife has included them with their priors.
+        let by_jackknife = matches!(solution.covariance.sigmas_from, SigmasFrom::Jackknife { .. });
+        let free =
+            |parameter: &Parameter, _| (!by_jackknife || parameter.id.term().is_none()).then_some(Role::Free);
         let models = self.models(|model| model.with_considered(free));
         let all = models.columns.all();
         let estimated = |column: usize| columns.all().iter().position(|other| *other == all[column]);
@@ -144,7 +142,7 @@ impl Solver<'_> {
         let sigmas = models.of_runs.iter().zip(&*self.runs).map(|(model, run)| considered_sigmas(model, run));
         let sigmas = models.columns.gather(&sigmas.collect::<Vec<_>>());
         let problem = problem_with_models(self.runs, &models.of_runs, &models.columns, &self.sigmas)?;
-        let options = Options { loss, ..Options::default() };
+        let options = Options { loss: solution.loss, ..Options::default() };
         let found = influence(&problem, &models.start(), &considered, &options)?;
         // The rows of `found.change` are in the order of the estimated columns in `all`. The rows of the result are in the
         // order of the solution, which may differ.
