@@ -1,6 +1,6 @@
 //! Computes all results that the report of a calibration shows, and collects them in [`Evidence`]. A gap is the
-//! distance between the robot's end and the bar's end. Without the first two encoders the bar's end is unknown. A gap is then the
-//! distance of the robot's end from the sphere of the bar.
+//! distance between the robot's end and the bar's end. Without the first two encoders the bar's end is unknown. A gap is
+//! then the distance of the robot's end from the sphere of the bar.
 
 use super::accuracy::workspace::Workspace;
 use super::limits::gap_m;

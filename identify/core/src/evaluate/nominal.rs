@@ -1,9 +1,9 @@
 //! The nominal robot with a bar fitted to it. It is the reference for the improvement by a calibration.
 
-use std::ops::Range;
+use std::array;
 
 use crate::cost::{Length, LoopProblem, Position, Residual, Transform};
-use crate::kinematics::LinkParameter;
+use crate::kinematics::{BAR_JOINTS, LinkParameter};
 use crate::model::{Geometry, Model, Observation, Owner, ParameterId, RobotMotion};
 use crate::solver::{Options, minimise};
 
@@ -28,25 +28,22 @@ pub(super) fn bar_fitted(
     motion: &impl RobotMotion,
     observations: &[Observation],
 ) -> Geometry {
-    let all_have = |joints: Range<usize>| {
-        observations
-            .iter()
-            .all(|observation| observation.measured[joints.clone()].iter().all(|measured| *measured))
-    };
-    let (end, all_encoders) = (all_have(0..2), all_have(0..5));
+    let measured: [bool; BAR_JOINTS] =
+        array::from_fn(|joint| observations.iter().all(|observation| observation.measured[joint]));
+    let (measures_end, all_encoders) = (measured[0] && measured[1], measured == [true; BAR_JOINTS]);
     let is_fitted = |id: ParameterId| match id {
         ParameterId::Base { .. } | ParameterId::BaseRotation { .. } => true,
         ParameterId::Bar { link, parameter } => {
             // The first offset is the bar's rotation about z. Offsets of the first two joints need both encoders, the
             // others all five.
-            parameter == LinkParameter::Theta && (all_encoders || end && link < 2)
+            parameter == LinkParameter::Theta && (all_encoders || measures_end && link < 2)
         }
         _ => false,
     };
     model.free_only(is_fitted);
     let x = if all_encoders {
         fit(&model, motion, observations, Transform)
-    } else if end {
+    } else if measures_end {
         fit(&model, motion, observations, Position)
     } else {
         fit(&model, motion, observations, Length)

@@ -162,12 +162,12 @@ pub struct SphereDeviation {
 impl SphereDeviation {
     /// Deviations of each run.
     pub fn all(calibration: &Calibration, runs: &[RunEvidence]) -> Vec<Self> {
+        let by_encoders = calibration.measures_end();
         let of_run = |((run, evidence), (prepared, model)): ((usize, &RunEvidence), (&Prepared, &Model))| {
             let elongation = Elongation::of_run(calibration, run, prepared, model);
             let of_signs = elongation.is_some_and(|elongation| elongation.parameter == ParameterId::BarPlay);
-            let [before, after] = [&evidence.before, &evidence.after].map(|closures| {
-                ModelDeviation::from_closures(closures, of_signs, calibration.measures_end())
-            });
+            let [before, after] = [&evidence.before, &evidence.after]
+                .map(|closures| ModelDeviation::from_closures(closures, of_signs, by_encoders));
             Self { before, after, elongation }
         };
         runs.iter().enumerate().zip(calibration.bar_runs()).map(of_run).collect()
