@@ -35,12 +35,7 @@ impl Touch {
             stated_m.or_else(|| Some(best_fit(&touches, names.len(), None)?.tip_m)).unwrap_or_default();
         // The mean position of the tip on each face, with the nominal robot. The known distances apply there, so a tip that the
         // table does not contain is fitted.
-        let centre_m = |face: usize| {
-            let on_face = touches.iter().filter(|(_, row)| row.part == face);
-            let tips_m: Vec<Vector3<f64>> =
-                on_face.map(|(flange, _)| flange.transform_point(&tip_m.into()).coords).collect();
-            tips_m.iter().sum::<Vector3<f64>>() / tips_m.len().max(1) as f64
-        };
+        let centre_m = |face: usize| mean(&tips_on_face(&touches, face, tip_m));
         let centre_m: Vec<Vector3<f64>> = (0..names.len()).map(centre_m).collect();
         let faces = Faces::new(table, names, &centre_m);
         Self::of_rows(all, faces)
@@ -103,6 +98,17 @@ fn fit_tip_and_planes(touches: &TouchedPoses, faces: usize, start_m: Vector3<f64
     Some(TipFit { tip_m, planes, rms_m })
 }
 
+/// Positions of the tip at the touches of a face, for a tip at `tip_m` in the flange's frame.
+fn tips_on_face(touches: &TouchedPoses, face: usize, tip_m: Vector3<f64>) -> Vec<Vector3<f64>> {
+    let on_face = touches.iter().filter(|(_, row)| row.part == face);
+    on_face.map(|(flange, _)| flange.transform_point(&tip_m.into()).coords).collect()
+}
+
+/// Mean of positions; zero if there are none.
+fn mean(positions_m: &[Vector3<f64>]) -> Vector3<f64> {
+    positions_m.iter().sum::<Vector3<f64>>() / positions_m.len().max(1) as f64
+}
+
 /// Fits a plane through the tip positions on a face, of which there must be at least three. The normal points outwards, so
 /// that the reading decreases in its direction.
 ///
@@ -112,10 +118,9 @@ fn fit_tip_and_planes(touches: &TouchedPoses, faces: usize, start_m: Vector3<f64
 /// the flange, because a gauge touches a face from the outside.
 fn fit_plane(touches: &TouchedPoses, face: usize, tip_m: Vector3<f64>) -> Option<Face> {
     let on_face = || touches.iter().filter(|(_, row)| row.part == face);
-    let tips_m: Vec<Vector3<f64>> =
-        on_face().map(|(flange, _)| flange.transform_point(&tip_m.into()).coords).collect();
+    let tips_m = tips_on_face(touches, face, tip_m);
     let count = tips_m.len() as f64;
-    let centre_m = tips_m.iter().sum::<Vector3<f64>>() / count.max(1.0);
+    let centre_m = mean(&tips_m);
     let scatter: Matrix3<f64> =
         tips_m.iter().map(|tip| (tip - centre_m) * (tip - centre_m).transpose()).sum();
     let eigen = SymmetricEigen::try_new(scatter, f64::EPSILON, 1000)?;
