@@ -460,16 +460,18 @@ impl Validate for IdentifyConfig {
 impl IdentifyConfig {
     /// A parameter must not be both free and fixed. Each prior by name must have a standard deviation above zero.
     fn validate_names(&self) -> Result<(), Violation> {
+        let unless_free = |key: &str, id: &ParameterId| {
+            let problem = format!("`{id}` is also in `free`");
+            Violation::unless(!self.free.contains(id), key, problem, "remove one of the two")
+        };
         for (index, id) in self.fix.iter().enumerate() {
-            let (key, problem) = (format!("fix[{index}]"), format!("`{id}` is also in `free`"));
-            Violation::unless(!self.free.contains(id), key, problem, "remove one of the two")?;
+            unless_free(&format!("fix[{index}]"), id)?;
         }
-        for (id, sigma) in &self.priors {
-            let (key, problem) = (format!("priors.{id}"), format!("`{id}` is also in `free`"));
-            Violation::unless(!self.free.contains(id), &key, problem, "remove one of the two")?;
-            positive(key, *sigma)?;
-        }
-        Ok(())
+        self.priors.iter().try_for_each(|(id, sigma)| {
+            let key = format!("priors.{id}");
+            unless_free(&key, id)?;
+            positive(key, *sigma)
+        })
     }
 
     /// The required error and all standard deviations must be above zero. Exceptions are the standard deviations for
