@@ -440,11 +440,9 @@ fn ensure_programs_can_be_written(asked: &[Language], robot: &RobotConfig) -> an
 fn remove_programs(purpose: ProgramPurpose, out: &Path) -> anyhow::Result<()> {
     for language in Language::value_variants() {
         let program = out.join(language.file_name(purpose));
-        match fs::remove_file(&program) {
-            Err(error) if error.kind() != ErrorKind::NotFound => {
-                return Err(error).with_context(|| format!("cannot remove {}", program.display()));
-            }
-            _ => {}
+        let removed = fs::remove_file(&program);
+        if removed.as_ref().is_err_and(|error| error.kind() != ErrorKind::NotFound) {
+            return removed.with_context(|| format!("cannot remove {}", program.display()));
         }
     }
     Ok(())
