@@ -187,14 +187,18 @@ fn every_cost_finds_the_true_robot_within_what_it_says_of_itself() {
     assert!(sigmas.iter().all(|(_, sigma)| (least..=most).contains(sigma)), "{sigmas:?}");
 }
 
+/// A calibration with a bar that has no encoder at this joint.
+fn calibrated_without(joint: u8, robot: &RobotConfig) -> Calibration {
+    let mut bar = bar();
+    bar.encoders.retain(|encoder| encoder.joint != joint);
+    let run = simulate::run(&Experiment { effects: NOISE, ..Experiment::new(robot, &bar) }).unwrap();
+    calibrate_run(&run.cycles, &run.encoders, &run.robot_log, robot, &bar, &quick()).unwrap()
+}
+
 #[test]
 fn with_fewer_encoders_no_rotation_is_shown() {
     let robot = irb2400();
-    let mut bar = bar();
-    bar.encoders.retain(|encoder| encoder.joint != 3);
-    let run = simulate::run(&Experiment { effects: NOISE, ..Experiment::new(&robot, &bar) }).unwrap();
-    let found = calibrate_run(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, &quick());
-    let found = found.unwrap();
+    let found = calibrated_without(3, &robot);
     let text = page_text(&found, &evidence_of(&found, &robot), &robot);
     // If encoders are missing, the rotation of the bar is taken from the robot. A comparison of the two
     // rotations would give too small errors.
@@ -205,11 +209,7 @@ fn with_fewer_encoders_no_rotation_is_shown() {
 #[test]
 fn without_the_second_encoder_the_distances_are_those_from_the_sphere() {
     let robot = irb2400();
-    let mut bar = bar();
-    bar.encoders.retain(|encoder| encoder.joint != 2);
-    let run = simulate::run(&Experiment { effects: NOISE, ..Experiment::new(&robot, &bar) }).unwrap();
-    let found = calibrate_run(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, &quick()).unwrap();
-    let evidence = evidence_of(&found, &robot);
+    let evidence = evidence_of(&calibrated_without(2, &robot), &robot);
     let [before_m, after_m] = [evidence.gap_before_m, evidence.gap_after_m].map(|sizes| sizes.rms);
     assert!(after_m < 1e-4 && before_m > 2.0 * after_m, "{before_m} {after_m}");
     let [nominal, predicted, _] = evidence.held_out.unwrap().rms().map(|error| error.position_m);
