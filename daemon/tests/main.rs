@@ -15,5 +15,6 @@ mod record;
 mod recorder;
 mod segment;
 mod smoke;
+mod table;
 mod time_stamps;
 mod tuning;
