@@ -11,6 +11,7 @@ use axum::body::{Body, Bytes};
 use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use futures_util::stream;
+use percent_encoding::{NON_ALPHANUMERIC, utf8_percent_encode};
 use shared::output::explained;
 use shared::recording::{Disk, OpenFile};
 use tokio::sync::{Semaphore, mpsc};
@@ -67,8 +68,7 @@ impl Downloads {
         let mut response = Body::from_stream(body).into_response();
         let headers = response.headers_mut();
         headers.insert(header::CONTENT_TYPE, header::HeaderValue::from_static(what.media_type));
-        let disposition = format!("attachment; filename=\"{}\"", plain(&what.file_name));
-        if let Ok(value) = disposition.parse() {
+        if let Ok(value) = disposition(&what.file_name).parse() {
             headers.insert(header::CONTENT_DISPOSITION, value);
         }
         if let Some(length) = what.length {
@@ -90,6 +90,12 @@ impl Downloads {
     }
 }
 
+/// Value of the header that suggests a file name (RFC 6266). Clients that do not know the second form use the first.
+fn disposition(name: &str) -> String {
+    let encoded = utf8_percent_encode(name, NON_ALPHANUMERIC);
+    format!("attachment; filename=\"{}\"; filename*=UTF-8''{encoded}", plain(name))
+}
+
 /// Replaces characters, so that a file name is safe in a header and on every operating system.
 fn plain(name: &str) -> String {
     let is_plain = |c: char| c.is_ascii_alphanumeric() || "-_+.".contains(c);
@@ -107,5 +113,16 @@ impl Write for Pipe {
 
     fn flush(&mut self) -> io::Result<()> {
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::disposition;
+
+    #[test]
+    fn letters_of_every_language_stay_in_the_name_of_a_download() {
+        let expected = "attachment; filename=\"Pr_fling_1.mcap\"; filename*=UTF-8''Pr%C3%BCfling%201%2Emcap";
+        assert_eq!(disposition("Prüfling 1.mcap"), expected);
     }
 }
