@@ -177,11 +177,17 @@ fn a_deleted_run_lies_in_the_bin_until_it_is_restored_or_the_bin_is_emptied(serv
     assert!(restored.status.success(), "{}", text(&restored));
     assert_eq!(names("runs"), [named("one", "changed")]);
     assert_eq!(service.recording("one").run.note, "first");
+    // A run that is being recorded has no start time yet, and is nevertheless the latest.
+    service.granted("start", &json!({"name": "two"}));
+    service.wait_for("writing");
+    assert_eq!(names("runs").iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>(), ["two", "one"]);
+    service.granted("stop", &json!({}));
+    service.granted("delete", &json!({"name": "two"}));
     for name in ["one", "../one-2", ""] {
         assert_eq!(service.post("restore", &json!({"name": name})).0, 404, "{name}");
     }
     let emptied = service.granted("bin/empty", &json!({}));
-    assert_eq!((emptied.answer, emptied.removed), (Granted::Emptied, Some(1)));
+    assert_eq!((emptied.answer, emptied.removed), (Granted::Emptied, Some(2)));
     assert_eq!((names("runs"), names("bin")), (vec![named("one", "changed")], vec![]));
     assert_eq!(std::fs::read_dir(service.directory.path().join(".bin")).unwrap().count(), 0);
     assert!(text(&service.command(&["bin", "--empty"])).contains("recordings removed: 0"));

@@ -76,12 +76,16 @@ pub struct RunLine {
     pub next: Option<String>,
 }
 
-/// Lists the recordings of these directories, the latest first. Recordings without a start time come last. Several
-/// directories are searched, because a run may have continued in the spare directory.
+/// Lists the recordings of these directories: unfinished ones first, then the others, the latest first. Recordings without a
+/// start time come last. Several directories are searched, because a run may have continued in the spare directory.
 pub fn list(disk: &dyn Disk, directories: &[PathBuf]) -> io::Result<Vec<RunLine>> {
     let files = files(disk, directories)?.into_iter();
     let mut lines: Vec<_> = files.filter_map(|file| line(disk, file)).collect();
-    lines.sort_by(|a, b| b.started.cmp(&a.started).then_with(|| a.name.cmp(&b.name)));
+    let is_finished = |line: &RunLine| stem(&line.file, ACTIVE_ENDING).is_none();
+    lines.sort_by(|a, b| {
+        let order = is_finished(a).cmp(&is_finished(b)).then_with(|| b.started.cmp(&a.started));
+        order.then_with(|| a.name.cmp(&b.name))
+    });
     Ok(lines)
 }
 
