@@ -47,6 +47,8 @@ fn a_run_is_recorded_and_exported_with_counts_and_angles() {
     let out = tempfile::tempdir().unwrap();
     let output = record(out.path(), &["--name", "trial", "--duration", "2s", "--fast"]);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let said = String::from_utf8_lossy(&output.stdout);
+    assert!(said.contains("CHECK: it is 2.0 s long") && said.contains("next: "), "{said}");
     let file = out.path().join("trial.mcap");
     let export = ballbard().args(["export", "--csv"]).arg(&file).output().unwrap();
     assert!(export.status.success());

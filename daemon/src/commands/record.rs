@@ -77,6 +77,8 @@ pub fn run(arguments: &RecordArguments) -> anyhow::Result<()> {
     let file = last.file.clone().map(PathBuf::from);
     last.verdict = file.and_then(|file| runs::finished(&SystemDisk, last.name.clone(), file).verdict);
     if !arguments.format.prints(&last)? {
+        // A replayed run has its log of the robot already.
+        last.next = last.next.filter(|_| arguments.replay.is_none());
         say(last_run(&last))?;
         last.timing.iter().try_for_each(say)?;
     }

@@ -73,20 +73,26 @@ pub fn running(run: &RunStatus) -> String {
     )
 }
 
-/// Text about a run that has ended.
+/// Text about a run that has ended, with its grade and the next step.
 pub fn last_run(last: &LastRun) -> String {
-    let LastRun { name, file, cycles, cycles_valid, cycles_lost, cause, provenance, .. } = last;
+    let LastRun { name, file, cycles, cycles_valid, cycles_lost, cause, provenance, verdict, next, .. } =
+        last;
     let flagged = cycles - cycles_valid.min(cycles);
     let Some(file) = file else { return format!("{name}: {cause}") };
-    let provenance = if provenance.is_measured() { String::new() } else { format!("\n{provenance}") };
-    format!(
-        "{file}\n{cycles} cycles, {cycles_valid} valid, {flagged} flagged, {cycles_lost} lost; {cause}{provenance}"
-    )
-}
-
-/// Text that describes the next step after a run.
-pub fn next_step(name: &str, command: &str) -> String {
-    format!("next: save the log of the robot's controller as {name}.csv, then type\n  {command}")
+    let mut text = format!(
+        "{file}\n{cycles} cycles, {cycles_valid} valid, {flagged} flagged, {cycles_lost} lost; {cause}"
+    );
+    if !provenance.is_measured() {
+        let _ = write!(text, "\n{provenance}");
+    }
+    if let Some(verdict) = verdict {
+        let _ = write!(text, "\n{verdict}");
+    }
+    if let Some(next) = next {
+        let _ =
+            write!(text, "\nnext: save the log of the robot's controller as {name}.csv, then type\n  {next}");
+    }
+    text
 }
 
 /// Text of a recording as a line of the list.
