@@ -23,7 +23,7 @@ use shared::recording::schema::required::TRAVEL_MIN_DEG;
 use shared::time::{MonoNs, NS_PER_S};
 use tokio::sync::watch;
 
-use super::controller::preflight::hours_left;
+use super::controller::preflight::{hours_left, space_problem};
 use super::recordings::verdict::{GradeInput, Verdict};
 use super::settings::Settings;
 use super::status::{EncoderStatus, Headline, RunStatus, Status};
@@ -46,8 +46,6 @@ const WOUND_DEG: f64 = 360.0;
 const SINGULAR_DEG: f64 = 10.0;
 /// Time since the beginning of a run after which a joint that has not moved causes a warning \[s\].
 const MOVE_WITHIN_S: f64 = 15.0;
-/// Recording time below which a warning about the disk space appears \[h\].
-const DISK_HOURS_MIN: f64 = 4.0;
 /// Highest signal frequency that an EL5021 counts at 8 to 10 bits; with more bits the limit is lower \[1/s\]. If the counter
 /// has changed faster, it has restarted at another origin.
 const LINES_PER_S_MAX: f64 = 250_000.0;
@@ -401,9 +399,9 @@ impl Observer {
             let joints: Vec<u8> = stale.map(|joint| joint.joint).collect();
             facts.extend((!joints.is_empty()).then_some(Fact::MarksStale { joints }));
         }
-        let low = live.disk_hours.filter(|hours| *hours < DISK_HOURS_MIN);
-        facts.extend(low.map(|left_h| Fact::DiskSpaceLow { left_h }));
-        facts.into_iter().map(Problem::from).chain(live.status.bad_cables.iter().cloned()).collect()
+        let of_disk = live.disk_hours.and_then(space_problem);
+        let of_cables = live.status.bad_cables.iter().cloned();
+        facts.into_iter().map(Problem::from).chain(of_disk).chain(of_cables).collect()
     }
 }
 

@@ -504,7 +504,7 @@ impl From<Problem> for Refusal {
 }
 
 /// One line of the pre-flight check.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct CheckLine {
     /// Name of the checked condition.
     pub subject: String,
@@ -512,9 +512,13 @@ pub struct CheckLine {
     pub finding: String,
     /// What to do; absent if the check found no problem.
     pub remedy: Option<String>,
-    /// The problem prevents a run, unless the request to start contains a `reason`.
+    /// The problem prevents a run.
     #[serde(default)]
     pub stops: bool,
+    /// The run can begin despite the problem if the request to start contains a `reason`. Without bus or disk no run can
+    /// begin.
+    #[serde(default)]
+    pub reason_suffices: bool,
     /// The problems that the check found, as values; empty if there are none.
     #[serde(default)]
     pub problems: Vec<Problem>,

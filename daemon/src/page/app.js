@@ -239,9 +239,10 @@ function show_begin() {
   const state = latest?.status.state;
   const stopping = stopping_lines();
   const button = $("begin");
-  button.disabled = state !== "waiting" || !checks.length;
+  const is_final = stopping.some((line) => !line.reason_suffices);
+  button.disabled = state !== "waiting" || !checks.length || is_final;
   button.classList.toggle("reluctant", stopping.length > 0);
-  text(button, stopping.length ? "Start anyway …" : "Start");
+  text(button, stopping.length && !is_final ? "Start anyway …" : "Start");
   const why = state === undefined ? "no connection" : state !== "waiting" ? latest.headline.word.toLowerCase()
     : stopping.length ? `correct first: ${stopping.map((line) => line.subject).join(", ")}` : "";
   text($("begin-why"), why);
@@ -287,7 +288,7 @@ $("begin").addEventListener("click", async () => {
   const name = form.elements.name.value.trim();
   if (name) request.name = name;
   const minutes = form.elements.minutes.valueAsNumber;
-  if (minutes > 0) request.duration_s = 60 * minutes;
+  if (!Number.isNaN(minutes)) request.duration_s = 60 * minutes;
   if (name && await show_name()) {
     form.elements.name.focus();
     return;

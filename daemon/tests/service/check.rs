@@ -9,7 +9,7 @@ use serde_json::json;
 use super::rig::{Running, changed, shipped, text};
 
 #[test]
-fn check_fails_where_a_run_would_need_a_reason_to_begin_and_not_for_less() {
+fn check_fails_where_no_run_can_begin_and_not_for_less() {
     let service = Running::start();
     // The required free space is larger than any disk.
     let config = changed("disk_floor_mb = 500", "disk_floor_mb = 4000000000");
@@ -30,9 +30,12 @@ fn check_fails_where_a_run_would_need_a_reason_to_begin_and_not_for_less() {
     let output = full.command(&["check"]);
     assert_eq!(output.status.code(), Some(1), "{}", text(&output));
     assert!(text(&output).contains("PROBLEM  disk:"), "{}", text(&output));
+    // No reason overrides the disk, so nobody is asked for one.
+    assert!(!text(&output).contains("--reason"), "{}", text(&output));
     let (status, reply) = full.post("start", &json!({"name": "full"}));
     assert_eq!(status, 409);
-    assert!(reply["error"].as_str().unwrap().contains("disk floor"), "{reply}");
+    let error = reply["error"].as_str().unwrap();
+    assert!(error.contains("disk floor") && !error.contains("reason"), "{reply}");
     assert_eq!(std::fs::read_dir(full.directory.path()).unwrap().count(), 0);
 }
 

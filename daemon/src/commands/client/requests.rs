@@ -12,7 +12,7 @@ use qrcode::render::unicode::Dense1x2;
 use shared::output::say;
 use shared::recording::RunMark;
 
-use super::text::{SIMULATED, codes, ensure_usable, last_run, next_step, print_list, running};
+use super::text::{SIMULATED, codes, ensure_usable, last_run, print_list, running};
 use super::{ServiceArguments, listed_in};
 use crate::control::recordings::runs::RunLine;
 use crate::control::status::{
@@ -113,8 +113,6 @@ pub fn stop(service: &ServiceArguments) -> anyhow::Result<()> {
         (Granted::Stopped, Some(last)) => {
             if !printed {
                 say(last_run(last))?;
-                verdict.iter().try_for_each(say)?;
-                last.next.iter().try_for_each(|next| say(next_step(&last.name, next)))?;
             }
             ensure_usable(&last.name, verdict.as_ref())?;
         }
@@ -216,8 +214,6 @@ pub fn status(arguments: &StatusArguments) -> anyhow::Result<()> {
     }
     if let Some(last) = &status.last {
         say(format_args!("last run: {}", last_run(last)))?;
-        last.verdict.iter().try_for_each(say)?;
-        last.next.iter().try_for_each(|next| say(next_step(&last.name, next)))?;
     }
     let of_run = status.run.as_ref().and_then(|run| run.timing.as_ref());
     let timing = of_run.or(status.last.as_ref().and_then(|last| last.timing.as_ref()));
@@ -228,7 +224,7 @@ pub fn status(arguments: &StatusArguments) -> anyhow::Result<()> {
 pub fn check(service: &ServiceArguments) -> anyhow::Result<()> {
     let lines: Vec<CheckLine> = service.get("check")?;
     let printed = service.format.prints(&lines)?;
-    for CheckLine { subject, finding, remedy, stops, problems } in lines.iter().filter(|_| !printed) {
+    for CheckLine { subject, finding, remedy, stops, problems, .. } in lines.iter().filter(|_| !printed) {
         match remedy {
             None => say(format_args!("ok       {subject}: {finding}")),
             Some(remedy) => {
@@ -237,10 +233,13 @@ pub fn check(service: &ServiceArguments) -> anyhow::Result<()> {
             }
         }?;
     }
-    let problems = lines.iter().filter(|line| line.stops).count();
-    if problems > 0 {
+    let stopping: Vec<_> = lines.iter().filter(|line| line.stops).collect();
+    if !stopping.is_empty() {
+        let suffices = stopping.iter().all(|line| line.reason_suffices);
+        let otherwise = if suffices { ", or give `start` a --reason" } else { "" };
         bail!(
-            "{problems} of {} checks found a problem that stops a run; correct it, or give `start` a --reason",
+            "{} of {} checks found a problem that stops a run; correct it{otherwise}",
+            stopping.len(),
             lines.len()
         );
     }

@@ -154,7 +154,7 @@ fn operations() -> Vec<(Operation, MethodRouter<ApiState>)> {
             Operation::get::<Vec<CheckLine>>("/check", "Runs the pre-flight check."),
             get(check),
         ),
-        (Operation::get::<Vec<RunLine>>("/runs", "Lists the recordings, the latest first."), get(list_runs)),
+        (Operation::get::<Vec<RunLine>>("/runs", "Lists the recordings: unfinished ones first, then the latest."), get(list_runs)),
         (
             Operation::get_other(
                 "/runs/{name}/mcap",
@@ -456,8 +456,9 @@ async fn start(
     let findings = findings.join("; ");
     if !stopping.is_empty() && reason.is_none() {
         let remedies: Vec<_> = stopping.iter().filter_map(|line| line.remedy.as_deref()).collect();
-        let remedies = remedies.join("; ");
-        let error = format!("{findings}; {remedies}, or give a `reason` (--reason) to begin regardless");
+        let suffices = stopping.iter().all(|line| line.reason_suffices);
+        let otherwise = if suffices { ", or give a `reason` (--reason) to begin regardless" } else { "" };
+        let error = format!("{findings}; {}{otherwise}", remedies.join("; "));
         let problems = stopping.into_iter().flat_map(|line| line.problems).collect();
         return Err(refused(StatusCode::CONFLICT, Refusal { error, problems }));
     }

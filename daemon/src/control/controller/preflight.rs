@@ -44,7 +44,7 @@ impl DiskFindings {
 pub(in crate::control) fn check(controller: &Controller, found: Option<&DiskFindings>) -> Vec<CheckLine> {
     let status = controller.status();
     let findings = [
-        ("bus", bus(controller, &status)),
+        (BUS, bus(controller, &status)),
         ("encoders", encoders(&status)),
         ("cables", cables(&status)),
         ("reference marks", reference_marks(controller, found)),
@@ -58,19 +58,18 @@ pub(in crate::control) fn check(controller: &Controller, found: Option<&DiskFind
     findings.into_iter().map(|(subject, finding)| line(subject, finding)).collect()
 }
 
-/// Subject of the line about the disk. This line prevents a run if it has any problem, even a slight one.
+/// Subjects of the lines without which no run can begin, whatever reason the request to start contains.
+const BUS: &str = "bus";
 const DISK: &str = "disk";
 
 /// A text if the condition is met, otherwise the problems.
 type CheckResult = Result<String, Vec<Problem>>;
 
-/// Converts a result into a line. A line prevents a run if one of its problems is [`Level::Bad`]. The line of the disk
-/// prevents a run with any problem, because even a slow disk can cost the run.
+/// Converts a result into a line. A line prevents a run if one of its problems is [`Level::Bad`].
 fn line(subject: &str, finding: CheckResult) -> CheckLine {
     let problems = match finding {
         Ok(finding) => {
-            let (subject, remedy, stops, problems) = (subject.into(), None, false, Vec::new());
-            return CheckLine { subject, finding, remedy, stops, problems };
+            return CheckLine { subject: subject.into(), finding, ..CheckLine::default() };
         }
         Err(problems) => problems,
     };
@@ -79,10 +78,12 @@ fn line(subject: &str, finding: CheckResult) -> CheckLine {
         parts.dedup();
         parts.join("; ")
     };
+    let stops = problems.iter().any(|problem| problem.severity == Level::Bad);
     CheckLine {
         finding: joined(|problem| &problem.text),
         remedy: Some(joined(|problem| &problem.remedy)),
-        stops: subject == DISK || problems.iter().any(|problem| problem.severity == Level::Bad),
+        stops,
+        reason_suffices: stops && ![BUS, DISK].contains(&subject),
         subject: subject.into(),
         problems,
     }
@@ -152,6 +153,8 @@ fn state(controller: &Controller, found: Option<&DiskFindings>) -> CheckResult {
     none_of(unsavable, format!("reference marks can be saved in {file}"))
 }
 
+/// Recording time below which the free space is reported as low \[h\].
+const DISK_HOURS_MIN: f64 = 4.0;
 /// Size of a cycle in the file, measured with five turning encoders at 100 Hz \[bytes\]. Three encoders need 132 bytes. At
 /// 1000 Hz a cycle needs 125 bytes, because longer chunks compress better.
 const BYTES_PER_CYCLE: f64 = 170.0;
@@ -161,8 +164,15 @@ pub(in crate::control) fn hours_left(usable_bytes: u64, rate_hz: u32) -> f64 {
     usable_bytes as f64 / (BYTES_PER_CYCLE * f64::from(rate_hz.max(1)) * 3600.0)
 }
 
+/// Reports that the space suffices for a short time only.
+pub(in crate::control) fn space_problem(left_h: f64) -> Option<Problem> {
+    (left_h < DISK_HOURS_MIN).then(|| Fact::DiskSpaceLow { left_h }.into())
+}
+
 fn disk(controller: &Controller) -> CheckResult {
-    let problems = controller.disk_problems();
+    // No run begins while the disk has a problem, even a slight one.
+    let problems: Vec<Problem> =
+        controller.disk_problems().into_iter().map(|problem| problem.with_severity(Level::Bad)).collect();
     if !problems.is_empty() {
         return Err(problems);
     }
@@ -174,7 +184,8 @@ fn disk(controller: &Controller) -> CheckResult {
         format!("; {:.1} s wait to be written, {}", progress.backlog_s, progress.longest)
     });
     let usable_mb = usable / 1_000_000;
-    Ok(format!("{usable_mb} MB usable, about {hours:.0} hours at {rate_hz} Hz{waited}"))
+    let text = format!("{usable_mb} MB usable, about {hours:.0} hours at {rate_hz} Hz{waited}");
+    none_of(space_problem(hours), text)
 }
 
 fn realtime(controller: &Controller) -> CheckResult {
