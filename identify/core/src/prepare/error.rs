@@ -204,8 +204,9 @@ pub enum PrepareError {
         "the measured bar angles do not fit the robot's log with any order and direction of the encoders; as recorded \
          (encoder -> joint): {recorded}, at most {limit_mrad} mrad is allowed for each; {}",
         .likely.as_deref().unwrap_or(
-            "the robot's or the bar's configuration (lengths, or lines and interpolation_bits of the encoders) is not that of \
-             this cell, or robot log and recording are of different runs; correct the configuration, or give the log of this run"
+            "the robot's or the bar's configuration (lengths, lines and interpolation_bits of the encoders, or [base] of a robot \
+             that is not mounted as the bar) is not that of this cell, or robot log and recording are of different runs; \
+             correct the configuration, or give the log of this run"
         )
     )]
     NoEncoderMap {

@@ -129,14 +129,15 @@ impl EncoderMap {
 }
 
 impl fmt::Display for EncoderMap {
-    /// Formats the map as `1 -> 1, 2 -> 4 reversed (spread 3.1 mrad)`.
+    /// Formats the map as `1 -> 1, 2 -> 4 reversed (largest spread 3.1 mrad)`. The limit applies to each encoder.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         for (index, place) in self.encoders.iter().enumerate() {
             let separator = if index == 0 { "" } else { ", " };
             let reversed = if place.reversed { " reversed" } else { "" };
             write!(f, "{separator}{} -> {}{reversed}", place.recorded_joint, place.joint)?;
         }
-        write!(f, " (spread {:.1} mrad)", self.spread_mrad())
+        let largest_mrad = self.encoders.iter().map(|place| place.spread_mrad).fold(0.0, f64::max);
+        write!(f, " (largest spread {largest_mrad:.1} mrad)")
     }
 }
 
