@@ -454,8 +454,8 @@ parameters! {
         is ParameterBlock::new(Owner::Wire, Group::Placement, Unit::Metre),
         at |geometry| Some(&mut geometry.wire.offset_m);
 
-    /// Pose of a tracker in the robot's base frame: `tracker_x` .. `tracker_rz`. A second station of
-    /// the tracker has `tracker2_x` ...
+    /// Pose of a tracker in the robot's base frame: `tracker_x` .. `tracker_rz`. The rotation is a rotation vector (axis times
+    /// angle). A second station of the tracker has `tracker2_x` ...
     Tracker {
         /// Index of the station, from 0.
         station: usize = 0..ParameterId::SET_UPS_MAX,
@@ -466,7 +466,8 @@ parameters! {
         is ParameterBlock::placed(Owner::Tracker, coordinate),
         at |geometry| Some(geometry.tracker.places.get_mut(station)?.coordinate_mut(coordinate));
 
-    /// Pose of the tracker's target in the flange frame: `probe_x` .. `probe_rz`. A second target has `probe2_x` ...
+    /// Pose of the tracker's target in the flange frame: `probe_x` .. `probe_rz`. The rotation is a rotation vector (axis times
+    /// angle). A second target has `probe2_x` ...
     Probe {
         /// Index of the target, from 0.
         target: usize = 0..ParameterId::SET_UPS_MAX,
@@ -531,7 +532,8 @@ parameters! {
             })
         };
 
-    /// Robot clock minus bar clock at the reference time.
+    /// Robot clock minus bar clock at the reference time, minus the first estimate of this difference. `clocks[]` contains the
+    /// whole difference.
     ClockShift
         called "clock_shift",
         is ParameterBlock::new(Owner::Clocks, Group::Clock, Unit::Second),
