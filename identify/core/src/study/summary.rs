@@ -3,6 +3,7 @@
 //! reaches the limit. Tables have the format of those in the thesis.
 
 use std::collections::BTreeMap;
+use std::iter;
 
 use serde::Serialize;
 
@@ -91,7 +92,7 @@ pub struct StatementAnswer {
     pub answer: String,
     /// Value of the result; `None` if it could not be computed.
     pub value: Option<f64>,
-    /// Whether the claim holds; `None` for a question.
+    /// Whether the claim holds; `None` for a question, and if the results do not contain the curve.
     pub holds: Option<bool>,
     /// Explanation of the answer.
     pub why: String,
@@ -249,11 +250,23 @@ fn finding(statement: &Statement, curves: &[ErrorCurve], limit: f64) -> Statemen
     let is_claim = at_least.is_some() || at_most.is_some();
     StatementAnswer {
         text: statement.text.clone(),
-        answer: answer.unwrap_or_else(|| "not found".into()),
+        holds: (is_claim && answer.is_some()).then(|| value.is_some_and(is_within)),
+        answer: answer.unwrap_or_else(|| no_points(statement)),
         value,
-        holds: is_claim.then(|| value.is_some_and(is_within)),
         why: statement.why.clone(),
     }
+}
+
+/// Answer to a statement about curves without points.
+fn no_points(statement: &Statement) -> String {
+    let choices = iter::once(&statement.of).chain(&statement.against);
+    let names: Vec<String> = choices
+        .map(|choice| {
+            let CurveChoice { figure, estimator, measure, .. } = choice;
+            format!("the {} of `{estimator}` in figure `{figure}`", measure.label())
+        })
+        .collect();
+    format!("cannot be computed: no size has {}; choose another `measure` or `between`", names.join(" and "))
 }
 
 /// A point of a curve that a statement selects.
@@ -465,6 +478,32 @@ mod tests {
         let falling: Vec<(f64, f64)> = curve.iter().map(|(x, y)| (100.0 / x, *y)).collect();
         assert!(matches!(reach(&falling, 0.5), Reach::At(_)));
         assert_eq!(reach(&[], 0.5), Reach::Unknown);
+    }
+
+    #[test]
+    fn a_claim_about_an_error_that_no_experiment_has_is_neither_confirmed_nor_refuted() {
+        let of = CurveChoice {
+            figure: "w".into(),
+            series: None,
+            estimator: "wire".into(),
+            between: None,
+            measure: Measure::Euclidean,
+        };
+        let statement = Statement {
+            text: "more rows are better".into(),
+            of,
+            against: None,
+            reaches_limit: false,
+            at_least: None,
+            at_most: Some(0.9),
+            why: String::new(),
+        };
+        let StatementAnswer { answer, value, holds, .. } = finding(&statement, &[], 0.5);
+        assert_eq!((value, holds), (None, None));
+        assert!(
+            answer.contains("no size has the Euclidean error [mm|mrad] of `wire` in figure `w`"),
+            "{answer}"
+        );
     }
 
     #[test]
