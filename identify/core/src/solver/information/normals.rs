@@ -261,24 +261,42 @@ impl Normals {
     /// For each fold, the mean squared residual that a solution without this fold predicts. The solution estimates `columns`
     /// and leaves other columns unchanged, also in directions that the other folds do not determine.
     pub fn held_out(&self, columns: &[usize], priors: &[Prior]) -> Option<Vec<f64>> {
-        self.held_out_each(|_| columns.to_vec(), priors)
+        let (total, known) = (self.total.only(columns), self.known.only(columns));
+        self.predicted(|fold| self.error_without(fold, columns, priors, [&total, &known]))
     }
 
     /// As [`Self::held_out`], but the estimated columns can differ between folds: `columns` returns them for the
     /// index of a fold.
     pub fn held_out_each(&self, columns: impl Fn(usize) -> Vec<usize>, priors: &[Prior]) -> Option<Vec<f64>> {
-        let error = |(number, fold): (usize, &Normal)| {
-            let columns = columns(number);
-            let priors = priors_among(priors, &columns);
-            let x: Vec<f64> = columns.iter().map(|&column| self.x[column]).collect();
-            let fold = fold.only(&columns);
-            let mut others = &self.total.only(&columns) - &fold;
-            others += &self.known.only(&columns);
-            others.add_priors(&priors, &x);
-            let step = -factor_with_ridge(others.matrix)?.solve(&others.gradient);
-            Some(fold.after(&step) / fold.rows)
-        };
-        self.folds.iter().enumerate().filter(|(_, fold)| fold.rows > 0.0).map(error).collect()
+        self.predicted(|fold| {
+            let columns = columns(fold);
+            let (total, known) = (self.total.only(&columns), self.known.only(&columns));
+            self.error_without(fold, &columns, priors, [&total, &known])
+        })
+    }
+
+    /// Mean squared residual that the solution for `columns` without the fold of this number predicts for it. `total` and
+    /// `known` have only these columns.
+    fn error_without(
+        &self,
+        number: usize,
+        columns: &[usize],
+        priors: &[Prior],
+        [total, known]: [&Normal; 2],
+    ) -> Option<f64> {
+        let x: Vec<f64> = columns.iter().map(|&column| self.x[column]).collect();
+        let fold = self.folds[number].only(columns);
+        let mut others = total - &fold;
+        others += known;
+        others.add_priors(&priors_among(priors, columns), &x);
+        let step = -factor_with_ridge(others.matrix)?.solve(&others.gradient);
+        Some(fold.after(&step) / fold.rows)
+    }
+
+    /// The errors of all folds with samples. `error` returns that of the fold of a number.
+    fn predicted(&self, error: impl Fn(usize) -> Option<f64>) -> Option<Vec<f64>> {
+        let has_samples = |number: &usize| self.folds[*number].rows > 0.0;
+        (0..self.folds.len()).filter(has_samples).map(error).collect()
     }
 
     /// The matrix of [`Self::whole`] and its factor. `None` if columns are linearly dependent.
