@@ -43,7 +43,8 @@ fn other_paths_of_one_robot_agree_and_another_robot_does_not() {
     let other = Consistency::new(&files).unwrap();
     assert!(!other.is_consistent(), "{:?}", other.p_corrected);
     let names = ["monday".to_owned(), "<tuesday>".to_owned()];
-    assert!(side_by_side::table(&other, &names).contains("not consistent"));
+    let table = side_by_side::table(&other, &names);
+    assert!(table.contains("not consistent") && table.contains("corrections were applied"), "{table}");
     let page = side_by_side::page(&other, "robot", &names).into_string();
     assert!(page.contains("not consistent") && page.contains("&lt;tuesday&gt;") && page.contains("<svg"));
 }

@@ -91,7 +91,8 @@ fn verdict(consistency: &Consistency) -> String {
         }
         Some(p) => format!(
             "not consistent: differences like these do not come by chance (p {}, below {P_MIN}: the smallest p multiplied by the \
-             number of parameters); something that the model lacks differs between the runs, or their sigmas are too small",
+             number of parameters); corrections were applied between the runs, something else that the model lacks differs, or \
+             their sigmas are too small",
             probability(Some(p))
         ),
     }

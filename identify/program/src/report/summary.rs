@@ -106,7 +106,7 @@ fn next(file: &CalibrationFile) -> &'static str {
         }
         (true, Some(Grade::Green)) => {
             "add each number of corrections.csv to the controller's own (joints in its units and signs: corrections_log.csv), then \
-             measure once more and `identify compare` both"
+             calibrate a second run: its error before should be about the one above with links alone (Applying a result, step 7)"
         }
         (true, _) => {
             "read report.html; if what limits is acceptable, add each number of corrections.csv to the controller's own"
