@@ -13,7 +13,7 @@ use crate::calibrate::validation::agreement::{Disagreement, disagreeing};
 use crate::cost::Closure;
 use crate::instrument::{Run, ScaleFrom};
 use crate::kinematics::{DhLink, Joints, LinkParameter};
-use crate::model::{JointTerm, Model, ParameterId};
+use crate::model::{JointTerm, Model, ParameterId, Role};
 use crate::solver::{Loss, LossName, Solution};
 use crate::statistics::{Sizes, extremes, median};
 
@@ -28,6 +28,9 @@ const WEIGHT_MIN: f64 = 0.5;
 
 /// Length errors above this limit have another cause than manufacturing or measurement \[m\].
 const LENGTH_OFF_M: f64 = 5e-3;
+/// Error of the bar's configured length up to which it is not reported, if no other length is wrong and the bar's file states no
+/// uncertainty of this length \[m\]. The length is then entered roughly, and the calibration estimates it.
+const ROD_OFF_M: f64 = 50e-3;
 
 /// A rotation of the plate by more than this is reported \[rad\]. It is more than the usual error of a joint
 /// offset; the mounting of a plate may be further off.
@@ -331,12 +334,18 @@ fn turned_plate(model: &Model, solution: &Solution) -> Option<Limit> {
     })
 }
 
-/// Lengths that differ by more than [`LENGTH_OFF_M`] from the configured ones.
+/// Lengths that differ by more than [`LENGTH_OFF_M`] from the configured ones. The length of the bar alone may differ by
+/// [`ROD_OFF_M`].
 fn far_lengths(model: &Model, solution: &Solution, scale: &str) -> Option<String> {
     let mut off: Vec<LengthEstimate> =
         lengths(model, solution).filter(|length| length.off_m.abs() > LENGTH_OFF_M).collect();
     off.sort_by(|a, b| b.off_m.abs().total_cmp(&a.off_m.abs()));
-    (!off.is_empty()).then(|| {
+    let is_rough = |length: &LengthEstimate| {
+        length.id == ParameterId::ROD
+            && model.role(length.id) == Some(Role::Free)
+            && length.off_m.abs() <= ROD_OFF_M
+    };
+    (!off.iter().all(is_rough)).then(|| {
         format!(
             "Estimated lengths are far from the configured ones: {}. If it is one or two, the robot's or the bar's file is not that \
              of the cell; if it is all of them by the same ratio, the scale is wrong, and all lengths with it. {scale}.",
