@@ -2,11 +2,12 @@
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 
 use std::f64::consts::FRAC_PI_2;
+use std::path::Path;
 
 use crate::support::independent::{Matrix, identity, product, shift, turn};
 use identify::calibrate::validation::deployment::Deployment;
 use identify::kinematics::{Chain, InverseError, Joints, Pose, robot_chain};
-use identify::logs::{JointConversion, RobotLogMapping};
+use identify::logs::{JointConversion, LoggedJoints, RobotLogMapping, read};
 use identify::model::Model;
 use identify::report::result::corrections::{Correction, corrections, csv, log_corrections};
 use identify::report::result::file::{CalibrationFile, ParameterEntry, ParameterStatus, SolveEntry};
@@ -165,7 +166,8 @@ fn corrections_read_back_and_applied_to_joints_or_to_the_log_give_the_identified
         let coupling = "[[coupling]]\njoint = 3\nfrom = 2\nfactor = 1\n";
         let mapping: RobotLogMapping = toml::from_str(&(joints.collect::<String>() + coupling)).unwrap();
         let mapped = JointConversion::new(&mapping.conversion()).unwrap();
-        let to_exported = log_corrections(&file(&config), &config, Some(&mapping), Deployment::Dh).unwrap();
+        let logged = LoggedJoints::of_mapping(&mapping).unwrap();
+        let to_exported = log_corrections(&file(&config), &config, Some(&logged), Deployment::Dh).unwrap();
         assert!(to_exported.iter().all(|row| row.unit == "deg" && row.what.starts_with('J')));
         let (to_joints, to_log) = (add(&rows, "joint "), add(&of_log, &config.log.column));
         for joints in &JOINTS {
@@ -181,6 +183,30 @@ fn corrections_read_back_and_applied_to_joints_or_to_the_log_give_the_identified
                 assert!((found - chain.forward(joints).to_homogeneous()).amax() < 5e-6);
             }
         }
+    }
+}
+
+#[test]
+fn corrections_of_a_log_have_its_names_and_its_unit_and_the_sigma_of_a_single_joint() {
+    // The robot's own log is in degrees, that of the RTDE client in radians.
+    let config = crate::support::nj220();
+    let mut file = file(&config);
+    file.parameters.iter_mut().for_each(|entry| entry.sigma = Some(1e-3));
+    let names: Vec<String> = (0..6).map(|joint| format!("actual_q_{joint}")).collect();
+    let mut text = format!("timestamp {}\n", names.join(" "));
+    for row in 0..60 {
+        let t_s = 0.008 * f64::from(row);
+        text += &format!("{t_s}{}\n", format!(" {}", 0.1 * t_s).repeat(6));
+    }
+    let log = read(text.as_bytes(), Path::new("log.txt"), &config).unwrap();
+    let of_log = log_corrections(&file, &config, log.logged.as_ref(), Deployment::Dh).unwrap();
+    let of_own = log_corrections(&file, &config, None, Deployment::Dh).unwrap();
+    assert_eq!(of_log.iter().map(|row| row.what.as_str()).collect::<Vec<_>>(), names);
+    for (joint, (row, own)) in of_log.iter().zip(&of_own).enumerate() {
+        assert!(row.unit == "rad" && own.unit == "deg", "{row:?} {own:?}");
+        assert!((row.add - own.add.to_radians()).abs() < 2e-7, "{row:?} {own:?}");
+        // Joints 2 and 3 both move column 3.
+        assert_eq!(row.sigma, (joint != 2).then_some(1e-3), "{row:?}");
     }
 }
 

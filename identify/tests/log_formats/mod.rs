@@ -116,6 +116,10 @@ fn a_slide_in_telegrams_is_in_millimetres() {
         let options = LogOptions { format: None, mapping };
         let log =
             read_with(telegrams(60, 4).as_bytes(), Path::new("log.xml"), &with_slide(), &options).unwrap();
+        let logged = log.logged.as_ref().unwrap();
+        assert_eq!(logged.names, ["A1", "A2", "A3", "A4", "A5", "A6"]);
+        let (deg, mm) = (JointUnit::Deg, JointUnit::Mm);
+        assert_eq!(logged.units, [deg, deg, mm, deg, deg, deg]);
         for (row, q) in log.q_rad.iter().enumerate() {
             assert!((q[2] - angle_deg(row, 2) * 1e-3).abs() < 1e-9, "row {row}: {} m", q[2]);
             assert!((q[3] - angle_deg(row, 3).to_radians()).abs() < 1e-9, "row {row}: {} rad", q[3]);

@@ -30,6 +30,7 @@ pub use error::LogError;
 pub use force::{ForceClock, ForceColumns, ForceFrame, ForceKind, ForceLog, ForceLogMapping, ForceUnit};
 pub use robot::conversion::JointConversion;
 pub use robot::format::LogFormat;
+pub use robot::logged_joints::LoggedJoints;
 pub use robot::mapping::{Columns, Coupling, CsvLayout, RobotLogMapping};
 pub use robot::mistake::JointMistake;
 pub use robot::reader::{LogOptions, load, load_with, read, read_with};
@@ -154,6 +155,8 @@ pub struct RobotLog {
     pub torque: Option<Vec<Joints>>,
     /// Force on the ball-bar, from this log or from a separate file.
     pub force: Option<ForceLog>,
+    /// The joints as the file contains them; `None` if the log was not read from a file.
+    pub logged: Option<LoggedJoints>,
     /// Quality of the log.
     pub quality: LogQuality,
 }

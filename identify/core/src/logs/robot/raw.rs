@@ -6,8 +6,9 @@
 
 use std::path::{Path, PathBuf};
 
-use shared::config::{AngleUnit, JointKind, LogConversion, RobotConfig};
+use shared::config::{AngleUnit, JointKind, RobotConfig};
 
+use super::logged_joints::LoggedJoints;
 use super::mapping::RobotLogMapping;
 use crate::kinematics::{Joints, wrapped};
 use crate::logs::force::FORCE_MAX;
@@ -17,8 +18,8 @@ use crate::logs::time_series::frozen::repeated_rows;
 use crate::logs::time_series::sampling::Stamps;
 use crate::logs::time_series::stream::{remark_equal, retain};
 use crate::logs::{
-    ForceClock, ForceKind, ForceLog, JointConversion, JointMistake, LogError, LogFormat, ROWS_MIN, RobotLog,
-    Stream, ValueOrigin, since_first_s, travel,
+    ForceClock, ForceKind, ForceLog, JointMistake, LogError, LogFormat, ROWS_MIN, RobotLog, Stream,
+    ValueOrigin, since_first_s, travel,
 };
 use crate::statistics::{extremes, largest_difference};
 use crate::threads;
@@ -67,28 +68,16 @@ pub(in crate::logs) struct RawLog {
     pub force: Option<ForceKind>,
 }
 
-/// The meaning of the joints in a file: their names, and their conversion to the joints of the model.
+/// The meaning of the joints in a file.
 pub(in crate::logs) struct Meaning<'a> {
     robot: &'a RobotConfig,
-    /// Unit of angles in the file, determined by the robot's configuration, the format or the mapping.
-    unit: AngleUnit,
     /// Whether a mapping names the joints.
     is_mapped: bool,
-    /// Factors that convert the values of the file to the units of `conversion`. The conversion of a mapping is
-    /// from radians and metres.
-    factors: Joints,
-    /// Conversion to the joint variables of the model.
-    conversion: JointConversion,
-    /// Names of the joints in the file.
-    pub names: Vec<String>,
+    /// Names, units and conversion of the joints in the file.
+    pub logged: LoggedJoints,
 }
 
 impl<'a> Meaning<'a> {
-    fn new(robot: &'a RobotConfig, log: &LogConversion, names: Vec<String>) -> Result<Self, LogError> {
-        let (conversion, factors) = (JointConversion::new(log)?, Joints::from_fn(robot.axes(), |_| 1.0));
-        Ok(Self { robot, unit: log.unit, is_mapped: false, factors, conversion, names })
-    }
-
     /// The conversion in a mapping that names joints.
     pub fn mapped(
         robot: &'a RobotConfig,
@@ -97,16 +86,13 @@ impl<'a> Meaning<'a> {
         path: &Path,
     ) -> Result<Self, LogError> {
         joints_of_robot(&mapping.joints, robot, path)?;
-        let is_in_deg = mapping.joints.iter().any(|joint| joint.unit == JointUnit::Deg);
-        let unit = if is_in_deg { AngleUnit::Deg } else { AngleUnit::Rad };
-        let factors = mapping.joints.iter().map(|joint| joint.unit.to_si()).collect();
-        Ok(Self { unit, is_mapped: true, factors, ..Self::new(robot, &mapping.conversion(), names)? })
+        let logged = LoggedJoints { names, ..LoggedJoints::of_mapping(mapping)? };
+        Ok(Self { robot, is_mapped: true, logged })
     }
 
     /// The conversion of the robot's own log, with angles in `unit`.
     pub fn own(robot: &'a RobotConfig, unit: AngleUnit, names: Vec<String>) -> Result<Self, LogError> {
-        let meaning = Self::new(robot, &LogConversion { unit, ..robot.log.clone() }, names)?;
-        Ok(Self { conversion: meaning.conversion.with_prismatic(robot), ..meaning })
+        Ok(Self { robot, is_mapped: false, logged: LoggedJoints::own(robot, unit, names)? })
     }
 
     /// The conversion for a format with joints in degrees. If a mapping names joints, it is the conversion of the mapping,
@@ -119,24 +105,23 @@ impl<'a> Meaning<'a> {
         format: LogFormat,
         path: &Path,
     ) -> Result<Self, LogError> {
-        Ok(match mapping.and_then(RobotLogMapping::with_joints) {
-            Some(mapping) => {
-                let factors = mapping.joints.iter().map(|joint| match joint.unit.kind() {
-                    JointKind::Revolute => AngleUnit::Deg.to_rad(),
-                    JointKind::Prismatic => joint.unit.to_si(),
-                });
-                let (unit, factors) = (AngleUnit::Deg, factors.collect());
-                Self { unit, factors, ..Self::mapped(robot, mapping, names, path)? }
+        let mut meaning = match mapping.and_then(RobotLogMapping::with_joints) {
+            Some(mapping) => Self::mapped(robot, mapping, names, path)?,
+            None => Self::of_controller(robot, AngleUnit::Deg, names, format, path)?,
+        };
+        let LoggedJoints { units, factors, .. } = &mut meaning.logged;
+        for (unit, factor) in units.iter_mut().zip(factors) {
+            match unit.kind() {
+                JointKind::Revolute if meaning.is_mapped => {
+                    (*unit, *factor) = (JointUnit::Deg, JointUnit::Deg.to_si());
+                }
+                JointKind::Prismatic if !meaning.is_mapped => {
+                    (*unit, *factor) = (JointUnit::Mm, JointUnit::Mm.to_si());
+                }
+                JointKind::Revolute | JointKind::Prismatic => {}
             }
-            None => {
-                let factors = robot.joint_kinds().map(|kind| match kind {
-                    JointKind::Revolute => 1.0,
-                    JointKind::Prismatic => 1e-3,
-                });
-                let meaning = Self::of_controller(robot, AngleUnit::Deg, names, format, path)?;
-                Self { factors: factors.collect(), ..meaning }
-            }
-        })
+        }
+        Ok(meaning)
     }
 
     /// The conversion for a format with joints of the controller and angles in `unit`. The conversion is taken from the
@@ -162,7 +147,7 @@ impl<'a> Meaning<'a> {
 
     /// Joints or speeds of a row of the file, in the units of `conversion`.
     fn scaled(&self, values: Joints) -> Joints {
-        values.iter().zip(self.factors).map(|(value, factor)| value * factor).collect()
+        values.iter().zip(self.logged.factors).map(|(value, factor)| value * factor).collect()
     }
 }
 
@@ -235,7 +220,7 @@ impl RawLog {
             return Err(self.too_few(self.joints.len()));
         }
         // Converts the joints.
-        self.joints.iter_mut().for_each(|row| *row = meaning.conversion.to_joint(row));
+        self.joints.iter_mut().for_each(|row| *row = meaning.logged.conversion.to_joint(row));
         self.check_limits(meaning)?;
         // The places are not needed any more. They take as much memory as the stamps.
         self.places = Vec::new();
@@ -252,11 +237,12 @@ impl RawLog {
         // Converts the other quantities.
         let [speeds, torque, force_columns] =
             std::mem::take(&mut self.more).map(|values| (!values.is_empty()).then_some(values));
-        let speed_rad_s =
-            speeds.map(|speeds| speeds.iter().map(|row| meaning.conversion.to_joint_rate(row)).collect());
+        let speed_rad_s = speeds
+            .map(|speeds| speeds.iter().map(|row| meaning.logged.conversion.to_joint_rate(row)).collect());
         let force = self.bar_force(force_columns, torque.as_deref(), meaning, &q_rad);
         self.remark_quality(&q_rad);
-        Ok(RobotLog { q_rad: q_rad.into(), speed_rad_s, torque, force, ..self.log })
+        let logged = Some(meaning.logged.clone());
+        Ok(RobotLog { q_rad: q_rad.into(), speed_rad_s, torque, force, logged, ..self.log })
     }
 
     /// The force on the bar at the times of the joints. If the mapping has a force but some row lacks it, adds a
@@ -272,7 +258,9 @@ impl RawLog {
         let values: Option<Vec<Joints>> = match kind {
             ForceKind::JointTorques => columns.as_deref().or(torque).and_then(|torques| {
                 let within = torques.iter().flatten().all(|torque| torque.abs() <= FORCE_MAX);
-                within.then(|| torques.iter().map(|row| meaning.conversion.to_joint_torque(row)).collect())
+                within.then(|| {
+                    torques.iter().map(|row| meaning.logged.conversion.to_joint_torque(row)).collect()
+                })
             }),
             _ => columns,
         };
@@ -289,7 +277,7 @@ impl RawLog {
 
     /// Removes single rows that have the same joints as the row before, but a new stamp, in the middle of a motion.
     fn drop_repeated(&mut self, meaning: &Meaning<'_>) {
-        let joint = |row: usize| meaning.conversion.to_joint(&self.joints[row]);
+        let joint = |row: usize| meaning.logged.conversion.to_joint(&self.joints[row]);
         let step = |from: usize, to: usize| largest_difference(&joint(from), &joint(to));
         let repeated = repeated_rows(self.joints.len(), 1, step);
         self.log.quality.repeated_dropped = repeated.len();
@@ -299,7 +287,7 @@ impl RawLog {
     /// Removes rows that jump away and back. Otherwise they would be interpolated, and would change the motion with which
     /// the clocks are compared.
     fn drop_excursions(&mut self, meaning: &Meaning<'_>) -> Result<(), LogError> {
-        let q = threads::rows(self.joints.len(), |row| meaning.conversion.to_joint(&self.joints[row]));
+        let q = threads::rows(self.joints.len(), |row| meaning.logged.conversion.to_joint(&self.joints[row]));
         let kinds: Vec<JointKind> = meaning.robot.joint_kinds().collect();
         let step = |from: usize, to: usize, joint: usize| {
             let change = q[to][joint] - q[from][joint];
@@ -359,7 +347,7 @@ impl RawLog {
     /// The remedy for joints beyond their limits: the common mistake whose correction moves every row within the
     /// limits, if there is one.
     fn likely_cause(&self, meaning: &Meaning<'_>) -> String {
-        let (limits, conversion) = (meaning.robot.joint_limits(), &meaning.conversion);
+        let (limits, conversion) = (meaning.robot.joint_limits(), &meaning.logged.conversion);
         let rows: Vec<Joints> = self.joints.iter().map(|q| conversion.to_raw(q)).collect();
         let fits = |to_joint: &dyn Fn(&Joints) -> Joints| {
             rows.iter().all(|row| beyond_limits(&to_joint(row), &limits).is_none())
@@ -372,7 +360,8 @@ impl RawLog {
             let [low_rad, high_rad] = extremes(angles);
             high_rad - low_rad > MOTION_DEG_MIN.to_radians()
         };
-        if meaning.unit == AngleUnit::Rad && fits(&in_deg) && (0..conversion.axes()).any(moves) {
+        let is_in_deg = meaning.logged.units.contains(&JointUnit::Deg);
+        if !is_in_deg && fits(&in_deg) && (0..conversion.axes()).any(moves) {
             let correction = if meaning.is_mapped {
                 "write unit = \"deg\" for the joints of the mapping"
             } else {
@@ -386,7 +375,7 @@ impl RawLog {
             JointMistake::Exchanged(i, j)
                 if fits(&|row| conversion.to_joint(&mistake.undone(row, meaning.robot.joint_kinds()))) =>
             {
-                Some(format!("`{}` and `{}`", meaning.names[i], meaning.names[j]))
+                Some(format!("`{}` and `{}`", meaning.logged.names[i], meaning.logged.names[j]))
             }
             _ => None,
         };

@@ -142,7 +142,7 @@ pub(in crate::logs) fn read_rtde(source: LogSource<'_>, robot: &RobotConfig) -> 
     let meaning = Meaning::of_controller(robot, AngleUnit::Rad, columns("q"), LogFormat::UrRtde, path)?;
     let mut layout = RobotTableLayout {
         time: StampColumn::find(table, &TimeColumn::new("timestamp", TimeUnit::S), remedy)?,
-        joints: table.columns(&meaning.names, remedy)?,
+        joints: table.columns(&meaning.logged.names, remedy)?,
         speeds: optional(&columns("qd"))?,
         torques: optional(&columns("current"))?,
         force: ForceLayout::find_usual(table, robot)?,

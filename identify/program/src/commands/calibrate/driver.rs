@@ -20,7 +20,7 @@ use crate::commands::{ensure_can_write, load_log_mapping};
 use crate::evaluate::{Evidence, Limit, Validity, evidence, scale_sentence};
 use crate::instrument::{Rows, Run};
 use crate::kinematics::flange_chain;
-use crate::logs::{LogOptions, RobotLogMapping};
+use crate::logs::LogOptions;
 use crate::report::page::Page;
 use crate::report::result::clocks::ClockEntry;
 use crate::report::result::file::{CalibrationFile, InputFile, MeasurementEntry, ParameterEntry, SolveEntry};
@@ -94,12 +94,10 @@ pub(super) fn calibrate(
     let line_numbers: Vec<&[u64]> = beside.iter().map(|beside| beside.lines.as_slice()).collect();
     let residuals = residuals_csv(&calibration, &line_numbers)?;
     let bar = bars.first().map(|run| &run.bar);
-    // Without a robot's log, the tables of corrections refer to the joint columns of the first file of rows, which are
-    // those of the controller.
-    let table = beside.first().filter(|_| bars.is_empty());
-    let table = table.map(|beside| RobotLogMapping { joints: beside.joints.clone(), ..Default::default() });
-    let log_mapping = logs.mapping.as_ref().or(table.as_ref());
-    let written = write_files(&file, &residuals, robot, bar, experiment, log_mapping, directory)?;
+    // The tables of corrections refer to the joints of the first robot's log or, without one, of the first file of rows.
+    let of_rows = || beside.iter().find(|rows| rows.aligned.is_some()).or(beside.first())?.logged.as_ref();
+    let logged = bars.first().map_or_else(of_rows, |run| run.log.logged.as_ref());
+    let written = write_files(&file, &residuals, robot, bar, experiment, logged, directory)?;
     let page = Page {
         file: &file,
         calibration: &calibration,

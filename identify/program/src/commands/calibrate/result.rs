@@ -7,7 +7,7 @@ use shared::output::{say, show};
 
 use super::experiment::ExperimentFile;
 use crate::calibrate::validation::deployment::Deployment;
-use crate::logs::RobotLogMapping;
+use crate::logs::LoggedJoints;
 use crate::report::result::deployments::files;
 use crate::report::result::earlier::Earlier;
 use crate::report::result::file::{CalibrationFile, replace};
@@ -24,7 +24,7 @@ pub(super) fn write_files(
     robot: &RobotConfig,
     bar: Option<&BallBarConfig>,
     experiment: &ExperimentFile,
-    log_mapping: Option<&RobotLogMapping>,
+    logged: Option<&LoggedJoints>,
     directory: &Path,
 ) -> anyhow::Result<Vec<PathBuf>> {
     let has_stale_files = |deployment: Deployment| {
@@ -40,7 +40,7 @@ pub(super) fn write_files(
     }
     let mut written = vec![file.write(directory)?, replace(directory, "residuals.csv", residuals)?];
     if file.may_be_applied() {
-        written.extend(file.write_robot(robot, bar, log_mapping, directory)?);
+        written.extend(file.write_robot(robot, bar, logged, directory)?);
     }
     Ok(written)
 }

@@ -21,9 +21,9 @@ use crate::evaluate::Validity;
 use crate::instrument::{Contact, FaceTable, HoldOut, Instrument, Rows, SocketTable, Touch, Tracker, Wire};
 use crate::kinematics::flange_chain;
 use crate::logs::{
-    ContactMapping, JointColumn, LogFormat, LogOptions, MeasuredLengthMapping, MeasuredLengths,
-    MeasuredPoseMapping, MeasuredPoses, PoseRow, TimedPoses, TipRow, TouchMapping, Touches, drop_copies,
-    is_simulated, joints_of_robot,
+    ContactMapping, JointColumn, LogFormat, LogOptions, LoggedJoints, MeasuredLengthMapping, MeasuredLengths,
+    MeasuredPoseMapping, MeasuredPoses, PoseRow, RobotLogMapping, TimedPoses, TipRow, TouchMapping, Touches,
+    drop_copies, is_simulated, joints_of_robot,
 };
 use crate::model::{JointState, Model, Waves, further};
 use crate::prepare::{AlignedPoses, Alignment, PrepareOptions, align_poses};
@@ -147,8 +147,8 @@ impl RowInstrument {
 pub(super) struct Beside {
     /// Line number of each row.
     pub(super) lines: Vec<u64>,
-    /// Columns of the joints. Empty if the rows have times instead.
-    pub(super) joints: Vec<JointColumn>,
+    /// The joints as the file contains them or, if the rows have times, as the robot's log contains them.
+    pub(super) logged: Option<LoggedJoints>,
     /// Names, as in the file, of the instrument's stations and of the targets on the flange. The key is the prefix of
     /// the parameters of these stations or targets: `tracker` has `tracker_x` for the first name, `tracker2_x` for the
     /// second and so on.
@@ -220,6 +220,9 @@ fn rows_with_joints(
     robot: &RobotConfig,
 ) -> anyhow::Result<(Instrument, Beside)> {
     let lines = |rows: &[TipRow]| rows.iter().map(|row| row.line).collect();
+    let logged = |joints: Vec<JointColumn>| {
+        LoggedJoints::of_mapping(&RobotLogMapping { joints, ..RobotLogMapping::default() }).map(Some)
+    };
     Ok(match kind {
         RowInstrument::Tracker => {
             let mapping: MeasuredPoseMapping = config::load(mapping_file)?;
@@ -235,7 +238,7 @@ fn rows_with_joints(
             let lines = read.rows.iter().map(|row| row.line).collect();
             let names = names_by_prefix([("tracker", read.stations), ("probe", read.targets)]);
             let tracker = Tracker::new(&read.rows).with_scale_u_ppm(mapping.scale_u_ppm);
-            (tracker.into(), Beside { lines, joints: mapping.joints, names, ..Beside::default() })
+            (tracker.into(), Beside { lines, logged: logged(mapping.joints)?, names, ..Beside::default() })
         }
         RowInstrument::Wire => {
             let mapping: MeasuredLengthMapping = config::load(mapping_file)?;
@@ -245,7 +248,7 @@ fn rows_with_joints(
             let lines = read.rows.iter().map(|row| row.line).collect();
             let names = names_by_prefix([("anchor", read.anchors), ("attachment", read.attachments)]);
             let wire = Wire::new(&read.rows).with_scale_u_ppm(mapping.scale_u_ppm);
-            (wire.into(), Beside { lines, joints: mapping.joints, names, ..Beside::default() })
+            (wire.into(), Beside { lines, logged: logged(mapping.joints)?, names, ..Beside::default() })
         }
         RowInstrument::Contact => {
             let sockets = options.sockets.as_deref().context("a table of sockets is missing")?;
@@ -256,7 +259,10 @@ fn rows_with_joints(
             warn_of(file, drop_copies(&mut rows, |row| &mut row.line));
             let contact =
                 Contact::new(&rows, &table).map_err(|error| CalibrateError::Rows { data_set, error })?;
-            (contact.into(), Beside { lines: lines(&rows), joints: mapping.joints, ..Beside::default() })
+            (
+                contact.into(),
+                Beside { lines: lines(&rows), logged: logged(mapping.joints)?, ..Beside::default() },
+            )
         }
         RowInstrument::Touch => {
             let table = options.faces.as_deref().map_or_else(|| Ok(FaceTable::default()), config::load)?;
@@ -272,7 +278,10 @@ fn rows_with_joints(
                 );
             }
             let touch = Touch::new(&read.rows, &read.faces, &table, &flange_chain(robot));
-            (touch.into(), Beside { lines: lines(&read.rows), joints: mapping.joints, ..Beside::default() })
+            (
+                touch.into(),
+                Beside { lines: lines(&read.rows), logged: logged(mapping.joints)?, ..Beside::default() },
+            )
         }
     })
 }
@@ -321,7 +330,7 @@ fn timed_poses(
     let is_dated = mapping.time.is_some_and(|time| time.unit.is_dated());
     let names = names_by_prefix([("tracker", read.stations), ("probe", read.targets)]);
     let aligned = Some(Aligned { alignment, t_ref, is_dated, stood, left_out });
-    Ok((tracker.into(), Beside { lines, names, aligned, ..Beside::default() }))
+    Ok((tracker.into(), Beside { lines, names, aligned, logged: log.logged, ..Beside::default() }))
 }
 
 impl Aligned {

@@ -8,7 +8,7 @@ use shared::config::{JointKind, RobotConfig};
 use super::file::{CalibrationFile, ReadIn};
 use crate::calibrate::validation::deployment::Deployment;
 use crate::kinematics::{Joints, LinkParameter};
-use crate::logs::{JointColumn, JointConversion, LogError, RobotLogMapping, own_columns};
+use crate::logs::{LogError, LoggedJoints};
 use crate::model::ParameterId;
 
 /// One row of `corrections.csv`, `offsets.csv`, `corrections_log.csv` or `offsets_log.csv`.
@@ -32,9 +32,9 @@ pub struct Correction {
 
 /// Definition of the sign of a joint's offset, used in all outputs.
 pub(in crate::report) const TO_JOINT: &str =
-    "the joint angle of the model (log converted as the robot's file says, nominal theta)";
+    "the joint angle of the model (converted by the robot's file or the mapping, nominal theta)";
 const TO_PRISMATIC_JOINT: &str =
-    "the joint variable of the model (log converted as the robot's file says, nominal d)";
+    "the joint variable of the model (converted by the robot's file or the mapping, nominal d)";
 const TO_LOG: &str = "the logged value before it is converted, in the log's own unit and sign";
 const TO_LINK: &str = "the nominal Denavit-Hartenberg number of the link";
 
@@ -96,56 +96,33 @@ pub fn corrections(file: &CalibrationFile, robot: &RobotConfig, deployment: Depl
 
 /// Lists the joint offsets of a deployment as changes of the columns of the robot's log. If the joint values
 /// of a controller are those of its log, the controller needs these changes instead of the offsets of the
-/// model's joints. Names and conversion of the columns are those in `mapping` or, without a mapping, in the
-/// robot's configuration. With the log's conversion `q = (raw - raw_offset) T`, the `change` of the columns is
-/// the solution of `q + offset = (raw + change - raw_offset) T`.
+/// model's joints. Without `logged`, the columns are those of the robot's own log.
 ///
 /// # Errors
 /// [`LogError::SingularConversion`].
 pub fn log_corrections(
     file: &CalibrationFile,
     robot: &RobotConfig,
-    mapping: Option<&RobotLogMapping>,
+    logged: Option<&LoggedJoints>,
     deployment: Deployment,
 ) -> Result<Vec<Correction>, LogError> {
-    let zeros = Joints::zeros(robot.axes());
-    let mut offsets = zeros;
+    let logged = logged.cloned().map_or_else(|| LoggedJoints::of_robot(robot), Ok)?;
+    let mut offsets = Joints::zeros(robot.axes());
+    let mut sigmas = vec![None; robot.axes()];
     for entry in &file.deployed(deployment).parameters {
         if let Ok(ParameterId::Robot { link, parameter }) = entry.name.parse()
             && let Some(kind) = robot.joint_kinds().nth(link)
             && parameter == LinkParameter::offset_of(kind)
-            && let Some(offset) = offsets.get_mut(link)
         {
-            *offset = entry.correction;
+            (offsets[link], sigmas[link]) = (entry.correction, entry.sigma);
         }
     }
-    // Each tuple contains the name of the column, its unit, and the size of this unit in the unit that `to_raw` returns.
-    // Without a mapping, `to_raw` returns the log's own units, so the size is 1. With a mapping, `to_raw` returns rad or m.
-    let column_of_robot = |(column, kind): (String, JointKind)| match kind {
-        JointKind::Revolute => (column, robot.log.unit.suffix(), 1.0),
-        JointKind::Prismatic => (column, kind.si_symbol(), 1.0),
-    };
-    let (conversion, columns): (_, Vec<(String, &str, f64)>) =
-        match mapping.and_then(RobotLogMapping::with_joints) {
-            None => (
-                JointConversion::from_robot(robot)?,
-                own_columns(robot).into_iter().zip(robot.joint_kinds()).map(column_of_robot).collect(),
-            ),
-            Some(mapping) => {
-                let column =
-                    |joint: &JointColumn| (joint.column.clone(), joint.unit.suffix(), joint.unit.to_si());
-                (JointConversion::new(&mapping.conversion())?, mapping.joints.iter().map(column).collect())
-            }
-        };
-    // The conversion is affine, so the change is the same at all joint positions. It is the difference between the raw
-    // values of `offsets` and of zero.
-    let [with, without] = [offsets, zeros].map(|joints| conversion.to_raw(&joints));
     let row = row_of(file, deployment);
-    let changes = columns.into_iter().zip(with.iter().zip(&without));
-    Ok(changes
-        .map(|((column, unit, to_si), (with, without))| {
-            row(column, unit, (with - without) / to_si, TO_LOG, None)
-        })
+    let columns = logged.names.iter().zip(&logged.units);
+    let changes = logged.changes(&offsets).into_iter().zip(logged.sigmas(&sigmas));
+    Ok(columns
+        .zip(changes)
+        .map(|((column, unit), (change, sigma))| row(column.clone(), unit.suffix(), change, TO_LOG, sigma))
         .collect())
 }
 

@@ -10,7 +10,7 @@ use super::corrections::{corrections, csv, log_corrections};
 use super::file::{CalibrationFile, FileError, ParameterEntry, replace};
 use crate::calibrate::validation::deployment::Deployment;
 use crate::kinematics::{Chain, DhLink, Pose, flange_chain, robot_chain, roll_pitch_yaw};
-use crate::logs::RobotLogMapping;
+use crate::logs::LoggedJoints;
 use crate::model::ParameterId;
 
 impl CalibrationFile {
@@ -46,8 +46,8 @@ impl CalibrationFile {
 
     /// Writes the files that a controller can apply, for each deployment that [`CalibrationFile::serves`] accepts.
     /// `robot.urdf` and `corrections.csv` contain links without joint errors. `offsets.csv` contains joint offsets alone.
-    /// For each of the two tables, a second table contains the joint offsets in units and signs of the robot's log. Each
-    /// file is written completely or not at all. Returns the paths of the files.
+    /// For each of the two tables, a second table contains the joint offsets in units and signs of the joints in `logged`.
+    /// Each file is written completely or not at all. Returns the paths of the files.
     ///
     /// # Errors
     /// [`FileError`].
@@ -55,7 +55,7 @@ impl CalibrationFile {
         &self,
         robot: &RobotConfig,
         bar: Option<&BallBarConfig>,
-        log_mapping: Option<&RobotLogMapping>,
+        logged: Option<&LoggedJoints>,
         directory: &Path,
     ) -> Result<Vec<PathBuf>, FileError> {
         let mut written = Vec::new();
@@ -65,7 +65,7 @@ impl CalibrationFile {
             }
             let tables = [
                 ("", corrections(self, robot, deployment)),
-                ("_log", log_corrections(self, robot, log_mapping, deployment)?),
+                ("_log", log_corrections(self, robot, logged, deployment)?),
             ];
             for (ending, rows) in tables {
                 written.push(replace(directory, &format!("{name}{ending}.csv"), &csv(&rows)?)?);

@@ -78,7 +78,7 @@ pub(in crate::logs) fn read(
         raw.remark(UNSTAMPED);
     }
     for message in &topic.messages {
-        raw.push(row(message, &meaning.names, stamped), &meaning)?;
+        raw.push(row(message, &meaning.logged.names, stamped), &meaning)?;
     }
     raw.finish(&meaning)
 }
