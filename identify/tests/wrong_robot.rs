@@ -260,6 +260,8 @@ fn what_went_wrong_with_the_joints_of_a_log_is_named() {
         is_named("joints 4 and 6 are exchanged", &|q| q.swap(3, 5));
         is_named("joints 4 and 5 are exchanged", &of_columns);
         is_named("joint 2 counts the other way", &|q| q[1] = -q[1]);
+        is_named("joint 3 needs +1 times joint 2 (coupling)", &|q| q[2] -= q[1]);
+        is_named("joint 3 needs -1 times joint 2 (coupling)", &|q| q[2] += q[1]);
         is_named("joint 4 never moves", &|q| q[3] = 0.3);
     }
 }

@@ -133,7 +133,8 @@ pub enum PrepareError {
     #[error(
         "the robot moved on a sphere of {found_mm:.0} mm, the bar is configured with {configured_mm:.0} mm; {}",
         .likely.as_deref().unwrap_or(
-            "correct length_m of the bar (or tool_m and plate_m), or take the log of this bar's run"
+            "correct length_m, tool_m or plate_m of the bar, or the signs and the coupling of the log's joints, or take the \
+             log of this run"
         )
     )]
     OtherLength {

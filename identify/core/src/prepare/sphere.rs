@@ -105,9 +105,10 @@ fn distinct_positions(log: &RobotLog, robot: &Chain) -> Vec<Vector3<f64>> {
 }
 
 /// Describes the probable mistake in the joints of a log whose positions lie on no sphere of the bar's length. The
-/// correction of each mistake is tried once in the joints of the model, and once in the columns of the robot's own log. The
-/// mistake whose correction puts most positions on a sphere of the bar's length is reported. If no correction puts enough
-/// positions on such a sphere, two other causes are tried: first a turned plate, then a joint that never moves.
+/// correction of each mistake is tried once in the joints of the model, and once in the columns of the robot's own log. A
+/// coupling of joints 2 and 3 is tried in the joints of the model only. The mistake whose correction puts most positions on
+/// a sphere of the bar's length is reported. If no correction puts enough positions on such a sphere, two other causes are
+/// tried: first a turned plate, then a joint that never moves.
 fn likely_mistake(
     log: &RobotLog,
     robot: &Chain,
@@ -140,9 +141,23 @@ fn likely_mistake(
             columns.iter().map(|raw| conversion.to_joint(&undone(raw))).collect()
         });
         let corrected = [Some(corrected_joints), corrected_columns].into_iter().flatten();
-        corrected.filter_map(sphere_of_bar).map(move |sphere| (mistake, sphere)).collect::<Vec<_>>()
+        corrected
+            .filter_map(sphere_of_bar)
+            .map(move |sphere| (mistake.to_string(), sphere))
+            .collect::<Vec<_>>()
     };
-    let found = JointMistake::all(log.axes()).into_iter().flat_map(spheres_without);
+    // Many controllers count joint 3 from the horizontal: joint 2 is then added to it, or subtracted from it.
+    let sphere_coupled = |factor: f64| {
+        let coupled = |q: &Joints| {
+            let mut q = *q;
+            q[2] += factor * q[1];
+            q
+        };
+        let sphere = sphere_of_bar(joints.iter().map(coupled).collect())?;
+        Some((format!("joint 3 needs {factor:+} times joint 2 (coupling)"), sphere))
+    };
+    let coupled = [1.0, -1.0].into_iter().filter(|_| log.axes() > 2).filter_map(sphere_coupled);
+    let found = JointMistake::all(log.axes()).into_iter().flat_map(spheres_without).chain(coupled);
     let best =
         found.max_by(|(_, a), (_, b)| a.inliers.total_cmp(&b.inliers).then(b.rms_m.total_cmp(&a.rms_m)));
     if let Some((mistake, sphere)) = best {
