@@ -238,9 +238,55 @@ fn no_healthy_log_loses_a_row() {
             let text = text_of(&RobotLog { q_rad, ..RobotLog::default() }, &nj());
             let log = parse(&text, &nj()).unwrap();
             let remarks = log.quality.remarks.join("; ");
-            assert_eq!(log.quality.excursions_dropped, 0, "{what} at {rate_hz} Hz: {remarks}");
+            let dropped = (log.quality.excursions_dropped, log.quality.repeated_dropped);
+            assert_eq!(dropped, (0, 0), "{what} at {rate_hz} Hz: {remarks}");
         }
     }
+}
+
+/// A motion at 250 Hz with 15 urad of noise, and its joint angles rounded to multiples of `step_deg`.
+fn rounded(step_deg: f64) -> RobotLog {
+    let mut random = ChaCha8Rng::seed_from_u64(7);
+    let (normal, step_rad) = (Normal::new(0.0, 15e-6_f64).unwrap(), step_deg.to_radians());
+    let t_s: Vec<f64> = (0..5000).map(|row| 0.004 * f64::from(row)).collect();
+    let at = |t_s: &f64| {
+        let exact_rad = |joint: usize| 0.4 * (t_s * (0.3 + 0.2 * joint as f64)).sin();
+        Joints::from_fn(6, |joint| {
+            let noise_rad: f64 = normal.sample(&mut random);
+            ((exact_rad(joint) + noise_rad) / step_rad).round() * step_rad
+        })
+    };
+    let q_rad = t_s.iter().map(at).collect();
+    RobotLog { q_rad: Stream::new(0, t_s, q_rad).into(), ..RobotLog::default() }
+}
+
+/// The log as it is read from its file, and what `inspect` reports.
+fn inspected(log: &RobotLog) -> (RobotLog, Vec<String>) {
+    let read = parse(&text_of(log, &nj()), &nj()).unwrap();
+    let told = inspect::robot_log(&read, &nj()).suspicious;
+    (read, told)
+}
+
+#[test]
+fn a_log_of_any_resolution_keeps_all_rows_and_is_not_suspected() {
+    for step_deg in [0.1, 0.01, 0.001, 1e-9] {
+        let (read, remarks) = inspected(&rounded(step_deg));
+        assert_eq!((read.q_rad.len(), remarks), (5000, Vec::new()), "{step_deg} deg");
+    }
+}
+
+#[test]
+fn rows_that_the_logger_repeats_are_found_in_a_log_of_coarse_resolution() {
+    let mut log = rounded(0.01);
+    for row in [1000, 2000, 3000] {
+        log.q_rad[row] = log.q_rad[row - 1];
+    }
+    // For a tenth of a second, the logger received no new values.
+    let held = log.q_rad[4000];
+    log.q_rad[4000..4025].fill(held);
+    let (read, remarks) = inspected(&log);
+    assert_eq!((read.q_rad.len(), read.quality.repeated_dropped), (4997, 3), "{remarks:?}");
+    assert!(remarks.iter().any(|one| one.starts_with("24 rows repeat")), "{remarks:?}");
 }
 
 #[test]

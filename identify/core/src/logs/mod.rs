@@ -50,6 +50,7 @@ pub use rows::pose_rows::{
 pub use rows::touch::{ContactMapping, ReadingColumn, TipRow, TouchMapping, Touches};
 pub use tables::stamp::{TimeColumn, TimeUnit};
 pub use tables::text::{Cells, RowsAsText, is_comment};
+pub use time_series::resolution::RESOLUTION_STEPS;
 pub use time_series::sampling::{StampStep, Stamps};
 pub use time_series::shared::Shared;
 pub use time_series::spline::{CubicSpline, SplinePoint};

@@ -7,14 +7,13 @@ use shared::config::{JointKind, RobotConfig};
 
 use super::{Inspection, JointLine, joint_lines, stamps, suspect_still, unwrapped};
 use crate::kinematics::Joints;
-use crate::logs::{RobotLog, ValueOrigin};
+use crate::logs::{RESOLUTION_STEPS, RobotLog, ValueOrigin};
 use crate::prepare::unwrapped_log;
-use crate::statistics::largest_difference;
 
 /// If at least this number of rows repeat the row before and then a joint jumps, the robot did not stand still. Instead, the
 /// logger received no new values.
 const FROZEN_ROWS_MIN: usize = 3;
-/// A larger step of a joint after repeated rows counts as a jump \[rad\].
+/// A step of a joint after repeated rows that is larger by [`RESOLUTION_STEPS`] counts as a jump \[rad\].
 const FROZEN_STEP_RAD: f64 = 1e-3;
 
 /// Reports the content of a robot's log and warns about suspicious findings.
@@ -37,14 +36,14 @@ pub fn robot_log(log: &RobotLog, robot: &RobotConfig) -> Inspection {
         inspection
             .suspect("the angles are commanded ones, without servo lag; log the measured ones if possible");
     }
-    let repeated = repeated_rows(&log.q_rad);
+    let (continuous, wrapped) = unwrapped_log(log);
+    let repeated = repeated_rows(&log.q_rad, &continuous.q_rad.resolutions());
     if repeated > 0 {
         inspection.suspect(format!(
             "{repeated} rows repeat the joints of the row before, and then the joints jump: the logger got no new values"
         ));
     }
     inspection.suspicious.extend_from_slice(&quality.remarks);
-    let (continuous, wrapped) = unwrapped_log(log);
     unwrapped(&mut inspection, &wrapped);
     inspection.joints = joint_lines('q', robot.joint_kinds(), &continuous.q_rad.t_s, &continuous.q_rad);
     suspect_still(&mut inspection, "check what the logger reads for it");
@@ -81,8 +80,9 @@ fn suspect_fast(inspection: &mut Inspection) {
         .suspect_joints(reached, ": no robot is so fast; look for rows with a wrong stamp or a wrong value");
 }
 
-/// Number of rows that repeat the row before, in segments of constant joints that end with a jump of a joint.
-fn repeated_rows(rows: &[Joints]) -> usize {
+/// Number of rows that repeat the row before, in segments of constant joints that end with a jump of a joint. `resolutions`
+/// are the steps to which the values of each joint are rounded.
+fn repeated_rows(rows: &[Joints], resolutions: &[f64]) -> usize {
     let mut count = 0;
     let mut start = 0;
     for index in 1..rows.len() {
@@ -90,8 +90,11 @@ fn repeated_rows(rows: &[Joints]) -> usize {
             continue;
         }
         let repeated = index - 1 - start;
-        let step = largest_difference(&rows[index], &rows[start]);
-        if repeated >= FROZEN_ROWS_MIN && step > FROZEN_STEP_RAD {
+        let mut steps = rows[index].iter().zip(&rows[start]).zip(resolutions);
+        let jumps = steps.any(|((to, from), resolution)| {
+            (to - from).abs() > FROZEN_STEP_RAD + RESOLUTION_STEPS * resolution
+        });
+        if repeated >= FROZEN_ROWS_MIN && jumps {
             count += repeated;
         }
         start = index;

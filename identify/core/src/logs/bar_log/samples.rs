@@ -266,13 +266,10 @@ impl RawBarLog {
         cycles
     }
 
-    /// Absolute change of each encoder from one cycle to another \[rad\].
-    fn steps_rad(&self, before: &CycleRecord, after: &CycleRecord) -> impl Iterator<Item = f64> {
-        let samples = before.encoders().iter().zip(after.encoders()).zip(&self.readings);
-        samples.map(|((before, after), reading)| {
-            let counts = after.count.wrapping_sub(before.count) as i32;
-            (f64::from(counts) * reading.info.scale.rad_per_count()).abs()
-        })
+    /// Change of an encoder from one cycle to another \[rad\].
+    fn step_rad(&self, before: &CycleRecord, after: &CycleRecord, encoder: usize) -> f64 {
+        let counts = after.encoders[encoder].count.wrapping_sub(before.encoders[encoder].count) as i32;
+        f64::from(counts) * self.readings[encoder].info.scale.rad_per_count()
     }
 
     /// Marks excursions, such as rows of zeros, as not valid. Otherwise each excursion would look like two
@@ -301,10 +298,10 @@ impl RawBarLog {
     /// Marks rows as not valid that have the same counts as the row before, but a new stamp, in the middle of a motion.
     fn mark_repeated(&mut self, cycles: &mut [CycleRecord]) {
         let valid = valid_cycles(cycles);
-        let step_rad = |from: usize, to: usize| {
-            self.steps_rad(&cycles[valid[from]], &cycles[valid[to]]).fold(0.0, f64::max)
+        let step_rad = |from: usize, to: usize, encoder: usize| {
+            self.step_rad(&cycles[valid[from]], &cycles[valid[to]], encoder)
         };
-        let repeated = repeated_rows(valid.len(), usize::MAX, step_rad);
+        let repeated = repeated_rows(valid.len(), self.readings.len(), usize::MAX, step_rad);
         self.quality.repeated_dropped += repeated.len();
         for index in repeated {
             let cycle = &mut cycles[valid[index]];
@@ -322,7 +319,9 @@ impl RawBarLog {
             let (before, after) = (&cycles[pair[0]], &cycles[pair[1]]);
             let apart_s = after.sample_time.seconds_since(before.sample_time);
             let step_rad_max = JUMP_RAD_MIN.max(SPEED_RAD_S_MAX * apart_s);
-            let jumps = self.steps_rad(before, after).filter(|step_rad| *step_rad > step_rad_max).count();
+            let jumps = (0..self.readings.len())
+                .filter(|encoder| self.step_rad(before, after, *encoder).abs() > step_rad_max)
+                .count();
             if jumps >= 2 {
                 places.push(self.rows[pair[1]].place);
                 begins_origin[pair[1]] = true;

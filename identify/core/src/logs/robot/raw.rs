@@ -1,7 +1,7 @@
 //! Collects the rows of a robot log in the order of the file ([`RawLog::push`]). When all rows were read, [`RawLog::finish`]
 //! checks the log as a whole and returns a [`RobotLog`]. The readers of all formats use this module.
 //!
-//! [`RawLog::finish`] removes excursions and repeated rows, converts the values to the model's joints ([`Meaning`]), checks
+//! [`RawLog::finish`] converts the values to the model's joints ([`Meaning`]), removes excursions and repeated rows, checks
 //! the joint limits, estimates the times of the rows, and adds remarks on the quality of the log.
 
 use std::path::{Path, PathBuf};
@@ -21,7 +21,7 @@ use crate::logs::{
     ForceClock, ForceKind, ForceLog, JointMistake, LogError, LogFormat, ROWS_MIN, RobotLog, Stream,
     ValueOrigin, since_first_s, travel,
 };
-use crate::statistics::{extremes, largest_difference};
+use crate::statistics::extremes;
 use crate::threads;
 
 /// Distance by which joint values may exceed the nominal limits before a log is rejected \[deg\], because the zero positions
@@ -211,16 +211,15 @@ impl RawLog {
 
     /// Checks and converts all rows, and estimates their times.
     pub fn finish(mut self, meaning: &Meaning<'_>) -> Result<RobotLog, LogError> {
-        // Removes rows that cannot be used.
+        // Converts the joints, and removes rows that cannot be used.
         let rows = self.joints.len();
         self.more.iter_mut().filter(|values| values.len() < rows).for_each(Vec::clear);
-        self.drop_excursions(meaning)?;
-        self.drop_repeated(meaning);
+        self.joints = threads::rows(rows, |row| meaning.logged.conversion.to_joint(&self.joints[row]));
+        self.drop_excursions(meaning.robot)?;
+        self.drop_repeated(meaning.robot);
         if self.joints.len() < ROWS_MIN {
             return Err(self.too_few(self.joints.len()));
         }
-        // Converts the joints.
-        self.joints.iter_mut().for_each(|row| *row = meaning.logged.conversion.to_joint(row));
         self.check_limits(meaning)?;
         // The places are not needed any more. They take as much memory as the stamps.
         self.places = Vec::new();
@@ -276,28 +275,19 @@ impl RawLog {
     }
 
     /// Removes single rows that have the same joints as the row before, but a new stamp, in the middle of a motion.
-    fn drop_repeated(&mut self, meaning: &Meaning<'_>) {
-        let joint = |row: usize| meaning.logged.conversion.to_joint(&self.joints[row]);
-        let step = |from: usize, to: usize| largest_difference(&joint(from), &joint(to));
-        let repeated = repeated_rows(self.joints.len(), 1, step);
+    fn drop_repeated(&mut self, robot: &RobotConfig) {
+        let repeated = repeated_rows(self.joints.len(), robot.axes(), 1, step_of(&self.joints, robot));
         self.log.quality.repeated_dropped = repeated.len();
         self.remove(&repeated);
     }
 
     /// Removes rows that jump away and back. Otherwise they would be interpolated, and would change the motion with which
     /// the clocks are compared.
-    fn drop_excursions(&mut self, meaning: &Meaning<'_>) -> Result<(), LogError> {
-        let q = threads::rows(self.joints.len(), |row| meaning.logged.conversion.to_joint(&self.joints[row]));
-        let kinds: Vec<JointKind> = meaning.robot.joint_kinds().collect();
-        let step = |from: usize, to: usize, joint: usize| {
-            let change = q[to][joint] - q[from][joint];
-            // Angles may wrap after a turn.
-            if kinds[joint] == JointKind::Prismatic { change } else { wrapped(change) }
-        };
-        let t_s = since_first_s(&self.stamps_ns);
-        let excursions = Excursions { t_s: &t_s, columns: kinds.len(), fastest: FASTEST, step }.find();
+    fn drop_excursions(&mut self, robot: &RobotConfig) -> Result<(), LogError> {
+        let (t_s, step) = (since_first_s(&self.stamps_ns), step_of(&self.joints, robot));
+        let excursions = Excursions { t_s: &t_s, columns: robot.axes(), fastest: FASTEST, step }.find();
         let places: Vec<u64> = excursions.iter().map(|row| self.places[*row]).collect();
-        let remark = remark(&places, q.len(), (&self.path, self.what), "they are left out")?;
+        let remark = remark(&places, self.joints.len(), (&self.path, self.what), "they are left out")?;
         self.log.quality.remarks.extend(remark);
         self.log.quality.excursions_dropped = excursions.len();
         self.remove(&excursions);
@@ -408,6 +398,16 @@ impl RawLog {
                 .remarks
                 .push("the values are commanded, not measured: they do not contain the servo lag".into());
         }
+    }
+}
+
+/// Change of a joint from one row to another \[rad, m\], as a function of both rows and the joint.
+fn step_of(joints: &[Joints], robot: &RobotConfig) -> impl Fn(usize, usize, usize) -> f64 {
+    let kinds: Vec<JointKind> = robot.joint_kinds().collect();
+    move |from: usize, to: usize, joint: usize| {
+        let change = joints[to][joint] - joints[from][joint];
+        // Angles may wrap after a turn.
+        if kinds[joint] == JointKind::Prismatic { change } else { wrapped(change) }
     }
 }
 

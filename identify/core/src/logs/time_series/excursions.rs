@@ -6,6 +6,7 @@ use std::path::Path;
 
 use shared::output::named;
 
+use super::resolution::{SAMPLED_ROWS, resolutions};
 use super::sampling::STEPS_PART;
 use crate::logs::LogError;
 use crate::statistics::{quantile, trimmed_mean};
@@ -14,13 +15,12 @@ use crate::statistics::{quantile, trimmed_mean};
 /// longer run would begin at only one row in a billion.
 const ROWS_MAX: usize = 8;
 /// An excursion exceeds this multiple of the noise of the log. The noise is the lower quartile of the second differences of
-/// the log, without those that are zero. For normal noise, this limit is 9.4 standard deviations beyond both neighbours, which
-/// occurs by chance in one row in 10^14. For values with a coarse resolution, this limit is twelve steps of the resolution.
+/// the log, without those that are zero, but at least the resolution. For normal noise, this limit is 9.4 standard deviations
+/// beyond both neighbours, which occurs by chance in one row in 10^14. For values with a coarse resolution, this limit is
+/// twelve steps of the resolution.
 const NOISE_QUARTILES: f64 = 12.0;
 /// A log with a larger fraction of excursions is rejected.
 const SHARE_MAX: f64 = 0.1;
-/// Approximate number of rows of a long log from which its period and noise are estimated.
-const SAMPLED_ROWS: usize = 100_000;
 /// Largest number of places that are listed in a message.
 const NAMED_MAX: usize = 5;
 
@@ -61,8 +61,14 @@ impl<S: Fn(usize, usize, usize) -> f64> Excursions<'_, S> {
         let sampled_s: Vec<f64> = self.t_s.iter().step_by(every).copied().collect();
         let steps_s = sampled_s.windows(2).map(|pair| (pair[1] - pair[0]) / every as f64);
         let period_s = trimmed_mean(steps_s.collect(), STEPS_PART).unwrap_or_default();
-        let noise: Vec<f64> =
-            (0..self.columns).map(|column| NOISE_QUARTILES * self.second_difference(column, every)).collect();
+        // Rounding errors of a conversion make equal second differences unequal, so that the quartile may be far below
+        // the resolution.
+        let noise: Vec<f64> = (0..)
+            .zip(resolutions(self.t_s.len(), self.columns, &self.step))
+            .map(|(column, resolution)| {
+                NOISE_QUARTILES * self.second_difference(column, every).max(resolution)
+            })
+            .collect();
         let (mut excursions, mut before) = (Vec::new(), 0);
         // Change of each value per row: from the last accepted row to the row `before`, and from `before` to the next row.
         let (mut last_step, mut next_step) = (vec![0.0; self.columns], vec![0.0; self.columns]);

@@ -6,6 +6,7 @@
 
 use std::ops::Range;
 
+use super::resolution::{RESOLUTION_STEPS, resolutions};
 use super::stream::{Row, Stream, ranges};
 
 /// While a number is constant, another number must change by more than this \[rad, m\].
@@ -51,29 +52,40 @@ impl<R: Row> Stream<R> {
     }
 }
 
-/// Largest change of a number from one row to the next at standstill \[rad, m\]. Repeated rows are only found between larger
-/// changes, which are a motion.
+/// Largest change of a number from one row to the next at standstill \[rad, m\]. Repeated rows are only found between changes
+/// that are larger by [`RESOLUTION_STEPS`], which are a motion.
 const REPEATED_STEP_RAD: f64 = 1e-4;
 
 /// Indices of rows that repeat the row before in the middle of a motion, in runs of at most `run_max`. A logger that
-/// polls faster than its source updates writes the same row several times. `step_rad` is the largest change of a
-/// number between two rows.
+/// polls faster than its source updates writes the same row several times. In the middle of a motion, some number
+/// changes in the same direction before and after these rows. `step(from, to, column)` is the change of a number.
 pub(in crate::logs) fn repeated_rows(
     rows: usize,
+    columns: usize,
     run_max: usize,
-    step_rad: impl Fn(usize, usize) -> f64,
+    step: impl Fn(usize, usize, usize) -> f64,
 ) -> Vec<usize> {
-    let (mut repeated, mut moved, mut last_change) = (Vec::new(), false, 0);
+    let limits: Vec<f64> = resolutions(rows, columns, &step)
+        .into_iter()
+        .map(|resolution| REPEATED_STEP_RAD + RESOLUTION_STEPS * resolution)
+        .collect();
+    let (mut repeated, mut last_change) = (Vec::new(), 0);
+    // Steps of the last two rows that differ from the row before.
+    let (mut before, mut after) = (vec![0.0_f64; columns], vec![0.0_f64; columns]);
     for row in 1..rows {
-        let step_rad = step_rad(row - 1, row);
-        if step_rad == 0.0 {
+        after.iter_mut().enumerate().for_each(|(column, after)| *after = step(row - 1, row, column));
+        if after.iter().all(|after| *after == 0.0) {
             continue;
         }
-        let moves = step_rad > REPEATED_STEP_RAD;
-        if moved && moves && row - last_change - 1 <= run_max {
+        let moves = |column: usize| {
+            let is_motion = before[column].abs().min(after[column].abs()) > limits[column];
+            is_motion && before[column] * after[column] > 0.0
+        };
+        if row - last_change - 1 <= run_max && (0..columns).any(moves) {
             repeated.extend(last_change + 1..row);
         }
-        (moved, last_change) = (moves, row);
+        std::mem::swap(&mut before, &mut after);
+        last_change = row;
     }
     repeated
 }
