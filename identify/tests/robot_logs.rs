@@ -268,8 +268,20 @@ fn inspected(log: &RobotLog) -> (RobotLog, Vec<String>) {
 }
 
 #[test]
-fn a_log_of_any_resolution_keeps_all_rows_and_is_not_suspected() {
-    for step_deg in [0.1, 0.01, 0.001, 1e-9] {
+fn a_log_of_coarse_resolution_keeps_all_rows_and_its_step_is_reported() {
+    for (step_deg, told) in [
+        (0.1, "up to 0.1 deg in joint 1, 2, 3, 4, 5, 6: rounding adds an error of 0.50 mm"),
+        (0.01, "up to 0.01 deg in joint 1, 2, 3, 4, 5, 6: rounding adds an error of 0.05 mm"),
+    ] {
+        let (read, remarks) = inspected(&rounded(step_deg));
+        assert_eq!(read.q_rad.len(), 5000, "{remarks:?}");
+        assert!(matches!(&remarks[..], [one] if one.contains(told)), "{remarks:?}");
+    }
+}
+
+#[test]
+fn a_log_of_fine_resolution_gets_no_remark_on_its_step() {
+    for step_deg in [0.001, 1e-9] {
         let (read, remarks) = inspected(&rounded(step_deg));
         assert_eq!((read.q_rad.len(), remarks), (5000, Vec::new()), "{step_deg} deg");
     }

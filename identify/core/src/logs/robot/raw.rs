@@ -7,6 +7,7 @@
 use std::path::{Path, PathBuf};
 
 use shared::config::{AngleUnit, JointKind, RobotConfig};
+use shared::output::named;
 
 use super::logged_joints::LoggedJoints;
 use super::mapping::RobotLogMapping;
@@ -15,13 +16,14 @@ use crate::logs::force::FORCE_MAX;
 use crate::logs::rows::pose_rows::{JointUnit, joints_of_robot};
 use crate::logs::time_series::excursions::{Excursions, Fastest, remark};
 use crate::logs::time_series::frozen::repeated_rows;
+use crate::logs::time_series::resolution::resolutions;
 use crate::logs::time_series::sampling::Stamps;
 use crate::logs::time_series::stream::{remark_equal, retain};
 use crate::logs::{
     ForceClock, ForceKind, ForceLog, JointMistake, LogError, LogFormat, ROWS_MIN, RobotLog, Stream,
     ValueOrigin, since_first_s, travel,
 };
-use crate::statistics::extremes;
+use crate::statistics::{extremes, largest_size};
 use crate::threads;
 
 /// Distance by which joint values may exceed the nominal limits before a log is rejected \[deg\], because the zero positions
@@ -31,6 +33,9 @@ const LIMIT_SLACK_DEG: f64 = 2.0;
 const MOTION_DEG_MIN: f64 = 5.0;
 /// Upper bounds of a robot's motion. The wrists of small robots reach 1500 deg/s within 0.13 s.
 const FASTEST: Fastest = Fastest { speed: 30.0, acceleration: 200.0 };
+/// If the values have larger steps, a remark is added \[rad, m\]. The standard deviation of the rounding errors is then larger
+/// than the noise that the estimator assumes: `noise.robot_urad` is 15, times `sqrt(12)`.
+const RESOLUTION_MAX: f64 = 52e-6;
 
 /// One row of a log, in the units of the file.
 #[derive(Debug, Clone, Default)]
@@ -221,6 +226,7 @@ impl RawLog {
             return Err(self.too_few(self.joints.len()));
         }
         self.check_limits(meaning)?;
+        self.remark_resolution(meaning.robot);
         // The places are not needed any more. They take as much memory as the stamps.
         self.places = Vec::new();
         let joints = std::mem::take(&mut self.joints);
@@ -380,6 +386,34 @@ impl RawLog {
         "check that the log belongs to this robot, its unit, the order of its columns, and log.raw_offset_rad and \
          joint_limits_deg of the robot's configuration"
             .into()
+    }
+
+    /// Adds a remark if the values have coarse steps, with the standard deviation of the rounding errors as the cost.
+    fn remark_resolution(&mut self, robot: &RobotConfig) {
+        let steps = resolutions(self.joints.len(), robot.axes(), step_of(&self.joints, robot));
+        for (kind, place, fine) in [
+            (JointKind::Revolute, " at a distance of 1 m from the axis", "0.001 deg"),
+            (JointKind::Prismatic, "", "0.01 mm"),
+        ] {
+            let (joints, steps): (Vec<usize>, Vec<f64>) = (1..)
+                .zip(robot.joint_kinds())
+                .zip(&steps)
+                .filter(|((_, other), step)| *other == kind && **step > RESOLUTION_MAX)
+                .map(|((joint, _), step)| (joint, *step))
+                .unzip();
+            if joints.is_empty() {
+                continue;
+            }
+            let largest = largest_size(&steps);
+            self.remark(format!(
+                "the log has steps of up to {} {} in joint {}: rounding adds an error of {:.2} mm (RMS){place}; log more \
+                 digits, {fine} or finer",
+                (largest * kind.display_factor() * 1e3).round() / 1e3,
+                kind.display_symbol(),
+                named(&joints, joints.len()),
+                largest / 12_f64.sqrt() * 1e3,
+            ));
+        }
     }
 
     /// Adds the remarks on the log as a whole.

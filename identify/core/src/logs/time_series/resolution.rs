@@ -1,7 +1,7 @@
 //! Estimates the resolution of a log: the step of which all values of a column are multiples.
 //!
 //! If values are rounded, a slow motion consists of equal rows and of changes by one step. The searches for excursions and for
-//! repeated rows therefore tolerate a number of steps.
+//! repeated rows therefore tolerate a number of steps. The remark of a robot's log states the step if it is coarse.
 
 use super::stream::{Row, Stream};
 use crate::statistics::mean;
