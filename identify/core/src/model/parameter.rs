@@ -532,8 +532,8 @@ parameters! {
             })
         };
 
-    /// Robot clock minus bar clock at the reference time, minus the first estimate of this difference. `clocks[]` contains the
-    /// whole difference.
+    /// Robot clock minus bar clock at the reference time, minus the first estimate of this difference. `clocks[]` has the
+    /// difference itself.
     ClockShift
         called "clock_shift",
         is ParameterBlock::new(Owner::Clocks, Group::Clock, Unit::Second),
