@@ -12,6 +12,7 @@ use identify::instrument::{FaceTable, Measures as _, Touch};
 use identify::kinematics::flange_chain;
 use identify::logs::{JointMistake, TipRow, TouchMapping};
 use identify::model::{Axis, Model, ParameterId, Role};
+use identify::report::result::file::CalibrationFile;
 use identify::robot::import;
 use identify::simulate::ArmErrors;
 use identify::simulate::touch::{self, SimulatedTouches, TouchExperiment};
@@ -71,6 +72,43 @@ fn readings_of_a_dial_gauge_serve_as_well() {
     assert!(made.rows.iter().all(|row| row.reading_m.abs() < 0.0081));
     let left = part_left(&robot, &made);
     assert!(left < 0.15, "{left}");
+}
+
+/// Readings that vary less than the errors of the nominal robot do not determine the outer sides of the faces.
+#[test]
+fn readings_of_a_short_travel_give_a_green_verdict_whose_claim_holds() {
+    let (robot, folder) = (irb120(), tempfile::tempdir().unwrap());
+    for seed in [1, 6, 11] {
+        let at = folder.path().join(seed.to_string());
+        let made = touch::run(&TouchExperiment { gauge_mm: 1.0, ..usual(&robot, seed) }).unwrap();
+        touch::write(&at, &made, &robot).unwrap();
+        let arguments =
+            ["calibrate", "touch", "touches.csv", "--mapping", "touch.toml", "--faces", "faces.toml"];
+        let (done, text) =
+            run_identify(&at, &[&arguments[..], &["--robot", "irb120_3", "--out", "result"]].concat());
+        assert!(done && text.contains("verdict green"), "seed {seed}: {text}");
+        let file = CalibrationFile::open(&at.join("result")).unwrap();
+        let after_m = apart_m(&robot, &file.robot_chain(&robot, None), &made.robot);
+        let claimed_m = file.budget.unwrap().expanded_m;
+        assert!(after_m < claimed_m, "seed {seed}: {after_m} m, {claimed_m} m claimed");
+    }
+}
+
+#[test]
+fn a_simulated_touch_has_the_flange_on_the_outer_side_of_its_face() {
+    for robot in [irb2400(), irb120(), seven_axes()] {
+        for gauge_mm in [0.0, 1.0] {
+            let made = touch::run(&TouchExperiment { gauge_mm, ..usual(&robot, 1) }).unwrap();
+            for row in &made.rows {
+                let number = |name: &str| made.truth.parameters[&format!("face{}_{name}", row.part + 1)];
+                let normal = Vector3::from(["nx", "ny", "nz"].map(number));
+                let flange_m = made.robot.forward(&row.joints_rad).translation.vector;
+                let outside_m = (normal.dot(&flange_m) - number("d")) / normal.norm();
+                // A fifth of the distance from the flange to the tip, less the travel of the gauge.
+                assert!(outside_m > 0.023, "{} {}: {outside_m}", robot.name, made.truth.faces[row.part]);
+            }
+        }
+    }
 }
 
 #[test]
@@ -201,7 +239,7 @@ fn a_simulated_block_is_inspected_and_calibrates_from_its_files_and_its_experime
     let faces = std::fs::read_to_string(at.join("cube/faces.toml")).unwrap();
     let line = faces.lines().find(|line| line.starts_with("distance_mm")).unwrap();
     let mm: f64 = line.split_once("= ").unwrap().1.parse().unwrap();
-    std::fs::write(at.join("longer.toml"), faces.replacen(line, &format!("distance_mm = {}", mm + 1.0), 1))
+    std::fs::write(at.join("longer.toml"), faces.replacen(line, &format!("distance_mm = {}", mm + 0.5), 1))
         .unwrap();
     let wrong = ["--faces", "longer.toml", "--robot", "irb120_3", "--out", "wrong"];
     let (done, text) = run_identify(at, &[&calibrate[..], &wrong].concat());

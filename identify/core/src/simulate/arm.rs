@@ -1,5 +1,6 @@
 //! A robot with random errors that moves a point of its flange to a given position, from above and within its joint limits.
-//! The simulations of contacts (`contact`) and touches (`touch`) use it.
+//! The flange is on the outer side of the touched surface. The simulations of contacts (`contact`) and touches (`touch`) use
+//! this robot.
 
 use std::f64::consts::TAU;
 
@@ -18,6 +19,9 @@ use crate::statistics::largest_size;
 /// Smallest cosine of the angle between the stem and the downward vertical. The stem is the line from the
 /// flange to the point.
 const STEM_COSINE_MIN: f64 = 0.4;
+/// Smallest cosine of the angle between the stem and the inward normal of the touched surface. The distance of the flange
+/// from the surface is then a fifth of the stem's length or more.
+const OUTER_COSINE_MIN: f64 = 0.2;
 /// Postures are drawn from this fraction of the joints' travel.
 const TRAVEL: f64 = 0.9;
 
@@ -130,28 +134,29 @@ impl Arm {
         self.limits.iter().map(joint).collect()
     }
 
-    /// Position of the point at these joints, and whether the stem approaches it from above.
-    fn point(&self, joints: &Joints, trace: &mut Trace) -> (Vector3<f64>, bool) {
+    /// Position of the point at these joints, and the stem \[m\].
+    fn point(&self, joints: &Joints, trace: &mut Trace) -> (Vector3<f64>, Vector3<f64>) {
         self.tracer.trace(joints, trace);
-        let stem = trace.rotation() * self.point_m;
-        (trace.position_m() + stem, -stem.z > STEM_COSINE_MIN * stem.norm())
+        let stem_m = trace.rotation() * self.point_m;
+        (trace.position_m() + stem_m, stem_m)
     }
 
     /// Finds joints near `start` that move the point to `there_m`. Newton steps of least norm are used:
     /// `J^T (J J^T)^-1 miss`, where `miss` is the remaining distance. `None` if the steps do not converge, if the result is
-    /// outside the limits, or if the stem does not approach from above.
-    fn joints_near(&self, start: Joints, there_m: Vector3<f64>) -> Option<Joints> {
+    /// outside the limits, or if the stem does not approach from above and from the side to which `outward` points.
+    fn joints_near(&self, start: Joints, there_m: Vector3<f64>, outward: &Vector3<f64>) -> Option<Joints> {
         const STEPS: usize = 60;
         /// Largest change of a joint in one step \[rad, m\].
         const STEP_MAX: f64 = 0.3;
         const MISS_M: f64 = 1e-12;
         let (mut joints, mut trace) = (start, Trace::default());
         for _ in 0..STEPS {
-            let (reached_m, from_above) = self.point(&joints, &mut trace);
+            let (reached_m, stem_m) = self.point(&joints, &mut trace);
             let miss = there_m - reached_m;
             if miss.norm() < MISS_M {
                 let within = joints.iter().zip(&self.limits).all(|(q, [low, high])| low <= q && q <= high);
-                return (within && from_above).then_some(joints);
+                let from_outside = -stem_m.dot(outward) > OUTER_COSINE_MIN * stem_m.norm();
+                return (within && is_from_above(&stem_m) && from_outside).then_some(joints);
             }
             let columns: Vec<Vector3<f64>> =
                 trace.point_twists(reached_m, joints.len()).map(|twist| twist.linear).collect();
@@ -174,12 +179,15 @@ impl Arm {
         /// \[fraction of the reach\].
         const BESIDE: f64 = 0.45;
         let mut trace = Trace::default();
-        let points: Vec<(Vector3<f64>, bool)> =
+        let points: Vec<(Vector3<f64>, Vector3<f64>)> =
             (0..POSTURES).map(|_| self.point(&self.random(random), &mut trace)).collect();
         let reach_m = points.iter().map(|(at, _)| at.norm()).fold(0.0, f64::max);
         let beside = |at: &Vector3<f64>| at.xy().norm() > BESIDE * reach_m;
-        let from_above: Vec<Vector3<f64>> =
-            points.iter().filter(|(at, above)| *above && beside(at)).map(|(at, _)| *at).collect();
+        let from_above: Vec<Vector3<f64>> = points
+            .iter()
+            .filter(|(at, stem_m)| is_from_above(stem_m) && beside(at))
+            .map(|(at, _)| *at)
+            .collect();
         let near = |at: &Vector3<f64>| {
             from_above.iter().filter(|other| (*other - at).norm() < NEAR * reach_m).count()
         };
@@ -188,14 +196,20 @@ impl Arm {
         (places, reach_m)
     }
 
-    /// Finds joints that move the point to the position `there_m`. Up to `tries` random start postures are tried, and the
-    /// first that succeeds is used.
+    /// Finds joints that move the point to the position `there_m` on a surface with the unit normal `outward`. Up to `tries`
+    /// random start postures are tried, and the first that succeeds is used.
     pub(super) fn joints_at(
         &self,
         there_m: Vector3<f64>,
+        outward: &Vector3<f64>,
         tries: usize,
         random: &mut ChaCha8Rng,
     ) -> Option<Joints> {
-        (0..tries).find_map(|_| self.joints_near(self.random(random), there_m))
+        (0..tries).find_map(|_| self.joints_near(self.random(random), there_m, outward))
     }
+}
+
+/// Whether a stem approaches its point from above.
+fn is_from_above(stem_m: &Vector3<f64>) -> bool {
+    -stem_m.z > STEM_COSINE_MIN * stem_m.norm()
 }

@@ -112,7 +112,7 @@ pub fn run(experiment: &ContactExperiment<'_>) -> Result<SimulatedContacts, RowS
     let row = |row: usize| -> Result<TipRow, RowSimulationError> {
         let part = row % sockets_m.len();
         let ball_m = sockets_m[part] + Vector3::from_fn(|_, _| probing.noise(seating_um));
-        let joints = probing.joints_at(ball_m, TRIES);
+        let joints = probing.joints_at(ball_m, &Vector3::z(), TRIES);
         let joints = joints.ok_or_else(|| unreachable(&table.sockets[part].name))?;
         Ok(TipRow { joints_rad: probing.reported(&joints), part, ..TipRow::default() })
     };
@@ -146,8 +146,9 @@ fn place(
     let positions_mm = || table.sockets.iter().map(|socket| Vector3::from(socket.position_mm));
     let centre_mm = positions_mm().sum::<Vector3<f64>>() / table.sockets.len() as f64;
     let names = table.sockets.iter().map(|socket| socket.name.as_str());
-    let sockets_m: Vec<(&str, Vector3<f64>)> = names.zip(positions_mm().map(|at| at * 1e-3)).collect();
-    probing.place(place_m, centre_mm, &sockets_m).map_err(unreachable)
+    let socket = |(name, at_mm): (_, Vector3<f64>)| (name, at_mm * 1e-3, Vector3::z());
+    let sockets: Vec<_> = names.zip(positions_mm()).map(socket).collect();
+    probing.place(place_m, centre_mm, &sockets).map_err(unreachable)
 }
 
 /// Writes `contacts.csv`, its mapping `contact.toml`, `sockets.toml` and `truth.toml` to `directory`. Creates the directory

@@ -45,10 +45,10 @@ impl Probing {
         Self { arm, reach_m, turn, random: pose_random, places_m, noise }
     }
 
-    /// Finds a pose of the object in the robot's base frame at which the robot reaches all `points_m`. `points_m` are names
-    /// and positions of points in the object's frame \[m\]. If `place_m` is given, the object's origin is there. Otherwise
-    /// the object's centre (`centre_mm` in its frame) is placed at the positions that the robot reaches, one after the
-    /// other, until all points are reached.
+    /// Finds a pose of the object in the robot's base frame at which the robot reaches all `points`. `points` are names,
+    /// positions \[m\] and outward unit normals of points on the object's surface, in the object's frame. If `place_m` is
+    /// given, the object's origin is there. Otherwise the object's centre (`centre_mm` in its frame) is placed at the
+    /// positions that the robot reaches, one after the other, until all points are reached.
     ///
     /// # Errors
     /// Name of a point that the robot did not reach at the last tried position.
@@ -56,7 +56,7 @@ impl Probing {
         &mut self,
         place_m: Option<[f64; 3]>,
         centre_mm: Vector3<f64>,
-        points_m: &[(&'n str, Vector3<f64>)],
+        points: &[(&'n str, Vector3<f64>, Vector3<f64>)],
     ) -> Result<Pose, &'n str> {
         let places_m: Vec<Vector3<f64>> = match place_m {
             Some(place_m) => vec![place_m.into()],
@@ -65,21 +65,27 @@ impl Probing {
         let mut out_of_reach = "";
         for place_m in places_m {
             let object = Pose::from_parts(place_m.into(), self.turn);
-            let unreached = points_m.iter().find(|(_, point_m)| {
+            let unreached = points.iter().find(|(_, point_m, outward)| {
                 let point_m = object.transform_point(&(*point_m).into()).coords;
-                self.joints_at(point_m, TRIES_FEW).is_none()
+                self.joints_at(point_m, &(self.turn * outward), TRIES_FEW).is_none()
             });
             match unreached {
-                Some((name, _)) => out_of_reach = *name,
+                Some((name, ..)) => out_of_reach = *name,
                 None => return Ok(object),
             }
         }
         Err(out_of_reach)
     }
 
-    /// True joints that move the ball to position `there_m` in the robot's base frame.
-    pub(super) fn joints_at(&mut self, there_m: Vector3<f64>, tries: usize) -> Option<Joints> {
-        self.arm.joints_at(there_m, tries, &mut self.random)
+    /// True joints that move the ball to position `there_m` on a surface. `outward` is the unit normal of the surface. Both
+    /// are in the robot's base frame.
+    pub(super) fn joints_at(
+        &mut self,
+        there_m: Vector3<f64>,
+        outward: &Vector3<f64>,
+        tries: usize,
+    ) -> Option<Joints> {
+        self.arm.joints_at(there_m, outward, tries, &mut self.random)
     }
 
     /// Joints that the controller reports when the robot is at `true_joints`.

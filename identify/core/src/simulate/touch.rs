@@ -1,5 +1,6 @@
-//! Simulates a robot with known errors that touches the faces of a block with a tip on its flange. The result is the input
-//! of a calibration by touch, and the true parameters (`identify simulate touch`).
+//! Simulates a robot with known errors that touches the faces of a block with a tip on its flange. The flange is on the
+//! outer side of the touched face. The result is the input of a calibration by touch, and the true parameters (`identify
+//! simulate touch`).
 
 use std::path::{Path, PathBuf};
 
@@ -22,7 +23,7 @@ const TIP_DIAMETER_MM: f64 = 4.0;
 /// Edges of the block that are tried one after the other, as fractions of the robot's reach.
 const EDGES: [f64; 3] = [0.15, 0.1, 0.07];
 /// Number of positions on a face that are tried for one touch.
-const PLACES: usize = 20;
+const PLACES: usize = 60;
 /// Faces of the block with their outward normals. The sixth face is the bottom, which is not touched.
 const FACES: [(&str, [f64; 3]); 5] = [
     ("right", [1.0, 0.0, 0.0]),
@@ -126,11 +127,11 @@ pub fn run(experiment: &TouchExperiment<'_>) -> Result<SimulatedTouches, RowSimu
         } else {
             [error_m, 0.0]
         };
-        // The robot may not reach every position on a face, even if it reaches the centre. Several
+        // The robot may not reach every position on a face from outside, even if it reaches the centre. Several
         // positions are therefore tried.
         let joints = (0..PLACES).find_map(|_| {
             let tip_m = block.random_tip_m(part, out_m, &mut probing.random);
-            probing.joints_at(tip_m, TRIES_FEW)
+            probing.joints_at(tip_m, &block.faces[part].normal, TRIES_FEW)
         });
         let joints = joints.ok_or_else(|| unreachable(FACES[part].0))?;
         Ok(TipRow { joints_rad: probing.reported(&joints), part, reading_m, ..TipRow::default() })
@@ -154,18 +155,22 @@ pub fn run(experiment: &TouchExperiment<'_>) -> Result<SimulatedTouches, RowSimu
 }
 
 fn unreachable(face: &str) -> RowSimulationError {
-    RowSimulationError::Unreachable { place: format!("face `{face}`"), size: "--block-mm" }
+    RowSimulationError::Unreachable { place: format!("the outer side of face `{face}`"), size: "--block-mm" }
 }
 
-/// Edge of the block \[mm\], and pose of the block in the robot's base frame. The robot reaches the centres of all faces.
+/// Edge of the block \[mm\], and pose of the block in the robot's base frame. The robot reaches the centres of all faces,
+/// each from its outer side.
 fn place(experiment: &TouchExperiment<'_>, probing: &mut Probing) -> Result<(f64, Pose), RowSimulationError> {
     let scaled_mm = |edge: f64| (edge * probing.reach_m * 1e3).round();
     let edges_mm =
         experiment.block_mm.map_or_else(|| EDGES.map(scaled_mm).to_vec(), |block_mm| vec![block_mm]);
     let mut out_of_reach = "";
     for block_mm in edges_mm {
-        let faces_m = FACES.map(|(name, normal)| (name, Vector3::from(normal) * 0.5e-3 * block_mm));
-        match probing.place(experiment.place_m, Vector3::zeros(), &faces_m) {
+        let centres = FACES.map(|(name, normal)| {
+            let outward = Vector3::from(normal);
+            (name, outward * 0.5e-3 * block_mm, outward)
+        });
+        match probing.place(experiment.place_m, Vector3::zeros(), &centres) {
             Ok(block) => return Ok((block_mm, block)),
             Err(face) => out_of_reach = face,
         }
