@@ -337,6 +337,19 @@ fn runs_of_one_robot_have_its_errors_and_paths_of_their_own() {
     assert_eq!(run(Some(1), 1).robot_log, alone.robot_log);
 }
 
+/// The first 300 moves that are tried with this seed are not feasible.
+#[test]
+#[ignore = "takes more than four seconds"]
+fn a_start_without_a_feasible_move_is_replaced() {
+    let urdf = std::fs::read_to_string(repository("identify/tests/data/seven_axes.urdf")).unwrap();
+    let seven = import(&urdf, Some("base"), Some("flange")).unwrap().config;
+    let bar = bar();
+    let mut experiment = Experiment::new(&seven, &bar);
+    (experiment.errors, experiment.seed) = (StaticErrors::Drawn { seed: 3 }, 3);
+    experiment.design.duration_s = 60.0;
+    experiment.drive().unwrap();
+}
+
 #[test]
 fn an_arm_that_cannot_follow_the_bar_gets_the_hint_at_sockets_and_seven_axes_other_errors() {
     let urdf = std::fs::read_to_string(repository("identify/tests/data/seven_axes.urdf")).unwrap();

@@ -1,5 +1,6 @@
 //! Generates a random path on the bar's sphere within all constraints. The path consists of moves between random points;
-//! each move is checked before it is added. If no next move is found, the last few moves are removed (a backtrack).
+//! each move is checked before it is added. If no next move is found, the last few moves are removed (a backtrack). If no
+//! first move is found, the path gets another start.
 //!
 //! The path is the start of a search, or the path of a simulated experiment. Because the points are random in all five bar
 //! joints, the path excites all joints in all directions, which manual paths seldom do.
@@ -15,6 +16,8 @@ use crate::statistics::largest_size;
 
 /// Largest number of points that are tried for the start or for one move.
 const TRIES: usize = 300;
+/// Largest number of starts without a feasible first move. An arm of seven axes needs some seconds for each of them.
+const STARTS: usize = 5;
 /// Largest number of backtracks that do not make the path longer.
 const RETREATS: usize = 60;
 /// Number of moves removed in a backtrack.
@@ -117,8 +120,7 @@ pub(super) fn random_route_until(
     if duration_s < DURATION_S_MIN {
         return Err(PlanError::TooShort { duration_s });
     }
-    let (start_rad, robot_rad) = start(constraints, random)?;
-    let mut route = Route { path: Path::at_rest(start_rad, constraints.design), robot_rad: vec![robot_rad] };
+    let mut route = route_at_rest(constraints, random)?;
     fill(constraints, &mut route, random, is_over)?;
     Ok(route)
 }
@@ -171,6 +173,12 @@ pub(super) fn random_poses(
     visited
 }
 
+/// A path without moves at a random start.
+fn route_at_rest(constraints: &Constraints<'_>, random: &mut impl Rng) -> Result<Route, PlanError> {
+    let (start_rad, robot_rad) = start(constraints, random)?;
+    Ok(Route { path: Path::at_rest(start_rad, constraints.design), robot_rad: vec![robot_rad] })
+}
+
 /// A random bar posture, and the robot's joints at this posture \[rad, m\]. If several solutions exist, the joints nearest
 /// to the design's posture are used.
 pub(super) fn start(
@@ -207,7 +215,7 @@ enum Extension {
 }
 
 /// Adds moves until the duration is reached. If no next move is found, the last few moves are removed, because a joint near
-/// its limit may prevent every continuation.
+/// its limit may prevent every continuation. If this is the case at the start, another start is used.
 fn fill(
     constraints: &Constraints<'_>,
     route: &mut Route,
@@ -216,7 +224,7 @@ fn fill(
 ) -> Result<(), PlanError> {
     let duration_s = constraints.design.duration_s;
     let mut obstacles = Obstacles::default();
-    let (mut retreats, mut longest) = (0, 0);
+    let (mut retreats, mut longest, mut starts) = (0, 0, 1);
     loop {
         match extend(constraints, route, &mut obstacles, random, is_over) {
             Extension::SearchEnded => return Err(PlanError::Ended { duration_s }),
@@ -226,6 +234,13 @@ fn fill(
                 }
             }
             Extension::PathFull if route.path.moves.len() >= MOVES_MIN => return Ok(()),
+            Extension::NoneFeasible if route.path.moves.is_empty() => {
+                if starts == STARTS {
+                    break;
+                }
+                starts += 1;
+                *route = route_at_rest(constraints, random)?;
+            }
             Extension::PathFull | Extension::NoneFeasible => {
                 retreats += 1;
                 if retreats > RETREATS {
