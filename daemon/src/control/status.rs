@@ -515,8 +515,7 @@ pub struct CheckLine {
     /// The problem prevents a run.
     #[serde(default)]
     pub stops: bool,
-    /// The run can begin despite the problem if the request to start contains a `reason`. Without bus or disk no run can
-    /// begin.
+    /// The run can begin despite the problem if the request to start contains a `reason`; never without bus or disk.
     #[serde(default)]
     pub reason_suffices: bool,
     /// The problems that the check found, as values; empty if there are none.

@@ -30,7 +30,7 @@ fn check_fails_where_no_run_can_begin_and_not_for_less() {
     let output = full.command(&["check"]);
     assert_eq!(output.status.code(), Some(1), "{}", text(&output));
     assert!(text(&output).contains("PROBLEM  disk:"), "{}", text(&output));
-    // No reason overrides the disk, so the message asks for none.
+    // No reason overrides a full disk.
     assert!(!text(&output).contains("--reason"), "{}", text(&output));
     let (status, reply) = full.post("start", &json!({"name": "full"}));
     assert_eq!(status, 409);

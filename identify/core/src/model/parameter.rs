@@ -532,8 +532,7 @@ parameters! {
             })
         };
 
-    /// Robot clock minus bar clock at the reference time, minus the first estimate of this difference. `clocks[]` has the
-    /// difference itself.
+    /// Robot clock minus bar clock at the reference time, relative to the first estimate. `clocks[]` has the sum of both.
     ClockShift
         called "clock_shift",
         is ParameterBlock::new(Owner::Clocks, Group::Clock, Unit::Second),
