@@ -43,7 +43,7 @@ fn without_terms(config: IdentifyConfig) -> IdentifyConfig {
 fn whatever_noise_is_configured_the_robot_is_as_accurate_as_with_the_true_noise() {
     let seeds = size(1, 3);
     for robot in [irb2400(), nj220()] {
-        for [encoder_urad, robot_urad] in [[20.0, 0.0], [200.0, 0.0], [0.0, 200.0], [100.0, 20.0]] {
+        for [encoder_urad, robot_urad] in [[20.0, 15.0], [200.0, 15.0], [0.0, 200.0], [100.0, 20.0]] {
             let true_noise = config_with_noise(f64::max(encoder_urad, 0.5), f64::max(robot_urad, 0.5));
             let [usual_um, least_um] = [IdentifyConfig::default(), true_noise].map(|config| {
                 let error_um = |seed| {
