@@ -19,7 +19,7 @@ pub(super) const TRIES: usize = 3000;
 /// Number of start postures to try for a point that another point can replace.
 pub(super) const TRIES_FEW: usize = TRIES / 10;
 /// Number of positions to try for the object.
-const PLACES: usize = 20;
+const PLACES: usize = 60;
 
 /// A robot in front of an object.
 pub(super) struct Probing {

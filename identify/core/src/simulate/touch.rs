@@ -23,7 +23,7 @@ const TIP_DIAMETER_MM: f64 = 4.0;
 /// Edges of the block that are tried one after the other, as fractions of the robot's reach.
 const EDGES: [f64; 3] = [0.15, 0.1, 0.07];
 /// Number of positions on a face that are tried for one touch.
-const PLACES: usize = 60;
+const PLACES: usize = 1000;
 /// Faces of the block with their outward normals. The sixth face is the bottom, which is not touched.
 const FACES: [(&str, [f64; 3]); 5] = [
     ("right", [1.0, 0.0, 0.0]),
