@@ -37,7 +37,9 @@ fn terminals_that_were_gone_are_in_the_log() {
     let log = logged();
     assert!(log.contains("WARN bus: no samples from"), "{log}");
     assert_eq!(log.matches("INFO bus: samples again after").count(), 1, "{log}");
-    assert!(!log.contains("encoder of joint"), "{log}");
+    // On a busy machine, cycles may be late. Nothing else is wrong with an encoder.
+    let mut of_encoders = log.lines().filter(|line| line.contains("encoder of joint"));
+    assert!(of_encoders.all(|line| line.contains("cycles not synchronous")), "{log}");
 }
 
 #[test]
@@ -49,7 +51,10 @@ fn an_encoder_without_signal_is_in_the_headline() {
     let waiting = service.wait_until("the headline", named);
     assert_eq!(waiting.state, ServiceState::Waiting);
     let typed = text(&service.command(&["status"]));
-    assert!(typed.starts_with("CHECK: no valid sample from joint 2 ("), "{typed}");
+    // On a busy machine, cycles may be late, and the headline then names other joints, too.
+    let headline = typed.lines().next().unwrap();
+    assert!(headline.starts_with("CHECK: no valid sample from joint"), "{typed}");
+    assert!(headline.contains("no valid sample from joint 2 ("), "{typed}");
 }
 
 #[test]
