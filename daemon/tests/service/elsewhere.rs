@@ -63,9 +63,19 @@ fn a_run_is_recorded_marked_noted_and_exported_on_another_machine() {
     let here = tempfile::tempdir().unwrap();
     let done = |arguments: &[&str]| far.done(here.path(), arguments);
     far.service.wait_until_ready();
-    assert!(done(&["status"]).starts_with("READY"));
-    let begun: Reply =
-        serde_json::from_str(&done(&["start", "--name", "far", "--note", "before", "--json"])).unwrap();
+    let status = done(&["status"]);
+    assert!(["READY", "CHECK"].iter().any(|word| status.starts_with(word)), "{status}");
+    let begun: Reply = serde_json::from_str(&done(&[
+        "start",
+        "--name",
+        "far",
+        "--note",
+        "before",
+        "--reason",
+        "may be late",
+        "--json",
+    ]))
+    .unwrap();
     assert_eq!((begun.answer, begun.run.as_deref()), (Granted::Begun, Some("far")));
     far.service.wait_for("writing");
     assert!(done(&["mark", "half"]).contains("`far`"));

@@ -146,7 +146,7 @@ fn commands_whose_reader_has_gone_end_quietly_and_a_full_disk_is_an_error() {
     let of = |name| [&record[..], &[name]].concat();
     let commands = |run| -> [Vec<&str>; 10] {
         [
-            vec!["start", "--name", run],
+            vec!["start", "--name", run, "--reason", "cycles may be late"],
             vec!["mark", "here"],
             vec!["status"],
             vec!["runs", &directory],

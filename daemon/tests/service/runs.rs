@@ -71,7 +71,17 @@ fn recordings_are_deleted_restored_noted_and_marked() {
 
 fn the_commands_say_what_they_did(service: &Running) {
     service.wait_until_ready();
-    let begun = service.command(&["start", "--name", "typed", "--note", "by hand", "--operator", "A"]);
+    let begun = service.command(&[
+        "start",
+        "--name",
+        "typed",
+        "--note",
+        "by hand",
+        "--operator",
+        "A",
+        "--reason",
+        "may be late",
+    ]);
     assert!(begun.status.success() && text(&begun).contains("`typed` has begun"), "{}", text(&begun));
     assert!(text(&service.command(&["start", "--name", "typed"])).contains("was running already"));
     service.wait_for("writing");
@@ -240,7 +250,7 @@ fn what_the_service_knows_is_asked_for_by_name_and_as_json(service: &Running) {
         serde_json::from_slice(&output.stdout).map_err(|_| text(&output)).unwrap()
     };
     service.wait_until_ready();
-    assert_eq!(json(&["start", "--name", "asked.v2"])["answer"], "begun");
+    assert_eq!(json(&["start", "--name", "asked.v2", "--reason", "may be late"])["answer"], "begun");
     service.wait_for("writing");
     let status = json(&["status"]);
     assert_eq!((&status["run"]["name"], &status["simulated"]), (&"asked.v2".into(), &true.into()));

@@ -35,11 +35,11 @@ fn terminals_that_were_gone_are_in_the_log() {
     service.wait_until("the end of the fault in the log", |_| logged().contains("samples again after"));
     // After the end of the fault, the log still contains the fault.
     let log = logged();
-    assert!(log.contains("WARN bus: no samples from"), "{log}");
-    assert_eq!(log.matches("INFO bus: samples again after").count(), 1, "{log}");
-    // On a busy machine, cycles may be late. Nothing else is wrong with an encoder.
-    let mut of_encoders = log.lines().filter(|line| line.contains("encoder of joint"));
-    assert!(of_encoders.all(|line| line.contains("cycles not synchronous")), "{log}");
+    let [before, _] = log.split("INFO bus: samples again after").collect::<Vec<_>>()[..] else {
+        panic!("{log}")
+    };
+    let (_, during) = before.split_once("WARN bus: no samples from").unwrap();
+    assert!(!during.contains("encoder of joint"), "{log}");
 }
 
 #[test]
@@ -109,7 +109,8 @@ fn cause_after_hangup(mut command: Command) -> String {
     std::thread::sleep(Duration::from_millis(500));
     let pid = nix::unistd::Pid::from_raw(i32::try_from(child.id()).unwrap());
     nix::sys::signal::kill(pid, Signal::SIGHUP).unwrap();
-    assert!(child.wait().unwrap().success());
+    // The command fails if most cycles were late, but it ends by itself.
+    assert!(child.wait().unwrap().code().is_some());
     shared::recording::Recording::open(&out.path().join("hangup.mcap")).unwrap().end.cause
 }
 
