@@ -88,10 +88,7 @@ fn homing_is_stopped_like_a_run_and_keeps_runs_out() {
     let homing = stopped.homing.unwrap();
     assert!(homing.is_over && homing.error.unwrap().contains("enough"));
     assert!(text(&service.command(&["status"])).contains("not homed: stopped"));
-    assert_eq!(
-        service.granted("start", &json!({"name": "at-once"})).answer,
-        Granted::Begun
-    );
+    assert_eq!(service.granted("start", &json!({"name": "at-once"})).answer, Granted::Begun);
     assert!(!service.directory.path().join("homing.toml").exists());
 }
 
