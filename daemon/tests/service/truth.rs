@@ -109,7 +109,7 @@ fn cause_after_hangup(mut command: Command) -> String {
     std::thread::sleep(Duration::from_millis(500));
     let pid = nix::unistd::Pid::from_raw(i32::try_from(child.id()).unwrap());
     nix::sys::signal::kill(pid, Signal::SIGHUP).unwrap();
-    // The command fails if most cycles were late, but it ends by itself.
+    // The command fails if most cycles were late, but no signal kills it.
     assert!(child.wait().unwrap().code().is_some());
     shared::recording::Recording::open(&out.path().join("hangup.mcap")).unwrap().end.cause
 }
