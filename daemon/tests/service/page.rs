@@ -134,8 +134,8 @@ fn a_recording_is_downloaded_as_it_is_and_as_a_table_and_deleted_by_its_name_alo
     service.wait_for_cycles(60);
     let last = service.granted("stop", &json!({})).last.unwrap();
     let (code, named, bytes) = fetch(&service, "runs/monday-1/mcap");
-    assert_eq!(code, 200);
-    assert!(named.starts_with("attachment; filename=\"monday-1.mcap\";"), "{named}");
+    let expected = "attachment; filename=\"monday-1.mcap\"; filename*=UTF-8''monday%2D1%2Emcap";
+    assert_eq!((code, named.as_str()), (200, expected));
     assert_eq!(bytes, std::fs::read(service.directory.path().join("monday-1.mcap")).unwrap());
     let (code, _, table) = fetch(&service, "runs/monday-1/csv");
     let rows = String::from_utf8(table).unwrap().lines().count() as u64;
