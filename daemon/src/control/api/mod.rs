@@ -154,7 +154,13 @@ fn operations() -> Vec<(Operation, MethodRouter<ApiState>)> {
             Operation::get::<Vec<CheckLine>>("/check", "Runs the pre-flight check."),
             get(check),
         ),
-        (Operation::get::<Vec<RunLine>>("/runs", "Lists the recordings: unfinished ones first, then the latest."), get(list_runs)),
+        (
+            Operation::get::<Vec<RunLine>>(
+                "/runs",
+                "Lists the recordings: unfinished ones first, then the latest.",
+            ),
+            get(list_runs),
+        ),
         (
             Operation::get_other(
                 "/runs/{name}/mcap",
